@@ -41,6 +41,22 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.read_dataset("rig.csv", columns=["Druck"]), "pressure_bar"),  # type: ignore[arg-type]
         (lambda: mk.linearize("joint.yaml"), "Scenario.read"),  # type: ignore[arg-type]
         (lambda: Recording.of(**SAMPLES).isometric(contraction="10 %"), "SI units"),  # type: ignore[arg-type]
+        (lambda: mk.PID(1.0, 2.0, 3.0, 4.0), "filter_time="),  # type: ignore[call-arg]
+        (lambda: mk.PID(kp=1.0), "PID(kp, ki, kd"),  # type: ignore[call-arg]
+        (lambda: mk.PID(Kp=1.0, ki=2.0, kd=3.0), "'kp'"),  # type: ignore[call-arg]
+        (lambda: mk.Requirement(load=None), "Requirement(load, angles"),  # type: ignore[call-arg]
+        (lambda: SCENARIO.tune(iteration=3), "'iterations'"),
+        (lambda: SCENARIO.envelope(angles=[0.1]), "margin"),
+        (lambda: SCENARIO.export("c"), "export(target, out"),  # type: ignore[call-arg]
+        (lambda: SCENARIO.compare(mk.PID(1.0, 2.0, 3.0)), "by name"),  # type: ignore[arg-type]
+        (lambda: SCENARIO.linearize("1 s"), "SI units"),  # type: ignore[arg-type]
+        (lambda: mk.read_dataset("rig.csv", inital_length=0.3), "'initial_length'"),  # type: ignore[call-arg]
+        (lambda: mk.size("knee.yaml"), "Requirement"),  # type: ignore[arg-type]
+        (lambda: mk.validate(DATA, LAW), "swapped"),  # type: ignore[arg-type]
+        (lambda: mk.check_reference(SCENARIO), "check_reference(plant, reference"),  # type: ignore[arg-type, call-arg]
+        (lambda: mk.catalog.specimen(3), "str"),  # type: ignore[arg-type]
+        (lambda: mk.identify(mk.ExponentialLaw, DATA).predict("10 %", "3 bar"), "SI units"),  # type: ignore[arg-type]
+        (lambda: mk.scenario("joint.yaml"), "Scenario.read"),  # type: ignore[operator]
     ],
 )
 def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
@@ -90,6 +106,22 @@ def test_the_catalog_completes_its_entries():
 @pytest.mark.parametrize(("name", "known"), [("mas10", "MAS-10"), ("arm", "arm_slope"), ("kp", ""), ("xyz", "")])
 def test_the_beginning_of_a_name_suggests_it(name, known):
     assert closest(name, ["MAS-10", "DMSP-10", "arm_slope"]) == known
+
+
+def test_lists_stand_for_arrays_in_direct_calls():
+    expected = LAW.force(np.array([0.1, 0.2]), np.array([1e5, 2e5]))
+    np.testing.assert_array_equal(LAW.force([0.1, 0.2], [1e5, 2e5]), expected)
+    np.testing.assert_array_equal(LAW.force((0.1, 0.2), [1e5, 2e5]), expected)
+
+
+def test_an_error_inside_a_right_call_is_not_blamed_on_its_arguments():
+    class Broken(mk.ExponentialLaw):
+        def force(self, contraction, pressure):
+            raise TypeError("inside")
+
+    with pytest.raises(TypeError, match="inside") as caught:
+        mk.validate(Broken(1.0, 1e-7, 1.0, 1e-7, 1.0, 1e-7, 1.0, LAW.domain), DATA)
+    assert not isinstance(caught.value, McKibbenError)
 
 
 def test_impossible_numbers_warn_in_direct_calls_of_a_law():

@@ -57,8 +57,9 @@ def closest(name: str, known: Sequence[str]) -> str:
     """
     close = difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
     plain = _plain(name)
+    same = [one for one in known if _plain(one) == plain]
     begun = [one for one in known if len(plain) > 2 and _plain(one).startswith(plain)]
-    return next(iter([*close, *begun]), "")
+    return next(iter([*same, *close, *begun]), "")
 
 
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:
@@ -137,6 +138,10 @@ class UnitError(McKibbenError, ValueError):
 
 class RangeError(McKibbenError, ValueError):
     """A number is outside its allowed range."""
+
+
+class CallError(McKibbenError, TypeError):
+    """A function or class is called with unknown, missing or surplus arguments, or with one of another kind."""
 
 
 class NotInCatalogError(McKibbenError, KeyError):

@@ -58,3 +58,19 @@ def test_a_name_of_the_catalog_with_a_slip_is_guessed(cli):
     found = cli("identify", "dmsp-10-250-martens207")
     assert found.code == 2
     assert "did you mean 'dmsp-10-250-martens2017'?" in found.err
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("run", "joint.yaml"), "simulate"),
+        (("fit", "rig.csv"), "identify"),
+        (("stiffnes", "joint.yaml"), "stiffness"),
+        (("leg", "joint.yaml"), "land, jump"),
+        (("export", "joint.yaml"), "--to"),
+    ],
+)
+def test_a_wrong_command_names_the_one_that_is_meant(cli, words, meant):
+    found = cli(*words)
+    assert found.code == 2
+    assert found.err.startswith("error: ") and meant in found.err

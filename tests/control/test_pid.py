@@ -68,7 +68,8 @@ def test_it_is_the_textbooks_pid(gains, limits, on_error):
     book = Textbook(*gains, on_error, 0.7)
     book.start(setpoint[0], measured[0])
     expected = [book(float(d), float(m), *limits) for d, m in zip(setpoint, measured, strict=True)]
-    pid = PID(*(jnp.asarray(g) for g in gains), derivative_on_error=on_error)
+    *direct, filter_time, tracking_time = (jnp.asarray(g) for g in gains)
+    pid = PID(*direct, filter_time=filter_time, tracking_time=tracking_time, derivative_on_error=on_error)
     got = run(pid, setpoint, measured, 0.7, *limits)
     np.testing.assert_allclose(np.array(got).T, expected, rtol=1e-11, atol=1e-11)
 

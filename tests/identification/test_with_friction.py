@@ -1,7 +1,9 @@
 """A law is fitted with friction where, and only where, loading and unloading differ."""
 
+import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import mckibben as mk
@@ -81,3 +83,37 @@ def test_the_muscle_has_law_and_friction_of_the_fit(rig):
     del unknown.points.table.attrs["initial_length"]
     with pytest.raises(IdentificationError):
         unknown.muscle()
+
+
+def _slow_loop(tmp_path, *, wrong_row=None):
+    """A file of slow loops at three pressures, with friction of 10 % of the tension that reverses over 0.8 mm."""
+    rng, length, friction, lines = np.random.default_rng(1), 220.0, 0.0, ["pressure_bar,length_mm,force_N"]
+    law = catalog.law("lei-mas-10-180n")
+    contraction = 0.23 * (1 - np.cos(np.linspace(0, 2 * np.pi, 80))) / 2
+    for level in (2.0, 3.5, 5.0):
+        tension = np.maximum(np.asarray(law.force(contraction, level * bar)), 0)
+        for stretch, eps, force in zip(-np.diff(contraction, prepend=0), contraction, tension, strict=True):
+            friction = np.clip(friction + stretch * length / 0.8, -1, 1)
+            measured = force * (1 + 0.1 * friction) + rng.normal(0, 0.5)
+            measured += 150.0 * (len(lines) == wrong_row)
+            lines.append(f"{level + rng.normal(0, 0.005):.4f},{length * (1 - eps):.3f},{measured:.3f}")
+    path = tmp_path / "loops.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def test_friction_that_reverses_makes_no_row_of_a_slow_loop_an_outlier(tmp_path):
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        data = mk.read_dataset(_slow_loop(tmp_path), initial_length=220 * mm)
+    assert not [one for one in heard if "contradict" in str(one.message)]
+    found = identify_with_friction(ExponentialLaw, data)
+    assert found.hysteresis is not None
+    assert found.fit.outliers == mk.identify(ExponentialLaw, data).outliers == ()
+
+
+def test_a_wrong_force_in_a_slow_loop_is_an_outlier(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        data = mk.read_dataset(_slow_loop(tmp_path, wrong_row=100), initial_length=220 * mm)
+    assert [one.row for one in mk.identify(ExponentialLaw, data).outliers] == [100]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from mckibben.catalog import FOLDER, find, names
 from mckibben.component.base import field_quantities
+from mckibben.component.calls import checked_call
 from mckibben.component.classes import Catalog, find_class, register
 from mckibben.component.schema import section_of
 from mckibben.errors import ParameterError
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
 
 @functools.cache
+@checked_call
 def specimen(name: str) -> Specimen:
     """Return a specimen such as "MAS-10-180N-AA-MC-O"."""
     entry, _ = find("specimens", name)
@@ -39,6 +41,7 @@ def specimen(name: str) -> Specimen:
 
 
 @functools.cache
+@checked_call
 def law(name: str) -> ForceLaw:
     """Return a published parameter set as a law, such as "lei-mas-10-180n" (Eq. 3 of the paper)."""
     entry, _ = find("laws", name)
@@ -47,6 +50,7 @@ def law(name: str) -> ForceLaw:
     return law_type(**values, domain=_domain(entry))
 
 
+@checked_call
 def dataset(name: str) -> IsobaricDataset:
     """Return a measured table such as "dmsp-10-250-martens2017"."""
     from mckibben.dataset import IsobaricDataset, read_dataset  # xarray: only where data is read
@@ -61,18 +65,21 @@ def dataset(name: str) -> IsobaricDataset:
 
 
 @functools.cache
+@checked_call
 def geometry(name: str) -> KneeGeometry:
     """Return the geometry of a published joint, such as "knee-table-2"."""
     return KneeGeometry(**_quantities(KneeGeometry, find("geometries", name)[0]))
 
 
 @functools.cache
+@checked_call
 def load(name: str) -> KneeLoad:
     """Return the load of a published joint, such as "knee-table-2"."""
     return KneeLoad(**_quantities(KneeLoad, find("loads", name)[0]))
 
 
 @functools.cache
+@checked_call
 def joint(name: str) -> AntagonisticJoint:
     """Return a published joint with its muscles, such as "knee-table-2"."""
     entry, _ = find("joints", name)
@@ -80,6 +87,7 @@ def joint(name: str) -> AntagonisticJoint:
     return AntagonisticJoint(geometry(entry["geometry"]), muscle, muscle)
 
 
+@checked_call
 def valve(name: str, **others: Any) -> AirValve:
     """Return a valve such as "festo-mh1"; supply [Pa] and switching period [s] complete its data sheet.
 

@@ -30,6 +30,7 @@ from mckibben.cli.leg import leg
 from mckibben.cli.options import (
     INTERRUPTED,
     Accuracy,
+    Commands,
     Extrapolate,
     Force,
     Json,
@@ -61,6 +62,7 @@ if TYPE_CHECKING:
 _LONGEST_REASON = 1000  # characters of a foreign exception
 
 app = typer.Typer(
+    cls=Commands,
     name="mckibben",
     help="Pneumatic artificial muscles, from the test rig to a controlled joint.",
     epilog="Exit codes: 0 done, 1 failed, 2 bad input.",

@@ -23,7 +23,7 @@ _FORMATS = (
 
 def export(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario or leg; see examples/.")],
-    to: Annotated[str, Option(metavar="FORMAT", help=_FORMATS)],
+    to: Annotated[str, Option(metavar="FORMAT", help=_FORMATS)] = "",
     out: Annotated[Path | None, Option(metavar="DIR", help="Output folder.")] = None,
     name: Annotated[str, Option(metavar="NAME", help="Name of the program or model.")] = "",
     single: Annotated[
@@ -36,6 +36,8 @@ def export(
     json: Json = False,
 ) -> None:
     """Write a scenario's controller or plant, or a leg, for other programs."""
+    if not to:
+        raise ParameterError("the export needs a format", remedy="give one with --to FORMAT, such as --to c --out DIR")
     out = required_folder(out, "export")
     from mckibben.config.document import read_document
     from mckibben.config.model import read_text

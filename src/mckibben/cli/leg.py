@@ -10,6 +10,7 @@ from typer import Argument, Option
 
 from mckibben.cli.options import (
     Accuracy,
+    Commands,
     Force,
     Json,
     Out,
@@ -28,7 +29,9 @@ if TYPE_CHECKING:
     from mckibben.leg import LegPlant, LegResult
     from mckibben.leg.scenario import LegScenario
 
-leg = typer.Typer(name="leg", help="Landing and jumping of a leg, and stiffness of its foot.", no_args_is_help=True)
+leg = typer.Typer(
+    cls=Commands, name="leg", help="Landing and jumping of a leg, and stiffness of its foot.", no_args_is_help=True
+)
 
 Animate = Annotated[
     Path | None, Option("--animate", metavar="FILE", help="Animation, .webp or .gif; needs the package mujoco.")

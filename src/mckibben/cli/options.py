@@ -15,8 +15,18 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
 
 import typer
 from typer import Argument, Option
+from typer.core import TyperGroup
 
-from mckibben.errors import ON_COMMAND_LINE, DatasetError, ParameterError, Problem, UnitError, printable
+from mckibben.errors import (
+    ON_COMMAND_LINE,
+    DatasetError,
+    ParameterError,
+    Problem,
+    UnitError,
+    closest,
+    printable,
+    quoted,
+)
 from mckibben.storage.files import check_free, explain_write_errors, make_folder, to_json, write_json
 from mckibben.units import parse_range, quantity
 
@@ -54,6 +64,22 @@ Extrapolate = Annotated[
     bool,
     Option("--extrapolate", help="Apply the force laws at all pressures of their specimens, also where not measured."),
 ]
+
+
+_MEANT = {"run": "simulate", "fit": "identify", "plot": "identify DATA --out DIR", "catalog": "specimens", "help": "-h"}
+
+
+class Commands(TyperGroup):
+    """Commands, of which an unknown one is an error that names the one that is meant, or all."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return name, command and other arguments."""
+        if self.get_command(ctx, args[0]) is None and not args[0].startswith("-"):
+            known = self.list_commands(ctx)
+            meant = (_MEANT.get(args[0]) if ctx.parent is None else "") or closest(args[0], known)
+            remedy = f"did you mean `{ctx.command_path} {meant}`?" if meant else f"known are {', '.join(known)}"
+            raise ParameterError(f"{ctx.command_path} has no command {quoted(args[0])}", value=args[0], remedy=remedy)
+        return super().resolve_command(ctx, args)
 
 
 _OF_READING: Mapping[str, Any] = {  # names as in a recipe

@@ -15,6 +15,7 @@ import typer
 from typer import Argument, Option
 
 from mckibben.cli.options import (
+    Commands,
     Json,
     check_new,
     echo,
@@ -193,6 +194,7 @@ def _text(now: RunProgress) -> str:
 
 
 rig = typer.Typer(
+    cls=Commands,
     name="rig",
     help="Tests on a simulated or physical rig, recorded, resumable, with a safety monitor that vents.",
     no_args_is_help=True,

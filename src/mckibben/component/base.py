@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origi
 
 import equinox as eqx
 
+from mckibben.component.calls import CheckedCalls
 from mckibben.component.checks import check_kind, known_numbers
 from mckibben.errors import Problem, RangeError, printable, quoted, refuse_problems
 from mckibben.notebook import html_table
@@ -87,7 +88,10 @@ class Described:
         return None
 
 
-class Component(Described, eqx.Module):
+_ComponentMeta: Any = type("_ComponentMeta", (CheckedCalls, type(eqx.Module)), {})
+
+
+class Component(Described, eqx.Module, metaclass=_ComponentMeta):
     """Module with fields of the declared types and numbers in range; the check of a subclass begins with this one."""
 
     def __check_init__(self) -> None:
@@ -97,7 +101,7 @@ class Component(Described, eqx.Module):
         return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))
 
 
-class Checked(Described):
+class Checked(Described, metaclass=CheckedCalls):
     """Base of dataclasses whose fields are checked as those of components."""
 
     def __post_init__(self) -> None:

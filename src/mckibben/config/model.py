@@ -172,6 +172,8 @@ def _merged(content: Any, changes: Any) -> Any:
 
 def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: str = "examples/") -> str:
     """Text of a configuration file; ScenarioError (`what`, see `example`) if it is unreadable or its seal is broken."""
+    if not isinstance(path, str | os.PathLike):
+        raise ScenarioError(what, [Problem(f"{path!r:.60} is not a path", remedy=f"give one, see {example}")])
     source, longest = os.fspath(path), 4 * LONGEST_TEXT
     try:
         with Path(path).open("rb") as file:

@@ -45,6 +45,8 @@ class PID(Loop):
 
     Parameters
     ----------
+    kp, ki, kd
+        Gains in SI: of a position loop in Pa/rad, Pa/(rad*s) and Pa*s/rad, so that ``2 * bar`` is 2 bar/rad.
     filter_time, tracking_time
         Time constants [s] of the derivative's filter, and of the anti-windup: at or below the control period the
         integral is reset at once, and with ki = 0 there is none.
@@ -59,9 +61,9 @@ class PID(Loop):
     kp: Gain
     ki: IntegralGain
     kd: DerivativeGain
-    filter_time: ShortTime = 0.005
-    tracking_time: ShortTime = 0.05
-    derivative_on_error: bool = eqx.field(static=True, default=False)
+    filter_time: ShortTime = eqx.field(kw_only=True, default=0.005)
+    tracking_time: ShortTime = eqx.field(kw_only=True, default=0.05)
+    derivative_on_error: bool = eqx.field(kw_only=True, static=True, default=False)
 
     def __check_init__(self) -> None:
         super().__check_init__()

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Units
+from mckibben.component.calls import user_level
 from mckibben.component.columns import Label
 from mckibben.control.allocation import achieved, limit_commands
 from mckibben.control.base import Controller, JointModel, Loop, Measurement, Setpoint
@@ -102,7 +103,7 @@ class PositionStiffnessControl(Controller):
         if all(isinstance(gain, Real) for gain in gains) and 0 < max(abs(float(gain)) for gain in gains) < _LEAST_GAIN:
             text = f"the gains of the position loop are {', '.join(f'{gain:g}' for gain in gains)}"
             remedy = "numbers are in SI, such as 2 * bar for 2 bar/rad"
-            warnings.warn(f"{text} Pa for an error of 1 rad: {remedy}", McKibbenWarning, stacklevel=3)
+            warnings.warn(f"{text} Pa for an error of 1 rad: {remedy}", McKibbenWarning, stacklevel=user_level())
 
     def init(self, measurement: Measurement) -> PositionStiffnessState:
         return self.init_with(None, measurement)

@@ -171,9 +171,10 @@ def _against_others(contraction: Floats, force: Floats, levels: Sequence[Rows]) 
     level = np.repeat(np.arange(len(levels)), list(map(len, levels)))
     largest = np.maximum.accumulate([np.quantile(force[each], 0.9) for each in levels])
     loops = np.maximum(_TOLERANCE * np.minimum(largest, np.quantile(force, 0.9)), _NOISE * force.max())
-    loops = np.maximum(loops, [_LOOP * _friction(contraction[each], force[each]) for each in levels])
+    widths, shares = _LOOP * np.transpose([_friction(contraction[each], force[each]) for each in levels])
     eps, pull = contraction[rows], force[rows]
-    less = (pull - pull[:, None]) / loops[level][:, None]  # twice the tolerance counts twice
+    tolerance = np.maximum(np.maximum(loops, widths)[level][:, None], shares[level][:, None] * pull)
+    less = (pull - pull[:, None]) / tolerance  # twice the tolerance counts twice
     against = np.clip(less, 0, 2).astype(np.int64) * ((eps[:, None] <= eps + _SAME) & (level[:, None] >= level))
     against += against.T
     counts, found = against.sum(axis=1), set()
@@ -185,15 +186,18 @@ def _against_others(contraction: Floats, force: Floats, levels: Sequence[Rows]) 
     return found
 
 
-def _friction(contraction: Floats, force: Floats) -> float:
-    """Usual distance of the force [N] from the line through the points next to it in contraction."""
+def _friction(contraction: Floats, force: Floats) -> tuple[float, float]:
+    """Usual distance of the force [N] from the line through the points next to it in contraction, and its share."""
     order = np.argsort(contraction, kind="stable")
     eps, pull = contraction[order], force[order]
     if len(eps) < 3:
-        return 0.0
+        return 0.0, 0.0
     span = eps[2:] - eps[:-2]
     weight = np.divide(eps[1:-1] - eps[:-2], span, out=np.full(len(span), 0.5), where=span > 0)
-    return float(np.median(np.abs(pull[1:-1] - (1 - weight) * pull[:-2] - weight * pull[2:])))
+    distance = np.abs(pull[1:-1] - (1 - weight) * pull[:-2] - weight * pull[2:])
+    taut = pull[1:-1] > _TAUT * force.max()
+    share = np.median(distance[taut] / pull[1:-1][taut]) if taut.any() else 0.0
+    return float(np.median(distance)), float(share)
 
 
 def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:

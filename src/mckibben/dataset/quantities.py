@@ -39,8 +39,9 @@ Displacement = Literal["", "shortening", "lengthening"]
 
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _SIGN_REMEDY = (
-    "give displacement='shortening' (command line: --displacement shortening) or 'lengthening', the direction in which "
-    "it is positive, and zero_length (command line: --zero-length), the length at 0, if it is not the initial length"
+    "give displacement='shortening' (command line: --displacement shortening) or displacement='lengthening' "
+    "(command line: --displacement lengthening), the direction in which it is positive, and zero_length (command line: "
+    "--zero-length), the length at 0, if it is not the initial length"
 )
 _ZERO_REMEDY = (
     "check its unit, initial_length, displacement and zero_length (options --initial-length, --displacement, "

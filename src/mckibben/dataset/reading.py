@@ -12,6 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import check_number
 from mckibben.dataset.consistency import contradictions
 from mckibben.dataset.file_names import add_from_name, check_pattern
@@ -32,6 +33,7 @@ FilePaths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 """One file, or several files of one test in their order."""
 
 
+@checked_call
 def read_dataset(
     path: FilePaths,
     *,
@@ -220,7 +222,7 @@ def check_dataset(
     if found.problems and not only_warn:
         raise DatasetError(source, found.problems)
     for text in [*map(str, found.problems), *found.warnings, *(() if found.problems else contradictions(dataset))]:
-        warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=3)
+        warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=user_level())
     return dataset
 
 
@@ -263,7 +265,9 @@ def _joined(parts: Sequence[Kind], path: FilePaths, slack_known: Sequence[bool])
     columns = [name for name, variable in parts[0].schema.items() if len(variable.dims) == 1]
     kept = [name for name in columns if all(name in table for table in tables)]
     if lost := sorted({name for name in columns for table in tables if name in table} - {*kept}):
-        warnings.warn(f"{source}: not all files have {', '.join(lost)}: left out", McKibbenWarning, stacklevel=3)
+        warnings.warn(
+            f"{source}: not all files have {', '.join(lost)}: left out", McKibbenWarning, stacklevel=user_level()
+        )
     tables = [table[kept] for table in tables]
     if "repeat" in kept:
         tables = _distinct_repeats(tables)
@@ -352,6 +356,7 @@ _OWN_CONTRACTION = "contraction is given, but the file has its own"
 _RATE_REMEDY = "give sample_rate (command line: --sample-rate '1000 Hz'), or a column time_s, time_ms or time_min"
 
 
+@checked_call
 def read_recording(
     path: FilePaths,
     *,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.experiment_design.candidates import CandidateSet, StateGrid, design_region
@@ -34,6 +35,7 @@ _SENSITIVITY = 1e-9  # a quantity that changes by less per newton does not depen
 _UNIDENTIFIABLE = 1e-6
 
 
+@checked_call
 def plan(
     data: IsobaricDataset | Fit,
     quantity: QuantityOfInterest,

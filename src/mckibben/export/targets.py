@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mckibben.codegen.source_module import identifier
+from mckibben.component.calls import checked_call
 from mckibben.errors import ExportError, ParameterError, quoted
 from mckibben.scenario import Scenario
 from mckibben.storage.files import atomic_write, check_free, make_folder
@@ -40,6 +41,7 @@ TARGETS = {
 _NAMES = {"fmu": "plant", "fmu-muscle": "muscle"} | dict.fromkeys(("mjcf", "warp", "osim"), "joint")
 
 
+@checked_call
 def export(
     scenario: Scenario,
     target: str,

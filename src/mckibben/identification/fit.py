@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mckibben.component.calls import checked_call, user_level
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
 from mckibben.errors import DomainWarning, IdentificationError, no_attribute, printable
@@ -227,15 +228,15 @@ class Fit:
         draws[:, known] += rng.multivariate_normal(np.zeros(known.sum()), covariance[np.ix_(known, known)], count)
         return dict(zip(self.estimates, draws.T, strict=True))
 
+    @checked_call
     def predict(self, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
         """Return the force [N] at contractions [-] and gauge pressures [Pa], never below 0; the arguments broadcast.
 
         Warns outside the domain of the fit; `force_intervals` gives the uncertainty.
         """
-        contraction, pressure = np.asarray(contraction), np.asarray(pressure)
-        check_point(contraction, pressure)
+        contraction, pressure = map(np.asarray, check_point(contraction, pressure))  # type: ignore[arg-type]
         if text := self.law.domain.describe_outside(contraction, pressure):
-            warnings.warn(f"{text}; the law is extrapolated there", DomainWarning, stacklevel=2)
+            warnings.warn(f"{text}; the law is extrapolated there", DomainWarning, stacklevel=user_level())
         return np.maximum(forces(self.law, contraction, pressure), 0.0)
 
     def plot(self, data: IsobaricDataset | None = None) -> Any:

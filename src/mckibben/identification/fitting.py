@@ -8,9 +8,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, domain_of, left_out, off_levels
+from mckibben.identification.fit import (
+    DatasetSummary,
+    Fit,
+    LeaveOnePressureOut,
+    Outlier,
+    domain_of,
+    left_out,
+    off_levels,
+)
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
@@ -35,6 +44,7 @@ _FRICTION = 1.0  # of the RMSE: a larger difference between the directions domin
 _CONTRACTION_NOISE = 0.1 * percent  # excess beyond a law's validity that counts as measurement noise
 
 
+@checked_call
 def identify(
     law_type: type[ForceLaw],
     dataset: IsobaricDataset | None = None,
@@ -81,7 +91,13 @@ def identify(
             remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
         )
     means = dataset.plateau_means()
-    outliers = find_outliers(means) if robust else ()
+    return fit_means(law_type, means, find_outliers(means) if robust else (), domain)
+
+
+def fit_means(
+    law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[Outlier, ...], domain: Domain | None = None
+) -> Fit:
+    """Fit a law to plateau means without the outliers."""
     means = without_outliers(means, outliers)
     taut = means.taut
     smooth = law_type in SMOOTH_LAWS

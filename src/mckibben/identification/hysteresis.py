@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit, domain_of, left_out
@@ -194,6 +195,7 @@ _ROUNDS = 2
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
 
 
+@checked_call
 def identify_hysteresis(
     law: type[ForceLaw] | ForceLaw | Fit,
     dataset: IsobaricDataset,

@@ -40,17 +40,18 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     kept, found, pending = np.ones(len(points), bool), [], []
     most = max(1, int(_MOST * len(points)))
     hyperparameters: Sequence[Floats] = ()
-    smallest = max(_SMALLEST * float(forces.max(initial=0.0)), _loop_width(points))
+    smallest = np.maximum(_SMALLEST * float(forces.max(initial=0.0)), _loop_widths(points))
     while np.count_nonzero(kept) >= _FEWEST and len(found) + len(pending) < most + _AHEAD:
-        tested = _test(points, kept, smallest, hyperparameters)
+        least = smallest[kept]
+        tested = _test(points, kept, least, hyperparameters)
         if tested is None:
             break
         errors, statistics, freedom, hyperparameters = tested
-        worst = int(np.argmax(np.where(np.abs(errors) > smallest, np.abs(statistics), 0.0)))
+        worst = int(np.argmax(np.where(np.abs(errors) > least, np.abs(statistics), 0.0)))
         at = np.flatnonzero(kept)[worst]
         pending.append((int(at), float(errors[worst])))
         kept[at] = False
-        if abs(errors[worst]) > smallest and abs(statistics[worst]) > _limit(len(errors), freedom):
+        if abs(errors[worst]) > least[worst] and abs(statistics[worst]) > _limit(len(errors), freedom):
             found, pending = [*found, *pending], []
         elif len(pending) == _AHEAD:
             break
@@ -75,7 +76,7 @@ def _limit(count: int, freedom: int) -> float:
 
 
 def _test(
-    points: IsobaricDataset, kept: Bools, smallest: float, starts: Sequence[Floats]
+    points: IsobaricDataset, kept: Bools, smallest: Floats, starts: Sequence[Floats]
 ) -> tuple[Floats, Floats, int, Sequence[Floats]] | None:
     """Errors [N] and studentised residuals of the kept points, degrees of freedom, and hyperparameters.
 
@@ -83,7 +84,7 @@ def _test(
     """
     eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
     base = solve(eq2, grid_search(eq2))
-    if not np.abs(base.residuals).max(initial=0.0) > smallest:
+    if not np.any(np.abs(base.residuals) > smallest):
         return None
     used = points.select(kept)
     surface = len(used) >= _SURFACE and bool(np.ptp(used.contraction)) and bool(np.ptp(used.pressure))
@@ -106,16 +107,20 @@ def _test(
     return errors, statistics * np.sqrt(np.mean(variance) / variance), model.freedom, starts
 
 
-def _loop_width(points: IsobaricDataset) -> float:
-    """Mean distance [N] of loading from unloading, within which friction moves a point; 0 for one direction."""
+def _loop_widths(points: IsobaricDataset) -> Floats:
+    """Distance [N] of loading from unloading at each point, affine in the force; 0 for one direction.
+
+    Behind a reversal, and at the start of a test, friction leaves a point anywhere between the two.
+    """
     if len(points.directions) < 2:
-        return 0.0
-    passes = _passes(points)
+        return np.zeros(len(points))
     eq2 = FitProblem.of(ExponentialLaw, points)
     base = solve(eq2, grid_search(eq2))
-    columns = np.hstack([base.jacobian, passes[:, :1]])
+    loading = _passes(points)[:, :1] * np.column_stack([np.ones(len(points)), points.force])
+    columns = np.hstack([base.jacobian, loading])
     lengths = np.linalg.norm(columns, axis=0)
-    return abs(float(np.linalg.lstsq(columns / lengths, base.residuals, rcond=None)[0][-1] / lengths[-1]))
+    found = np.linalg.lstsq(columns / lengths, base.residuals, rcond=None)[0] / lengths
+    return np.abs(found[-2] + found[-1] * points.force)
 
 
 def _passes(points: IsobaricDataset) -> Floats:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import Fit, Outlier, unphysical
@@ -185,6 +186,7 @@ class Ranking:
         return html_table(repr(self), header, rows)
 
 
+@checked_call
 def rank(
     dataset: IsobaricDataset, laws: Iterable[type[ForceLaw]] = tuple(LAWS.values()), *, progress: Progress | None = None
 ) -> Ranking:

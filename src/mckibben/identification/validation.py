@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError, RangeError, printable
@@ -117,6 +118,7 @@ class HoldOut:
     validation: Validation
 
 
+@checked_call
 def validate(
     laws: Fit | ForceLaw | Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: IsobaricDataset
 ) -> Validation:

@@ -7,13 +7,15 @@ from typing import Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
+from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import identify
+from mckibben.identification.fitting import fit_means, identify
 from mckibben.identification.friction_forms import FrictionForm
 from mckibben.identification.hysteresis import HysteresisFit, identify_hysteresis
 from mckibben.identification.loading_path import ReversedDirectionsError, loop_half_width
+from mckibben.identification.outliers import find_outliers
 from mckibben.identification.uncertainty import Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 
@@ -73,6 +75,7 @@ class FitWithFriction(NamedTuple):
         return self.fit.plot(self.points)
 
 
+@checked_call
 def identify_with_friction(
     law: type[ForceLaw],
     dataset: IsobaricDataset,
@@ -116,7 +119,8 @@ def identify_with_friction(
         )
         found = None
     points = found.corrected(dataset) if found else dataset
-    fit = identify(law, points)
+    # the misfit of the friction, which is largest behind reversals, does not make a point an outlier
+    fit = fit_means(law, points, find_outliers(dataset.plateau_means())) if found else identify(law, points)
     if found and gap:
         note = (
             f"loading and unloading differ: fitted with friction, RMSE {found.rmse:.3g} N; without friction it is "

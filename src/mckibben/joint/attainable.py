@@ -17,12 +17,12 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
+from mckibben.component.calls import user_level
 from mckibben.component.checks import known_numbers
 from mckibben.errors import McKibbenWarning, RangeError, UnreachableError
 from mckibben.joint.geometry import Pair
 from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
-from mckibben.muscle.base import user_level
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled, compiled_alone
 from mckibben.numerics.elementary import floating

@@ -1,7 +1,6 @@
 """Interface of a force law, its numerical inverse in pressure, scaled laws, and the ideal braid (Eq. 1)."""
 
 import abc
-import sys
 import warnings
 from dataclasses import dataclass
 from numbers import Real
@@ -13,6 +12,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
+from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import check_positive, check_within, known_numbers
 from mckibben.component.classes import find_class
 from mckibben.component.extensions import is_foreign
@@ -120,10 +120,10 @@ ZERO_PRESSURE = 1e-6  # Pa: a lower pressure is 0, rounded
 _POSSIBLE = -0.5, 0.8  # contractions
 
 
-def check_point(contraction: ArrayLike, pressure: ArrayLike) -> None:
-    """Refuse texts, and warn of points that are impossible for any muscle, in a direct call of a law's force."""
+def check_point(contraction: ArrayLike, pressure: ArrayLike) -> tuple[ArrayLike, ArrayLike]:
+    """Arguments of a direct call of a law's force, lists as arrays; refuses texts, and warns of impossible points."""
     if isinstance(contraction, Tracer) or isinstance(pressure, Tracer):
-        return
+        return contraction, pressure
     contractions, pressures = (
         known_numbers("force", "contraction", contraction),
         known_numbers("force", "pressure", pressure),
@@ -139,14 +139,8 @@ def check_point(contraction: ArrayLike, pressure: ArrayLike) -> None:
     if ZERO_PRESSURE < (highest := pressures.max(initial=0.0)) < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
-
-
-def user_level() -> int:
-    """Return the stack level, counted from the caller, of the first frame outside this package and its wrappers."""
-    level, frame = 1, sys._getframe(1)
-    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("mckibben", "equinox", "jax"):
-        level, frame = level + 1, frame.f_back
-    return level
+    lists = isinstance(contraction, list | tuple), isinstance(pressure, list | tuple)
+    return contractions if lists[0] else contraction, pressures if lists[1] else pressure
 
 
 class PressureAffineLaw(ForceLaw):
@@ -156,8 +150,9 @@ class PressureAffineLaw(ForceLaw):
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         """Return offset [N] and gain [N/Pa] of the force at a contraction [-]."""
 
+    @checked_call
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        check_point(contraction, pressure)
+        contraction, pressure = check_point(contraction, pressure)
         offset, gain = self.pressure_terms(contraction)
         return offset + gain * pressure
 

@@ -133,7 +133,7 @@ class GaussianProcessLaw(ForceLaw):
         check_gain(self, **{"a2 + c2": self.a2 + self.c2})
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        check_point(contraction, pressure)
+        contraction, pressure = check_point(contraction, pressure)
         eps, p = jnp.asarray(contraction), jnp.asarray(pressure)
         decayed = exp(-self.decay * eps)
         offset, gain = self.a1 + self.b1 * eps + self.c1 * decayed, self.a2 + self.b2 * eps + self.c2 * decayed

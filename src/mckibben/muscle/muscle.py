@@ -16,8 +16,9 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.component.base import Component
+from mckibben.component.calls import user_level
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
-from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw, scaled_law, user_level
+from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw, scaled_law
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction

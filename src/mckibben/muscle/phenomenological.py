@@ -164,7 +164,7 @@ class HuntLaw(ForceLaw):
     formula_domain: ClassVar[Domain] = Domain(contraction_min=0.0)
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        check_point(contraction, pressure)
+        contraction, pressure = check_point(contraction, pressure)
         contraction, pressure = jnp.asarray(contraction), jnp.asarray(pressure)
         # Upper bound: below the force at the pole of the tangent and the force at the lowest tangent.
         to_pole = jnp.where(contraction == 0, jnp.inf, (self.largest - contraction / self._pole) / self.softening)

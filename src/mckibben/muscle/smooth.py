@@ -146,7 +146,7 @@ class SmoothLaw(_Deviations):
     linear_parameters = (*SmoothAffineLaw.linear_parameters, *_deviation(2))
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        check_point(contraction, pressure)
+        contraction, pressure = check_point(contraction, pressure)
         offset, gain, curvature = self._quadratic(contraction)
         return offset + (gain + curvature * pressure) * pressure
 

@@ -84,7 +84,7 @@ class ThresholdLaw(ForceLaw):
         return effective_pressure(jnp.asarray(pressure), self.threshold, self.smoothness)
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        check_point(contraction, pressure)
+        contraction, pressure = check_point(contraction, pressure)
         return self._force(contraction, pressure)
 
     @compiled_alone  # traced: the law would warn of effective pressures near 0, as of numbers in bar

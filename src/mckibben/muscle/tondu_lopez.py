@@ -97,7 +97,7 @@ class TonduLopezVariableLaw(ForceLaw):
     """p_1 [Pa]; the source has the pressure in bar."""
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        check_point(contraction, pressure)
+        contraction, pressure = check_point(contraction, pressure)
         pressure = jnp.asarray(pressure)
         factor = self.end_rise * exp(-pressure / self.reference_pressure) + self.end_factor
         return pressure * braid_gain(self.braid_angle, self.initial_diameter, 1 - factor * jnp.asarray(contraction))

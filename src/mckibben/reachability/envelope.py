@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.calls import checked_call
 from mckibben.control import Constant, Multisine, Reference, SamplesFile, Signal, Sine, Step
 from mckibben.errors import ParameterError, RangeError, UnreachableError
 from mckibben.muscle import Muscle
@@ -184,6 +185,7 @@ def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values)
     }
 
 
+@checked_call
 def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | None = None) -> Envelope:
     """Compute static envelope, trackability and nearest feasible references of a scenario.
 

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben import catalog
+from mckibben.component.calls import CheckedCalls
 from mckibben.component.schema import read_component
 from mckibben.config.document import read_document
 from mckibben.dataset import IsobaricDataset
@@ -32,7 +33,7 @@ _SCALED_SPREAD = 0.2  # of a make whose forces are scaled from another diameter 
 
 
 @dataclass(frozen=True)
-class Requirement:
+class Requirement(metaclass=CheckedCalls):
     """Motion, stiffness and load of a joint with two antagonistic muscles on pulleys.
 
     Parameters

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from mckibben.component.calls import checked_call
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Samples, Signal, Sine
 from mckibben.errors import ParameterError, UnreachableError
@@ -240,6 +241,7 @@ class Selection:
         return draw("selection", self)
 
 
+@checked_call
 def size(requirement: Requirement, makes: Sequence[Make] | None = None, *, tube_length: float = 1.0) -> Selection:
     """Select muscles, pulleys, valves and air supply for a joint with two antagonistic muscles.
 
@@ -281,9 +283,8 @@ def size(requirement: Requirement, makes: Sequence[Make] | None = None, *, tube_
             rejected.append((make.name, str(error)))
     if not found:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected)
-        factors = _nearest(makes, requirement, tube_length)
-        remedy = _remedy(requirement, factors)
-        raise UnreachableError(f"no muscle meets the requirement: {reasons}", value=factors, remedy=remedy)
+        factors, text = _nearest(makes, requirement, tube_length), f"no muscle meets the requirement: {reasons}"
+        raise UnreachableError(text, value=factors, remedy=_remedy(requirement, factors))
     return Selection(requirement, tuple(sorted(found, key=lambda one: one.supply.air)), tuple(rejected))
 
 

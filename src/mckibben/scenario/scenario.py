@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
+from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import whole_periods
 from mckibben.component.extensions import package_version, version_differences
 from mckibben.component.schema import Part, independent, inherit, write
@@ -235,6 +236,7 @@ class Scenario(RunSettings):
         """Return the scenario with a controller whose model does not follow changes of the plant."""
         return self.model_copy(update={"controller": independent(self.control())})
 
+    @checked_call
     def simulate(self, controller: Controller | None = None, **changes: Any) -> Result:
         """Run the scenario, with another controller or other changes as for `replace`; see `mckibben.simulate`.
 
@@ -243,17 +245,19 @@ class Scenario(RunSettings):
         changes |= {} if controller is None else {"controller": controller}
         result, feasibility = run_scenario(self.replace(**changes) if changes else self)
         if not feasibility.feasible:
-            warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=2)
+            warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=user_level())
         return result
 
     def envelope(self, **options: Any) -> Any:
         """Return attainable set and trackability, see `mckibben.reachability.envelope`."""
         return _above("reachability").envelope(self, **options)
 
+    @checked_call
     def tune(self, over: Any = (), cost: Any = None, **options: Any) -> Any:
         """Tune gains or other parameters, see `mckibben.tune`. Default: all gains, with the cost of `mckibben tune`."""
         return _above("study.tune").tune(self, over, cost, **options)
 
+    @checked_call
     def compare(self, controllers: Mapping[str, Controller], *, folder: Path | None = None, **settings: Any) -> Any:
         """Tune and compare controllers by name with that of the scenario, on its reference and in `conditions`.
 
@@ -262,14 +266,17 @@ class Scenario(RunSettings):
         benchmark = _above("study.benchmark")
         return benchmark.compare(benchmark.Suite.of(self, controllers, **settings), folder=folder)
 
+    @checked_call
     def margins(self, points: int = 20) -> Margins:
         """Return the stability margins of the loop along the run, see `mckibben.simulation.margins`."""
         return with_run(self, margins, substeps=self.needed_substeps(), points=points)
 
+    @checked_call
     def linearize(self, time: float = 0.0, **options: Any) -> Any:
         """Return the linearised loop at a time [s] of the run, see `mckibben.linearize`."""
         return _above("study.linearization").linearize(self, time, **options)
 
+    @checked_call
     def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
         """Write controller or plant for another program, see `mckibben.export.export`."""
         return _above("export").export(self, target, out, **options)

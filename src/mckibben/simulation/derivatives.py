@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
+from mckibben.component.calls import checked_call
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError
 from mckibben.numerics.batching import (
@@ -70,6 +71,7 @@ class Derivatives:
         return f"<Derivatives of {', '.join(self.values)} with respect to {', '.join(parameters)}>"
 
 
+@checked_call
 def differentiate(
     plant: JointPlant,
     controller: Controller,

@@ -15,6 +15,7 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
+from mckibben.component.calls import checked_call, user_level
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
@@ -108,6 +109,7 @@ class Feasibility:
         return "; ".join(sentences)
 
 
+@checked_call
 def check_reference(
     plant: JointPlant,
     reference: Reference,
@@ -171,6 +173,7 @@ class CheckedRun(NamedTuple):
     feasibility: Feasibility
 
 
+@checked_call
 def simulate(
     plant: JointPlant,
     controller: Controller | None = None,
@@ -249,7 +252,7 @@ def simulate(
         scenario=scenario,
     )
     if not feasibility.feasible:
-        warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=2)
+        warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=user_level())
     return result
 
 
@@ -280,7 +283,7 @@ def checked_run(
     feasibility = _feasibility(times, setpoints, _band(problem.plant, setpoints.angle, amplitude, engine=engine))
     for name, signal in (("angle", reference.angle), ("stiffness", reference.stiffness)):
         if mismatch := time_range_mismatch(signal, duration):
-            warnings.warn(f"reference of the {name}: {mismatch}", McKibbenWarning, stacklevel=3)
+            warnings.warn(f"reference of the {name}: {mismatch}", McKibbenWarning, stacklevel=user_level())
     known = dict(zip(BAND, (feasibility.lowest, feasibility.highest), strict=True))
     if not exists:
         _raise_why(plant, initial, float(setpoints.angle[0]))
@@ -290,17 +293,19 @@ def checked_run(
     record, used, resolution = run.solved(accuracy, substeps)
     result = _result(run, record, used, resolution, known=known, scenario=scenario)
     if not resolution.resolved:
-        warnings.warn(resolution.describe(), McKibbenWarning, stacklevel=3)
+        warnings.warn(resolution.describe(), McKibbenWarning, stacklevel=user_level())
     low, high = plant.joint.geometry.angle_range
     if math.isfinite(high - low) and (np.any(result["angle"] < low) or np.any(result["angle"] > high)):
         text = f"the angle leaves the table of the geometry, {low / deg:.4g}..{high / deg:.4g} deg"
-        warnings.warn(f"{text}, outside of which the moment arm is assumed constant", DomainWarning, stacklevel=3)
+        warnings.warn(
+            f"{text}, outside of which the moment arm is assumed constant", DomainWarning, stacklevel=user_level()
+        )
     tension = getattr(controller, "minimum_tension", None)
     if tension and feasibility.feasible:
         limited = _feasibility(times, setpoints, _band(plant, setpoints.angle, amplitude, tension))
         if not limited.feasible:
             text = f"with the controller's minimum tension of {float(tension):g} N {limited.describe()}"
-            warnings.warn(f"{text}; lower minimum_tension", ReachabilityWarning, stacklevel=3)
+            warnings.warn(f"{text}; lower minimum_tension", ReachabilityWarning, stacklevel=user_level())
     return CheckedRun(result, feasibility)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.calls import checked_call
 from mckibben.errors import ParameterError
 from mckibben.notebook import html_table
 from mckibben.scenario import Scenario, with_run
@@ -73,6 +74,7 @@ class LinearSystem:
         return control.ss(self.a, self.b, self.c, self.d, self.period, **named)
 
 
+@checked_call
 def linearize(scenario: Scenario, time: float = 0.0, *, closed: bool = False) -> LinearSystem:
     """Linearise the sampled loop of a scenario at an operating point, as `mckibben margins` does.
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from mckibben.component.calls import checked_call
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.scenario import Known, Scenario
@@ -140,6 +141,7 @@ class InterruptedSweep(KeyboardInterrupt):
     """Ctrl-C during a sweep; the text says how many runs are stored, and where."""
 
 
+@checked_call
 def sweep(
     scenario: Scenario,
     over: Sweepable | None = None,

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Self
 import jax
 import numpy as np
 
+from mckibben.component.calls import checked_call
 from mckibben.errors import FileError, ParameterError, Problem, quoted
 from mckibben.notebook import Progress, draw, html_table, notebook_progress
 from mckibben.scenario import Known, Scenario, find_parameter, with_values
@@ -194,6 +195,7 @@ class TuningResult:
         return draw("tuning", self)
 
 
+@checked_call
 def tune(
     scenarios: Sequence[Scenario] | Scenario,
     over: Sequence[SweptParameter] | Sequence[str] | str | Mapping[str, Distribution] = (),
@@ -275,10 +277,11 @@ def tune(
             message = f"the gradient method cannot use the engine {quoted(engine)}"
             remedy = "choose another method, or leave the engine out"
             raise ParameterError(message, field="engine", value=engine, remedy=remedy)
-        engine = "xla"
-    elif history is not None:
-        engine = engine_of_job(problem.engines_used, kept_software(history) if resume else None, engine)
-    problem = replace(problem, engine=engine)
+        engine = "xla"  # of costs and gradients; whether a run is usable is found by the default engine
+    else:
+        if history is not None:
+            engine = engine_of_job(problem.engines_used, kept_software(history) if resume else None, engine)
+        problem = replace(problem, engine=engine)
     about = {
         "software": software(engine),
         "scenarios": [scenario.dumps(folder=folder) for scenario in several],

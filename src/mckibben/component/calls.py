@@ -1,0 +1,146 @@
+"""Wrong calls of public functions and classes: the error names the argument and the call that is meant."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+from abc import ABCMeta
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from functools import wraps
+from types import NoneType, SimpleNamespace, UnionType
+from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from mckibben.errors import CallError, closest, described, with_article
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_EXPLAINED = TypeError, AttributeError, ValueError
+_CERTAIN = NoneType, str, Mapping, os.PathLike
+_BY_NAME = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
+
+
+def checked_call(function: Callable[P, R]) -> Callable[P, R]:
+    """Let a call that fails for a wrong argument raise a `CallError`; other errors and right calls are untouched."""
+
+    @wraps(function)
+    def called(*args: P.args, **named: P.kwargs) -> R:
+        try:
+            return function(*args, **named)
+        except _EXPLAINED as error:
+            _explain(function, args, named, error)
+            raise
+
+    return called
+
+
+class CheckedCalls(ABCMeta):
+    """Metaclass of classes whose construction raises a `CallError` for missing, unknown and surplus arguments."""
+
+    @property
+    def __signature__(cls) -> inspect.Signature:
+        """Arguments of the construction; `inspect` would take those of the metaclass."""
+        whole = inspect.signature(cls.__init__)
+        return whole.replace(parameters=list(whole.parameters.values())[1:])
+
+    def __call__(cls, *args: Any, **named: Any) -> Any:
+        try:
+            return super().__call__(*args, **named)
+        except TypeError as error:
+            _explain(cls, args, named, error)
+            raise
+
+
+def _explain(of: Callable[..., Any], args: tuple[Any, ...], named: Mapping[str, Any], error: Exception) -> None:
+    """Raise a `CallError` if the arguments explain an error that is none of ours."""
+    if type(error) not in _EXPLAINED:
+        return
+    signature = inspect.signature(of)
+    bound = next(iter(signature.parameters), "") in ("self", "cls")
+    shown = list(signature.parameters.values())[bound:]
+    try:
+        given = dict(list(signature.bind(*args, **named).arguments.items())[bound:])
+    except TypeError as unbound:
+        raise _unbound(of.__name__, shown, args[bound:], named, str(unbound)) from None
+    for name, value in given.items():
+        kinds = _kinds(of, name)
+        if kinds and _is_wrong(value, kinds):
+            others = [other for key, other in given.items() if key != name]
+            remedy = _remedy(value, [one for one in kinds if one is not NoneType], others)
+            text = f"{of.__name__}: {name} is {described(value)}"
+            raise CallError(text, field=name, value=value, remedy=remedy) from error
+
+
+def _unbound(
+    of: str, shown: list[inspect.Parameter], args: tuple[Any, ...], named: Mapping[str, Any], reason: str
+) -> CallError:
+    """The error of arguments that are unknown, too many or missing."""
+    names = [one.name for one in shown if one.kind in _BY_NAME]
+    places = [one.name for one in shown if one.kind is _BY_NAME[0]]
+    needed = [one for one in shown if one.default is one.empty and one.kind in _BY_NAME]
+    forms = [one.name if one.kind is _BY_NAME[0] else f"{one.name}=..." for one in needed]
+    call = f"write {of}({', '.join([*forms, '...'] if len(names) > len(needed) else forms)})"
+    if unknown := next((one for one in named if one not in names), ""):
+        meant = closest(unknown, [one for one in names if one not in named])
+        remedy = f"did you mean {meant!r}?" if meant else f"known are {', '.join(names)}" if names else call
+        return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=remedy)
+    if len(args) > len(places):
+        more = [f"{one}=..." for one in names if one not in places]
+        remedy = f"give others by name: {', '.join(more)}" if more else call
+        return CallError(f"{of} takes {len(places)} arguments by position, not {len(args)}", value=args, remedy=remedy)
+    missing = [one.name for one in needed if one.name not in [*places[: len(args)], *named]]
+    text = f"{of} needs {' and '.join(missing)}" if missing else f"{of}: {reason}"
+    return CallError(text, field="".join(missing[:1]), remedy=call)
+
+
+def _remedy(value: object, kinds: list[type], others: list[Any]) -> str:
+    """What to give in place of a value of another kind."""
+    if kinds == [Mapping]:
+        return "give values by name, such as {'name': value}"
+    if not any(_is_ours(one) or one in _CERTAIN for one in kinds):
+        return "give a number in SI units, such as 30 * mm with mckibben.units"
+    remedy = f"give {with_article(' or '.join(one.__name__ for one in kinds))}"
+    if isinstance(value, str | os.PathLike) and hasattr(kinds[0], "read"):
+        return f"{remedy}: {kinds[0].__name__}.read({os.fspath(value)!r:.60})"
+    swapped = any(isinstance(other, kind) for other in others for kind in kinds if _is_ours(kind))
+    return f"{remedy}; are arguments swapped?" if swapped else remedy
+
+
+def _kinds(of: Callable[..., Any], name: str) -> list[type]:
+    """Classes that an argument may have, None included; empty if its type does not say."""
+    hint = {} if isinstance(of, type) else of.__annotations__
+    with suppress(Exception):  # a name that only type checkers import
+        one = SimpleNamespace(__annotations__={name: hint[name]})
+        found = list(_flat(get_type_hints(one, vars(sys.modules[of.__module__]))[name]))
+        if all(isinstance(kind, type) and not getattr(kind, "_is_protocol", False) for kind in found):
+            return found
+    return []
+
+
+def _flat(hint: Any) -> Iterator[Any]:
+    """Classes of a type; others, such as a type variable, as they are."""
+    origin = get_origin(hint)
+    if origin in (Union, UnionType, Annotated):
+        for one in get_args(hint)[: 1 if origin is Annotated else None]:
+            yield from _flat(one)
+    else:
+        yield hint if origin is type else origin or hint
+
+
+def _is_ours(kind: type) -> bool:
+    return kind.__module__.partition(".")[0] == "mckibben"
+
+
+def _is_wrong(value: object, kinds: list[type]) -> bool:
+    """Whether a value is certainly of none of these classes; numbers and arrays stand for each other."""
+    certain = value is None or isinstance(value, str) or all(_is_ours(one) or one in _CERTAIN for one in kinds)
+    return certain and not isinstance(value, tuple(kinds))
+
+
+def user_level() -> int:
+    """Return the stack level, counted from the caller, of the first frame outside this package and its wrappers."""
+    level, frame = 1, sys._getframe(1)
+    while frame.f_back and frame.f_globals.get("__name__", "").partition(".")[0] in ("mckibben", "equinox", "jax"):
+        level, frame = level + 1, frame.f_back
+    return level
