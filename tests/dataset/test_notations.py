@@ -58,6 +58,10 @@ def forces_of(path, **options):
         ("Force filtered [N]", None),
         ("Force - filtered", None),
         ("Pressure [mPa]", None),
+        ("Pressure [mpa]", None),
+        ("Pressure [MPA]", ("pressure", "MPa")),
+        ("Pressure [mBar]", ("pressure", "mbar")),
+        ("Pressure [MBAR]", None),
     ],
 )
 def test_names_are_read_with_their_units(header, expected):

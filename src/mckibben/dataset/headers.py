@@ -291,7 +291,7 @@ def same_unit(spelled: str, known: str, quantity: str) -> bool:
     text = _SPELLED.get(spelled) or _SPELLED.get(spelled.lower(), spelled)
     if quantity.endswith("pressure") and (gauge := _GAUGE.fullmatch(text)):
         text = gauge[1]
-    return text == known or (text.lower() == known.lower() and known[0] not in "mM")
+    return text.lower() == known.lower() and (known[0] not in "mM" or text[0] == known[0])
 
 
 def is_contradiction(text: str) -> bool:
