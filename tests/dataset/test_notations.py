@@ -190,6 +190,15 @@ def test_numbers_at_the_ends_of_16_bits_and_columns_in_milliamperes_are_reported
     assert any("mA" in text for text in read(path, columns={"p [mA]": "pressure_bar"})[1])
 
 
+@pytest.mark.parametrize(("at", "mark"), [(2, "9.9E37"), (0, "3.4028235E+38"), (1, "-1e30")])
+def test_overloads_of_multimeters_are_named_with_line_and_column(put, at, mark):
+    rows = [list(row) for row in ROWS]
+    rows[4][at] = mark
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(put(table(rows=rows)))
+    assert (6, NAMES[at]) in [(problem.line, problem.field) for problem in caught.value.problems]
+
+
 def test_exchanged_columns_and_a_pressure_that_a_spreadsheet_counted_up_are_reported(put):
     rows = [(p, round(f / 20, 3), e) for p, e, f in ROWS]
     assert any("exchanged" in text for text in read(put(table(rows=rows)))[1])

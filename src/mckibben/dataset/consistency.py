@@ -137,12 +137,17 @@ def _reach(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
 def _exchanged(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
     """Warning if the contraction without load is proportional to the pressure, as the force at full length is.
 
-    That of a muscle is nearly the same at all pressures, or begins at the one that overcomes the rubber.
+    That of a thin muscle is nearly the same at all pressures; thick ones have forces that are no contractions [%].
     """
     contraction, force = dataset.contraction, dataset.force
     free = [rows[np.argmin(force[rows])] for rows in levels if force[rows].min() <= _NOISE * force.max()]
     pressure, reached = dataset.pressure[free], contraction[free]
-    if len(free) < _LEAST_LEVELS or not pressure.min() > 0 or pressure.max() < _APART * pressure.min():
+    if (
+        force.max() > _LONGEST_REACH / percent
+        or len(free) < _LEAST_LEVELS
+        or not pressure.min() > 0
+        or pressure.max() < _APART * pressure.min()
+    ):
         return
     ratio = reached / pressure
     if ratio.min() > 0 and ratio.max() < _PROPORTIONAL * ratio.min():
