@@ -185,7 +185,9 @@ class DecimalSign:
 
 def evidence(cell: str) -> str:
     """Decimal sign that a cell determines; "?" for 1.234 and 1,234, empty if it has none."""
-    text = _UNCERTAIN.sub("", _SIGN.sub(r"\1", cell.strip()))
+    text = cell.strip()
+    text = _SIGN.sub(r"\1", text) if text[:1] in "+-" else text
+    text = _UNCERTAIN.sub("", text) if "±" in text or "+/-" in text or "+-" in text else text
     if isinstance(cell, NumberText):
         return ""
     if match := _ONE_SIGN.fullmatch(text):
@@ -288,7 +290,8 @@ def read_numbers(
 
     def trimmed(cell: str) -> str:
         text = _FORTRAN.sub("e", cell.strip().replace("\u2212", "-"))  # the exponent of 1.5D+02
-        text = _UNCERTAIN.sub("", _SIGN.sub(r"\1", text))
+        text = _SIGN.sub(r"\1", text) if text[:1] in "+-" else text
+        text = _UNCERTAIN.sub("", text) if "±" in text or "+/-" in text or "+-" in text else text
         return _without_thousands(text, decimal.sign, settled=settled)
 
     for index, cell in enumerate(cells):
