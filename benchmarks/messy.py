@@ -5,6 +5,7 @@
 agree; asked if the reader refused it; wrong with a warning; or wrong in silence: these are
 listed with the seeds that `--repeat KIND SEED` writes and reads again. Where a file does not determine its numbers (two
 columns of forces, say), its kind's function states which are true, and only a question or a warning is not silent.
+``--limits`` reads files whose numbers are wrong and plausible, and which say nothing of it (pounds named newtons, say).
 """
 
 from __future__ import annotations
@@ -17,14 +18,19 @@ from collections import Counter
 from pathlib import Path
 from typing import NamedTuple
 
+import messy_exports  # noqa: F401 - adds kinds
 import messy_labs  # noqa: F401 - adds kinds
+import messy_limits  # noqa: F401 - adds kinds
 import messy_loggers  # noqa: F401 - adds kinds
 import messy_machines  # noqa: F401 - adds kinds
+import messy_notations  # noqa: F401 - adds kinds
 import messy_restarts  # noqa: F401 - adds kinds
 import messy_rows  # noqa: F401 - adds kinds
 import messy_sensors  # noqa: F401 - adds kinds
+import messy_structures  # noqa: F401 - adds kinds
+import messy_traps  # noqa: F401 - adds kinds
 import numpy as np
-from messy_kinds import KINDS, Points
+from messy_kinds import KINDS, LIMITS, Points
 
 from mckibben.dataset import read_dataset
 from mckibben.errors import McKibbenError, McKibbenWarning
@@ -42,7 +48,7 @@ class Read(NamedTuple):
 def read(kind: str, seed: int, folder: Path) -> Read:
     """Write a file of a kind, read it, and compare it with the truth."""
     rng = np.random.default_rng([seed, *kind.encode()])
-    file = KINDS[kind](Points.drawn(rng), rng)
+    file = (KINDS | LIMITS)[kind](Points.drawn(rng), rng)
     path = folder / file.name
     path.write_bytes(file.content)
     with warnings.catch_warnings(record=True) as caught:
@@ -76,12 +82,13 @@ def main() -> int:
     parser.add_argument("--files", type=int, default=1000, metavar="N", help="number of files of all kinds together")
     parser.add_argument("--seed", type=int, default=0, help="first seed")
     parser.add_argument("--only", nargs="+", choices=sorted(KINDS), metavar="KIND", help="some kinds")
+    parser.add_argument("--limits", action="store_true", help="only kinds whose files do not say that they are wrong")
     parser.add_argument("--repeat", nargs=2, metavar=("KIND", "SEED"), help="one file, written to the current folder")
     options = parser.parse_args()
     if options.repeat:
         print(*read(options.repeat[0], int(options.repeat[1]), Path()), sep=": ")
         return 0
-    kinds = options.only or list(KINDS)
+    kinds = options.only or list(LIMITS if options.limits else KINDS)
     each: dict[str, Counter[str]] = {kind: Counter() for kind in kinds}
     silent = []
     with tempfile.TemporaryDirectory() as folder:

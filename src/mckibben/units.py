@@ -56,6 +56,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "m": (1.0, _LENGTH),
     "cm": (cm, _LENGTH),
     "mm": (mm, _LENGTH),
+    "um": (1e-6, _LENGTH),
     "in": (0.0254, _LENGTH),
     "L": (litre, (3, 0, 0, 0, 0)),
     "kg": (1.0, _MASS),
@@ -67,6 +68,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "N": (1.0, _FORCE),
     "kN": (1e3, _FORCE),
     "daN": (10.0, _FORCE),
+    "cN": (0.01, _FORCE),
     "kgf": (9.80665, _FORCE),
     "lbf": (4.4482216152605, _FORCE),
     "Pa": (1.0, _PRESSURE),
@@ -81,6 +83,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "W": (1.0, (2, 1, -3, 0, 0)),
     "K": (1.0, _TEMPERATURE),
     "percent": (percent, _NOTHING),
+    "permille": (1e-3, _NOTHING),
     "ratio": (1.0, _NOTHING),
 }
 UNITS = list(_VOCABULARY)

@@ -56,6 +56,16 @@ def test_the_kinds_of_the_finding_are_right_or_asked(messy, tmp_path):
         "decimal_comma_in_the_first_column": "asked",
         "comment_on_preprocessing_and_negative_pull": "asked",
         "minus_9999_among_pascals": "asked",
+        "shortening_in_millimetres": "right",
+        "same_force_in_two_units": "right",
+        "units_in_columns_of_their_own": "right",
+        "restart_with_preamble": "right",
+        "workbook_with_merged_pressures": "right",
+        "thousands_with_decimal_index": "asked",
+        "unit_column_contradicts": "asked",
+        "comment_force_in_kgf": "wrong with a warning",
+        "series_filled_by_excel": "wrong with a warning",
+        "force_and_contraction_swapped": "wrong with a warning",
     }
     assert {kind: messy.read(kind, 0, tmp_path).outcome for kind in expected} == expected
 

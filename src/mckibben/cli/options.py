@@ -190,7 +190,7 @@ def _reading(*, recipe: Path | None, column: list[str] | None, skip_corrupt: boo
 
 def _quantity(name: str) -> str:
     """The quantity of a name such as force_N, or the name itself if it is unknown."""
-    from mckibben.dataset.columns import parse_header
+    from mckibben.dataset.headers import parse_header
 
     column = parse_header(name)
     return column.quantity if column else name

@@ -26,6 +26,8 @@ _LOOP = 2.0  # usual distances between loading and unloading
 _BESIDE, _FAR_ABOVE = 0.25, 2.0  # of the range of contractions; ratio of forces per pressure
 _PRESSURIZED = 0.25  # of the largest pressure: at less, most of the force may be that of stretched rubber
 _SHORTEST_STROKE, _LONGEST_REACH = 5 * percent, 45 * percent  # contractions of a line that is extrapolated
+_LEAST_LEVELS, _PROPORTIONAL = 3, 1.15  # pressures, and largest ratio of contraction per pressure
+_APART = 1.4  # ratio of pressures at which contractions are compared
 _AGAINST = 3  # points that an outlier contradicts
 _SHARE = 0.1  # of the points: more are not single errors
 _MOST = 1000  # points at a level that are compared in pairs
@@ -65,6 +67,8 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     rising = list(_rising_forces(dataset, levels))
     yield from rising or _outliers(dataset, levels)
     yield from _reach(dataset, levels)
+    yield from _exchanged(dataset, levels)
+    yield from _counted(dataset)
     yield from _unequal_forces(dataset)
     yield from _held_forces(dataset)
     yield from _saturated(dataset)
@@ -127,6 +131,29 @@ def _reach(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
         yield (
             f"contraction: the force would end at {-start / slope / percent:.2g} %, but muscles contract by 20 to "
             "35 %; check the unit and initial_length (command line: --initial-length), and the zero of the load cell"
+        )
+
+
+def _exchanged(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
+    """Warning if the contraction without load is proportional to the pressure, as the force at full length is.
+
+    That of a thin muscle is nearly the same at all pressures; thick ones have forces that are no contractions [%].
+    """
+    contraction, force = dataset.contraction, dataset.force
+    free = [rows[np.argmin(force[rows])] for rows in levels if force[rows].min() <= _NOISE * force.max()]
+    pressure, reached = dataset.pressure[free], contraction[free]
+    if (
+        force.max() > _LONGEST_REACH / percent
+        or len(free) < _LEAST_LEVELS
+        or not pressure.min() > 0
+        or pressure.max() < _APART * pressure.min()
+    ):
+        return
+    ratio = reached / pressure
+    if ratio.min() > 0 and ratio.max() < _PROPORTIONAL * ratio.min():
+        yield (
+            "contraction: without load it is proportional to the pressure, as the force of a muscle at its full length "
+            "is; check whether the columns of force and contraction are exchanged"
         )
 
 
@@ -215,6 +242,18 @@ def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
         yield (
             f"force: {held.sum()} of {moved.sum()} forces repeat the row before, although the muscle moved: a channel "
             "with a lower rate may hold its last value; leave these rows out"
+        )
+
+
+def _counted(dataset: IsobaricDataset) -> Iterator[str]:
+    """Warning if the pressure rises by one step from row to row, as a spreadsheet counts, while the muscle moves."""
+    moves = np.sign(np.diff(dataset.contraction))
+    reversals = int(np.count_nonzero(np.diff(moves[moves != 0])))
+    steps = np.diff(dataset.pressure)
+    if reversals >= _AGAINST and steps[0] != 0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0):
+        yield (
+            f"pressure: each of {len(steps)} rows has {steps[0] / bar:.3g} bar more than the one before, although the "
+            f"muscle reversed {reversals} times: a spreadsheet may have counted it up"
         )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mckibben.dataset.columns import parse_header
+from mckibben.dataset.headers import parse_header
 from mckibben.dataset.schema import WORDS
 from mckibben.dataset.sheet import RawColumn, RawTable
 from mckibben.errors import DatasetError, Problem, RangeError

@@ -9,17 +9,30 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from mckibben.dataset.child import LIMIT_REMEDY, call_in_child, limit_factor
-from mckibben.dataset.columns import parse_header
+from mckibben.dataset.encodings import decode
+from mckibben.dataset.headers import parse_header
 from mckibben.dataset.large_text import read_large_text
 from mckibben.dataset.sheet import RawTable
-from mckibben.dataset.text import SIGNATURE, decode, read_lvm, read_text
+from mckibben.dataset.text import SIGNATURE, read_lvm, read_text
 from mckibben.errors import DatasetError, Problem
 
 _SMALL = 2**20  # bytes: smaller texts are read in this process
 _LARGEST = 2**28  # bytes of a file
 _CELLS = 2**24  # of all columns
 _SHOWN = 1000  # corrupt rows of a file with few others
-_OLD_WORKBOOK = b"\xd0\xcf\x11\xe0"
+_OTHER_FORMATS = {
+    b"\xd0\xcf\x11\xe0": ("a workbook in the format before 2007", "save it as .xlsx or CSV"),
+    b"\x1f\x8b": ("compressed by gzip", "decompress it first"),
+    **dict.fromkeys(
+        (b"<!doctype", b"<html", b"<?xml", b"<table"),
+        ("HTML or XML, which some programs name .xls", "open it in a spreadsheet, and save it as .xlsx or CSV"),
+    ),
+    **dict.fromkeys((b'{"', b"[{", b"[["), ("JSON", "write a table: pandas.DataFrame(...).to_csv(...)")),
+    b"sqlite format 3": ("an SQLite database", "export the table as CSV"),
+    b"par1": ("Parquet", "write a table: pandas.read_parquet(...).to_csv(...)"),
+    b"%pdf": ("a PDF document", "ask for the table as CSV or .xlsx"),
+}
+"""First bytes, in small letters, of files that are not read, what they are, and the remedy."""
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -80,7 +93,7 @@ def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
 
     @functools.cache
     def known(header: str, unit: str) -> bool:
-        return header in mapping or parse_header(header, unit) is not None
+        return header in mapping or parse_header(header, unit, loose=True) is not None
 
     try:
         if path.stat().st_size > _SMALL and (table := read_large_text(path, known, decimal)) is not None:
@@ -94,6 +107,11 @@ def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
         from mckibben.dataset.logger_files import read_tdms
 
         return read_tdms(path, data)
+    if data.startswith(b"PK\x03\x04") and b"[Content_Types].xml" not in data:
+        remedy = "extract it, or save the sheet as .xlsx or CSV"
+        raise DatasetError(
+            str(path), [Problem("is a ZIP archive or an OpenDocument file, not a workbook", remedy=remedy)]
+        )
     if data.startswith(b"PK\x03\x04"):
         from mckibben.dataset.logger_files import read_excel
 
@@ -106,10 +124,9 @@ def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
         from mckibben.dataset.matlab import read_matlab
 
         return read_matlab(path, data)
-    if data.startswith(_OLD_WORKBOOK):
-        raise DatasetError(
-            str(path), [Problem("is a workbook in the format before 2007", remedy="save it as .xlsx or CSV")]
-        )
+    head = data[:64].lstrip().lower()
+    if found := next((kind for start, kind in _OTHER_FORMATS.items() if head.startswith(start)), None):
+        raise DatasetError(str(path), [Problem(f"is {found[0]}", remedy=found[1])])
     text, zeros = decode(data, str(path))
     del data  # a large text is in memory once
     if path.suffix.lower() in (".yaml", ".yml"):

@@ -10,8 +10,9 @@ from typing import BinaryIO
 
 import numpy as np
 
+from mckibben.dataset.encodings import decode
 from mckibben.dataset.sheet import RawTable, count_rows, numeric_bytes, parse_numbers
-from mckibben.dataset.text import check_last_line, decode, read_text, split_numbers
+from mckibben.dataset.text import check_last_line, read_text, split_numbers
 from mckibben.errors import DatasetError
 
 _HEAD = 2**16  # bytes from which header, delimiter and decimal sign are determined
@@ -29,7 +30,7 @@ def read_large_text(path: Path, known: Callable[[str, str], bool], decimal: str)
         except DatasetError:
             return None
         read = all(isinstance(column.cells, np.ndarray) for column in sheet.channels)
-        if not read or sheet.delimiter == " " or sheet.suspect or sheet.problems or sheet.corrupt:
+        if not read or sheet.delimiter == " " or sheet.problems or sheet.corrupt:
             return None
         lines = head.splitlines(keepends=True)
         first = sheet.channels[0].lines[0]
@@ -60,7 +61,7 @@ def read_large_text(path: Path, known: Callable[[str, str], bool], decimal: str)
     sheet.channels = [
         replace(column, cells=cells, lines=places) for column, cells in zip(sheet.channels, numbers, strict=True)
     ]
-    sheet.suspect += split_numbers(sheet, known)
+    sheet.suspect = [*dict.fromkeys([*sheet.suspect, *split_numbers(sheet, known)])]
     check_last_line(tail.decode(), places[-1], 0, sheet)
     return sheet
 

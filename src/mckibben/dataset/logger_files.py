@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import logging
 import re
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.dataset.columns import is_unit
+from mckibben.dataset.headers import is_unit
 from mckibben.dataset.sheet import RawColumn, RawTable, RowProblem, as_column, at_type_limit, not_applied, unreadable
 from mckibben.dataset.summaries import MOST_POINTS
 from mckibben.errors import DatasetError, Problem
@@ -23,12 +24,14 @@ _LATEST = 1e9  # s
 _HEADER = 60  # rows searched for a header
 _MOST_COLUMNS = 4096
 _LISTED = 10  # hidden rows in a warning
+_MERGES = 2**17  # bytes at the end of a sheet, where merged cells are listed
 _FEW = 0.1  # of the rows: coloured ones that may be marked
 _UNIT_FORMAT = re.compile(r'[0#.,]+ ?"\s*([^"]+)"')
 _PERCENT_FORMAT = re.compile(r"[0#.,]+ ?%")  # shows 0.05 as 5 %
 _NOTES = re.compile(r"xl/(?:comments/)?comments?[0-9]*\.xml")
 _NOTED = re.compile(rb'<(?:[a-z]+:)?comment\b[^<>]*\bref="([A-Z]{1,3}[0-9]{1,7})"')
 _HIDDEN = re.compile(rb'<(?:[a-z]+:)?(?:row|col)\b[^<>]*\bhidden="(?:1|true)"[^<>]*>')
+_MERGED = re.compile(rb'<(?:[a-z]+:)?mergeCell\b[^<>]*\bref="([A-Z]{1,3})([0-9]{1,7}):([A-Z]{1,3})([0-9]{1,7})"')
 
 
 def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> RawTable:
@@ -48,9 +51,12 @@ def read_excel(path: Path, data: bytes, known: Callable[[str, str], bool]) -> Ra
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             sheets: list[Any] = book.worksheets
             notes = {sheet.title: _hidden(archive, sheet._worksheet_path) for sheet in sheets}
+            for sheet in sheets:
+                _fill_merged(tables[sheet.title], archive, sheet._worksheet_path)
             noted = _noted(archive)
         used: Any = book
-        styled = any(font.strike for font in used._fonts) or any(fill.fill_type == "solid" for fill in used._fills)
+        styled = any(fill.fill_type == "solid" for fill in used._fills)
+        styled |= any(font.strike or _is_coloured(font) for font in used._fonts)
         marked = {sheet.title: _marked(sheet) for sheet in sheets if styled}
     except (DatasetError, MemoryError):
         raise
@@ -111,6 +117,32 @@ def _hidden(archive: zipfile.ZipFile, part: str) -> str:
     return f"has hidden {' and '.join(found)}, which are read" if found else ""
 
 
+def _fill_merged(rows: list[tuple[int, tuple[Any, ...]]], archive: zipfile.ZipFile, part: str) -> None:
+    """Give the cells of a sheet that are merged with the one above its value."""
+    with archive.open(part.lstrip("/")) as stream:
+        tail = b""
+        while block := stream.read(2**20):
+            tail = (tail + block)[-_MERGES:]
+    at = {number: index for index, (number, _) in enumerate(rows)}
+    for left, top, right, bottom in _MERGED.findall(tail):
+        first = at.get(int(top))
+        if left != right or first is None:
+            continue
+        column = functools.reduce(lambda value, letter: 26 * value + letter - 64, left, 0) - 1
+        value = rows[first][1][column] if column < len(rows[first][1]) else None
+        for index in range(first + 1, len(rows)):
+            number, row = rows[index]
+            if number > int(bottom):
+                break
+            if column < len(row) and row[column] is None:
+                rows[index] = number, (*row[:column], value, *row[column + 1 :])
+
+
+def _is_coloured(font: Any) -> bool:
+    """True for a font with a colour other than black or that of the theme, such as red, or white on white."""
+    return font.color is not None and font.color.type == "rgb" and not str(font.color.rgb).endswith("000000")
+
+
 def _marked(sheet: Any) -> str:
     """Rows of a sheet with struck-out cells, or few with coloured ones, which are read as all others; empty if none."""
     struck, coloured, count = [], [], 0
@@ -118,7 +150,7 @@ def _marked(sheet: Any) -> str:
         cells = [cell for cell in row if cell.value is not None]
         if number <= MOST_POINTS and any(isinstance(cell.value, (int, float)) for cell in cells):
             count += 1
-            coloured += [str(number)] * any(cell.fill.fill_type == "solid" for cell in cells)
+            coloured += [str(number)] * any(cell.fill.fill_type == "solid" or _is_coloured(cell.font) for cell in cells)
         struck += [str(number)] * any(cell.font.strike for cell in cells)
     found = {"struck-out": struck, "coloured": coloured if len(coloured) <= _FEW * count else []}
     return "; ".join(
@@ -174,9 +206,15 @@ def _table(
         return []
     units = (under if has_units else [shown_units.get(i, "") for i in range(len(header))]) + [""] * len(header)
     lines = [number for number, _ in body]
-    return [
+    columns = [
         RawColumn(name, as_column([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
         for i, name in enumerate(header)
+    ]
+    return [
+        replace(column, cells=100 * column.cells, unit="percent")  # shown as 5 % under a name with %
+        if isinstance(column.cells, np.ndarray) and shown_units.get(i) == "ratio" and "%" in column.name
+        else column
+        for i, column in enumerate(columns)
     ]
 
 

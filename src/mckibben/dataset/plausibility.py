@@ -156,16 +156,23 @@ def _copies(*columns: Floats) -> Iterator[tuple[Problem, bool]]:
         yield Problem(text, remedy="leave them out"), False
 
 
-_NINES = np.array([*(10.0**n - 10.0**-m for n in range(2, 7) for m in range(3)), 999.25])
+_OVERLOAD = 1e29  # of multimeters: 9.9e37, 9.91e37, 3.4e38
+_MARKS = np.array(
+    [
+        *(10.0**n - 10.0**-m for n in range(2, 7) for m in range(3)),
+        999.25,
+        *(limit / 10**m for limit in (32767, 32768, 65535) for m in range(3)),  # ends of 16 bits
+    ]
+)
 
 
 def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
     """Values such as -9999 or 999.9, which mark missing values, and whether they are far from all other values."""
     size = np.abs(values)
-    if not np.fmax.reduce(size, initial=0.0) > _NINES.min() - 1:
+    if not np.fmax.reduce(size, initial=0.0) > _MARKS.min() - 1:
         return np.zeros(len(values), bool), False
-    close = np.isclose(size[:, None], _NINES, rtol=1e-12, atol=0) if len(values) < _MANY else None
-    marks = np.isin(size, _NINES) if close is None else np.asarray(close.any(axis=1))
+    close = np.isclose(size[:, None], _MARKS, rtol=1e-12, atol=0) if len(values) < _MANY else None
+    marks = (np.isin(size, _MARKS) if close is None else np.asarray(close.any(axis=1))) | (size >= _OVERLOAD)
     usual = ~marks & np.isfinite(values)
     others = values[usual] if marks.any() else values[:0]
     if not others.size:

@@ -11,7 +11,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.columns import find_columns, parse_header, without_units
+from mckibben.dataset.columns import find_columns
+from mckibben.dataset.headers import LONGEST_NAME, WITH_UNIT, parse_header, with_units_beside, without_units
 from mckibben.dataset.plausibility import implied_diameter, missing_marks
 from mckibben.dataset.schema import VACUUM, WORDS, format_range, unquote, written_by_us
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
@@ -109,7 +110,7 @@ class ColumnConverter:
     ) -> None:
         self.sheet = sheet
         self.displacement, self.zero_length = displacement, zero_length
-        sheet.channels = [without_units(channel) for channel in sheet.channels]
+        sheet.channels, several = with_units_beside([without_units(channel) for channel in sheet.channels])
         self.missing: list[Problem] = []
         self.mapping = mapping
         self.initial_length = initial_length
@@ -119,7 +120,7 @@ class ColumnConverter:
         self.ignored = layout.ignored
         self.problems = layout.problems + sheet.problems
         self.corrupt = list(sheet.corrupt)
-        self.suspect = sheet.suspect + layout.suspect
+        self.suspect = sheet.suspect + layout.suspect + several
         read = [sheet.channels[index] for index, _ in self.places.values()]
         if len({len(channel.cells) for channel in read}) > 1:  # then there are no rows
             self.places, read = {}, []
@@ -137,7 +138,8 @@ class ColumnConverter:
         self.suspect += [*states, *several_specimens(not_read), *drifting_temperatures(not_read)]
         self.summaries = labelled_summaries(numeric)
         self.missing += [sheet.kind(mark, line=line) for line, mark in (invalid | self.summaries).items()]
-        self.decimal, question = decimal_sign(numeric, others, sheet.delimiter, decimal)
+        measured = [one for one in others if one.unit or WITH_UNIT.fullmatch(one.label[:LONGEST_NAME])]  # not dates
+        self.decimal, question = decimal_sign(numeric, measured, sheet.delimiter, decimal)
         if question is not None:
             self.problems.append(sheet.kind(question.message, question.line, question.field, question.remedy))
 
@@ -341,7 +343,8 @@ class ColumnConverter:
             remedy = "this looks like percent: name the column contraction_percent"
             self._refuse(name, values, np.abs(si) >= 1, "{:g} is not between -1 and 1", remedy)
         elif name == "contraction":
-            self._refuse(name, values, np.abs(si) >= 1, "{:g} % is not between -100 and 100 %")
+            sign = {"percent": " %"}.get(column.unit, unit)
+            self._refuse(name, values, np.abs(si) >= 1, f"{{:g}}{sign} is not between -100 and 100 %")
             if np.nanmax(np.abs(values), initial=0.0) <= 0.5 and len(np.unique(values)) > 3:
                 meant = "if these are ratios, name it contraction_ratio"
                 self.suspect.append(f"{header} never exceeds 0.5 %; {meant}")
@@ -382,13 +385,15 @@ class ColumnConverter:
 
     def _length(self, displacement: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Length at displacements [m]; None if the length at 0 is unknown."""
-        if not self.displacement:
+        direction = self.displacement or ("shortening" if self.places["displacement"][1].shortening else "")
+        if not direction:
             self._problem("may be positive for a shorter or for a longer muscle", None, "displacement", _SIGN_REMEDY)
         self.zero_length = self.initial_length if self.zero_length is None else self.zero_length
         if self.zero_length is None:
             self._problem("is needed for displacements", None, "initial_length", _LENGTH_REMEDY)
             return None
-        return self.zero_length + displacement * (1 if self.displacement == "lengthening" else -1)
+        self.displacement = direction
+        return self.zero_length + displacement * (1 if direction == "lengthening" else -1)
 
     def _contraction(self, length: NDArray[np.float64]) -> NDArray[np.float64]:
         initial = self.initial_length

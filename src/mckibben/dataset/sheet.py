@@ -81,14 +81,24 @@ class RawTable:
 
 
 _NOT_APPLIED = re.compile(
-    r"scal|factor|gain|offset|slope|intercept|conver|multipl|sensitiv|calib|resol|coeff|excit|(?<![a-z])(?:lsb|tare|cal(?![a-z]))",
+    r"scal|factor|gain|zero|bias|correct|offset|slope|intercept|conver|multipl|sensitiv|calib|resol|coeff|excit|(?<![a-z])(?:lsb|tare|cal(?![a-z]))",
     re.IGNORECASE,
 )
 NOT_APPLIED = re.compile(
-    r"(?<![a-z])(?:gain\b|multipl(?:y|ied|ier)\b|divided? by|uncalibrat|not calibrat|(?:scale|calibration) factor)",
+    r"(?<![a-z])(?:gain\b|multipl(?:y|ied|ier)\b|divided? by|uncalibrat|not calibrat|(?:scale|calibration) factor"
+    r"|offset|(?:not|un)[- ]?tared|tare\b|tara\b|subtract|lever|hebel|raw (?:counts|data|values)|raw\b.{0,40}\btimes"
+    r"|(?:times|[x*×]) ?[0-9]|(?:per|/) ?(?:digit|count|bit|lsb|fib)"
+    r"|(?:two|three|four|[2-9]) (?:muscles|muskeln|actuators)|(?:in|muscles) parallel)",
     re.I,
 )
 """Words of a comment or description after which numbers may not be in the unit of their name."""
+MENTIONED = re.compile(
+    r"(?<![a-z])(?:forces?|loads?|pressures?|contractions?|lengths?|displacements?|units?|readings?|correct\w*|calibrat\w*"
+    r"|sensitiv\w*|scal(?:e|ed|ing)|kr[aä]fte?|dr[uü]cke?|kontraktion|verkürzung|längen?|weg|einheiten?|forza|fuerza"
+    r"|pression\w*|presi[oó]n|longueur|(?-i:[Fp](?=_| ?[=\[(]| in )))(?![a-z])",
+    re.IGNORECASE,
+)
+"""Words of a line outside the table that may say something of its numbers."""
 
 
 def not_applied(attributes: Mapping[str, object]) -> tuple[str, ...]:
@@ -156,6 +166,7 @@ _THOUSANDS = re.compile(r"[+-]?[0-9]{1,3}(?:([.,'’\s])[0-9]{3})(?:\1[0-9]{3})*
 _ONE_SIGN = re.compile(r"[+-]?([0-9]*)([.,])([0-9]*)([eEdD][+-]?[0-9]+)?")
 _FORTRAN = re.compile(r"(?<=[0-9.,])[dD](?=[+-]?[0-9])")
 _SIGN = re.compile(r"^([+-])\s+(?=[0-9])")  # + 1.5, as some loggers write
+_UNCERTAIN = re.compile(r"(?<=[0-9.,])\s*(?:±|\+/-|\+-)\s*[0-9.,]+$")  # of 12.3 ± 0.5
 _LONGEST_TEXT = 200  # characters of a cell of a workbook or another binary file
 _FEW = 10_000  # cells of a column whose problems are all listed
 _UNDECIDED = "?"
@@ -174,7 +185,9 @@ class DecimalSign:
 
 def evidence(cell: str) -> str:
     """Decimal sign that a cell determines; "?" for 1.234 and 1,234, empty if it has none."""
-    text = _SIGN.sub(r"\1", cell.strip())
+    text = cell.strip()
+    text = _SIGN.sub(r"\1", text) if text[:1] in "+-" else text
+    text = _UNCERTAIN.sub("", text) if "±" in text or "+/-" in text or "+-" in text else text
     if isinstance(cell, NumberText):
         return ""
     if match := _ONE_SIGN.fullmatch(text):
@@ -277,7 +290,8 @@ def read_numbers(
 
     def trimmed(cell: str) -> str:
         text = _FORTRAN.sub("e", cell.strip().replace("\u2212", "-"))  # the exponent of 1.5D+02
-        text = _SIGN.sub(r"\1", text)
+        text = _SIGN.sub(r"\1", text) if text[:1] in "+-" else text
+        text = _UNCERTAIN.sub("", text) if "±" in text or "+/-" in text or "+-" in text else text
         return _without_thousands(text, decimal.sign, settled=settled)
 
     for index, cell in enumerate(cells):

@@ -38,11 +38,11 @@ _NUMBER = re.compile(r"[-+]?[\d.,]+")
 _NEGATIONS = frozenset("not no non free without kein keine nicht ohne sans".split())
 _BAD = frozenset(
     "invalid error fault alarm overload overrange overflow saturated outlier excluded exclude bad reject rejected "
-    "discard ungültig fehler erreur errore".split()
+    "discard discarded ignore ignored skip skipped ungültig fehler erreur errore".split()
 )
 _TRUTH = {
-    **dict.fromkeys(("1", "true", "yes", "y", "ja"), True),
-    **dict.fromkeys(("0", "false", "no", "n", "nein"), False),
+    **dict.fromkeys(("1", "true", "yes", "y", "ja", "x", "*"), True),
+    **dict.fromkeys(("0", "false", "no", "n", "nein", ""), False),
 }
 _STATUS = frozenset(
     "status state validity flag flags quality errors err warning outliers use used mask masked code zustand qualität "

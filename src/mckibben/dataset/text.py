@@ -11,8 +11,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mckibben.dataset.columns import ABSOLUTE, SUBTRACT, is_unit
-from mckibben.dataset.sheet import COMMENTS, NOT_APPLIED, RawColumn, RawTable, numeric_bytes, parse_numbers
+from mckibben.dataset.columns import SUBTRACT
+from mckibben.dataset.headers import ABSOLUTE, is_unit
+from mckibben.dataset.sheet import (
+    COMMENTS,
+    MENTIONED,
+    NOT_APPLIED,
+    RawColumn,
+    RawTable,
+    evidence,
+    numeric_bytes,
+    parse_numbers,
+)
 from mckibben.errors import DatasetError, Problem
 
 _DELIMITERS = (",", ";", "\t", "|")
@@ -22,11 +32,14 @@ _OF_PRESSURE = re.compile(r"press|druck|presi|(?<![a-z])(?:bar|psi|[km]?pa)(?![a
 _LONGEST_HEADER = 2**18  # characters of a line searched for a header
 _SHOWN = 80  # characters of a line in a message
 _SEEN = 2**14  # texts of cells that are stored once
+_PROBED = 200  # rows in which a cell may determine the decimal sign of a text of numbers
 _JOINED = 20  # lines that a quoted cell may span
-_NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
+_NUMBER = re.compile(r"\s*[+-]?[.,]?[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?\s*")
 _LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
 _ROW_NUMBER = re.compile(r"\s*[0-9]{1,15}\s*")
 _TIME_STAMP = re.compile(r"^[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{3} -> ", re.MULTILINE)  # of the Arduino IDE
+_QUOTED = re.compile(r"""(?<![^;,\t|\n])(?:'([^'"\n]*)'|="([^"\n]*)"|""\"([^"\n]*)""\")(?=[;,\t|\r\n]|$)""")
+_APOSTROPHE = re.compile(r"(?<![^;,\t|\n])'(?=[-+]?[.,]?[0-9][^';\t|\n]*(?:[;\t|\n]|$))")  # a number as text in Excel
 _SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+")
 
 _Known = Callable[[str, str], bool]
@@ -36,6 +49,8 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
     """Columns of a text: header after comments and preamble, an optional row of units, then rows."""
     if _TIME_STAMP.match(text):
         text = _TIME_STAMP.sub("", text)
+    if _QUOTED.search(text, 0, _LONGEST_HEADER) or _APOSTROPHE.search(text, 0, _LONGEST_HEADER):
+        text = _QUOTED.sub(r'"\1\2\3"', _APOSTROPHE.sub("", text))
     stream = _Lines(text)
     comments: dict[str, tuple[int, str]] = {}
     number = 0
@@ -64,15 +79,16 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
     if (count := len(_split(lines[0], delimiter))) > _MOST_COLUMNS:
         raise DatasetError(source, [_too_wide(f"{count} columns", number)])
     sheet = RawTable(header_line=number or None, comments=comments, delimiter=delimiter, has_header=not positions)
-    if (numbers := _numbers(lines, stream, number, sheet, decimal)) is None:
+    if (numbers := _numbers(lines, stream, number, sheet, decimal, known)) is None:
         _cells(lines, stream, number, sheet, known)
     else:
         sheet.channels = numbers
+    used = {at for at, _ in comments.values()}
     for at, line in enumerate(islice(_Lines(text), max(0, number - 1)), 1):
         if ABSOLUTE.search(line) and _OF_PRESSURE.search(line):
             words = repr(line.strip()[:_SHOWN])
             sheet.suspect.append(f"line {at} says {words}: pressures are read as gauge pressures; {SUBTRACT}")
-        elif NOT_APPLIED.search(line):
+        elif (NOT_APPLIED.search(line) or MENTIONED.search(line)) and at not in used:
             sheet.suspect.append(f"line {at} says {line.strip()[:_SHOWN]!r}, which is not applied to the numbers")
     sheet.suspect += split_numbers(sheet, known)
     check_last_line(text, text.count("\n") + 1, zeros, sheet)
@@ -124,6 +140,8 @@ def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list
         cells = _split(candidate, delimiter)
         if index and _score(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
             return lines[index:], number + index
+        if index and _is_units(above := _split(lines[index - 1], delimiter)) and sum(map(known, cells, above)) >= 2:
+            return [candidate, lines[index - 1], *lines[index + 1 :]], number + index - 1  # units over the names
         if max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
             break  # a row: the following lines cannot be a header
     return lines, number
@@ -166,21 +184,18 @@ def _parsed(lines: Sequence[str], delimiter: str) -> tuple[list[str], int]:
     return next(reader, []), reader.line_num
 
 
-_DECISIVE = {  # decimals other than three, or not after one to three digits without a leading zero
-    sign: re.compile(rf"{sign}(?![0-9]{{3}}(?![0-9eE]))|(?<![0-9])(?:0[0-9]*)?{sign}|[0-9]{{4}}{sign}")
-    for sign in (r"\.", ",")
-}
-
-
-def _numbers(lines: list[str], stream: _Lines, first: int, sheet: RawTable, decimal: str) -> list[RawColumn] | None:
+def _numbers(
+    lines: list[str], stream: _Lines, first: int, sheet: RawTable, decimal: str, known: _Known
+) -> list[RawColumn] | None:
     """Columns of a purely numeric file, read by NumPy; None for any other file."""
     header, under = _split(lines[0], sheet.delimiter), _split("".join(lines[1:2]), sheet.delimiter)
     skipped = 1 + _is_units(under)
     body = "".join(lines[skipped:]) + stream.text[stream.at :]
+    probed = [_split(line, sheet.delimiter) for line in islice(_Lines(body), _PROBED)]
     sign = "," if "," in body and sheet.delimiter != "," else "."
     if '"' in lines[0] or not body.isascii() or body.encode().translate(None, numeric_bytes(sheet.delimiter, sign)):
         return None
-    if sign in body and sheet.delimiter != "," and not decimal and not _DECISIVE[re.escape(sign)].search(body):
+    if sign in body and sheet.delimiter != "," and not decimal and not _decided(header, under, probed, known):
         return None  # 1.234 may be 1234
     if decimal not in ("", sign) and sign in body:
         return None
@@ -199,6 +214,13 @@ def _numbers(lines: list[str], stream: _Lines, first: int, sheet: RawTable, deci
     ]
 
 
+def _decided(header: Sequence[str], units: Sequence[str], rows: Sequence[Sequence[str]], known: _Known) -> bool:
+    """True if a cell of a known column in these rows determines the decimal sign; of any column if none is known."""
+    spelled = [*units, *[""] * len(header)]
+    read = [at for at, name in enumerate(header) if known(name, spelled[at])] or range(len(header))
+    return any(evidence(row[at]) in (".", ",") for row in rows for at in read if at < len(row))
+
+
 class _Row(NamedTuple):
     """Row with its first line."""
 
@@ -211,6 +233,8 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     lines = [*lines, *_LINE.findall(stream.text, stream.at)]
     rows, comments = [], []
     for row in _rows(lines, first, sheet):
+        if len(rows) == 1 and all(map(_RULER.fullmatch, map(str.strip, row.cells))):
+            continue  # under the names, as in Markdown
         (comments if _COMMENT.match(row.cells[0].lstrip()) else rows).append(row)
     if not rows:
         return
@@ -226,12 +250,14 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
         del rows[-1]
     units = [cell.strip() for cell in rows[1].cells] if skipped > 1 else []
     repeated = [header, units] if units else [header]
+    preamble = {line.strip() for line in islice(_Lines(stream.text), max(0, first - 1))}
     rows = [
         row
         for row in rows[skipped:]
         if row.cells[0].strip() not in {one[0] for one in repeated}
         or [cell.strip() for cell in row.cells] not in repeated
     ]
+    rows = [row for row in rows if not preamble or sheet.delimiter.join(row.cells).strip() not in preamble]
     others = {row.line for row in rows if _is_other_header(row, known)}
     for line in sorted(others):
         remedy = "split the file there, and read the parts one by one"
@@ -282,6 +308,7 @@ def _is_other_header(row: _Row, known: _Known) -> bool:
     )
 
 
+_RULER = re.compile(r":?[-=+]{2,}:?|")
 _COMMENT = re.compile(r"#(?!N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
 
 
@@ -294,6 +321,10 @@ def _remarks(comments: Sequence[_Row], rows: Sequence[_Row], delimiter: str) -> 
             yield f"line {row.line} is a comment and looks like a row; it is left out"
         elif rows and rows[0].line < row.line < rows[-1].line and any(map(str.strip, rest)):
             among.append(row)
+    for row in comments:
+        words = delimiter.join(row.cells).strip()[:_SHOWN]
+        if rows and row.line > rows[-1].line and (MENTIONED.search(words) or NOT_APPLIED.search(words)):
+            yield f"line {row.line} says {words!r}, which is not applied to the numbers"
     if among:
         words = repr(delimiter.join(among[0].cells).strip()[:_SHOWN])
         yield f"line {among[0].line} is a comment among the rows, the first of {len(among)}, and not applied: {words}"
@@ -302,7 +333,7 @@ def _remarks(comments: Sequence[_Row], rows: Sequence[_Row], delimiter: str) -> 
 def _is_remark(row: _Row, columns: int) -> bool:
     """True for a row without a number that has another count of cells, or words in the first one alone."""
     alone = columns > 1 and not any(map(str.strip, row.cells[1:]))
-    return _has_no_number(row) and (len(row.cells) != columns or alone)
+    return _has_no_number(row) and (len(row.cells) != columns or alone) and not _positions(" ".join(row.cells))
 
 
 def _has_no_number(row: _Row) -> bool:
@@ -411,54 +442,6 @@ def _short(text: str, delimiter: str) -> str:
     return f"its last number has {decimals[-1]} decimals where others have {decimals[0]}"
 
 
-_MARKS = (
-    (b"\xef\xbb\xbf", "utf-8-sig"),
-    (b"\xff\xfe\x00\x00", "utf-32"),
-    (b"\x00\x00\xfe\xff", "utf-32"),
-    (b"\xff\xfe", "utf-16"),
-    (b"\xfe\xff", "utf-16"),
-)
-_ASIAN = {"gb18030": ("压力", "拉力", "收缩"), "shift_jis": ("圧力", "収縮", "張力")}
-"""Encodings tried for texts that are not UTF-8, and words of headers that settle them."""
-_BINARY = 0.01  # share of zero bytes above which a file is not text
-_PROBED = 4096  # bytes
-_HEAD = 2**16  # bytes searched for words of a header
-
-
-def decode(data: bytes, source: str) -> tuple[str, int]:
-    """Text by byte order mark, else UTF-16, UTF-8, GB 18030, Shift JIS or Windows-1252; number of zero bytes cut."""
-    for mark, encoding in _MARKS:
-        if data.startswith(mark):
-            return _decoded(data, encoding, source), 0
-    probe = data[:_PROBED]
-    for encoding, zeros, letters in (("utf-16-le", probe[1::2], probe[::2]), ("utf-16-be", probe[::2], probe[1::2])):
-        if len(zeros) > 1 and zeros.count(0) > 0.9 * len(zeros) and letters.count(0) < 0.1 * len(letters):
-            return _decoded(data, encoding, source), 0
-    whole = data.rstrip(b"\0")
-    if whole.count(0) > _BINARY * len(whole) or (data and not whole):
-        line = data.count(b"\n", 0, data.find(b"\0")) + 1
-        raise DatasetError(
-            str(source), [Problem("is a binary file", line=line, remedy="give text, .nc, .mat, .tdms ...")]
-        )
-    try:
-        return whole.decode("utf-8"), len(data) - len(whole)
-    except UnicodeDecodeError as error:
-        if error.end == len(whole) and error.reason == "unexpected end of data":  # truncated within a character
-            return whole.decode("utf-8", "replace"), len(data) - len(whole)
-        found = (e for e, words in _ASIAN.items() if any(word.encode(e) in whole[:_HEAD] for word in words))
-        return _decoded(whole, next(found, "cp1252"), source), len(data) - len(whole)
-
-
-def _decoded(data: bytes, encoding: str, source: str) -> str:
-    try:
-        return data.decode(encoding)
-    except UnicodeDecodeError as error:
-        at, name = error.start, {"cp1252": "UTF-8 nor Windows-1252 text"}.get(encoding, f"{encoding[:6].upper()} text")
-        message = f"byte 0x{error.object[at]:02x} at {at} is {'neither' if encoding == 'cp1252' else 'no'} {name}"
-        line = error.object.count(b"\n", 0, at) + 1
-        raise DatasetError(source, [Problem(message, line=line, remedy="save the file as UTF-8")]) from None
-
-
 SIGNATURE = "LabVIEW Measurement"
 _END = "***End_of_Header***"
 
@@ -477,10 +460,19 @@ def read_lvm(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: 
     header, _, rows = body.partition("\n")
     names = header.rstrip("\r\n").split(separator)
     if names[-1] == "Comment":  # its cells are written only if there is a comment
-        rows = "".join(_padded(line, len(names), separator) for line in rows.splitlines(keepends=True))
+        bare = re.sub(rf"{separator}+(?=\r?$)", "", rows, flags=re.MULTILINE)
+        longest = max((line.count(separator) for line in bare.splitlines()), default=0)
+        if longest < len(names) - 1:  # no comment at all
+            header, rows = header.rstrip("\r\n").removesuffix(f"{separator}Comment"), bare
+        else:
+            rows = "".join(_padded(line, len(names), separator) for line in rows.splitlines(keepends=True))
+        del bare
     text = "\n" * first + f"{header}\n{rows}"  # leading blank lines preserve the line numbers
     del parts, fields, body, rows  # of a large text
     sheet = read_text(text, source, known, zeros=zeros, decimal=decimal)
+    if names[-1] == "Comment" and len(sheet.channels) == len(names) - 1:
+        lines = sheet.channels[0].lines
+        sheet.channels.append(RawColumn("Comment", [""] * len(lines), lines))
     units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
         units["X_Value"] = "s"
