@@ -60,8 +60,11 @@ def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: L
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["native", "xla"])
-def test_batches_with_32_bits_are_those_with_64(plant: LegPlant, start: LegStart, engine: str) -> None:
+@pytest.mark.parametrize(("engine", "implicit"), [("native", False), ("xla", False), ("native", True)])
+def test_batches_with_32_bits_are_those_with_64(plant: LegPlant, start: LegStart, engine: str, implicit: bool) -> None:
+    if implicit:
+        ground = dataclasses.replace(plant.ground, friction=0.8, implicit_friction=True)
+        plant = dataclasses.replace(plant, ground=ground)
     given = {"over": {"start.upward_speed": [-0.5, -1.0]}, "substeps": 2, "engine": engine, **STEP}
     controller = PressureSchedule(tuple((p,) for p in start.pressures))
     whole, half = (simulate_legs(plant, controller, start, precision=bits, **given) for bits in (64, 32))

@@ -12,6 +12,7 @@ from typing import Annotated, Any, NamedTuple, cast
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import Actuator, AirState, AirVolume, at_room_temperature
@@ -36,6 +37,7 @@ from mckibben.leg.mechanism import Leg, RoutedMuscle
 from mckibben.muscle import Muscle, MuscleState, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.muscle.friction import FrictionState
+from mckibben.numerics.batching import trace_mode
 from mckibben.numerics.calculus import SEMI_IMPLICIT_LIMIT, rk4, semi_implicit, value_and_derivative
 from mckibben.numerics.elementary import floating
 from mckibben.numerics.spatial import Vector
@@ -402,15 +404,19 @@ class LegPlant(Plant):
             return contact(leg, frames(leg, state.posture, velocity), ground.normal)
 
         pressed, at_begun = ground.normal_force(foot(state.velocity)), foot(begun).velocity
-        after, moved = state.velocity, begun
-        for _ in range(_PASSES):
-            drag = ground.drag(pressed, foot(after).velocity)
+
+        def reweighted(_: Any, found: tuple[Velocity, Velocity]) -> tuple[Velocity, Velocity]:
+            drag = ground.drag(pressed, foot(found[0]).velocity)
             force = ground.normal.scaled(pressed) - ground.along(at_begun).scaled(drag)
             moved = acceleration(
                 leg, state.posture, state.velocity, torques, force, self.gravity, ground.normal, length * drag
             )
-            after = jax.tree.map(lambda one, change: one + length * change, begun, moved)
-        return after, moved
+            return jax.tree.map(lambda one, change: one + length * change, begun, moved), moved
+
+        found = state.velocity, begun
+        if trace_mode()[1]:
+            return lax.fori_loop(0, _PASSES, reweighted, found)
+        return functools.reduce(lambda one, i: reweighted(i, one), range(_PASSES), found)
 
     def air_volumes(self, state: LegState) -> list[AirVolume]:
         """Return the volume of the air of each muscle, dead volume included."""

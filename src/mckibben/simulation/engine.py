@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -102,7 +103,13 @@ def run_alone(
     """State after one run with its record, and the engine that computed them; `numeric` parts."""
     parts: Any = plant, controller, setpoints, start, period, np.asarray(substeps)
     precision = np.asarray(period).dtype
-    return compute_with(engine, precision, lambda: native_episode(parts), lambda: compiled_episode(*parts))
+
+    def by_xla() -> tuple[Any, Record]:
+        # The stages of many muscles take minutes to compile, unless they are rolled; they are faster as well.
+        with batched_program() if len(plant.muscles) > 2 else contextlib.nullcontext():
+            return compiled_episode(*parts)
+
+    return compute_with(engine, precision, lambda: native_episode(parts), by_xla)
 
 
 @NativeFunction
