@@ -72,14 +72,14 @@ class ForeignMuscle:
 
     def static_force(self, contraction: ArrayLike, pressure: ArrayLike, xp: Any = np) -> Floats:
         """Static force [N], at least 0, without hysteresis, computed by NumPy or `jax.numpy`."""
-        shortening, pressure = xp.asarray(contraction, float) * self.ends, xp.asarray(pressure, float)
+        shortening, gauge = xp.asarray(contraction, float) * self.ends, xp.asarray(pressure, float)
         thread = self.length / np.cos(self.braid_angle)
         turns = thread * np.sin(self.braid_angle) / (np.pi * self.diameter)
         length = self.length * (1 - shortening)
         gap = thread**2 - length**2
-        stretched = thread * (1 + self.thread * pressure)
+        stretched = thread * (1 + self.thread * gauge)
         braid = (3 * length**2 - stretched**2) / (4 * np.pi * turns**2)
-        beyond = (pressure - self.contact - self.contact_slope * shortening) / self.contact_width
+        beyond = (gauge - self.contact - self.contact_slope * shortening) / self.contact_width
         pressing = self.contact_width * xp.logaddexp(0, beyond)
         axial, hoop = length / self.length, xp.sqrt(gap / (thread**2 - self.length**2))
         radial = 1 / (axial * hoop)
@@ -99,15 +99,15 @@ class ForeignMuscle:
 
     def sliding_rate(self, state: ArrayLike, rate: ArrayLike, xp: Any = np) -> Floats:
         """Rate of the hysteresis state, 0 where friction is relaxed, from the rate of the contraction [1/s]."""
-        state, rate = xp.asarray(state, float), xp.asarray(rate, float)
-        shape = 0.5 + 0.5 * xp.sign(rate * state) + self.asymmetry * (xp.sign(rate) + xp.sign(state))
-        return rate / self.presliding * (1 - xp.abs(state) ** 1.5 * shape)
+        slip, speed = xp.asarray(state, float), xp.asarray(rate, float)
+        shape = 0.5 + 0.5 * xp.sign(speed * slip) + self.asymmetry * (xp.sign(speed) + xp.sign(slip))
+        return speed / self.presliding * (1 - xp.abs(slip) ** 1.5 * shape)
 
     def friction_force(self, state: ArrayLike, pressure: ArrayLike, rate: ArrayLike, xp: Any = np) -> Floats:
         """Force lost to hysteresis and viscosity [N] at a state and a rate of the contraction [1/s]."""
-        pressure, rate = xp.asarray(pressure, float), xp.asarray(rate, float)
-        sliding = (self.friction + self.friction_slope * pressure) * xp.asarray(state, float)
-        return sliding + self.viscosity * pressure / self.rated * xp.sign(rate) * xp.abs(rate) ** self.exponent
+        gauge, speed = xp.asarray(pressure, float), xp.asarray(rate, float)
+        sliding = (self.friction + self.friction_slope * gauge) * xp.asarray(state, float)
+        return sliding + self.viscosity * gauge / self.rated * xp.sign(speed) * xp.abs(speed) ** self.exponent
 
     def force(self, period: float, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
         """Force [N] along samples of contraction and pressure, between which both are linear; at rest before."""
@@ -190,7 +190,7 @@ class ForeignJoint:
         torque -= self.damping * rate + self.dry_friction * jnp.tanh(rate / self.dry_rate)
         return jnp.stack([rate, torque / self.inertia, *changes, *slides])
 
-    def _flow(self, pressure: ArrayLike, opening: ArrayLike) -> Array:
+    def _flow(self, pressure: Array, opening: Array) -> Array:
         """Mass flow into a muscle [kg/s] at its absolute pressure [Pa]; negative while venting."""
         up = jnp.where(opening > 0, self.supply + _ATMOSPHERE, pressure)
         down = jnp.where(opening > 0, pressure, _ATMOSPHERE)
@@ -201,7 +201,7 @@ class ForeignJoint:
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _states(joint: ForeignJoint, first: Array, commands: Array, step: ArrayLike) -> Array:
+def _states(joint: ForeignJoint, first: Array, commands: Array, step: float) -> Array:
     """States after each period, shape (periods, 6)."""
 
     def period(state: Array, wanted: Array) -> tuple[Array, Array]:
