@@ -129,7 +129,9 @@ def test_a_slow_loop_is_told_from_plateaus():
         loop.plateaus(contraction_tolerance=1e-5)
     assert "mckibben identify" in caught.value.remedy
     steps = Recording.of(time=time, pressure=2e5 + 0 * time, force=80 + 0 * time, contraction=0.01 * (time // 20))
-    assert not any("mckibben identify" in note for note in steps.plateaus().notes)
+    with pytest.warns(McKibbenWarning, match="contractions"):  # of this muscle the force is the same everywhere
+        notes = steps.plateaus().notes
+    assert not any("mckibben identify" in note for note in notes)
 
 
 def test_a_recipe_reads_the_next_file(tmp_path):

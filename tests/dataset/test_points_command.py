@@ -173,10 +173,9 @@ def test_one_contraction_for_files_of_different_lengths_is_doubted(run):
         encoding="utf-8",
     )
     read = read_recording(["a.csv", "b.csv"], columns={"Druck [bar]": "pressure_bar"})
-    with pytest.warns(McKibbenWarning, match="length"):
+    with pytest.warns(McKibbenWarning, match="length"), pytest.warns(McKibbenWarning, match="several muscles"):
         read.isometric(contraction=0.1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
+    with pytest.warns(McKibbenWarning, match="repeat others"):  # nor any other warning
         read_recording(["a.csv", "a.csv"], columns={"Druck [bar]": "pressure_bar"}).isometric(contraction=0.1)
     with pytest.raises(RangeError):
         read.isometric(contraction="10 %")

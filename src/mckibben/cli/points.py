@@ -80,8 +80,6 @@ def points(
     json: Json = False,
 ) -> None:
     """Extract points from a raw recording: steady plateaus, strokes, or pressure levels at a fixed length."""
-    from mckibben.dataset.reading import check_dataset
-
     if isometric and strokes:
         raise ParameterError("--isometric and --strokes are different tests", remedy="give one of them")
     for file, endings in ((out, (".csv", ".nc")), (save_recipe, (".yaml", ".yml"))):
@@ -111,7 +109,6 @@ def points(
         found = read.strokes(**({} if step is None else {"step": step}), **tolerances)
     else:
         found = read.plateaus(**tolerances, **steady)  # type: ignore[arg-type]
-    check_dataset(found.dataset, ", ".join(path.name for path in recording), only_warn=True)
     if out is not None:
         write = found.dataset.to_netcdf if out.suffix.lower() == ".nc" else found.dataset.to_csv
         write(out)

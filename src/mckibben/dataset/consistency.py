@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.calls import user_level
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.plausibility import REPEATED, UNEQUAL, resolution
+from mckibben.dataset.plausibility import REPEATED, UNEQUAL, check_points, resolution
+from mckibben.errors import DatasetError, McKibbenWarning
+from mckibben.muscle import Specimen
 from mckibben.units import bar, percent
 
 Floats = NDArray[np.float64]
@@ -54,6 +58,36 @@ _ENOUGH = 100_000  # points, of which the line is determined well
 _MOVED = 0.2 * percent  # contraction from point to point
 _PAIRS = 3  # of points per direction
 _REVERSED = 0.9  # of these pairs
+
+
+def check_dataset(
+    dataset: IsobaricDataset,
+    source: str,
+    specimen: Specimen | None = None,
+    *,
+    only_warn: bool = False,
+    measured: NDArray[np.float64] | None = None,
+) -> IsobaricDataset:
+    """Check a dataset; raises a `DatasetError` for points impossible for a muscle, and warns of unusual ones.
+
+    With `only_warn`, impossible points cause warnings too: what this program wrote stays readable. `measured` are the
+    forces before an offset was subtracted.
+    """
+    attrs = dataset.table.attrs
+    found = check_points(
+        dataset.pressure,
+        dataset.contraction,
+        dataset.force,
+        attrs["slack_force"],
+        attrs.get("initial_length"),
+        specimen,
+        measured,
+    )
+    if found.problems and not only_warn:
+        raise DatasetError(source, found.problems)
+    for text in [*map(str, found.problems), *found.warnings, *(() if found.problems else contradictions(dataset))]:
+        warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=user_level())
+    return dataset
 
 
 def contradictions(dataset: IsobaricDataset) -> Iterator[str]:

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset.consistency import check_dataset
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import check_sign
 from mckibben.dataset.schema import OF_FILE
@@ -153,12 +154,17 @@ def extracted_points(
 
 
 def checked(points: ExtractedPoints) -> ExtractedPoints:
-    """The points; raises a `DatasetError` if most forces are negative, and do not rise with the pressure."""
+    """The points, with warnings of implausible ones.
+
+    Raises a `DatasetError` if most forces are negative, and do not rise with the pressure.
+    """
     pressure, force = points.dataset.pressure, points.dataset.force
+    source = points.dataset.table.attrs["source"] or "recording"
     rises = (pressure - pressure.mean()) @ force > 0  # then it is a pull with an offset
     for problem, impossible in check_sign(force):
         if impossible and not rises:
-            raise DatasetError(points.dataset.table.attrs["source"] or "recording", [problem])
+            raise DatasetError(source, [problem])
+    check_dataset(points.dataset, source, only_warn=True)
     return points
 
 

@@ -10,21 +10,18 @@ from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import check_number
-from mckibben.dataset.consistency import contradictions
+from mckibben.dataset.consistency import check_dataset
 from mckibben.dataset.file_names import add_from_name, check_pattern
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import preprocess, with_notes, without_offset
 from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt, impossible_settings
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import OF_FILE, written_by_us
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
-from mckibben.muscle import Specimen
 from mckibben.units import mm
 
 _NEEDED = ("pressure", "contraction", "force")
@@ -194,36 +191,6 @@ def _paths(path: FilePaths) -> list[Path]:
             f"{path!r:.60} is not a file", field="path", value=path, remedy="give a path, or a list of paths"
         )
     return [Path(one) for one in several]
-
-
-def check_dataset(
-    dataset: IsobaricDataset,
-    source: str,
-    specimen: Specimen | None = None,
-    *,
-    only_warn: bool = False,
-    measured: NDArray[np.float64] | None = None,
-) -> IsobaricDataset:
-    """Check a dataset; raises a `DatasetError` for points impossible for a muscle, and warns of unusual ones.
-
-    With `only_warn`, impossible points cause warnings too: what this program wrote stays readable. `measured` are the
-    forces before an offset was subtracted.
-    """
-    attrs = dataset.table.attrs
-    found = check_points(
-        dataset.pressure,
-        dataset.contraction,
-        dataset.force,
-        attrs["slack_force"],
-        attrs.get("initial_length"),
-        specimen,
-        measured,
-    )
-    if found.problems and not only_warn:
-        raise DatasetError(source, found.problems)
-    for text in [*map(str, found.problems), *found.warnings, *(() if found.problems else contradictions(dataset))]:
-        warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=user_level())
-    return dataset
 
 
 Kind = TypeVar("Kind", IsobaricDataset, Recording)

@@ -24,7 +24,7 @@ def data_named(
     names: str | Sequence[str], recipe: Recipe | None = None, *, skip_corrupt: bool = False
 ) -> IsobaricDataset:
     """A dataset of the catalog, or files of measurements, read by the recipe."""
-    from mckibben.dataset.reading import check_dataset
+    from mckibben.dataset.consistency import check_dataset
     from mckibben.dataset.recipe import Recipe
 
     recipe = recipe or Recipe()
