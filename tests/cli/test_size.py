@@ -7,6 +7,7 @@ import pytest
 
 from mckibben import Scenario
 
+pytestmark = pytest.mark.usefixtures("optimized")
 LOAD = ("--mass", "2 kg", "--arm", "250 mm")
 MOTION = ("--angles", "-30..30 deg", "--cycle", "2 s")
 

@@ -25,6 +25,7 @@ from mckibben.leg import (
     read_leg,
 )
 from mckibben.leg.dynamics import Posture, Velocity, acceleration, at_rest, contact, frames, motion, posture_of
+from mckibben.numerics.batching import batched_program
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.spatial import ZERO, Vector
 from mckibben.units import deg
@@ -65,7 +66,8 @@ def test_energy_and_momenta_in_flight(pair: mk.AntagonisticJoint, freedom: str) 
         return rk4(rate, state, 1e-4)
 
     start = in_motion(leg)
-    end = jax.jit(lambda state: jax.lax.fori_loop(0, 2000, step, state))(start)
+    with batched_program():
+        end = jax.jit(lambda state: jax.lax.fori_loop(0, 2000, step, state))(start)
     before, after = motion(leg, *start, 9.81), motion(leg, *end, 9.81)
     assert float(after.kinetic + after.potential) == pytest.approx(float(before.kinetic + before.potential), abs=1e-10)
     if freedom in ("spatial", "floating"):
@@ -150,8 +152,9 @@ def test_gradients_are_those_of_finite_differences(in_space) -> None:
         return jnp.stack(plant.advance(state, tuple(commands), 0.02, 80).posture.angles)
 
     at = np.array(start.pressures) + 0.5e5 * np.array([1, -1, 1, -1, 1, -1])
-    found = np.asarray(jax.jacfwd(angles)(at))
-    expected = approx_fprime(at, lambda x: np.asarray(angles(x)), 10.0)
+    with batched_program():
+        found = np.asarray(jax.jacfwd(angles)(at))
+        expected = approx_fprime(at, lambda x: np.asarray(angles(x)), 10.0)
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-4 * np.abs(found).max())
 
 

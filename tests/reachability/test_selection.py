@@ -15,7 +15,7 @@ from mckibben.reachability import Make, Requirement, catalog_makes, read_make, s
 from mckibben.reachability.air_supply import tube_conductance
 from mckibben.units import bar, deg, mm
 
-pytestmark = pytest.mark.slow  # programs are compiled for a quarter of a minute
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimized")]  # programs run for long
 
 LOAD = mk.PendulumLoad(2.0, 250 * mm)
 NEED = Requirement(LOAD, (-30 * deg, 30 * deg), 2.0, 6 * bar, stiffness=(15.0, 18.0), torque=1.0)

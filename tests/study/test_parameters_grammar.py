@@ -265,19 +265,12 @@ def spreads(draw, address):
 
 @pytest.mark.slow
 @settings(max_examples=300)
-@given(st.data())
-def test_what_is_varied_prints_as_text_that_means_the_same(data):
+@given(st.data(), st.lists(st.floats(0, 1), min_size=1, max_size=20))
+def test_what_is_varied_prints_as_text_rises_stays_inside_and_knows_where_a_value_lies(data, quantiles):
     scenario, address = data.draw(st.sampled_from(NUMBERS))
     said = SweptParameter(address, data.draw(spreads(address)))
-    assert parse_sweep(said.text, scenario) == said
-
-
-@pytest.mark.slow
-@settings(max_examples=300)
-@given(st.data(), st.lists(st.floats(0, 1), min_size=1, max_size=20))
-def test_spreads_rise_stay_inside_and_know_where_a_value_lies(data, quantiles):
-    _, address = data.draw(st.sampled_from(NUMBERS))
-    drawn = SweptParameter(address, data.draw(spreads(address))).distribution
+    assert parse_sweep(said.text, scenario) == said, "the text means the same"
+    drawn = said.distribution
     values = drawn.ppf(np.sort(quantiles))
     low, high = drawn.bounds
     assert values.shape == (len(quantiles),)
