@@ -168,7 +168,7 @@ def test_friction_is_identified_along_the_recorded_paths():
 
 
 @pytest.mark.slow
-def test_the_network_learns_a_recording():
+def test_the_network_learns_a_recording(optimized):
     task = task_named("isometric")
     found = predictions(BASELINES["gru"], task)
     assert task.score(found).nrmse.value < 0.15

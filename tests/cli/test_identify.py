@@ -290,12 +290,12 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     scenario = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
     section = "muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}"
     assert section in scenario
-    text = scenario.replace(section, "muscle: fit/muscle.yaml").replace("10 s", "1 s").replace("at: 5 s", "at: 0.5 s")
+    text = scenario.replace(section, "muscle: fit/muscle.yaml").replace("10 s", "0.2 s").replace("at: 5 s", "at: 0.1 s")
     (tmp_path / "joint.yaml").write_text(text)
     for command in (
         ("simulate", "joint.yaml"),
         ("envelope", "joint.yaml"),
-        ("tune", "joint.yaml", "--iterations", "2", "--out", "tuned"),
+        ("tune", "joint.yaml", "--method", "evolution", "--population", "5", "--iterations", "1", "--out", "tuned"),
     ):
         answer = cli(*command)
         assert answer.code == 0, answer.err
