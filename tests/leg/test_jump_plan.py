@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from mckibben.leg import (
     EnergyBalance,
     Ground,
     JumpPlan,
+    JumpStudy,
     LegMeasurement,
     LegPlant,
     LegScenario,
@@ -237,15 +239,41 @@ def test_bad_plans_name_line_and_remedy(plan: str, line: int, word: str) -> None
     assert word in str(problem) and problem.line == line and problem.remedy
 
 
+@pytest.fixture(scope="module")
+def short_searches() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("_GENERATIONS", "_POPULATION", "_POLISHING"):
+            patch.setattr(jump_search, name, 2)
+        yield
+
+
+@pytest.fixture(scope="module")
+def whole(scenario: LegScenario, short_searches: None) -> JumpStudy:
+    return study_jump(scenario)
+
+
 @pytest.mark.slow
-def test_study_with_a_plan_goes_on(scenario: LegScenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("_GENERATIONS", "_POPULATION", "_POLISHING"):
-        monkeypatch.setattr(jump_search, name, 2)
-    whole, journal = study_jump(scenario), tmp_path / "jump.journal"
+def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, whole: JumpStudy) -> None:
+    assert whole.timed.heights[0] >= whole.constant.heights[0] - 1e-9 > 0
+    assert 0 < whole.timed.work < whole.timed.air_energy
+    assert (whole.timed.rises[0] > 0) and whole.timed.work < 20
+    assert whole.constant.run.engine == "native"
+    record = whole.records()
+    for jump in (record["constant"], record["timed"]):
+        assert jump["integration"]["error_estimate_rad"] < scenario.accuracy
+        assert jump["integration"]["substeps"] >= 1
+    assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
+    assert len(whole.rows()[1]) == 3 and "mm" in whole.describe()
+
+
+@pytest.mark.slow
+def test_study_with_a_plan_goes_on(
+    scenario: LegScenario, whole: JumpStudy, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = tmp_path / "jump.journal"
     assert whole.planned is not None and whole.plan is not None
     assert 1 < whole.planned.landing_force[0] < 4
     record = whole.records()
-    assert len(whole.rows()[1]) == 3
     low, high = record["planned"]["landing_force_interval"]
     assert low < high and record["planned"]["stop_energy_J"] >= 0
     for jump in whole.jumps.values():

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from mckibben.cli import app
 from mckibben.errors import FileError, RangeError, ScenarioError
-from mckibben.leg import LegScenario, LegStart, Link, Trunk, jump_search, jumping, landing, study_landing
+from mckibben.leg import LandingStudy, LegScenario, LegStart, Link, Trunk, jump_search, jumping, landing, study_landing
 from mckibben.leg.landing import valve_with
 from mckibben.leg.uncertainty import drawn_plant, with_mass
 from mckibben.storage.files import check_seal, file_lock
@@ -138,9 +138,13 @@ def test_supply_that_is_too_low(scenario: LegScenario) -> None:
     assert "supply" in str(caught.value)
 
 
+@pytest.fixture(scope="module")
+def study(scenario: LegScenario) -> LandingStudy:
+    return study_landing(scenario)
+
+
 @pytest.mark.slow
-def test_landing_study(scenario: LegScenario) -> None:
-    study = study_landing(scenario)
+def test_landing_study(scenario: LegScenario, study: LandingStudy) -> None:
     assert study.table["peak_force"].shape == (3, 1, 4, 21)
     forces = study.table["peak_trunk_force"].to_numpy()
     best = study.best()
@@ -160,15 +164,14 @@ def test_landing_study(scenario: LegScenario) -> None:
     assert integration["error_estimate_rad"] == np.nanmax(errors) > 0
     assert integration["runs_chaotic"] == study.table["chaotic"].sum()
     coarse = study_landing(scenario.model_copy(update={"substeps": 1}))
-    finer = study_landing(scenario.model_copy(update={"substeps": 32}))
+    finer = study_landing(scenario.model_copy(update={"substeps": 16}))
     apart = np.abs(coarse.table["deflection"] - finer.table["deflection"]).max()
     assert np.abs(study.table["deflection"] - finer.table["deflection"]).max() < apart
     assert coarse.records()["integration"] == {"substeps": 1, "error_estimate_rad": None, "runs_chaotic": 0}
 
 
 @pytest.mark.slow
-def test_a_best_stiffness_that_bottoms_out_is_said(scenario: LegScenario) -> None:
-    study = study_landing(scenario)
+def test_a_best_stiffness_that_bottoms_out_is_said(study: LandingStudy) -> None:
     at = int(study.best()[0, 0, 0])
     torque = study.table["stop_torque"] * 0.0
     torque[0, 0, at], torque[1] = 1.0, 1.0
@@ -286,24 +289,6 @@ def test_standing_is_the_highest_posture(scenario: LegScenario) -> None:
     standing, hip = jumping._standing_heights(plant, drawn)
     assert standing.shape == (21,) and standing[0] == pytest.approx(0.727, abs=2e-3)
     assert 0.75 < hip < 0.79 and np.ptp(standing) > 0
-
-
-@pytest.mark.slow
-def test_timed_jump_is_no_lower_than_the_constant_one(scenario: LegScenario, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jump_search, "_GENERATIONS", 4)
-    monkeypatch.setattr(jump_search, "_POPULATION", 2)
-    monkeypatch.setattr(jump_search, "_POLISHING", 2)
-    study = jumping.study_jump(scenario)
-    assert study.timed.heights[0] >= study.constant.heights[0] - 1e-9 > 0
-    assert 0 < study.timed.work < study.timed.air_energy
-    assert (study.timed.rises[0] > 0) and study.timed.work < 20
-    assert study.constant.run.engine == "native"
-    record = study.records()
-    for jump in (record["constant"], record["timed"]):
-        assert jump["integration"]["error_estimate_rad"] < scenario.accuracy
-        assert jump["integration"]["substeps"] >= 1
-    assert record["gain_mm"] == pytest.approx(record["timed"]["height_mm"] - record["constant"]["height_mm"])
-    assert len(study.rows()[1]) == 3 and "mm" in study.describe()
 
 
 @pytest.mark.slow
