@@ -65,9 +65,8 @@ def inertia_matrix(plant: LegPlant, places: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", ["urdf", "mjcf"])
 @pytest.mark.parametrize("kind", ["paper", "locked", "fixed", "vertical", "free", "spatial", "floating"])
-def test_bodies_are_those_of_the_leg(pair: mk.AntagonisticJoint, kind: str, form: str) -> None:
+def test_bodies_are_those_of_the_leg(pair: mk.AntagonisticJoint, kind: str) -> None:
     if kind == "free":  # in the plane
         leg = read_leg("lei-leg-planar")
         leg = dataclasses.replace(leg, trunk=dataclasses.replace(leg.trunk, freedom="free"))
@@ -75,31 +74,33 @@ def test_bodies_are_those_of_the_leg(pair: mk.AntagonisticJoint, kind: str, form
         leg = legs(pair, kind)
     plant = LegPlant(leg, mk.FirstOrderValve(0.02))
     start = plant.init_state(leg.posture_angles({}), [0.0] * len(leg.muscles))
-    text = leg_urdf(plant).files["leg.urdf"] if form == "urdf" else leg_scene(plant, start).xml
-    model = mujoco.MjModel.from_xml_string(text)
-    data = mujoco.MjData(model)
-    assert model.nv == len(coordinates(plant, start.posture))
-    if leg.trunk.motions:  # MuJoCo makes a fixed trunk a part of the world
-        assert model.body_mass.sum() == pytest.approx(float(leg.total_mass), abs=1e-9)
-    for joint in leg.joints:
-        if joint.locked is None:
-            found = model.joint(joint.name)
-            np.testing.assert_allclose(found.range, [float(joint.lower), float(joint.upper)], rtol=0, atol=1e-12)
-            assert model.dof_damping[found.dofadr[0]] == pytest.approx(float(joint.damping))
-    rng = np.random.default_rng(1)
-    for places in rng.uniform(-0.6, 0.6, (5, model.nv)):
-        data.qpos[:] = places
-        mujoco.mj_forward(model, data)
-        full = np.zeros((model.nv, model.nv))
-        mujoco.mj_fullM(model, data, full) if hasattr(data, "M") else mujoco.mj_fullM(model, full, data.qM)
-        np.testing.assert_allclose(full, inertia_matrix(plant, places), rtol=0, atol=1e-9)
-        posture, still = posture_at(plant, places)
-        foot = contact(leg, frames(leg, posture, still)).position
-        lowest = data.geom_xpos[-1].copy()
-        lowest[2] -= float(leg.foot_radius)
-        if not leg.trunk.motions and form == "mjcf":  # a trunk that is held at the height of the start
-            lowest[2] -= float(start.posture.z - posture.z)
-        np.testing.assert_allclose(lowest, np.array(foot, float), rtol=0, atol=1e-9)
+    texts = {"urdf": leg_urdf(plant).files["leg.urdf"], "mjcf": leg_scene(plant, start).xml}
+    models = {form: mujoco.MjModel.from_xml_string(text) for form, text in texts.items()}
+    moving = len(coordinates(plant, start.posture))
+    for model in models.values():
+        assert model.nv == moving
+        if leg.trunk.motions:  # MuJoCo makes a fixed trunk a part of the world
+            assert model.body_mass.sum() == pytest.approx(float(leg.total_mass), abs=1e-9)
+        for joint in leg.joints:
+            if joint.locked is None:
+                found = model.joint(joint.name)
+                np.testing.assert_allclose(found.range, [float(joint.lower), float(joint.upper)], rtol=0, atol=1e-12)
+                assert model.dof_damping[found.dofadr[0]] == pytest.approx(float(joint.damping))
+    for places in np.random.default_rng(1).uniform(-0.6, 0.6, (3, moving)):
+        inertia, (posture, still) = inertia_matrix(plant, places), posture_at(plant, places)
+        foot = np.array(contact(leg, frames(leg, posture, still)).position, float)
+        for form, model in models.items():
+            data = mujoco.MjData(model)
+            data.qpos[:] = places
+            mujoco.mj_forward(model, data)
+            full = np.zeros((model.nv, model.nv))
+            mujoco.mj_fullM(model, data, full) if hasattr(data, "M") else mujoco.mj_fullM(model, full, data.qM)
+            np.testing.assert_allclose(full, inertia, rtol=0, atol=1e-9, err_msg=form)
+            lowest = data.geom_xpos[-1].copy()
+            lowest[2] -= float(leg.foot_radius)
+            if not leg.trunk.motions and form == "mjcf":  # a trunk that is held at the height of the start
+                lowest[2] -= float(start.posture.z - posture.z)
+            np.testing.assert_allclose(lowest, foot, rtol=0, atol=1e-9, err_msg=form)
 
 
 def test_the_file_names_what_is_left_out(tmp_path: Path) -> None:

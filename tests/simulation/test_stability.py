@@ -138,10 +138,7 @@ def test_the_least_disk_margins_of_a_batch_are_those_of_single_runs(loop, found)
     delays = np.array([0.0, 0.5, 1.3]) * found.delay.min()
     late = dataclasses.replace(plant, command_delay=delays)
     batch = disk_margins(late, control, REFERENCE, duration=0.2, points=2)
-
-    def alone(delay):
-        one = dataclasses.replace(plant, command_delay=float(delay))
-        return margins(one, control, REFERENCE, plant.equilibrium(3 * deg), **SETTINGS).disk.min()
-
-    assert batch[:2] == pytest.approx([alone(delay) for delay in delays[:2]], rel=0.02)
+    one = dataclasses.replace(plant, command_delay=float(delays[1]))
+    alone = margins(one, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
+    assert batch[:2] == pytest.approx([found.disk.min(), alone.disk.min()], rel=0.02)
     assert batch[0] > batch[1] > batch[2] == 0.0
