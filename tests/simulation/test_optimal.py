@@ -67,8 +67,8 @@ def test_the_optimum_of_a_linear_plant_is_that_of_least_squares_with_bounds(line
 
 @pytest.mark.slow
 def test_no_better_commands_are_found_by_a_quasi_newton_method(plant):
-    periods = 80
-    reference = mk.Reference(angle=mk.Step(0 * deg, 4 * deg, 0.2), stiffness=15.0)
+    periods = 40
+    reference = mk.Reference(angle=mk.Step(0 * deg, 4 * deg, 0.1), stiffness=15.0)
     start = plant.equilibrium(0.0, stiffness=15.0)
     begun = np.tile(np.asarray(start.pressures), (periods, 1))
     settings = {"duration": periods * PERIOD, "control_period": PERIOD}
