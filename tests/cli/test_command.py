@@ -101,7 +101,7 @@ def test_bad_input_ends_with_2_and_nothing_but_the_message(tmp_path, arguments, 
     assert (found.returncode, found.stdout, found.stderr) == (2, "", said)
 
 
-@pytest.mark.parametrize("arguments", [["identify"], ["simulat"], ["identify", "x", "--lw", "y"]])
+@pytest.mark.parametrize("arguments", [["identify"], ["identify", "x", "--lw", "y"]])
 def test_bad_usage_ends_with_2(cli, arguments):
     found = cli(*arguments)
     assert found.code == 2

@@ -229,7 +229,7 @@ class ColumnConverter:
         return data, attrs
 
     def _leave_out_summaries(self, data: Mapping[str, np.ndarray]) -> None:
-        """Count rows that are a statistic of others as missing."""
+        """Count rows that are a statistic of others as missing, or report them in a file that was written by us."""
         lines = self.line_numbers()
         bad = [problem.line for problem in self.corrupt + self.missing if problem.line is not None]
         kept = ~np.isin(lines, bad)
@@ -238,19 +238,19 @@ class ColumnConverter:
         if self.problems or not read or kept.sum() > MOST_POINTS:
             return
         columns = {name: (values[name][kept], factor(unit)) for name, unit in read.items()}
-        for row, certain in integer_rows(columns):
+        integers = "contains only integers, unlike the others: "
+        found = [
+            (row, certain, integers + ("numbers of channels, or full scales" if certain else "is it a measurement?"))
+            for row, certain in integer_rows(columns)
+        ]
+        found += [(row, True, f"is {what}: a summary is not a measurement") for row, what in summaries(columns).items()]
+        ours = written_by_us(self.sheet.names, self.sheet.comments)
+        for row, certain, what in found:
             line = int(lines[kept][row])
-            if certain:
-                what = "contains only integers, unlike the others: numbers of channels, or full scales"
+            if certain and not ours:
                 self.missing.append(self.sheet.kind(what, line=line))
             else:
-                what = "contains only integers, unlike the others: if it is no measurement, leave it out"
                 self.suspect.append(f"{self.sheet.unit} {line} {what}")
-        found = summaries(columns)
-        self.missing += [
-            self.sheet.kind(f"is {what}: a summary is not a measurement", line=int(lines[kept][row]))
-            for row, what in found.items()
-        ]
 
     def _columns_read(self, data: Mapping[str, np.ndarray], kept: NDArray[np.bool_]) -> str:
         """Table of the columns read: quantity, unit, its origin, range in this unit, remark; rows, implied diameter."""
