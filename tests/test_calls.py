@@ -2,6 +2,7 @@
 
 import re
 
+import jax
 import numpy as np
 import pytest
 
@@ -112,6 +113,18 @@ def test_lists_stand_for_arrays_in_direct_calls():
     expected = LAW.force(np.array([0.1, 0.2]), np.array([1e5, 2e5]))
     np.testing.assert_array_equal(LAW.force([0.1, 0.2], [1e5, 2e5]), expected)
     np.testing.assert_array_equal(LAW.force((0.1, 0.2), [1e5, 2e5]), expected)
+    nested, fit = [[0.1, 0.15], [0.1, 0.15]], mk.identify(mk.ExponentialLaw, DATA)
+    assert LAW.force(nested, 2e5).shape == fit.predict(nested, 2e5).shape == (2, 2)
+    traced = jax.jit(lambda eps: LAW.force([eps, 0.2], [1e5, 2e5]))(0.1)
+    np.testing.assert_allclose(traced, expected, rtol=1e-12)
+    for wrong in ([0.1, None], [[0.1], [0.1, 0.2]]):  # a shorter array would be wrong
+        with pytest.raises((TypeError, ValueError)):
+            LAW.force(wrong, 2e5)
+
+
+def test_an_argument_of_any_kind_is_not_blamed():
+    with pytest.raises(TypeError, match="iterable"):
+        SCENARIO.tune(3, None)
 
 
 def test_an_error_inside_a_right_call_is_not_blamed_on_its_arguments():

@@ -205,6 +205,9 @@ def test_exchanged_columns_and_a_pressure_that_a_spreadsheet_counted_up_are_repo
     rows = [(1 + at / 4, e, f) for at, (_, e, f) in enumerate(ROWS)]
     assert any("counted" in text for text in read(put(table(rows=rows)))[1])
     assert not read(put(table()))[1]
+    noise = [3 + 0.01 * (-1) ** at for at in range(12)]
+    rows = [(1 + at / 2, e, 60 * at) for at, e in enumerate(noise)]  # a length that is held, and nominal pressures
+    assert not any("counted" in text for text in read(put(table(rows=rows)))[1])
 
 
 def book_of(change):
@@ -225,6 +228,9 @@ def test_merged_cells_percent_formats_and_white_text_of_a_workbook(put):
     found = read(put(book_of(merge), "a.xlsx"))[0]
     assert found.pressure.tolist() == [1e5 * row[0] for row in ROWS]
 
+    found = read(put(book_of(lambda sheet: sheet.merge_cells("C3:C4")), "last.xlsx"))[0]
+    assert found.force[1] == found.force[2] == ROWS[1][2]
+
     def shares(sheet):
         for cell in sheet["B"][1:]:
             cell.value, cell.number_format = cell.value / 100, "0.0%"
@@ -236,6 +242,12 @@ def test_merged_cells_percent_formats_and_white_text_of_a_workbook(put):
         sheet["C5"].font = Font(color="FFFFFFFF")
 
     assert any("coloured" in text and "5" in text for text in read(put(book_of(white), "c.xlsx"))[1])
+
+
+def test_a_name_that_begins_like_another_format_is_read(put):
+    names = ("Par1", "Par2", "Par3")
+    text = "\n".join(",".join(map(str, row)) for row in [names, *ROWS])
+    assert len(read(put(text), columns=dict(zip(names, NAMES, strict=True)))[0]) == len(ROWS)
 
 
 @pytest.mark.parametrize(

@@ -112,8 +112,10 @@ def _kinds(of: Callable[..., Any], name: str) -> list[type]:
     hint = {} if isinstance(of, type) else of.__annotations__
     with suppress(Exception):  # a name that only type checkers import
         one = SimpleNamespace(__annotations__={name: hint[name]})
-        found = list(_flat(get_type_hints(one, vars(sys.modules[of.__module__]))[name]))
-        if all(isinstance(kind, type) and not getattr(kind, "_is_protocol", False) for kind in found):
+        found = list(dict.fromkeys(_flat(get_type_hints(one, vars(sys.modules[of.__module__]))[name])))
+        if all(
+            isinstance(kind, type) and kind is not Any and not getattr(kind, "_is_protocol", False) for kind in found
+        ):
             return found
     return []
 

@@ -33,6 +33,7 @@ _SHORTEST_STROKE, _LONGEST_REACH = 5 * percent, 45 * percent  # contractions of 
 _LEAST_LEVELS, _PROPORTIONAL = 3, 1.15  # pressures, and largest ratio of contraction per pressure
 _APART = 1.4  # ratio of pressures at which contractions are compared
 _AGAINST = 3  # points that an outlier contradicts
+_MOVED = 0.1  # of the largest change of contraction: smaller ones may be noise
 _SHARE = 0.1  # of the points: more are not single errors
 _MOST = 1000  # points at a level that are compared in pairs
 _NAMED = 5  # points named in a warning
@@ -281,10 +282,15 @@ def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
 
 def _counted(dataset: IsobaricDataset) -> Iterator[str]:
     """Warning if the pressure rises by one step from row to row, as a spreadsheet counts, while the muscle moves."""
-    moves = np.sign(np.diff(dataset.contraction))
-    reversals = int(np.count_nonzero(np.diff(moves[moves != 0])))
-    steps = np.diff(dataset.pressure)
-    if reversals >= _AGAINST and steps[0] != 0 and np.allclose(steps, steps[0], rtol=1e-6, atol=0):
+    moves, steps = np.diff(dataset.contraction), np.diff(dataset.pressure)
+    large = moves[np.abs(moves) > _MOVED * np.abs(moves).max(initial=0.0)]
+    reversals = int(np.count_nonzero(np.diff(np.sign(large))))
+    if (
+        np.ptp(dataset.contraction) > _SHORTEST_STROKE
+        and reversals >= _AGAINST
+        and steps[0] != 0
+        and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
+    ):
         yield (
             f"pressure: each of {len(steps)} rows has {steps[0] / bar:.3g} bar more than the one before, although the "
             f"muscle reversed {reversals} times: a spreadsheet may have counted it up"

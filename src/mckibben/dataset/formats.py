@@ -29,7 +29,7 @@ _OTHER_FORMATS = {
     ),
     **dict.fromkeys((b'{"', b"[{", b"[["), ("JSON", "write a table: pandas.DataFrame(...).to_csv(...)")),
     b"sqlite format 3": ("an SQLite database", "export the table as CSV"),
-    b"par1": ("Parquet", "write a table: pandas.read_parquet(...).to_csv(...)"),
+    b"par1\x15": ("Parquet", "write a table: pandas.read_parquet(...).to_csv(...)"),
     b"%pdf": ("a PDF document", "ask for the table as CSV or .xlsx"),
 }
 """First bytes, in small letters, of files that are not read, what they are, and the remedy."""

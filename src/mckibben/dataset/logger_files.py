@@ -134,7 +134,8 @@ def _fill_merged(rows: list[tuple[int, tuple[Any, ...]]], archive: zipfile.ZipFi
             number, row = rows[index]
             if number > int(bottom):
                 break
-            if column < len(row) and row[column] is None:
+            row = (*row, *[None] * (column + 1 - len(row)))  # a row ends with its last value
+            if row[column] is None:
                 rows[index] = number, (*row[:column], value, *row[column + 1 :])
 
 

@@ -7,7 +7,9 @@ from numbers import Real
 from typing import Annotated, Any, ClassVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
@@ -139,8 +141,15 @@ def check_point(contraction: ArrayLike, pressure: ArrayLike) -> tuple[ArrayLike,
     if ZERO_PRESSURE < (highest := pressures.max(initial=0.0)) < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
-    lists = isinstance(contraction, list | tuple), isinstance(pressure, list | tuple)
-    return contractions if lists[0] else contraction, pressures if lists[1] else pressure
+    return _as_array(contraction), _as_array(pressure)
+
+
+def _as_array(numbers: Any) -> Any:
+    """Array of a list, which may be nested and hold tracers; other numbers as they are."""
+    if not isinstance(numbers, list | tuple):
+        return numbers
+    traced = any(isinstance(one, Tracer) for one in jax.tree.leaves(numbers))
+    return (jnp if traced else np).asarray(numbers)
 
 
 class PressureAffineLaw(ForceLaw):

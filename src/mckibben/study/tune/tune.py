@@ -277,7 +277,8 @@ def tune(
             message = f"the gradient method cannot use the engine {quoted(engine)}"
             remedy = "choose another method, or leave the engine out"
             raise ParameterError(message, field="engine", value=engine, remedy=remedy)
-        engine = "xla"  # of costs and gradients; whether a run is usable is found by the default engine
+        problem = replace(problem, engine=engine)  # finds out whether a run is usable
+        engine = "xla"  # of costs and gradients
     else:
         if history is not None:
             engine = engine_of_job(problem.engines_used, kept_software(history) if resume else None, engine)
