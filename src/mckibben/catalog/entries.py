@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
 
 
-@functools.cache
 @checked_call
+@functools.cache
 def specimen(name: str) -> Specimen:
     """Return a specimen such as "MAS-10-180N-AA-MC-O"."""
     entry, _ = find("specimens", name)
@@ -40,8 +40,8 @@ def specimen(name: str) -> Specimen:
     )
 
 
-@functools.cache
 @checked_call
+@functools.cache
 def law(name: str) -> ForceLaw:
     """Return a published parameter set as a law, such as "lei-mas-10-180n" (Eq. 3 of the paper)."""
     entry, _ = find("laws", name)
@@ -64,22 +64,22 @@ def dataset(name: str) -> IsobaricDataset:
     return IsobaricDataset(table)
 
 
-@functools.cache
 @checked_call
+@functools.cache
 def geometry(name: str) -> KneeGeometry:
     """Return the geometry of a published joint, such as "knee-table-2"."""
     return KneeGeometry(**_quantities(KneeGeometry, find("geometries", name)[0]))
 
 
-@functools.cache
 @checked_call
+@functools.cache
 def load(name: str) -> KneeLoad:
     """Return the load of a published joint, such as "knee-table-2"."""
     return KneeLoad(**_quantities(KneeLoad, find("loads", name)[0]))
 
 
-@functools.cache
 @checked_call
+@functools.cache
 def joint(name: str) -> AntagonisticJoint:
     """Return a published joint with its muscles, such as "knee-table-2"."""
     entry, _ = find("joints", name)
