@@ -31,6 +31,7 @@ _MOST_COLUMNS = 4096
 _OF_PRESSURE = re.compile(r"press|druck|presi|(?<![a-z])(?:bar|psi|[km]?pa)(?![a-z])", re.IGNORECASE)
 _LONGEST_HEADER = 2**18  # characters of a line searched for a header
 _SHOWN = 80  # characters of a line in a message
+_FIRST = 5  # lines in a message
 _SEEN = 2**14  # texts of cells that are stored once
 _PROBED = 200  # rows in which a cell may determine the decimal sign of a text of numbers
 _JOINED = 20  # lines that a quoted cell may span
@@ -84,12 +85,19 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
     else:
         sheet.channels = numbers
     used = {at for at, _ in comments.values()}
+    mentioned: list[str] = []
     for at, line in enumerate(islice(_Lines(text), max(0, number - 1)), 1):
         if ABSOLUTE.search(line) and _OF_PRESSURE.search(line):
             words = repr(line.strip()[:_SHOWN])
             sheet.suspect.append(f"line {at} says {words}: pressures are read as gauge pressures; {SUBTRACT}")
-        elif (NOT_APPLIED.search(line) or MENTIONED.search(line)) and at not in used:
+        elif NOT_APPLIED.search(line) and at not in used:
             sheet.suspect.append(f"line {at} says {line.strip()[:_SHOWN]!r}, which is not applied to the numbers")
+        elif MENTIONED.search(line) and at not in used:
+            mentioned.append(f"{at} says {line.strip()[:_SHOWN]!r}")
+    if mentioned:  # such as a load cell: in one warning, as most are harmless
+        more = f" and {len(mentioned) - _FIRST} more lines" if len(mentioned) > _FIRST else ""
+        shown = ", line ".join(mentioned[:_FIRST])
+        sheet.suspect.append(f"line {shown}{more}: not applied to the numbers")
     sheet.suspect += split_numbers(sheet, known)
     check_last_line(text, text.count("\n") + 1, zeros, sheet)
     if not any(len(channel.cells) for channel in sheet.channels) and not sheet.problems and not sheet.corrupt:
