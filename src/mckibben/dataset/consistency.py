@@ -33,7 +33,7 @@ _SHORTEST_STROKE, _LONGEST_REACH = 5 * percent, 45 * percent  # contractions of 
 _LEAST_LEVELS, _PROPORTIONAL = 3, 1.15  # pressures, and largest ratio of contraction per pressure
 _APART = 1.4  # ratio of pressures at which contractions are compared
 _AGAINST = 3  # points that an outlier contradicts
-_MOVED = 0.1  # of the largest change of contraction: smaller ones may be noise
+_STILL = 0.1  # of the largest change of contraction: smaller ones may be noise
 _SHARE = 0.1  # of the points: more are not single errors
 _MOST = 1000  # points at a level that are compared in pairs
 _NAMED = 5  # points named in a warning
@@ -283,7 +283,7 @@ def _held_forces(dataset: IsobaricDataset) -> Iterator[str]:
 def _counted(dataset: IsobaricDataset) -> Iterator[str]:
     """Warning if the pressure rises by one step from row to row, as a spreadsheet counts, while the muscle moves."""
     moves, steps = np.diff(dataset.contraction), np.diff(dataset.pressure)
-    large = moves[np.abs(moves) > _MOVED * np.abs(moves).max(initial=0.0)]
+    large = moves[np.abs(moves) > _STILL * np.abs(moves).max(initial=0.0)]
     reversals = int(np.count_nonzero(np.diff(np.sign(large))))
     if (
         np.ptp(dataset.contraction) > _SHORTEST_STROKE
@@ -422,7 +422,8 @@ def _offsets(dataset: IsobaricDataset, *, known: bool) -> Iterator[str]:
     gradient = np.array([begin, 1.0]) / slope
     error = np.sqrt(gradient @ covariance[:2, :2] @ gradient)
     low, high = _ATMOSPHERE
-    if pressure.min() >= _LOWEST_ABSOLUTE and low <= begin * bar <= high and begin > _CERTAIN * error:
+    near = low <= (begin + error) * bar and (begin - error) * bar <= high
+    if pressure.min() >= _LOWEST_ABSOLUTE and near and begin > _CERTAIN * error:
         yield (
             f"pressure: the force at the initial length begins at about {begin:.2g} bar; either the muscle needs this "
             "pressure before it pulls, or the pressures are absolute: they are read as gauge pressures"
