@@ -6,7 +6,7 @@ import io
 from dataclasses import replace
 
 import numpy as np
-from messy_kinds import HEADER, File, cells, csv, hdf5, kind, numbers, plain, text, workbook
+from messy_kinds import HEADER, File, cells, csv, hdf5, kind, numbers, one_of, plain, text, workbook
 from messy_structures import block
 from nptdms import ChannelObject, TdmsWriter
 from openpyxl.styles import Font
@@ -152,14 +152,14 @@ def signal_with_named_quality(p, rng):
 def outlier_flag_column(p, rng):
     rows = [[a, b, c, "" if i != 4 else "x"] for i, (a, b, c) in enumerate(cells(p))]
     rows[4][2] = plain(round(float(rows[4][2]) * 0.8, 1))
-    return csv(p.without([4]), text(rows, (*HEADER, str(rng.choice(["exclude", "outlier", "ungültig", "ignore"])))))
+    return csv(p.without([4]), text(rows, (*HEADER, one_of(rng, ["exclude", "outlier", "ungültig", "ignore"]))))
 
 
 @kind
 def use_flag_column(p, rng):
     rows = [[a, b, c, "1" if i != 4 else "0"] for i, (a, b, c) in enumerate(cells(p))]
     rows[4][2] = plain(round(float(rows[4][2]) * 0.8, 1))
-    return csv(p.without([4]), text(rows, (*HEADER, str(rng.choice(["use", "valid", "ok", "good"])))))
+    return csv(p.without([4]), text(rows, (*HEADER, one_of(rng, ["use", "valid", "ok", "good"]))))
 
 
 @kind
@@ -176,7 +176,7 @@ def remark_repeat_at_a_row(p, rng):
 def overflow_of_16_bits(p, rng):
     at = int(rng.integers(2, len(p.force)))
     rows = cells(p)
-    rows[at][2] = str(rng.choice(["6553.5", "3276.7", "655.35", "-3276.8", "32767", "65535", "4095", "1023"]))
+    rows[at][2] = one_of(rng, ["6553.5", "3276.7", "655.35", "-3276.8", "32767", "65535", "4095", "1023"])
     return csv(p.without([at]), text(rows))
 
 
@@ -184,21 +184,20 @@ def overflow_of_16_bits(p, rng):
 def scpi_nan(p, rng):
     at = int(rng.integers(2, len(p.force)))
     rows = cells(p)
-    rows[at][int(rng.integers(3))] = str(
-        rng.choice(
-            [
-                "9.91E+37",
-                "9.9E37",
-                "3.4028235E+38",
-                "1.7976931348623157E308",
-                "1E+30",
-                "-1E+30",
-                "1.#QNAN",
-                "-1.#IND",
-                "+OVER",
-                "1.#INF",
-            ]
-        )
+    rows[at][int(rng.integers(3))] = one_of(
+        rng,
+        [
+            "9.91E+37",
+            "9.9E37",
+            "3.4028235E+38",
+            "1.7976931348623157E308",
+            "1E+30",
+            "-1E+30",
+            "1.#QNAN",
+            "-1.#IND",
+            "+OVER",
+            "1.#INF",
+        ],
     )
     return csv(p.without([at]), text(rows))
 
@@ -285,7 +284,7 @@ def workbook_with_decimal_comma_texts(p, rng):
 def workbook_with_errors(p, rng):
     rows = numbers(p)
     at = int(rng.integers(len(rows)))
-    rows[at][2] = str(rng.choice(["#N/A", "#DIV/0!", "#VALUE!"]))
+    rows[at][2] = one_of(rng, ["#N/A", "#DIV/0!", "#VALUE!"])
     return File("rig.xlsx", workbook([HEADER, *rows]), p.without([at]))
 
 
@@ -340,7 +339,7 @@ def workbook_white_text(p, rng):
 
 @kind
 def hdf5_units_spelled(p, rng):
-    name = str(rng.choice(["Units", "unit", "Unit", "UNIT", "unit_string"]))
+    name = one_of(rng, ["Units", "unit", "Unit", "UNIT", "unit_string"])
 
     def change(f):
         for k in f:

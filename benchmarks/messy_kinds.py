@@ -81,6 +81,11 @@ def limit(make: Callable[[Points, np.random.Generator], File]) -> Callable[[Poin
 HEADER = ("Pressure [bar]", "Contraction [%]", "Force [N]")
 
 
+def one_of(rng: np.random.Generator, texts: Sequence[str]) -> str:
+    """One of several texts, at random."""
+    return str(rng.choice(texts))
+
+
 def plain(value: float) -> str:
     return f"{value:g}" if abs(value) < 1e5 and float(f"{value:g}") == value else repr(float(value))
 
@@ -390,7 +395,7 @@ def truncated_number(p, rng):
 @kind
 def text_instead_of_a_number(p, rng):
     rows = cells(p)
-    rows[int(rng.integers(len(rows)))][2] = str(rng.choice(["---", "NaN", "n/a", "#DIV/0!", "ERR", "OL", "inf"]))
+    rows[int(rng.integers(len(rows)))][2] = one_of(rng, ["---", "NaN", "n/a", "#DIV/0!", "ERR", "OL", "inf"])
     return csv(p, text(rows))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from messy_kinds import HEADER, cells, csv, grouped, kind, plain, text, third
+from messy_kinds import HEADER, cells, csv, grouped, kind, one_of, plain, text, third
 
 UNITLESS = ("Pressure", "Contraction", "Force")
 
@@ -60,18 +60,17 @@ def absolute_variants(p, rng):
             rows,
             renamed(
                 0,
-                str(
-                    rng.choice(
-                        [
-                            "Pressure [bara]",
-                            "Pressure [bar(a)]",
-                            "Abs. pressure [bar]",
-                            "p_abs [bar]",
-                            "Absolute pressure [bar]",
-                            "Pressure_abs [bar]",
-                            "Pressure [bar absolute]",
-                        ]
-                    )
+                one_of(
+                    rng,
+                    [
+                        "Pressure [bara]",
+                        "Pressure [bar(a)]",
+                        "Abs. pressure [bar]",
+                        "p_abs [bar]",
+                        "Absolute pressure [bar]",
+                        "Pressure_abs [bar]",
+                        "Pressure [bar absolute]",
+                    ],
                 ),
             ),
         ),
@@ -96,7 +95,7 @@ def technical_atmospheres(p, rng):
         p,
         text(
             scaled(p, 0, 1 / 0.980665, 9),
-            renamed(0, str(rng.choice(["Pressure [kgf/cm2]", "Pressure [kg/cm²]", "Pressure [at]"]))),
+            renamed(0, one_of(rng, ["Pressure [kgf/cm2]", "Pressure [kg/cm²]", "Pressure [at]"])),
         ),
     )
 
@@ -107,7 +106,7 @@ def kilograms_of_force(p, rng):
         p,
         text(
             scaled(p, 2, 1 / 9.80665, 9),
-            renamed(2, str(rng.choice(["Force [kg]", "Load [kg]", "Force [kp]", "Force [kgf]"]))),
+            renamed(2, one_of(rng, ["Force [kg]", "Load [kg]", "Force [kp]", "Force [kgf]"])),
         ),
     )
 
@@ -125,17 +124,16 @@ def force_times_ten(p, rng):
             scaled(p, 2, 0.1),
             renamed(
                 2,
-                str(
-                    rng.choice(
-                        [
-                            "Force [N x10]",
-                            "Force [10 N]",
-                            "Force x10 [N]",
-                            "Force*10 [N]",
-                            "Force [N*10]",
-                            "Force /10 [N]",
-                        ]
-                    )
+                one_of(
+                    rng,
+                    [
+                        "Force [N x10]",
+                        "Force [10 N]",
+                        "Force x10 [N]",
+                        "Force*10 [N]",
+                        "Force [N*10]",
+                        "Force /10 [N]",
+                    ],
                 ),
             ),
         ),
@@ -160,17 +158,16 @@ def metre_per_metre(p, rng):
             scaled(p, 1, 0.01),
             renamed(
                 1,
-                str(
-                    rng.choice(
-                        [
-                            "Contraction [m/m]",
-                            "Contraction [mm/mm]",
-                            "Contraction [1]",
-                            "Contraction ratio [-]",
-                            "Contraction ratio",
-                            "epsilon [-]",
-                        ]
-                    )
+                one_of(
+                    rng,
+                    [
+                        "Contraction [m/m]",
+                        "Contraction [mm/mm]",
+                        "Contraction [1]",
+                        "Contraction ratio [-]",
+                        "Contraction ratio",
+                        "epsilon [-]",
+                    ],
                 ),
             ),
         ),
@@ -180,7 +177,7 @@ def metre_per_metre(p, rng):
 @kind
 def remaining_length_in_percent(p, rng):
     rows = [[a, plain(round(100 - float(b), 6)), c] for a, b, c in cells(p)]
-    return csv(p, text(rows, renamed(1, str(rng.choice(["Length [%]", "Contraction [%]"])))))
+    return csv(p, text(rows, renamed(1, one_of(rng, ["Length [%]", "Contraction [%]"]))))
 
 
 @kind
@@ -194,7 +191,7 @@ def lengths_in_inches(p, rng):
     rows = [[a, repr(10 * (1 - float(b) / 100)), c] for a, b, c in cells(p)]
     return csv(
         p,
-        text(rows, renamed(1, str(rng.choice(["Length [in.]", 'Length ["]', "Length [inch]", "Length [IN]"])))),
+        text(rows, renamed(1, one_of(rng, ["Length [in.]", 'Length ["]', "Length [inch]", "Length [IN]"]))),
         initial_length=0.254,
     )
 
@@ -204,7 +201,7 @@ def shortening_in_millimetres(p, rng):
     rows = [[a, plain(round(2.5 * float(b), 4)), c] for a, b, c in cells(p)]
     return csv(
         p,
-        text(rows, renamed(1, str(rng.choice(["Contraction [mm]", "Shortening [mm]", "Verkürzung [mm]"])))),
+        text(rows, renamed(1, one_of(rng, ["Contraction [mm]", "Shortening [mm]", "Verkürzung [mm]"]))),
         initial_length=0.25,
     )
 
@@ -285,7 +282,7 @@ def names_in_russian(p, rng):
 
 @kind
 def names_in_korean(p, rng):
-    return csv(p, text(cells(p), ("압력 [bar]", "수축률 [%]", "힘 [N]")), encoding=str(rng.choice(["utf-8", "cp949"])))
+    return csv(p, text(cells(p), ("압력 [bar]", "수축률 [%]", "힘 [N]")), encoding=one_of(rng, ["utf-8", "cp949"]))
 
 
 @kind
@@ -309,7 +306,7 @@ def millipascals_or_megapascals(p, rng):
         p,
         text(
             scaled(p, 0, 0.1),
-            renamed(0, str(rng.choice(["Pressure [mPa]", "Pressure [mpa]", "Pressure [MPA]", "Pressure [Mpa]"]))),
+            renamed(0, one_of(rng, ["Pressure [mPa]", "Pressure [mpa]", "Pressure [MPA]", "Pressure [Mpa]"])),
         ),
     )
 
@@ -320,7 +317,7 @@ def kilopascals_in_odd_letters(p, rng):
         p,
         text(
             scaled(p, 0, 100),
-            renamed(0, str(rng.choice(["Pressure [Kpa]", "Pressure [KPA]", "Pressure [KPa]", "PRESSURE,kpa"]))),
+            renamed(0, one_of(rng, ["Pressure [Kpa]", "Pressure [KPA]", "Pressure [KPa]", "PRESSURE,kpa"])),
         ),
     )
 
@@ -333,9 +330,7 @@ def milliamperes_mapped(p, rng):
 
 @kind
 def comment_says_other_unit(p, rng):
-    name = str(
-        rng.choice(["# all forces in kN\n", "# Force unit: kN\n", "# F in kN, p in bar\n", "# units: bar, %, kN\n"])
-    )
+    name = one_of(rng, ["# all forces in kN\n", "# Force unit: kN\n", "# F in kN, p in bar\n", "# units: bar, %, kN\n"])
     return csv(p, name + text(scaled(p, 2, 0.001)))
 
 
@@ -348,14 +343,13 @@ def comment_says_sign(p, rng):
 def comment_says_offset_remains(p, rng):
     return csv(
         p,
-        str(
-            rng.choice(
-                [
-                    "# load cell not tared: subtract 12.5 N\n",
-                    "# zero offset of the load cell: 12.5 N (included)\n",
-                    "Tara;12,5 N\n",
-                ]
-            )
+        one_of(
+            rng,
+            [
+                "# load cell not tared: subtract 12.5 N\n",
+                "# zero offset of the load cell: 12.5 N (included)\n",
+                "Tara;12,5 N\n",
+            ],
         )
         + text([[a, b, plain(round(float(c) + 12.5, 3))] for a, b, c in cells(p)]),
     )
@@ -365,14 +359,13 @@ def comment_says_offset_remains(p, rng):
 def comment_says_ratio_times_lever(p, rng):
     return csv(
         p,
-        str(
-            rng.choice(
-                [
-                    "# load cell at lever, ratio 2:1, force at muscle is half\n",
-                    "# lever ratio: 2\n",
-                    "Lever arm ratio;2\n",
-                ]
-            )
+        one_of(
+            rng,
+            [
+                "# load cell at lever, ratio 2:1, force at muscle is half\n",
+                "# lever ratio: 2\n",
+                "Lever arm ratio;2\n",
+            ],
         )
         + text(scaled(p, 2, 2)),
     )
@@ -489,8 +482,8 @@ def thousands_next_to_a_day_column(p, rng):
     """1.234 under whole numbers, and a date such as 12.03 in a column that is not read."""
     p = p.huge()
     p = replace(p, pressure=p.pressure.round(), contraction=p.contraction.round())
-    rows = [[str(rng.choice(["12.03", "4.10", "3.12"])), a, b, grouped(float(c), ".", ",")] for a, b, c in cells(p)]
-    return csv(p, text(rows, (str(rng.choice(["Date", "Day", "Version", "Uhrzeit"])), *HEADER)))
+    rows = [[one_of(rng, ["12.03", "4.10", "3.12"]), a, b, grouped(float(c), ".", ",")] for a, b, c in cells(p)]
+    return csv(p, text(rows, (one_of(rng, ["Date", "Day", "Version", "Uhrzeit"]), *HEADER)))
 
 
 @kind

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from messy_kinds import HEADER, File, cells, csv, kind, numbers, plain, text, workbook
+from messy_kinds import HEADER, File, cells, csv, kind, numbers, one_of, plain, text, workbook
 
 
 def block(p):
@@ -196,7 +196,7 @@ def double_carriage_returns(p, rng):
 
 @kind
 def utf16_without_mark(p, rng):
-    return csv(p, text(cells(p)), encoding=str(rng.choice(["utf-16-le", "utf-16-be"])))
+    return csv(p, text(cells(p)), encoding=one_of(rng, ["utf-16-le", "utf-16-be"]))
 
 
 @kind

@@ -5,7 +5,22 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from messy_kinds import HEADER, File, cells, csv, grouped, hdf5, kind, numbers, packed, plain, text, third, workbook
+from messy_kinds import (
+    HEADER,
+    File,
+    cells,
+    csv,
+    grouped,
+    hdf5,
+    kind,
+    numbers,
+    one_of,
+    packed,
+    plain,
+    text,
+    third,
+    workbook,
+)
 from messy_notations import scaled
 
 
@@ -28,17 +43,16 @@ def unit_column_contradicts(p, rng):
 def comment_force_in_kgf(p, rng):
     return csv(
         p,
-        str(
-            rng.choice(
-                [
-                    "# force in kgf\n",
-                    "Force unit;kgf\n",
-                    "# load cell output: kgf\n",
-                    "# units: bar, %, kgf\n",
-                    "# p [bar], eps [%], F [kgf]\n",
-                    "Kraft in daN\n",
-                ]
-            )
+        one_of(
+            rng,
+            [
+                "# force in kgf\n",
+                "Force unit;kgf\n",
+                "# load cell output: kgf\n",
+                "# units: bar, %, kgf\n",
+                "# p [bar], eps [%], F [kgf]\n",
+                "Kraft in daN\n",
+            ],
         )
         + text(scaled(p, 2, 1 / 9.80665)),
     )
@@ -48,7 +62,7 @@ def comment_force_in_kgf(p, rng):
 def comment_force_in_decanewtons(p, rng):
     return csv(
         p,
-        str(rng.choice(["# all forces in daN\n", "# Kraft: daN\n", "Einheiten;bar;%;daN\n"])) + text(scaled(p, 2, 0.1)),
+        one_of(rng, ["# all forces in daN\n", "# Kraft: daN\n", "Einheiten;bar;%;daN\n"]) + text(scaled(p, 2, 0.1)),
     )
 
 
@@ -57,7 +71,7 @@ def comment_pressure_in_psi_x(p, rng):
     """In technical atmospheres, as a comment says."""
     return csv(
         p,
-        str(rng.choice(["# pressure in kgf/cm2\n", "# pressure unit: at\n", "# p in atm\n"]))
+        one_of(rng, ["# pressure in kgf/cm2\n", "# pressure unit: at\n", "# p in atm\n"])
         + text(scaled(p, 0, 1 / 0.980665)),
     )
 
@@ -82,7 +96,7 @@ def footer_says_unit(p, rng):
     return csv(
         p,
         text(scaled(p, 2, 1 / 9.80665))
-        + str(rng.choice(["# force in kgf\n", "Note: force in kgf\n", "Note: forces must be multiplied by 9.81;;\n"])),
+        + one_of(rng, ["# force in kgf\n", "Note: force in kgf\n", "Note: forces must be multiplied by 9.81;;\n"]),
     )
 
 
@@ -90,16 +104,15 @@ def footer_says_unit(p, rng):
 def header_line_of_sensor_scaling(p, rng):
     return csv(
         p,
-        str(
-            rng.choice(
-                [
-                    "Sensitivity;2.0 mV/V\n",
-                    "Scaling: 1 V = 100 N, file in 100 N\n",
-                    "Calibration: F = 9.81 * reading\n",
-                    "# F_true = 9.81 x F\n",
-                    "# correct force by +3 %\n",
-                ]
-            )
+        one_of(
+            rng,
+            [
+                "Sensitivity;2.0 mV/V\n",
+                "Scaling: 1 V = 100 N, file in 100 N\n",
+                "Calibration: F = 9.81 * reading\n",
+                "# F_true = 9.81 x F\n",
+                "# correct force by +3 %\n",
+            ],
         )
         + text(scaled(p, 2, 1 / 9.80665)),
     )
@@ -110,13 +123,12 @@ def contraction_of_nominal_length(p, rng):
     """Contraction [%] measured from the stretched length; a comment says so."""
     return csv(
         p,
-        str(
-            rng.choice(
-                [
-                    "# contraction referred to stretched length 258 mm\n",
-                    "# contraction relative to mounted length, not initial length\n",
-                ]
-            )
+        one_of(
+            rng,
+            [
+                "# contraction referred to stretched length 258 mm\n",
+                "# contraction relative to mounted length, not initial length\n",
+            ],
         )
         + text([[a, plain(round(100 * (1 - 250 * (1 - float(b) / 100) / 258), 4)), c] for a, b, c in cells(p)]),
     )
@@ -171,16 +183,15 @@ def pressure_at_valve(p, rng):
             rows,
             (
                 "Pressure [bar]",
-                str(
-                    rng.choice(
-                        [
-                            "Muscle pressure [bar]",
-                            "p muscle [bar]",
-                            "p_Muskel [bar]",
-                            "Pressure muscle [bar]",
-                            "Internal pressure [bar]",
-                        ]
-                    )
+                one_of(
+                    rng,
+                    [
+                        "Muscle pressure [bar]",
+                        "p muscle [bar]",
+                        "p_Muskel [bar]",
+                        "Pressure muscle [bar]",
+                        "Internal pressure [bar]",
+                    ],
                 ),
                 *HEADER[1:],
             ),

@@ -141,7 +141,7 @@ class RangeError(McKibbenError, ValueError):
 
 
 class CallError(McKibbenError, TypeError):
-    """A function or class is called with unknown, missing or surplus arguments, or with one of another kind."""
+    """A function or class is called with unknown, missing or surplus arguments, or with one of the wrong type."""
 
 
 class NotInCatalogError(McKibbenError, KeyError):

@@ -95,7 +95,7 @@ def _unbound(
 
 
 def _remedy(value: object, kinds: list[type], others: list[Any]) -> str:
-    """What to give in place of a value of another kind."""
+    """Remedy for an argument of the wrong type."""
     if kinds == [Mapping]:
         return "give values by name, such as {'name': value}"
     if not any(_is_ours(one) or one in _CERTAIN for one in kinds):

@@ -13,11 +13,11 @@ from mckibben.dataset.headers import (
     ACCEPTED,
     LONGEST_NAME,
     OTHER_PLACE,
-    WITH_UNIT,
     Header,
     bare_unit,
     is_absolute,
     is_contradiction,
+    name_and_unit,
     named_quantity,
     names,
     parse_header,
@@ -171,8 +171,7 @@ def find_columns(
 
 def _stated_unit(channel: RawColumn) -> str:
     """Unit of a column as spelled; empty if there is none."""
-    match = WITH_UNIT.fullmatch(channel.label[:LONGEST_NAME])
-    return channel.unit or (bare_unit(next(filter(None, match.group(*"abcd")))) if match else "")
+    return channel.unit or name_and_unit(channel.label[:LONGEST_NAME])[1] or ""
 
 
 def _unit_of(quantity: str, sheet: RawTable, ignored: Collection[str]) -> tuple[str, str] | None:
@@ -192,9 +191,9 @@ def _compare_units(
     """Compare the unit of a column with the one that the file states in addition: in a row of units, or in its name."""
     named = ""
     if mapped:
-        match = WITH_UNIT.fullmatch(channel.label)
-        named = next(filter(None, match.groups()[1:])) if match else "_".join(channel.label.split("_")[1:])
-        named = bare_unit(named) if is_contradiction(bare_unit(named)) else ""
+        inside = name_and_unit(channel.label)[1]
+        named = bare_unit("_".join(channel.label.split("_")[1:])) if inside is None else inside
+        named = named if is_contradiction(named) else ""
     if column.quantity.endswith("pressure"):
         if any(map(is_absolute, (bare_unit(channel.unit), named))):
             problem("is an absolute pressure; a gauge pressure is needed", channel.name, SUBTRACT)
@@ -254,9 +253,8 @@ def _candidate(header: str) -> str:
     """Quantity that an unknown header may be, such as "Force filtered [N]"; empty if there is none."""
     if len(header) > LONGEST_NAME:
         return ""
-    match = WITH_UNIT.fullmatch(" ".join(header.split()))
-    unit = bare_unit(next(filter(None, match.groups()[1:]))) if match else ""
-    words = re.split(r"[\s_.\-]+", match["name"].lower() if match else header.lower())
+    name, inside = name_and_unit(" ".join(header.split()))
+    unit, words = inside or "", re.split(r"[\s_.\-]+", name.lower())
     found = next((name for name in ("pressure", "force", "contraction", "length") if name in words), "")
     known = not is_contradiction(unit) or any(same_unit(unit, one, found) for one in ACCEPTED.get(found, ()))
     return found if known else ""

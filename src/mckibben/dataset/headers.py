@@ -125,7 +125,7 @@ _SPELLED: Mapping[str, str] = {
 }
 
 _CLASSIC = re.compile(rf"({'|'.join(ACCEPTED)})(?:[_ ](.+))?", re.IGNORECASE | re.ASCII)
-WITH_UNIT = re.compile(
+_WITH_UNIT = re.compile(
     r"(?P<name>.+?)\s*(?:\((?P<a>.+)\)|[\[{<](?P<b>.+)[\]}>]|(?:[/,:]|\s[-–]\s)\s*(?P<c>[^\s/,:]+)|\sin\s+(?P<d>\S+))"
 )
 _CHANNEL = re.compile(
@@ -195,7 +195,7 @@ def unit_error(header: str, unit: str = "") -> str:
     for quantity, spelled in _readings(header, unit):
         if quantity.endswith("pressure") and is_absolute(spelled):
             return f"{spelled!r} is absolute; a gauge pressure is needed"
-        if spelled.lower() in _UNITS and _name(header) not in _SYMBOLS:
+        if spelled.lower() in _UNITS and name_and_unit(header)[0] not in _SYMBOLS:
             return f"{spelled!r} is not a unit of {quantity} here"
     return ""
 
@@ -253,10 +253,9 @@ def _readings(header: str, unit: str, *, loose: bool = False) -> list[tuple[str,
     if match := _CLASSIC.fullmatch(text):
         quantity = match[1].lower()
         found.append((quantity, match[2] or (bare_unit(unit) if ACCEPTED[quantity] else "")))
-    name, spelled = _name(text), bare_unit(unit)
-    if match := WITH_UNIT.fullmatch(text):
-        spelled = bare_unit(next(filter(None, (match["a"], match["b"], match["c"], match["d"]))))
-    elif not spelled and is_unit(text.rpartition("_")[2]):  # F_N
+    name, inside = name_and_unit(text)
+    spelled = bare_unit(unit) if inside is None else inside
+    if inside is None and not spelled and is_unit(text.rpartition("_")[2]):  # F_N
         name, _, spelled = text.rpartition("_")
     if (quantity := named_quantity(_CHANNEL.sub("", name) if loose else name)) and spelled:
         found.append((quantity, spelled))
@@ -270,9 +269,10 @@ def named_quantity(name: str) -> str:
     return key if key in ACCEPTED else _NAMES.get(name) or _NAMES.get(name.lower() if len(name) > 1 else "", "")
 
 
-def _name(header: str) -> str:
-    match = WITH_UNIT.fullmatch(header)
-    return match["name"].strip() if match else header
+def name_and_unit(header: str) -> tuple[str, str | None]:
+    """Name and unit of a header such as "Force (N)"; the unit is None if there is none."""
+    match = _WITH_UNIT.fullmatch(header)
+    return (match["name"].strip(), bare_unit(next(filter(None, match.group(*"abcd"))))) if match else (header, None)
 
 
 def bare_unit(unit: str) -> str:

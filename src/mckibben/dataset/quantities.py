@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset.columns import find_columns
-from mckibben.dataset.headers import LONGEST_NAME, WITH_UNIT, parse_header, with_units_beside, without_units
+from mckibben.dataset.headers import LONGEST_NAME, name_and_unit, parse_header, with_units_beside, without_units
 from mckibben.dataset.plausibility import implied_diameter, missing_marks
 from mckibben.dataset.schema import VACUUM, WORDS, format_range, unquote, written_by_us
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
@@ -138,7 +138,8 @@ class ColumnConverter:
         self.suspect += [*states, *several_specimens(not_read), *drifting_temperatures(not_read)]
         self.summaries = labelled_summaries(numeric)
         self.missing += [sheet.kind(mark, line=line) for line, mark in (invalid | self.summaries).items()]
-        measured = [one for one in others if one.unit or WITH_UNIT.fullmatch(one.label[:LONGEST_NAME])]  # not dates
+        # with a unit: dates determine no decimal sign
+        measured = [one for one in others if one.unit or name_and_unit(one.label[:LONGEST_NAME])[1] is not None]
         self.decimal, question = decimal_sign(numeric, measured, sheet.delimiter, decimal)
         if question is not None:
             self.problems.append(sheet.kind(question.message, question.line, question.field, question.remedy))

@@ -183,13 +183,17 @@ class DecimalSign:
     given: bool = False
 
 
+def _number_alone(text: str) -> str:
+    """Text of a number without the blank after its sign and without its uncertainty."""
+    text = _SIGN.sub(r"\1", text) if text[:1] in "+-" else text
+    return _UNCERTAIN.sub("", text) if "±" in text or "+/-" in text or "+-" in text else text
+
+
 def evidence(cell: str) -> str:
     """Decimal sign that a cell determines; "?" for 1.234 and 1,234, empty if it has none."""
-    text = cell.strip()
-    text = _SIGN.sub(r"\1", text) if text[:1] in "+-" else text
-    text = _UNCERTAIN.sub("", text) if "±" in text or "+/-" in text or "+-" in text else text
     if isinstance(cell, NumberText):
         return ""
+    text = _number_alone(cell.strip())
     if match := _ONE_SIGN.fullmatch(text):
         whole, sign, rest, exponent = match.groups()
         grouped = len(rest) == 3 and not exponent and 0 < len(whole) <= 3 and whole[0] != "0"
@@ -290,9 +294,7 @@ def read_numbers(
 
     def trimmed(cell: str) -> str:
         text = _FORTRAN.sub("e", cell.strip().replace("\u2212", "-"))  # the exponent of 1.5D+02
-        text = _SIGN.sub(r"\1", text) if text[:1] in "+-" else text
-        text = _UNCERTAIN.sub("", text) if "±" in text or "+/-" in text or "+-" in text else text
-        return _without_thousands(text, decimal.sign, settled=settled)
+        return _without_thousands(_number_alone(text), decimal.sign, settled=settled)
 
     for index, cell in enumerate(cells):
         if not cell:
