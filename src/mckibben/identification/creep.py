@@ -128,14 +128,12 @@ _REGULATOR = 0.2  # of the force drift: a larger part explained by pressure drif
 def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, speed: float) -> CreepFit:
     r"""Identify creep from the samples within plateaus as a Maxwell element in parallel with an arbitrary, unknown law.
 
-    Significance is tested on the mean slopes of the force within plateaus after stretching and after shortening: creep
-    relaxes against the direction of the move, law and friction are constant, and sensor drift is equal after both. The
-    element is then fitted along all loading paths: the samples of plateau j, less their mean, are
+    Significance is tested on the mean slopes of the force after stretching and after shortening (docs/hysteresis.md).
+    The element is then fitted along all loading paths: the samples of plateau j, less their mean, are
 
     .. math:: x_j e^{-t/\tau} + v t, \qquad x_j = e^{-t_\mathrm{dwell}/\tau} k\, g_j(\tau)
 
-    with a common rate v. The deflection :math:`g_j` after the move to a plateau follows from all previous moves at that
-    pressure, starting from a relaxed element. A slack muscle has no deflection.
+    with a common rate v and the deflection :math:`g_j` after all moves to the plateau; a slack muscle has none.
 
     Parameters
     ----------

@@ -155,14 +155,12 @@ def solve(model: PathDependentModel, start: Mapping[str, float], free: tuple[str
             f"the fit of law and friction did not converge (RMSE {np.sqrt(np.mean(found.residuals**2)):.3g} N)",
             remedy="look for outliers, wrong units and rows that are not in the order of the test",
         )
-    known = uncertainty(found.jacobian, found.residuals, found.active)
-    errors = known.standard_errors
+    errors, correlations = uncertainty(found.jacobian, found.residuals, found.active)
     if not _OF_RATE.isdisjoint(free):  # fast strokes have errors of timing in common
         robust = _errors(found.jacobian[:, ~found.active], found.residuals, model.paths.stroke(model.means)[model.used])
         variance = robust.variance(np.eye(int(np.count_nonzero(~found.active))))[0]
-        errors = errors.copy()
         errors[~found.active] = np.maximum(errors[~found.active], np.sqrt(variance))
-    return dataclasses.replace(found, errors=errors, correlations=known.correlations)
+    return dataclasses.replace(found, errors=errors, correlations=correlations)
 
 
 _FEWEST_LEVELS = 4  # with more, there are enough groups

@@ -3,11 +3,9 @@ r"""Bayesian posterior of a law's parameters, sampled by NUTS.
 .. math:: F_i = F_\theta(\varepsilon_i, p_i) + u_{g(i)} + e_i, \qquad u_g \sim N(0, \tau^2)
 
 The errors :math:`e_i` are Gaussian with standard deviation :math:`\sigma`, or Student t with unknown degrees of
-freedom, which is robust to outliers; the random effects :math:`u_g` of groups of points are optional. Priors: flat for
-linear parameters, the prior of the fit for the deviations of `SmoothLaw`, uniform in the unit cube (logarithmic where a
-range is positive) for the shape, 1/sigma for sigma, half-normal of twice the residual standard deviation for tau,
-Gamma(2, 0.1) for the degrees of freedom. With Gaussian errors and a law linear in its parameters the posterior is the
-classical t distribution.
+freedom; the random effects :math:`u_g` of groups of points are optional. Priors: flat for linear parameters, the prior
+of the fit for the deviations of `SmoothLaw`, uniform in the unit cube for the shape, 1/sigma for sigma, half-normal of
+twice the residual standard deviation for tau, Gamma(2, 0.1) for the degrees of freedom.
 
 It needs the package numpyro: ``pip install 'mckibben[bayes]'``.
 

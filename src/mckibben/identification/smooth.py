@@ -9,13 +9,8 @@ The deviations have a Gaussian prior about zero, of scales that are estimated (`
 
 With the scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
 
-The force falls with contraction and rises with pressure (`mckibben.identification.monotone`), unless the points
-contradict that more than they do Eq. 2.
-
-A law is accepted if the deviations lower the corrected Akaike criterion (with effective parameters: few points support
-few), predict left-out pressures and left-out inner contractions better than Eq. 2, and are physical where Eq. 2 is. For
-each block left out, Eq. 2 is fitted anew and the scales and the deviations are estimated anew. Of the accepted laws,
-the one with the smallest errors is the result, and Eq. 2 itself if there is none.
+Docs/laws.md gives the conditions on which a law is accepted. Of the accepted laws, the one with the smallest errors is
+the result, and Eq. 2 itself if there is none.
 
 References
 ----------

@@ -50,30 +50,20 @@ CONDITION_LIMIT = 1e10
 """Limit of the condition number of a Jacobian with columns of unit length: six of sixteen digits are left."""
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """Classical standard errors and correlations (NaN at a bound), and scatter s [N] about the law."""
-
-    standard_errors: Floats
-    correlations: Floats
-    standard_deviation: float
-
-
-def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> Uncertainty:
-    """Uncertainty of the parameters not at a bound, from a Jacobian (points, parameters) and residuals [N]."""
+def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> tuple[Floats, Floats]:
+    """Classical standard errors and correlations, NaN at a bound; the Jacobian has shape (points, parameters)."""
     count = jacobian.shape[1]
     free = np.flatnonzero(~at_bound)
     lengths, singular, directions = _decompose(jacobian[:, free])
     inverse = directions.T / singular
     scaled = inverse @ inverse.T
-    deviation = float(np.sqrt(residuals @ residuals / (len(residuals) - len(free))))
     widths = np.sqrt(np.diag(scaled))
     errors = np.full(count, np.nan)
-    errors[free] = deviation * widths / lengths
+    errors[free] = np.sqrt(residuals @ residuals / (len(residuals) - len(free))) * widths / lengths
     correlations = np.full((count, count), np.nan)
     correlations[np.ix_(free, free)] = np.clip(scaled / np.outer(widths, widths), -1.0, 1.0)
     correlations[free, free] = 1.0
-    return Uncertainty(errors, correlations, deviation)
+    return errors, correlations
 
 
 def correlated_pairs(names: Sequence[str], correlations: Floats) -> list[tuple[str, str, float]]:

@@ -22,11 +22,9 @@ class GaussianProcessLaw(EquationTwo):
         w = \mathrm{clip}\left(\frac{p - p_m}{k}, -1, 1\right)
 
     :math:`T_i` are Chebyshev polynomials and :math:`g(v) = (3v - v^3)/2`, so that :math:`T_i(g(v))` is nearly
-    :math:`\cos(i\pi(v - 1)/2)`: the basis of a Gaussian process of reduced rank, without a trigonometric function. Each
-    has a slope of zero at the ends of the window, and beyond them the deviation is constant: the force has a continuous
-    slope everywhere, and the deviation is bounded. `identify` sets the window to twice the range of the points and
-    estimates the size and the two lengths of the deviation (`mckibben.identification.smooth`); it returns a simpler law
-    if that predicts points left out as well.
+    :math:`\cos(i\pi(v - 1)/2)`: the basis of a Gaussian process of reduced rank. Each has a slope of zero at the ends
+    of the window, and beyond them the deviation is constant. `identify` sets the window, estimates size and lengths of
+    the deviation, and returns a simpler law if that predicts points left out as well (docs/laws.md).
 
     Parameters
     ----------

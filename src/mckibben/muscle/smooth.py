@@ -75,11 +75,9 @@ class SmoothLaw(_Deviations):
         s_j = (1 - v^2)^3 \sum_{i=0}^{5} s_{ji} v^i, \quad
         v = \mathrm{clip}\left(\frac{\varepsilon - \varepsilon_m}{h}, -1, 1\right)
 
-    The deviations and their first two derivatives vanish outside the window :math:`\varepsilon_m \pm h`, where the law
-    is Eq. 2. `identify` sets the window to twice the range of the contractions measured, and estimates the size of the
-    deviations from the data (`mckibben.identification.smooth`): it returns a `GaussianProcessLaw` if that predicts
-    left-out points better, a `SmoothAffineLaw` if the data do not support a quadratic term, and an `ExponentialLaw` if
-    they support no deviation.
+    Outside the window :math:`\varepsilon_m \pm h` the law is Eq. 2. `identify` sets the window, estimates the size of
+    the deviations, and returns a `GaussianProcessLaw`, a `SmoothAffineLaw` or an `ExponentialLaw` where the data ask
+    for that (docs/laws.md).
 
     Parameters
     ----------
