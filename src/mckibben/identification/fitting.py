@@ -53,11 +53,8 @@ def identify(
 ) -> Fit:
     """Fit a force law to measured points by least squares.
 
-    The fit is to the plateau means of the taut points: at a slack point the force is only known to be small. Shape
-    parameters are searched on a grid over their range, then refined by variable projection.
-
-    Outliers are left out: single points that contradict the smooth surface through all others, at a probability of 1 %
-    of any in good data, by more than 0.5 % of the largest force. A warning names each by its row.
+    The fit is to the plateau means of the taut points, without outliers: single points that contradict the smooth
+    surface through all others (docs/uncertainty.md). A warning names each by its row.
 
     Parameters
     ----------

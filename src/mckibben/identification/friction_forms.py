@@ -26,25 +26,7 @@ from mckibben.muscle.friction import MIN_HALF_WIDTH
 
 
 class FrictionForm(enum.Enum):
-    """Form of the friction between loading and unloading.
-
-    Attributes
-    ----------
-    COULOMB
-        Constant half width, reversed within one step.
-    CONSTANT
-        Maxwell-slip friction of constant half width: reversed over a presliding length.
-    PRESSURE, TENSION
-        Maxwell-slip friction whose half width is linear in the pressure, or in the law's tension.
-    VISCOUS, DRY_AND_VISCOUS
-        Proportional to the rate of the length; viscous in parallel with a constant half width. Both need times at which
-        the speed varies.
-    VARIABLE_VISCOUS
-        Half width linear in the pressure, and in parallel damping that is linear in pressure and length.
-    RATE
-        Half width linear in the pressure, which grows with the rate of the length to a limit. Both need three pressures
-        and times at which the speed varies.
-    """
+    """Form of the friction between loading and unloading; docs/hysteresis.md tells them and the data that they need."""
 
     COULOMB = "coulomb"
     CONSTANT = "constant"
@@ -372,10 +354,7 @@ _REMEDIES = {
 
 
 def lack_of_fit(model: PathDependentModel, found: PathSolution, scale: float) -> LackOfFit | None:
-    """Score test of dependences missing from the form; `scale` is a force [N].
-
-    It is robust to errors common to a path, or to a stroke if rates are known.
-    """
+    """Score test of dependences that the form lacks, robust to errors common to a path (or stroke); `scale` in N."""
     from scipy.special import stdtr
 
     means, used = model.means, model.used

@@ -328,10 +328,7 @@ def identify_hysteresis(
 
 
 def _started(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDependentModel, dict[str, float]]:
-    """Better-fitting model of two: paths start on the branch of their first point's direction, or on the other.
-
-    Where turning points are measured twice, once per direction, the muscle either rested there or overshot.
-    """
+    """Best of the models: which branch paths start on, and whether the muscle rested at turning points or overshot."""
     models = [
         dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=side, overshot=overshot))
         for overshot in (False, True)[: 1 + bool(model.paths.turns.any())]

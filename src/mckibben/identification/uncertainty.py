@@ -211,11 +211,8 @@ _GROWTHS = np.geomspace(1e-3, 1e5, 200).tolist()  # of the variance, over the ra
 
 
 def scatter_growth(force: Floats, residuals: Floats) -> float:
-    """Ratio c [1/N^2] of a variance proportional to 1 + c F^2, by maximum likelihood; 0 if not significant.
-
-    Koenker's test on the slope of the squared residuals.
-    """
-    # R. Koenker, J. Econometrics 17 (1981) 107-112.
+    """Ratio c [1/N^2] of a variance proportional to 1 + c F^2, by maximum likelihood; 0 if not significant."""
+    # Test on the slope of the squared residuals: R. Koenker, J. Econometrics 17 (1981) 107-112.
     from scipy.special import stdtr
 
     square, largest = residuals**2, float(np.max(force**2, initial=0.0))
@@ -239,19 +236,9 @@ def scatter_growth(force: Floats, residuals: Floats) -> float:
 
 
 class Grouping(enum.Enum):
-    """Grouping of points that may share an error; groups are independent of each other.
+    """Points that may share an error: each by itself, of one pass, of one pressure level, or of a repeat of the test.
 
-    Attributes
-    ----------
-    POINT
-        Every plateau mean is a group: independent errors, the classical formula.
-    STROKE
-        Points of one pass: same level, repeat and direction or phase, as far as recorded. A zero error of the force
-        sensor, creep or friction common to a pass then counts as one error.
-    PRESSURE
-        Points of one pressure level; their common error includes the misfit of the law there.
-    REPEAT
-        Points of one repeat of the whole test.
+    A pass has one level, repeat and direction or phase, as far as recorded (docs/uncertainty.md).
     """
 
     POINT = "point"
