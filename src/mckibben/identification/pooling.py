@@ -314,7 +314,7 @@ class _Pool:
         if not form.dead_length:
             return 0.0, self._solved(form, 0.0, kept)[1]
         shortest = float(self.lengths.min())
-        found = minimize_scalar(
+        found: Any = minimize_scalar(
             lambda dead: self._solved(form, dead, kept)[0],
             bounds=(_SHORTEST * shortest, _LONGEST * shortest),
             method="bounded",

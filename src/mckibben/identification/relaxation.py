@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,7 +197,7 @@ class MaxwellElementFit:
         line = np.broadcast_to(self.curves.blocks(self.curves.times), values.shape)
         columns = np.stack([self._by_stiffness(tau)[used], line], axis=-1)
         weighted, target = (columns * root[:, None]).reshape(-1, 2), (values * root).ravel()
-        found = np.linalg.lstsq(weighted, target, rcond=None)[0]
+        found: Any = np.linalg.lstsq(weighted, target, rcond=None)[0]
         if found[0] < 0:  # a passive element has no negative stiffness
             found = np.array([0.0, weighted[:, 1] @ target / (weighted[:, 1] @ weighted[:, 1])])
         return columns, found, values - columns @ found
