@@ -6,7 +6,7 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification import hold_out, identify, validate
+from mckibben.identification import identify, validate
 from mckibben.identification.regression import pressure_blocks
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.units import bar, percent
@@ -95,15 +95,17 @@ def test_a_direction_that_is_not_recorded_makes_no_groups():
     assert validation.of("ExponentialLaw").bias == pytest.approx(64, abs=1)  # another specimen: docs/decisions.md 14
 
 
-def test_hold_out_by_pressure_and_by_repeat(campaign):
-    by_pressure = hold_out(ExponentialLaw, campaign, pressures=[2 * bar, 3 * bar, 4.5 * bar, 6 * bar])
-    assert len(by_pressure.fit.dataset.pressures) == 9
-    assert {e.pressure for e in by_pressure.validation.errors} == {None, 2e5, 3e5, 4.5e5, 6e5}
-    assert by_pressure.validation.of("ExponentialLaw").rmse == pytest.approx(np.hypot(6, 1), abs=0.4)
-    assert by_pressure.validation.of("ExponentialLaw", pressure=6 * bar).outside > 0
-    by_repeat = hold_out(ExponentialLaw, campaign, repeats=[2])
-    assert by_repeat.fit.points_used == len(campaign.taut.split(repeats=[2])[0])
-    assert by_repeat.validation.of("ExponentialLaw").rmse == pytest.approx(np.hypot(6, 1), abs=0.4)
+def test_errors_at_held_out_pressures_and_repeats(campaign):
+    train, held_out = campaign.split(pressures=[2 * bar, 3 * bar, 4.5 * bar, 6 * bar])
+    fit = identify(ExponentialLaw, train)
+    validation = validate(fit, held_out)
+    assert len(fit.dataset.pressures) == 9
+    assert {e.pressure for e in validation.errors} == {None, 2e5, 3e5, 4.5e5, 6e5}
+    assert validation.of("ExponentialLaw").rmse == pytest.approx(np.hypot(6, 1), abs=0.4)
+    assert validation.of("ExponentialLaw", pressure=6 * bar).outside > 0
+    train, held_out = campaign.split(repeats=[2])
+    rmse = validate(identify(ExponentialLaw, train), held_out).of("ExponentialLaw").rmse
+    assert rmse == pytest.approx(np.hypot(6, 1), abs=0.4)
 
 
 def test_nothing_to_compare(campaign):
@@ -113,8 +115,6 @@ def test_nothing_to_compare(campaign):
         validate([EQ_3], campaign.select(campaign.slack))
     with pytest.raises(RangeError, match="no errors of ExponentialLaw"):
         validate([EQ_3], campaign).of("ExponentialLaw", pressure=7 * bar)
-    with pytest.raises(RangeError, match="hold out"):
-        hold_out(ExponentialLaw, campaign)
 
 
 def test_levels_with_two_points_each_are_blocks_however_close_they_are():

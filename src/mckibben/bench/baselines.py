@@ -13,6 +13,7 @@ from scipy.optimize import minimize
 from scipy.signal import lfilter
 
 from mckibben import catalog
+from mckibben.bench.recurrent import fit_recurrent
 from mckibben.bench.task import Floats, Predict, Training
 from mckibben.calibration import JointPrior, JointRecording, calibrate_from_commands
 from mckibben.dataset import IsobaricDataset
@@ -205,18 +206,12 @@ def _features(inputs: Floats, period: float | None) -> Floats:
     return np.concatenate(columns, axis=1)
 
 
-def _recurrent(training: Training) -> Predict | None:
-    from mckibben.bench.recurrent import fit_recurrent  # imports equinox and JAX
-
-    return fit_recurrent(training)
-
-
 BASELINES: dict[str, Fit] = {
     "eq2": functools.partial(fit_law, LAWS["ExponentialLaw"]),
     "chou": functools.partial(fit_law, LAWS["ChouLaw"]),
     "friction": fit_with_friction,
     "smooth": functools.partial(fit_law, LAWS["SmoothLaw"]),
     "gp": fit_gaussian_process,
-    "gru": _recurrent,
+    "gru": fit_recurrent,
 }
 """Baselines by name; "eq2" is the reference."""

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import sys
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import cast
@@ -28,10 +30,8 @@ def read_submission(path: str | os.PathLike[str]) -> Fit:
         what = "is not a Python file" if file.exists() else "does not exist"
         raise SubmissionError(f"{file} {what}", file=str(file), remedy="name a file that ends in .py")
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up
-    try:
+    with _blamed(str(file), "", "correct it; it must run without arguments"):
         spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        raise _failed(file, "", error, "correct it; it must run without arguments") from error
     fit = getattr(module, "fit", None)
     if not callable(fit):
         found = "has no function fit" if fit is None else f"defines fit as {type(fit).__name__}, not as a function"
@@ -47,13 +47,8 @@ def predictions(fit: Fit, task: Task, file: str = "") -> dict[str, Floats] | Non
     SubmissionError
         If a function of the file fails, or returns something else.
     """
-    where = Path(file) if file else None
-    try:
+    with _blamed(file, "fit", f"correct it; it was called for the task {task.name!r}"):
         predict = fit(task.training)
-    except (Exception, SystemExit) as error:
-        if where is None:
-            raise
-        raise _failed(where, "fit", error, f"correct it; it was called for the task {task.name!r}") from error
     if predict is None:
         return None
     if not callable(predict):
@@ -62,39 +57,40 @@ def predictions(fit: Fit, task: Task, file: str = "") -> dict[str, Floats] | Non
     found = {}
     for block in task.tests:
         place = f"for the block {block.name!r} of the task {task.name!r}"
-        try:
+        with _blamed(file, "predict", f"correct it; it was called {place}"):
             output = predict(block.inputs.copy())
-        except (Exception, SystemExit) as error:
-            if where is None:
-                raise
-            raise _failed(where, "predict", error, f"correct it; it was called {place}") from error
         found[block.name] = _checked(output, block.output.size, file, place)
     return found
 
 
 def _checked(output: object, size: int, file: str, place: str) -> Floats:
+    """The output as finite numbers, one for each row of the inputs."""
     try:
         values = np.asarray(output, float)
     except (TypeError, ValueError):
-        text = f"{file}: predict returned {type(output).__name__} {place}, not numbers"
-        raise SubmissionError(text, file=file, function="predict", remedy=_PREDICT) from None
-    if values.shape not in ((size,), (size, 1)):
-        text = f"{file}: predict returned the shape {values.shape} instead of ({size},) {place}"
-        raise SubmissionError(text, file=file, function="predict", remedy=_PREDICT)
-    if not np.isfinite(values).all():
+        wrong = f"{type(output).__name__} {place}, not numbers"
+    else:
         count = int(np.count_nonzero(~np.isfinite(values)))
-        text = f"{file}: predict returned {count} values that are not finite {place}"
-        raise SubmissionError(text, file=file, function="predict", remedy=_PREDICT)
-    return values.reshape(size)
+        if values.shape not in ((size,), (size, 1)):
+            wrong = f"the shape {values.shape} instead of ({size},) {place}"
+        elif count:
+            wrong = f"{count} values that are not finite {place}"
+        else:
+            return values.reshape(size)
+    raise SubmissionError(f"{file}: predict returned {wrong}", file=file, function="predict", remedy=_PREDICT)
 
 
-def _failed(file: Path, function: str, error: BaseException, remedy: str) -> SubmissionError:
-    line = _last_line(error.__traceback__, file)
-    place = f"{file}, line {line}" if line else str(file)
-    of = f"{function} " if function else ""
-    return SubmissionError(
-        f"{place}: {of}raised {type(error).__name__}: {error}", file=str(file), function=function, remedy=remedy
-    )
+@contextlib.contextmanager
+def _blamed(file: str, function: str, remedy: str) -> Iterator[None]:
+    """Raise a `SubmissionError` with the line of a file for any exception; without a file, the exception itself."""
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        if not file:
+            raise
+        line, of = _last_line(error.__traceback__, Path(file)), f"{function} " if function else ""
+        text = f"{file}{f', line {line}' if line else ''}: {of}raised {type(error).__name__}: {error}"
+        raise SubmissionError(text, file=file, function=function, remedy=remedy) from error
 
 
 def _last_line(trace: TracebackType | None, file: Path) -> int | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -54,6 +55,7 @@ _CHECK = "check units and signs of the columns, and which is muscle 1 (it length
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0)  # prior standard deviations of the muscles' strength
 _WIDE = 1.96  # standard deviations to the bounds of a 95 % interval
 _FIRST, _STAGES, _ITERATIONS, _MOST_DAMPING, _TOLERANCE = 8, 3, 25, 1e3, 1e-2
+_UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
 DETERMINED = 0.5
 """Ratio of posterior to prior standard deviation below which a quantity counts as determined by the recordings."""
 
@@ -136,23 +138,15 @@ def calibrate_joint(
     r"""Identify a joint from recordings of its motion, preferably some with a known added weight.
 
     The equation of motion (Eq. 6) of both muscles, with friction and creep along the measured path, is fitted to all
-    recordings at once:
+    recordings at once; docs/calibrate.md describes the estimate:
 
     .. math::
 
         (I + m_w l_w^2)\,\ddot\theta + c\dot\theta = \tau(\theta - \theta_0, p_1, p_2) + (G + m_w l_w g)
         \sin(\theta_h - \theta + \theta_0)
 
-    Each muscle's law gets a `ForceCorrection` and creep, Maxwell arms of 1, 3 and 10 s with estimated stiffnesses,
-    because the slope of a law applies to slower motion. Parameters have Gaussian priors. A single load determines the
-    forces only up to a factor; a known weight, or load cells, determine the factor. With load cells the equation of
-    motion uses the torque of the measured tensions, and the laws are fitted to the tensions: law errors then enter only
-    once.
-
-    Pressure noise also enters the regressors, which biases least squares. The estimates therefore use instrumental
-    variables, started from least squares: even samples are the instruments of the odd ones, and vice versa. The
-    variance of the torque is the variance of the residuals times their correlation time; the covariance of the
-    estimates is robust to correlated errors of unequal variance (Newey and West).
+    Each muscle's law gets a `ForceCorrection` and creep, Maxwell arms of 1, 3 and 10 s. Parameters have Gaussian
+    priors. The estimates use instrumental variables: even samples are the instruments of the odd ones, and vice versa.
 
     Parameters
     ----------
@@ -179,7 +173,7 @@ def calibrate_joint(
     References
     ----------
     L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (instrumental variables); W. K. Newey and K. D.
-    West, Econometrica 55 (1987), 703-708 (covariance); the procedure is this project's, docs/calibrate.md.
+    West, Econometrica 55 (1987), 703-708 (covariance); the procedure is this project's.
     """
     prior = prior or JointPrior()
     halves = [halves_of(one) for one in recordings]
@@ -208,12 +202,15 @@ def calibrate_joint(
 
 def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Floats) -> dict[str, JointEstimate]:
     """Estimates by name, from estimates and covariance of the parameters."""
-    names, units = _quantity_names(problem, creep=estimate.size > creep_begin(problem))
     value, slope = _quantities(problem, jnp.asarray(estimate))
-    before = np.asarray(_quantities(problem, jnp.zeros(estimate.size))[1])
-    deviation, wide = _deviation(np.asarray(slope), covariance), _deviation(before, np.eye(estimate.size))
-    rows = zip(names, np.asarray(value).tolist(), deviation.tolist(), wide.tolist(), units, strict=True)
-    return {row[0]: JointEstimate(*row[1:]) for row in rows}
+    before = _quantities(problem, jnp.zeros(estimate.size))[1]
+    found = {}
+    for name in value:
+        deviation = _deviation(np.asarray(slope[name]), covariance)
+        wide = _deviation(np.asarray(before[name]), np.eye(estimate.size))
+        unit = _UNITS.get(name.rpartition(".")[2], "1")
+        found[name] = JointEstimate(float(value[name]), float(deviation), float(wide), unit)
+    return found
 
 
 def number(leaf: Any) -> Any:
@@ -237,41 +234,33 @@ def _stiffness(problem: CalibrationProblem, z: Array, angle: Array, pressures: P
 
 
 @compiled
-def _quantities(problem: CalibrationProblem, z: Array) -> tuple[Array, Array]:
-    """Values of `_quantity_names` and their derivatives."""
+def _quantities(problem: CalibrationProblem, z: Array) -> tuple[OrderedDict[str, Array], OrderedDict[str, Array]]:
+    """Quantities by name and their derivatives; other dictionaries would come back sorted."""
 
-    def values(z: Array) -> Array:
+    def values(z: Array) -> OrderedDict[str, Array]:
         joint, load, added, zero, _ = corrected(problem, z)
         geometry: Any = joint.geometry
-        found, bands = [], []
+        found: Any = OrderedDict()
+        bands = []
         creep = creep_stiffness(problem, z).sum(axis=1) if z.size > creep_begin(problem) else None
         pairs = zip((joint.muscle1, joint.muscle2), (problem.joint.muscle1, problem.joint.muscle2), strict=True)
         for i, (muscle, before) in enumerate(pairs):
             if joint.springs[i]:
                 continue
-            point = problem.centre[i], problem.pressure[i]
-            friction: Any = muscle.friction
-            bands.append(friction.half_width)
-            ratio = muscle.law.force(*point) / before.law.force(*point)
-            found += [ratio, friction.half_width, friction.presliding_length]
-            found += [] if creep is None else [creep[i]]
-        found += [sum(bands)] + ([getattr(load, load.adapted_mass)] if load.adapted_mass else [])
-        return jnp.stack([*found, added, zero, geometry.scale])
+            point, name, friction = (problem.centre[i], problem.pressure[i]), f"muscle{i + 1}", muscle.friction
+            bands.append(friction.half_width)  # type: ignore[attr-defined]
+            found[f"{name}.force"] = muscle.law.force(*point) / before.law.force(*point)
+            found[f"{name}.friction"] = bands[-1]
+            found[f"{name}.presliding"] = friction.presliding_length  # type: ignore[attr-defined]
+            if creep is not None:
+                found[f"{name}.creep"] = creep[i]
+        found["friction"] = sum(bands)
+        if load.adapted_mass:
+            found["load.mass"] = getattr(load, load.adapted_mass)
+        found |= {"added_mass": added, "zero": zero, "arm_scale": geometry.scale}
+        return found
 
     return values(z), jax.jacfwd(values)(z)
-
-
-def _quantity_names(problem: CalibrationProblem, *, creep: bool) -> tuple[list[str], list[str]]:
-    """Names and units of the quantities."""
-    rows = []
-    for i, spring in enumerate(problem.joint.springs, 1):
-        if not spring:
-            rows += [(f"muscle{i}.force", "1"), (f"muscle{i}.friction", "N"), (f"muscle{i}.presliding", "m")]
-            rows += [(f"muscle{i}.creep", "N/m")] if creep else []
-    rows += [("friction", "N"), *([("load.mass", "kg")] if problem.load.adapted_mass else [])]
-    rows += [("added_mass", "1"), ("zero", "rad"), ("arm_scale", "1")]
-    names, units = zip(*rows, strict=True)
-    return list(names), list(units)
 
 
 def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[Floats, Floats, float, float]:
@@ -326,10 +315,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
 
 
 def _long_run(gradients: list[Floats], correlation_time: float) -> Floats:
-    """Covariance of the sum of gradients whose samples are correlated: Newey and West, bandwidth by Andrews for AR(1).
-
-    W. K. Newey and K. D. West, Econometrica 55 (1987); D. W. K. Andrews, Econometrica 59 (1991), Eqs. 6.2 and 6.4.
-    """
+    """Covariance of the sum of correlated gradients (Newey and West 1987; bandwidth: Andrews 1991, Eqs. 6.2, 6.4)."""
     total = np.zeros((gradients[0].shape[1],) * 2)
     rho = (correlation_time - 1) / (correlation_time + 1)
     for one in gradients:
@@ -369,6 +355,17 @@ def minimised(
     return z, objective
 
 
+def gauss_newton(
+    error: Floats, slope: Floats, variance: float, z: Floats, prior: Floats | float = 1.0
+) -> tuple[float, Floats, Floats]:
+    """Objective, gradient and Gauss-Newton Hessian of errors, with slopes (samples, parameters) and a normal prior."""
+    if not (np.isfinite(error).all() and np.isfinite(slope).all()):
+        return math.inf, np.zeros(z.size), np.eye(z.size)
+    objective = float(error @ error / variance + prior * z @ z) / 2
+    hessian = slope.T @ slope / variance + np.diag(prior * np.ones(z.size))
+    return objective, error @ slope / variance + prior * z, hessian
+
+
 def variance_of(parts: list[Floats]) -> float:
     """Variance of residuals times the number of samples equivalent to one independent sample."""
     total, times = sum(one @ one for one in parts), [correlation_time(one) for one in parts]
@@ -394,9 +391,8 @@ class Scatter(NamedTuple):
 def scatter_between(covariance: Floats, parts: Sequence[tuple[Floats, Floats]]) -> Scatter:
     """Scatter of the estimates between recordings, from gradient and Hessian of each; 1 for less than three.
 
-    If the model is right, the gradient of a recording at the estimate has the covariance H_r - H_r C H_r. The influence
-    of a recording is C times its gradient; its sum of squares is compared with the expected one (Birge ratio), as a
-    chi-squared variable with Satterthwaite's degrees of freedom.
+    The sum of squares of the influences C g_r is compared with the expected one, by H_r - H_r C H_r (Birge ratio), as
+    a chi-squared variable with Satterthwaite's degrees of freedom.
     """
     if len(parts) < _LEAST_RECORDINGS:
         return Scatter(*np.ones((2, len(covariance))))

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -309,18 +308,13 @@ def calibrate_scenario(
 
 def calibrated_model(scenario: Scenario, found: JointCalibration) -> AntagonisticJoint:
     """Return the controller's model with the estimates."""
-    model, joint, muscles = first_model_of(scenario), _numbers(found.joint), {}
+    model, joint, muscles = first_model_of(scenario), found.joint, {}
     for name in ("muscle1", "muscle2"):
         before, after = getattr(model, name), getattr(joint, name)
         if isinstance(after.law, CorrectedLaw | CorrectedAffineLaw):
             muscles[name] = replaced(before, {"correction": after.law.correction, "friction": after.friction})
     assert isinstance(joint.geometry, ScaledArms)
     return replaced(model, {**muscles, "geometry": ScaledArms(model.geometry, joint.geometry.scale)})
-
-
-def _numbers(part: Any) -> Any:
-    """Part with floats in place of arrays of one number."""
-    return jax.tree.map(lambda leaf: float(leaf) if np.ndim(leaf) == 0 else leaf, part)
 
 
 def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario:
@@ -331,19 +325,17 @@ def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario
     control, model = scenario.control(), calibrated_model(scenario, found)
     if isinstance(found, CommandedCalibration):
         load = _general(found.load)
-        valve = replaced(
-            scenario.valve, _numbers({name: getattr(found.valve, name) for name in ("time_constant", "rate")})
-        )
+        valve = replaced(scenario.valve, {name: getattr(found.valve, name) for name in ("time_constant", "rate")})
         update: dict[str, Any] = {"joint": model, "load": load, "valve": valve, "command_delay": found.delay}
         if found.friction is not None:
-            rows = {name: float(getattr(found.friction, name)) for name in ("torque", "presliding")}
+            rows = {name: getattr(found.friction, name) for name in ("torque", "presliding")}
             update["friction"] = replaced(scenario.friction, rows)
         update["controller"] = with_fields(scenario.controller, {"load": load, "model": model})
         return scenario.model_copy(update=update)
     mass, load = found.load.adapted_mass, field_of(control, "load")
     fields: dict[str, Any] = {"model": model}
     if mass and load is not None:
-        fields["load"] = replaced(load, {mass: float(getattr(found.load, mass))})
+        fields["load"] = replaced(load, {mass: getattr(found.load, mass)})
     return scenario.model_copy(update={"controller": with_fields(independent(control), fields)})
 
 

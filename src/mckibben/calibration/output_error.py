@@ -33,6 +33,7 @@ from mckibben.calibration.estimation import (
     JointCalibration,
     JointEstimate,
     Scatter,
+    gauss_newton,
     minimised,
     number,
     quantities_of,
@@ -171,15 +172,13 @@ def calibrate_from_commands(
 ) -> CommandedCalibration:
     r"""Identify a joint, its load and valves from commanded pressures and angles (output-error method).
 
-    The plant is simulated from the first angle and the commands, and the sum of squares of the angle's error is
-    minimised over corrections of the muscles' laws and friction, the scale of the moment arms, inertia, gravity and
-    damping of the load, lag and rate limit of the valves, delay of the commands and the encoder's zero, all with
-    Gaussian priors (on the logarithms for valves, delay and load):
+    The plant is simulated from the first angle and the commands; the angle's error is minimised over the quantities of
+    docs/calibrate.md, all with Gaussian priors (on the logarithms for valves, delay and load):
 
     .. math:: \sum_k \frac{(\theta_k - \hat\theta_k(z))^2}{\sigma^2} + z^T z
 
-    sigma^2 is the variance of the residuals times their correlation time. Samples more than 3 s after the last change
-    of the commands are left out: the joint is then at rest, also in the simulation.
+    with the variance sigma^2 of the residuals times their correlation time. Samples more than 3 s after the last change
+    of the commands are left out.
 
     Parameters
     ----------
@@ -313,10 +312,7 @@ def _angles(problem: _Problem, zs: Any, motion: _Motion, substeps: Any) -> Array
 
 
 def _full(base: CalibrationProblem, z: Array) -> Array:
-    """Parameters of `corrected`; load mass and load cells, not estimated here, are 0.
-
-    The friction half widths are estimated by their logarithms.
-    """
+    """Parameters of `corrected`, with the friction by its logarithm, and 0 for load mass and load cells."""
     count, prior = muscle_parameters(base), base.prior["friction"]
     muscles = z[:count].reshape(-1, OF_MUSCLE)
     muscles = muscles.at[:, _FRICTION].set(jnp.expm1(prior * muscles[:, _FRICTION]) / prior).ravel()
@@ -392,10 +388,7 @@ def _warn_of_scatter(scatter: Scatter, own: int) -> None:
 
 
 def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Floats, float, Scatter]:
-    """Estimates and covariance of the parameters, the residual angle [rad], and scatter between recordings.
-
-    Parameters that scatter more between recordings than expected have a larger variance, by that ratio.
-    """
+    """Estimates, covariance widened by the scatter between recordings, residual angle [rad], and this scatter."""
     muscles, own = muscle_parameters(problem.base), len(problem.medians)
     count, substeps, variance = muscles + _SHARED + own, _substeps(motions), _FIRST_VARIANCE
     padded, sizes = list(map(_padded, motions)), [one.angle.size for one in motions]
@@ -411,10 +404,7 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Float
     def terms(z: Floats) -> tuple[float, Floats, Floats]:
         """Objective, its gradient, and its Gauss-Newton Hessian."""
         error, slope = linearised(z)
-        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
-            return math.inf, np.zeros(count), np.eye(count)
-        objective = float(error @ error / variance + z @ z) / 2
-        return objective, slope @ error / variance + z, slope @ slope.T / variance + np.eye(count)
+        return gauss_newton(error, slope.T, variance, z)
 
     def begun(strength: float) -> tuple[Floats, float]:
         z = np.zeros(count)

@@ -15,7 +15,8 @@ from jax import lax
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from mckibben.calibration.estimation import JointEstimate, minimised, variance_of
+from mckibben.calibration.estimation import JointEstimate, gauss_newton, minimised, variance_of
+from mckibben.calibration.valves import residual_and_noise
 from mckibben.component.checks import check_positive
 from mckibben.dataset import Recording
 from mckibben.dataset.points import saturated_samples
@@ -61,7 +62,6 @@ _FIRST_VARIANCE, _LEAST_VARIANCE = (1 * kPa) ** 2, (10e-3 * kPa) ** 2
 _ZERO = 20e-3 * bar  # prior standard deviation of the zero of the sensor
 _ROOM = 5 / TEMPERATURE  # relative standard deviation of the temperature of the room
 _SHARED = 4  # parameters that all phases share
-_UNEXPLAINED, _NEGLIGIBLE = 3.0, 2e-3  # as for valves
 _PADDING = 256  # blocks: programs are compiled for multiples of it
 
 
@@ -157,18 +157,16 @@ def identify_air(
 ) -> AirFit:
     r"""Identify the heat to the wall, the leak and the dead volume from tests in which a valve is shut.
 
-    A muscle at a fixed length is filled fast, the valve is shut, and the pressure watched; then it is vented in part,
-    shut, and watched again. The pressures while the valve is shut are fitted by the energy balance of `AirActuator` in
-    a constant volume, with the conductance h A of the wall, a leak to the atmosphere, and pressure and temperature at
-    the start of each phase (output-error method). Without a leak,
+    The pressures while the valve is shut are fitted by the energy balance of `AirActuator` in a constant volume, with
+    the conductance h A of the wall, a leak to the atmosphere, and pressure and temperature at the start of each phase
+    (output-error method; the test is that of docs/valves.md). Without a leak,
 
     .. math:: p = p_\infty + (p_0 - p_\infty) e^{-t/\tau}, \qquad \tau = \frac{p_\infty V}{(\kappa - 1) h A\, T_0}
 
-    so that tests at one length determine h A / V and C / V. The volume is that of the specimen plus the dead volume. A
-    is proportional to the lateral area of the muscle as a cylinder of its volume and length, which grows with the
-    contraction: the result holds at the mean contraction of the phases. The dead volume is estimated if there are tests
-    at lengths whose volumes differ by 10 % or more. The intervals contain standard deviations of 5 K of the room, about
-    20 degrees C, and of 20 mbar of the zero of the sensor.
+    so that tests at one length determine h A / V and C / V; the dead volume is estimated if there are tests at lengths
+    whose volumes differ by 10 % or more. A is proportional to the lateral area of the muscle as a cylinder: the result
+    holds at the mean contraction of the phases. The intervals contain standard deviations of 5 K of the room, about 20
+    degrees C, and of 20 mbar of the zero of the sensor.
 
     Parameters
     ----------
@@ -199,7 +197,7 @@ def identify_air(
     References
     ----------
     L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models, Gauss-Newton search); the
-    procedure is this project's, docs/valves.md.
+    procedure is this project's.
 
     Examples
     --------
@@ -247,9 +245,12 @@ def identify_air(
         float((one.pressures[-1] + ATMOSPHERE) * (one.volume + dead) / (rate * area))
         for one, area in zip(phases, areas, strict=True)
     )
-    residual = math.sqrt(float(np.mean(np.concatenate(errors) ** 2)))
-    noise = math.sqrt(float(np.mean(np.concatenate([np.diff(one) for one in errors]) ** 2)) / 2)
-    _warn(phases, constants, residual, noise)
+    if all(one.end - one.begin < _COMPLETE * tau for one, tau in zip(phases, constants, strict=True)):
+        text = f"no phase lasts two time constants of the temperature, which is {max(constants):.2g} s"
+        warnings.warn(f"{text}; watch the pressure for longer", McKibbenWarning, stacklevel=2)
+    highest = max(float(one.pressures.max()) for one in phases)
+    remedy = "that the valve was shut, and that length and room stayed the same"
+    residual, noise = residual_and_noise(errors, highest, "the air", remedy)
     # the pressures determine h A T0 and C sqrt(T0), where T0 is the temperature of the room
     wall = conductance * math.hypot(float(deviations[0]), _ROOM)
     leaking = math.hypot(_LEAK * float(deviations[1]), leak * _ROOM / 2)
@@ -294,17 +295,6 @@ def _check(problem: _Problem, z: Floats, deviations: Floats) -> None:
             unit="m^3",
             remedy=_CONTRADICTED,
         )
-
-
-def _warn(phases: Sequence[ShutPhase], constants: Sequence[float], residual: float, noise: float) -> None:
-    if all(one.end - one.begin < _COMPLETE * tau for one, tau in zip(phases, constants, strict=True)):
-        text = f"no phase lasts two time constants of the temperature, which is {max(constants):.2g} s"
-        warnings.warn(f"{text}; watch the pressure for longer", McKibbenWarning, stacklevel=3)
-    highest = max(float(one.pressures.max()) for one in phases)
-    if residual > max(_UNEXPLAINED * noise, _NEGLIGIBLE * highest):
-        text = f"the residual of {residual / kPa:.2g} kPa is far above the noise of the sensor, {noise / kPa:.2g} kPa"
-        remedy = "the intervals are too narrow; check that the valve was shut, and that length and room stayed the same"
-        warnings.warn(f"{text}: the model does not describe the air; {remedy}", McKibbenWarning, stacklevel=3)
 
 
 def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | None) -> list[ShutPhase]:
@@ -361,20 +351,14 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
 
 
 class _Problem(NamedTuple):
-    """Phases side by side: pressures, shape (phases, blocks), which of them are fitted, and the start of the search.
+    """Phases; parameters: wall, leak, dead volume, sensor's zero, and pressure and temperature at each start."""
 
-    `areas` are those of the wall, relative to that at which the conductance holds.
-
-    Its parameters are conductance of the wall, leak, dead volume, zero of the sensor, and pressure and temperature at
-    the start of each phase.
-    """
-
-    pressures: Floats
+    pressures: Floats  # (phases, blocks)
     used: NDArray[np.bool_]  # until the end of a phase
     volumes: Floats
-    areas: Floats
+    areas: Floats  # of the wall, relative to that at which the conductance holds
     periods: Floats
-    start: Floats
+    start: Floats  # of the search
     estimates_dead_volume: bool
 
     @classmethod
@@ -420,6 +404,7 @@ def _simulated(z: Array, volumes: Array, areas: Array, periods: Array, blocks: i
     return lax.scan(follow, begin, None, blocks)[1].T
 
 
+@compiled
 def _sensitivities(z: Array, volumes: Array, areas: Array, periods: Array, like: Array) -> tuple[Array, Array]:
     """Pressures [Pa] of all phases and their derivatives."""
 
@@ -429,9 +414,6 @@ def _sensitivities(z: Array, volumes: Array, areas: Array, periods: Array, like:
 
     slope, found = jax.jacfwd(simulated, has_aux=True)(z)
     return found, slope
-
-
-_sensitivity_program: Any = compiled(_sensitivities)
 
 
 def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
@@ -448,18 +430,12 @@ def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
         return z
 
     def errors_at(x: Floats) -> tuple[Floats, Floats]:
-        found, slope = _sensitivity_program(
-            whole(x), problem.volumes, problem.areas, problem.periods, problem.pressures
-        )
+        given: Any = whole(x), problem.volumes, problem.areas, problem.periods, problem.pressures
+        found, slope = _sensitivities(*given)
         return (np.asarray(found) - problem.pressures)[used], np.asarray(slope)[used][:, free]
 
     def terms(x: Floats) -> tuple[float, Floats, Floats]:
-        error, slope = errors_at(x)
-        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
-            return math.inf, np.zeros(x.size), np.eye(x.size)
-        prior = np.where(zero, x, 0.0)
-        objective = (float(error @ error) / variance + float(prior @ prior)) / 2
-        return objective, error @ slope / variance + prior, slope.T @ slope / variance + np.diag(zero.astype(float))
+        return gauss_newton(*errors_at(x), variance, x, zero.astype(float))
 
     x, parts = problem.start[free], []
     for _ in range(_STAGES):

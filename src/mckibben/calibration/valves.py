@@ -27,7 +27,7 @@ from mckibben.calibration.equations import (
     local_cubic,
     sampling_period,
 )
-from mckibben.calibration.estimation import JointEstimate, minimised, variance_of
+from mckibben.calibration.estimation import JointEstimate, gauss_newton, minimised, variance_of
 from mckibben.component.base import field_quantities
 from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.joint import AntagonisticJoint, ScaledArms
@@ -191,17 +191,13 @@ def calibrate_valves(
     r"""Identify the valve of each muscle from commanded and measured pressures (output-error method).
 
     Every number of the valve that has a unit and is not given by construction (a period of modulation, a compensation)
-    is estimated, for each muscle: with air conductance both ways, critical ratio, supply, `band`, lag or dead zone,
-    dead volume and leak, else time constants and rates; and the delay of the commands. The pressure of a valve is
-    simulated from the commands, and with air from the volume of its muscle along the measured motion:
+    is estimated for each muscle, and the delay of the commands. The pressure of a valve is simulated from the commands,
+    and with air from the volume of its muscle along the measured motion:
 
     .. math:: \sum_k \frac{(p_k - \hat p_k(z))^2}{\sigma^2} + z^T z
 
-    sigma^2 is the variance of the residuals times their correlation time; the first second is not fitted, and the
-    pressure at the start is estimated, because the commands before it are unknown. The logarithms of the quantities
-    have normal priors about the first model. What this lacks or sets to zero (leak, dead zone, dead volume) has a
-    half-normal prior with a scale of what is usual. A conductance is known no better than the volume, whose uncertainty
-    is included: the encoder's zero, the moment arms, and a scale.
+    with the variance sigma^2 of the residuals times their correlation time. The first second is not fitted;
+    docs/calibrate.md has the priors.
 
     Parameters
     ----------
@@ -231,7 +227,7 @@ def calibrate_valves(
     References
     ----------
     L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models, Gauss-Newton search); the
-    procedure is this project's, docs/calibrate.md.
+    procedure is this project's.
 
     Examples
     --------
@@ -266,21 +262,24 @@ def calibrate_valves(
             break
         substeps = needed
     errors = [error for one in solved for error in one[2]]
-    residual = _rms(errors)
-    noise = _rms([np.diff(one) for one in errors]) / math.sqrt(2)
     highest = max(float(np.max(one)) for record in records for one in record.pressures)
-    if residual > max(_UNEXPLAINED * noise, _NEGLIGIBLE * highest):
-        text = f"the residual of {residual / kPa:.2g} kPa is far above the noise of the sensors, {noise / kPa:.2g} kPa"
-        remedy = "the intervals are too narrow; check the class of the valve, the units, and which muscle is which"
-        warnings.warn(f"{text}: the model does not describe the valves; {remedy}", McKibbenWarning, stacklevel=2)
+    remedy = "the class of the valve, the units, and which muscle is which"
+    residual, noise = residual_and_noise(errors, highest, "the valves", remedy)
     numbered = zip([problem.parameters for problem in problems.values()], z, strict=True)
     delays = tuple(float(parameters[-1].at(one[len(parameters) - 1])) for parameters, one in numbered)
     quantities = _quantities(problems, z, deviations)
     return ValveCalibration(valves, delays, quantities, residual, noise, problems, z, deviations)
 
 
-def _rms(errors: list[Floats]) -> float:
-    return float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+def residual_and_noise(errors: Sequence[Floats], highest: float, what: str, remedy: str) -> tuple[float, float]:
+    """Root mean squares [Pa] of errors of pressures and of their white noise; warns if this does not explain them."""
+    error, steps = np.concatenate(errors), np.concatenate([np.diff(one) for one in errors])
+    residual, noise = float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(steps**2) / 2))
+    if residual > max(_UNEXPLAINED * noise, _NEGLIGIBLE * highest):
+        text = f"the residual of {residual / kPa:.2g} kPa is far above the noise of the sensors, {noise / kPa:.2g} kPa"
+        remedy = f"the model does not describe {what}; the intervals are too narrow; check {remedy}"
+        warnings.warn(f"{text}: {remedy}", McKibbenWarning, stacklevel=3)
+    return residual, noise
 
 
 def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, delay: float | None) -> _Problem:
@@ -439,10 +438,7 @@ def _traced(problem: _Problem) -> _Problem:
 def _solve(
     problem: _Problem, records: list[_Record], muscle: int, substeps: int
 ) -> tuple[Floats, Floats, list[Floats]]:
-    """Estimates and standard deviations of a valve's parameters, and the errors [Pa] of each recording's pressures.
-
-    Parameters are those of the problem, and the pressure at the start of each recording.
-    """
+    """Estimates, standard deviations (of the problem's parameters, then of starts), and errors [Pa] by recording."""
     begins = [round(_START / float(one.period)) for one in records]
     measured = [one.pressures[muscle][begin:] for one, begin in zip(records, begins, strict=True)]
     model, given = _traced(problem), list(map(numeric, records))
@@ -457,11 +453,7 @@ def _solve(
     def terms(z: Floats) -> tuple[float, Floats, Floats]:
         """Objective, its gradient, and its Gauss-Newton Hessian."""
         found, slopes = zip(*fitted(_sensitivities, z), strict=True)
-        error, slope = np.concatenate(found) - np.concatenate(measured), np.concatenate(slopes)
-        if not (np.isfinite(error).all() and np.isfinite(slope).all()):
-            return math.inf, np.zeros(z.size), np.eye(z.size)
-        objective = float(error @ error / variance + z @ z) / 2
-        return objective, error @ slope / variance + z, slope.T @ slope / variance + np.eye(z.size)
+        return gauss_newton(np.concatenate(found) - np.concatenate(measured), np.concatenate(slopes), variance, z)
 
     def search(z: Floats, restart: bool = False) -> tuple[Floats, float]:
         if restart:

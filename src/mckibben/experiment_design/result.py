@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.schema import text_table
 from mckibben.experiment_design.candidates import StateGrid
 from mckibben.experiment_design.information import Floats, NoiseModel
 from mckibben.experiment_design.prior import PriorData
@@ -147,10 +148,7 @@ class ExperimentPlan:
 
     def report(self) -> str:
         """The plan as text: points, standard errors, notes and diagnostics."""
-        rows = self.rows()
-        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-        return "\n".join([*lines, "", self.summary(), *self.sentences()])
+        return "\n".join([*text_table(self.rows(), ()), "", self.summary(), *self.sentences()])
 
     def sentences(self) -> list[str]:
         """Notes and diagnostics, one per line."""

@@ -18,7 +18,7 @@ from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.storage import read_law
 from mckibben.identification.threshold import ThresholdFit, identify_threshold
 from mckibben.identification.uncertainty import Grouping
-from mckibben.identification.validation import ErrorStatistics, HoldOut, Validation, hold_out, validate
+from mckibben.identification.validation import ErrorStatistics, Validation, validate
 from mckibben.identification.with_friction import FitWithFriction, identify_with_friction, shows_hysteresis
 
 __all__ = [
@@ -33,7 +33,6 @@ __all__ = [
     "FormComparison",
     "FrictionForm",
     "Grouping",
-    "HoldOut",
     "HysteresisFit",
     "Interval",
     "IntervalEstimate",
@@ -56,7 +55,6 @@ __all__ = [
     "bootstrap",
     "design_matrix",
     "find_outliers",
-    "hold_out",
     "identify",
     "identify_creep",
     "identify_hysteresis",

@@ -15,11 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import Interval, IntervalEstimate, check_level, law_forces, t_quantile
+from mckibben.identification.intervals import Interval, t_quantile
 from mckibben.identification.least_squares import FitProblem, Solution, project, solve
 from mckibben.identification.monotone import monotone
 from mckibben.identification.regression import Regression
@@ -96,17 +95,11 @@ class Bootstrap:
 
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Expanded percentile intervals (Hesterberg) by parameter, in SI; NaN at a bound."""
-        lower, upper = (np.where(self.at_bound, np.nan, ends) for ends in self._percentiles(self.draws, level))
-        return {name: Interval(*ends) for name, *ends in zip(self._names, lower.tolist(), upper.tolist(), strict=True)}
+        from scipy.special import ndtr
 
-    def force_interval(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> IntervalEstimate:
-        """Percentile interval of the law's force [N] at contractions [-] and pressures [Pa]."""
-        estimates = [float(getattr(self.law, name)) for name in self._names]
-        value = law_forces(self.law, [estimates], contraction, pressure)[0]
-        forces = law_forces(self.law, self.draws, contraction, pressure)
-        lower, upper = self._percentiles(forces, level)
-        freedom = np.full_like(value, self.blocks - 1.0)
-        return IntervalEstimate(level, value, self._deviation(forces), freedom, lower, upper)
+        z = float(t_quantile(level, self.blocks - 1)) * self._correction
+        ends = np.where(self.at_bound, np.nan, np.quantile(self.draws, [float(ndtr(-z)), float(ndtr(z))], axis=0)).T
+        return {name: Interval(*one) for name, one in zip(self._names, ends.tolist(), strict=True)}
 
     @property
     def _correction(self) -> float:
@@ -115,14 +108,6 @@ class Bootstrap:
     def _deviation(self, draws: Floats) -> Floats:
         lower, upper = np.quantile(draws, _CENTRAL, axis=0)
         return (upper - lower) / 2 * self._correction
-
-    def _percentiles(self, draws: Floats, level: float) -> tuple[Floats, Floats]:
-        from scipy.special import ndtr
-
-        check_level(level)
-        z = float(t_quantile(level, self.blocks - 1)) * self._correction
-        lower, upper = np.quantile(draws, [float(ndtr(-z)), float(ndtr(z))], axis=0)
-        return lower, upper
 
     @property
     def _names(self) -> list[str]:

@@ -1,8 +1,7 @@
 """Calibration of intervals on left-out blocks: prediction by conformal scores, and the variance of a law's misfit.
 
-Each pressure, and each inner contraction, is predicted by the fit to all others. The score of a left-out point is its
-error, relative to the standard deviation that this fit predicts for it. A quantile of the scores replaces that of
-Student's t, so that the intervals hold for new pressures and new contractions whatever the errors are.
+The score of a left-out point is its error, relative to the standard deviation that the fit to all others predicts for
+it (docs/uncertainty.md). A quantile of the scores replaces that of Student's t.
 
 References
 ----------
@@ -76,12 +75,9 @@ class IntervalCalibration:
         return cls(pressure.scores, contraction.scores, np.unique(levels), np.unique(measured), misfit, apart)
 
     def quantile(self, level: float, contraction: Floats, pressure: Floats, students: float) -> Floats | None:
-        """Half widths of prediction intervals in standard deviations; None without enough scores.
+        """Half widths of prediction intervals in standard deviations (docs/uncertainty.md); None without enough scores.
 
-        Between two pressures, at a measured contraction, it is that of left-out pressures, and vice versa for
-        contractions; between both the larger, and at measured ones the smaller of the two. Nearer to measured ones than
-        any left-out point was, it is interpolated. Where there are too few scores for the level, it is that of
-        Student's t, `students`, or the largest score, if that is larger.
+        Where there are too few scores for the level, that of Student's t, `students`, or the largest score.
         """
         check_level(level)
         if len(self.pressure) < _FEWEST:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,8 @@ from mckibben.identification.relaxation import MaxwellElementFit, RelaxationCurv
 from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import MaxwellCreep, NoCreep
 from mckibben.units import percent, show
+
+_PARAMETERS = ("stiffness", "time_constant")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -31,7 +33,7 @@ class CreepFit:
         move.
     rate, rate_error
         Mean rate of the force against the direction of the preceding move, and its standard error [N/s].
-    standard_errors, correlation
+    standard_errors
         Cluster-robust, of ``stiffness`` [N/m] and ``time_constant`` [s]; NaN where not determined.
     time_constant_interval
         95 % profile interval [s]; 0 or infinite where the data impose no bound.
@@ -52,10 +54,6 @@ class CreepFit:
     significance: float
     rate: float
     rate_error: float
-    standard_errors: dict[str, float]
-    correlation: float
-    time_constant_interval: tuple[float, float]
-    relative_stiffness: float
     initial_force: Floats
     mean_force: Floats
     common_rate: float
@@ -63,6 +61,9 @@ class CreepFit:
     points_used: int
     warnings: tuple[str, ...]
     dataset: DatasetSummary
+    standard_errors: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_PARAMETERS, math.nan))
+    time_constant_interval: tuple[float, float] = (math.nan, math.nan)
+    relative_stiffness: float = 0.0
 
     @property
     def is_significant(self) -> bool:
@@ -128,14 +129,12 @@ _REGULATOR = 0.2  # of the force drift: a larger part explained by pressure drif
 def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, speed: float) -> CreepFit:
     r"""Identify creep from the samples within plateaus as a Maxwell element in parallel with an arbitrary, unknown law.
 
-    Significance is tested on the mean slopes of the force within plateaus after stretching and after shortening: creep
-    relaxes against the direction of the move, law and friction are constant, and sensor drift is equal after both. The
-    element is then fitted along all loading paths: the samples of plateau j, less their mean, are
+    Significance is tested on the mean slopes of the force after stretching and after shortening (docs/hysteresis.md).
+    The element is then fitted along all loading paths: the samples of plateau j, less their mean, are
 
     .. math:: x_j e^{-t/\tau} + v t, \qquad x_j = e^{-t_\mathrm{dwell}/\tau} k\, g_j(\tau)
 
-    with a common rate v. The deflection :math:`g_j` after the move to a plateau follows from all previous moves at that
-    pressure, starting from a relaxed element. A slack muscle has no deflection.
+    with a common rate v and the deflection :math:`g_j` after all moves to the plateau; a slack muscle has none.
 
     Parameters
     ----------
@@ -183,10 +182,6 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
         significance=rate / error,
         rate=rate,
         rate_error=error,
-        standard_errors={"stiffness": math.nan, "time_constant": math.nan},
-        correlation=math.nan,
-        time_constant_interval=(math.nan, math.nan),
-        relative_stiffness=0.0,
         initial_force=np.zeros(len(means)),
         mean_force=np.zeros(len(means)),
         common_rate=common,
@@ -204,9 +199,7 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
     for _ in range(_ROUNDS):  # without the points at which the element may have slipped
         relaxing = np.abs(element.stiffness_and_rate(tau, used)[0] * paths.deflection(tau))
         within = taut & (relaxing < _SLIP * means.force)
-        if (
-            within.sum() < taut.sum() / 2
-        ):  # the element is uncertain, for example if its time constant is not determined
+        if within.sum() < taut.sum() / 2:  # the element is uncertain, as if its time constant is not determined
             break
         _check_directions(paths, within)
         used = within
@@ -217,18 +210,17 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
             "the force drifts as in creep, but not along the loading paths of the test",
             remedy="check dwell, speed and the order of the rows",
         )
-    errors, correlation, inflation = element.uncertainty(tau, used)
+    errors, inflation = element.uncertainty(tau, used)
     time_constants = element.time_constant_interval(tau, used, *ends, inflation)
     if not time_constants[1] < _WIDE * time_constants[0]:
         warnings.append(_undetermined(time_constants, stiffness / tau, span, dwell))
-        errors, correlation = dict.fromkeys(errors, math.nan), math.nan
+        errors = dict.fromkeys(errors, math.nan)
     bound = np.maximum(means.force, 0.0) / 2
     initial = np.where(taut, np.clip(stiffness * paths.deflection(tau), -bound, bound), 0.0)
     return dataclasses.replace(
         found,
         creep=MaxwellCreep(stiffness, tau),
         standard_errors=errors,
-        correlation=correlation,
         time_constant_interval=time_constants,
         relative_stiffness=stiffness / paths.stiffness(means, used),
         initial_force=initial,

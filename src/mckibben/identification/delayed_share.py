@@ -109,10 +109,7 @@ class DelayedShareFit:
         return cls(bins, plateaus, groups, owner, weight, float(max(spans)), shortest)
 
     def _blocks(self, values: Sequence[Floats]) -> Floats:
-        """Values of the bins of each plateau, averaged to its blocks, without its mean and what the pressure explains.
-
-        The shape is (blocks, ...).
-        """
+        """Values of the bins by block, (blocks, ...), without the mean and the part affine in pressure of a plateau."""
         parts = []
         for one, each in zip(self.plateaus, values, strict=True):
             bins, edges = self.bins[one.recording], block_edges(one)[:-1]

@@ -272,8 +272,7 @@ class Fit:
         """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
         The prediction interval is calibrated on left-out pressures and inner contractions, and the confidence interval
-        contains the misfit of the law (`mckibben.identification.calibration`). The variance of the scatter about the
-        law is constant, or proportional to 1 + c F^2 where the residuals grow significantly (5 %) with the force F.
+        contains the misfit of the law (docs/uncertainty.md).
 
         Parameters
         ----------

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,11 +53,8 @@ def identify(
 ) -> Fit:
     """Fit a force law to measured points by least squares.
 
-    The fit is to the plateau means of the taut points: at a slack point the force is only known to be small. Shape
-    parameters are searched on a grid over their range, then refined by variable projection.
-
-    Outliers are left out: single points that contradict the smooth surface through all others, at a probability of 1 %
-    of any in good data, by more than 0.5 % of the largest force. A warning names each by its row.
+    The fit is to the plateau means of the taut points, without outliers: single points that contradict the smooth
+    surface through all others (docs/uncertainty.md). A warning names each by its row.
 
     Parameters
     ----------
@@ -125,7 +121,7 @@ def fit_means(
             remedy="look for wrong units in the data",
         )
     residuals = solution.residuals
-    found = uncertainty(solution.augmented[1], solution.augmented[0], at_bound)
+    errors, correlations = uncertainty(solution.augmented[1], solution.augmented[0], at_bound)
     regression = Regression(points, problem, solution, at_bound, refit)
     grouping, ungrouped = regression.default_grouping
 
@@ -133,7 +129,7 @@ def fit_means(
     warnings += _bound_warnings(law_type, solution, at_bound)
     strong = [
         f"{a} and {b} ({correlation:+.5f})"
-        for a, b, correlation in correlated_pairs(problem.names, found.correlations)
+        for a, b, correlation in correlated_pairs(problem.names, correlations)
         if abs(correlation) > _STRONG_CORRELATION and problem.prior is None
     ]
     if strong:
@@ -149,8 +145,8 @@ def fit_means(
     warnings += [reason] if reason else []
     return Fit(
         law=dataclasses.replace(problem.law(solution.values), domain=domain or domain_of(points)),
-        standard_errors={p.name: float(error) for p, error in zip(parameters, found.standard_errors, strict=True)},
-        correlations=found.correlations,
+        standard_errors={p.name: float(error) for p, error in zip(parameters, errors, strict=True)},
+        correlations=correlations,
         rmse=float(np.sqrt(np.mean(residuals**2))),
         max_error=float(np.abs(residuals).max()),
         points_used=len(points),
@@ -261,21 +257,15 @@ def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: Bool
     return warnings
 
 
-def _gaps(points: IsobaricDataset, residuals: Floats) -> Iterator[tuple[str, list[str], list[float]]]:
-    """Mean residual [N] by direction and by phase, where both ways are recorded."""
-    for column, found in (("direction", points.directions), ("phase", points.phases)):
-        words = [str(word) for word in found]
-        if len(words) > 1:
-            own = points.table[column].to_numpy()
-            yield column, words, [float(np.mean(residuals[own == word])) for word in words]
-
-
 def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Grouping) -> list[str]:
     """Warnings of residuals that differ by direction or phase, and so are not independent."""
     warnings = []
     rms = float(np.sqrt(np.mean(residuals**2)))
-    for column, words, means in _gaps(points, residuals):
-        gap = max(means) - min(means)
+    for column, words in (("direction", points.directions), ("phase", points.phases)):
+        if len(words) < 2:
+            continue
+        own = points.table[column].to_numpy()
+        gap = float(np.ptp([np.mean(residuals[own == word]) for word in words]))
         if gap < _FRICTION * rms:
             continue
         consequence = (

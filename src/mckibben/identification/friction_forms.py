@@ -26,25 +26,7 @@ from mckibben.muscle.friction import MIN_HALF_WIDTH
 
 
 class FrictionForm(enum.Enum):
-    """Form of the friction between loading and unloading.
-
-    Attributes
-    ----------
-    COULOMB
-        Constant half width, reversed within one step.
-    CONSTANT
-        Maxwell-slip friction of constant half width: reversed over a presliding length.
-    PRESSURE, TENSION
-        Maxwell-slip friction whose half width is linear in the pressure, or in the law's tension.
-    VISCOUS, DRY_AND_VISCOUS
-        Proportional to the rate of the length; viscous in parallel with a constant half width. Both need times at which
-        the speed varies.
-    VARIABLE_VISCOUS
-        Half width linear in the pressure, and in parallel damping that is linear in pressure and length.
-    RATE
-        Half width linear in the pressure, which grows with the rate of the length to a limit. Both need three pressures
-        and times at which the speed varies.
-    """
+    """Form of the friction between loading and unloading; docs/hysteresis.md tells them and the data that they need."""
 
     COULOMB = "coulomb"
     CONSTANT = "constant"
@@ -155,14 +137,12 @@ def solve(model: PathDependentModel, start: Mapping[str, float], free: tuple[str
             f"the fit of law and friction did not converge (RMSE {np.sqrt(np.mean(found.residuals**2)):.3g} N)",
             remedy="look for outliers, wrong units and rows that are not in the order of the test",
         )
-    known = uncertainty(found.jacobian, found.residuals, found.active)
-    errors = known.standard_errors
+    errors, correlations = uncertainty(found.jacobian, found.residuals, found.active)
     if not _OF_RATE.isdisjoint(free):  # fast strokes have errors of timing in common
         robust = _errors(found.jacobian[:, ~found.active], found.residuals, model.paths.stroke(model.means)[model.used])
         variance = robust.variance(np.eye(int(np.count_nonzero(~found.active))))[0]
-        errors = errors.copy()
         errors[~found.active] = np.maximum(errors[~found.active], np.sqrt(variance))
-    return dataclasses.replace(found, errors=errors, correlations=known.correlations)
+    return dataclasses.replace(found, errors=errors, correlations=correlations)
 
 
 _FEWEST_LEVELS = 4  # with more, there are enough groups
@@ -374,10 +354,7 @@ _REMEDIES = {
 
 
 def lack_of_fit(model: PathDependentModel, found: PathSolution, scale: float) -> LackOfFit | None:
-    """Score test of dependences missing from the form; `scale` is a force [N].
-
-    It is robust to errors common to a path, or to a stroke if rates are known.
-    """
+    """Score test of dependences that the form lacks, robust to errors common to a path (or stroke); `scale` in N."""
     from scipy.special import stdtr
 
     means, used = model.means, model.used

@@ -10,6 +10,7 @@ import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import DatasetSummary, Fit, domain_of, left_out
 from mckibben.identification.fitting import identify
@@ -39,7 +40,7 @@ from mckibben.identification.outliers import find_outliers
 from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
 from mckibben.notebook import draw, html_table
-from mckibben.units import bar, mm, show
+from mckibben.units import factor, mm, show
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,29 +138,16 @@ class HysteresisFit:
 
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Name, estimate, standard error and unit of the parameters of the friction, as text."""
-        friction, errors, length = self.friction, self.standard_errors, self.friction.presliding_length
-        by_tension = self.form is FrictionForm.TENSION
-        damping = errors["viscous_growth"] * bar, errors["viscous_length_growth"] * mm
-        at = show(friction.reference_tension, "N", 3) if by_tension else show(friction.reference_pressure, "bar", 3)
-        rows = [
-            ("half width", f"{friction.half_width:.4g}", errors["half_width"], f"N at {at}"),
-            ("growth", f"{friction.growth * bar:.3g}", errors["growth"] * bar, "N/bar"),
-            ("tension growth", f"{friction.tension_growth or 0.0:.3g}", errors["tension_growth"], "N/N"),
-            ("viscous", f"{friction.viscous:.4g}", errors["viscous"], "N*s/m"),
-            ("viscous growth", f"{(friction.viscous_growth or 0.0) * bar:.3g}", *damping[:1], "N*s/m/bar"),
-            ("by length", f"{(friction.viscous_length_growth or 0.0) * mm:.3g}", *damping[1:], "N*s/m/mm"),
-            ("rate growth", f"{friction.rate_growth or 0.0:.3g}", errors["rate_growth"], "of the half width"),
-            ("rate speed", f"{(friction.rate_speed or 0.0) / mm:.3g}", errors["rate_speed"] / mm, "mm/s"),
-            ("presliding length", f"{length / mm:.4g}", errors["presliding_length"] / mm, "mm"),
-        ]
-        has = {"growth": friction.growth, "tension growth": friction.tension_growth, "viscous": friction.viscous}
-        has |= {"viscous growth": friction.viscous_growth, "by length": friction.viscous_length_growth}
-        has |= dict.fromkeys(("rate growth", "rate speed"), friction.rate_growth)
-        return [
-            (name, value, f"{error:.2g}" if np.isfinite(error) else "-", unit)
-            for name, value, error, unit in rows
-            if has.get(name, 1.0)
-        ]
+        growth_at = show(self.friction.reference_tension, "N", 3)
+        if self.form is not FrictionForm.TENSION:
+            growth_at = show(self.friction.reference_pressure, "bar", 3)
+        rows = []
+        for name, (label, digits, unit, text) in _SHOWN.items():
+            if value := getattr(self.friction, name):
+                error = self.standard_errors[name] / factor(unit)
+                shown = f"{error:.2g}" if np.isfinite(error) else "-"
+                rows.append((label, f"{value / factor(unit):.{digits}g}", shown, (text or unit).format(growth_at)))
+        return rows
 
     def report(self) -> str:
         """Fit as text."""
@@ -167,8 +155,7 @@ class HysteresisFit:
             f"{type(self.law).__name__} with friction of the form {self.form.value!r}",
             f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} points used, {self.points_slack} slack",
             "",
-            f"{'':17}  {'estimate':>8}  {'standard error':>14}",
-            *(f"{name:17}  {value:>8}  {error:>14}  {unit}" for name, value, error, unit in self.rows()),
+            *text_table([("", "estimate", "standard error", ""), *self.rows()], (0, 3)),
         ]
         if self.drift is not None:
             rate, error = 3600 * self.drift.rate, 3600 * self.drift.rate_error
@@ -187,6 +174,19 @@ class HysteresisFit:
     def _repr_html_(self) -> str:
         return html_table(repr(self), ("friction", "estimate", "standard error", "unit"), self.rows(), self.warnings)
 
+
+_SHOWN = {
+    "half_width": ("half width", 4, "N", "N at {}"),
+    "growth": ("growth", 3, "N/bar", ""),
+    "tension_growth": ("tension growth", 3, "1", "N/N"),
+    "viscous": ("viscous", 4, "N*s/m", ""),
+    "viscous_growth": ("viscous growth", 3, "N*s/m/bar", ""),
+    "viscous_length_growth": ("by length", 3, "N*s/m/mm", ""),
+    "rate_growth": ("rate growth", 3, "1", "of the half width"),
+    "rate_speed": ("rate speed", 3, "mm/s", ""),
+    "presliding_length": ("presliding length", 4, "mm", ""),
+}
+"""Label, digits and unit of the parameters of the friction in tables, and text in place of the unit."""
 
 _AT_BOUND = 1e-2  # of the logarithm of the presliding length
 _EDGE = 1e-6  # of the range of a shape parameter
@@ -207,14 +207,8 @@ def identify_hysteresis(
     """Fit a law and its friction to all points of an isobaric test, in the order of time.
 
     The force at a point is the sum of the law, the friction after the loading path up to that point, and the sensor's
-    offset, all estimated together by least squares. The first points determine the branch on which the paths begin.
-
-    By default, the forms of friction that the data can distinguish are compared by their error at held-out loops. A
-    score test, robust to errors common to a loading path, detects dependences that the form lacks.
-
-    The sensor drift is zero, a straight line, or piecewise linear with a knot for each path with slack points: the
-    significant one of lowest Bayesian information criterion. It needs times; without slack points, or if their forces
-    are clipped at a floor, it is at most a line from 0.
+    offset, all estimated together by least squares; docs/hysteresis.md describes the choice of the form of the
+    friction, the test of what it lacks, and the drift.
 
     Parameters
     ----------
@@ -334,10 +328,7 @@ def identify_hysteresis(
 
 
 def _started(model: PathDependentModel, start: dict[str, float]) -> tuple[PathDependentModel, dict[str, float]]:
-    """Better-fitting model of two: paths start on the branch of their first point's direction, or on the other.
-
-    Where turning points are measured twice, once per direction, the muscle either rested there or overshot.
-    """
+    """Best of the models: which branch paths start on, and whether the muscle rested at turning points or overshot."""
     models = [
         dataclasses.replace(model, paths=dataclasses.replace(model.paths, side=side, overshot=overshot))
         for overshot in (False, True)[: 1 + bool(model.paths.turns.any())]
@@ -403,9 +394,8 @@ def _result(
     order = [*names, *FRICTION]
     correlations = np.full((len(order), len(order)), np.nan)
     places = [(i, found.free.index(name)) for i, name in enumerate(order) if name in found.free]
-    for i, a in places:
-        for j, b in places:
-            correlations[i, j] = found.correlations[a, b]
+    into, of = zip(*places, strict=True)
+    correlations[np.ix_(into, into)] = found.correlations[np.ix_(of, of)]
     law = model.template
     if names:
         law = dataclasses.replace(model.law(found.values), domain=domain_of(points))

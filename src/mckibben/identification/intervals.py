@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import jax
 import numpy as np
-from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import RangeError
@@ -75,11 +72,7 @@ def t_quantile(level: float, freedom: ArrayLike) -> Floats:
 
 
 def profile_interval(grid: Floats, roots: Floats, limit: float, place: int, unbounded: float) -> tuple[float, float]:
-    """Ends of a profile interval on both sides of the estimate, which is at a place of an ascending grid.
-
-    `roots` are the roots of the increase of the cost, nearly linear on each side; the ends are where they reach a
-    limit. Where they do not, the ends are `unbounded` and infinity.
-    """
+    """Where roots of the increase of the cost reach a limit beside a place; `unbounded` and infinity if nowhere."""
     below = np.flatnonzero(roots[:place] > limit)
     above = np.flatnonzero(roots[place:] > limit) + place
 
@@ -91,6 +84,15 @@ def profile_interval(grid: Floats, roots: Floats, limit: float, place: int, unbo
         crossing(int(below[-1]), int(below[-1]) + 1) if len(below) else unbounded,
         crossing(int(above[0]), int(above[0]) - 1) if len(above) else np.inf,
     )
+
+
+def minimum_near(cost: Callable[[float], float], grid: Sequence[float], costs: Sequence[float], xatol: float) -> float:
+    """Minimum of a cost between the neighbours of the lowest one of an ascending grid."""
+    from scipy.optimize import minimize_scalar  # takes 0.1 s to import
+
+    at = int(np.argmin(costs))
+    bounds = (grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)])
+    return float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": xatol}).x)  # type: ignore
 
 
 def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats, Floats]]) -> IntervalEstimate:
@@ -136,19 +138,3 @@ def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, 
     pad = (0, max(128, 1 << (count - 1).bit_length()) - count)
     padded = (np.pad(column.ravel(), pad, mode="edge") for column in (contraction, pressure))
     return design_matrix(law, free, *padded)[:count]
-
-
-def law_forces(law: ForceLaw, draws: ArrayLike, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
-    """Force [N], shape (draws, ...), of a law with other parameters in SI, shape (draws, parameters)."""
-    contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
-    return np.asarray(_forces(law, np.asarray(draws, np.float64), contraction, pressure))
-
-
-@jax.jit
-def _forces(law: ForceLaw, draws: Array, contraction: Array, pressure: Array) -> Array:
-    names = [p.name for p in law.parameters()]
-
-    def force(values: Array) -> Array:
-        return dataclasses.replace(law, **dict(zip(names, values, strict=True))).force(contraction, pressure)
-
-    return jax.vmap(force)(draws)

@@ -95,10 +95,7 @@ class LoadingPaths:
         return ends
 
     def rate(self, means: IsobaricDataset) -> Floats | None:
-        """Rate of the length [m/s], shape (rows,); None without times, or at one speed.
-
-        Central differences within a stroke.
-        """
+        """Rate of the length [m/s] by central differences, shape (rows,); None without times, or at one speed."""
         if "time" not in means.table:
             return None
         time, rate = means.table["time"].to_numpy(), np.zeros(len(self.length))
@@ -177,10 +174,7 @@ class LoadingPaths:
 
 
 def _monotone(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
-    """Lengths [m] closest to the measured ones that rise in each loading stroke and fall in each unloading stroke.
-
-    Friction would take the noise of the length for reversals.
-    """
+    """Closest lengths [m] that rise in loading and fall in unloading strokes: noise would reverse the friction."""
     from scipy.optimize import isotonic_regression  # takes 0.3 s to import
 
     monotone = length.copy()
@@ -200,10 +194,7 @@ class DriftBasis:
 
     @classmethod
     def candidates(cls, paths: LoadingPaths, means: IsobaricDataset) -> list[DriftBasis]:
-        """No drift, a line, and a knot for each path with slack points, which determine the sensor's zero.
-
-        Slack points that share one lowest force were clipped there and do not determine it.
-        """
+        """No drift, a line, and a knot for each path with slack points, which determine the zero unless clipped."""
         none = cls(np.empty((len(means), 0)), np.empty(0), np.empty((0, 0)))
         if "time" not in means.table:
             return [none]
@@ -322,20 +313,18 @@ class PathDependentModel:
 
     def friction(self, values: Mapping[str, float]) -> MaxwellSlip:
         """Friction model with the given parameters."""
+        optional = ("tension_growth", "viscous_growth", "viscous_length_growth", "rate_growth")
         return MaxwellSlip(
             values["half_width"],
             float(np.exp(values["log_presliding"])),
             growth=values["growth"],
             reference_pressure=self.reference_pressure,
-            tension_growth=values["tension_growth"] or None,
             reference_tension=self.reference_tension if values["tension_growth"] else 0.0,
             viscous=values["viscous"],
-            viscous_growth=values["viscous_growth"] or None,
-            viscous_length_growth=values["viscous_length_growth"] or None,
             reference_length=self.reference_length if values["viscous_length_growth"] else None,
-            rate_growth=values["rate_growth"] or None,
             rate_speed=float(np.exp(values["log_rate_speed"])) if values["rate_growth"] else None,
             elements=self.elements,
+            **{name: values[name] or None for name in optional},
         )
 
     @property

@@ -78,10 +78,7 @@ def _limit(count: int, freedom: int) -> float:
 def _test(
     points: IsobaricDataset, kept: Bools, smallest: Floats, starts: Sequence[Floats]
 ) -> tuple[Floats, Floats, int, Sequence[Floats]] | None:
-    """Errors [N] and studentised residuals of the kept points, degrees of freedom, and hyperparameters.
-
-    None if all errors of Eq. 2 are small, or if there are too few points.
-    """
+    """Errors [N], studentised residuals, freedom and hyperparameters; None with small errors of Eq. 2 or few points."""
     eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
     base = solve(eq2, grid_search(eq2))
     if not np.any(np.abs(base.residuals) > smallest):
@@ -108,10 +105,7 @@ def _test(
 
 
 def _loop_widths(points: IsobaricDataset) -> Floats:
-    """Distance [N] of loading from unloading at each point, affine in the force; 0 for one direction.
-
-    Behind a reversal, and at the start of a test, friction leaves a point anywhere between the two.
-    """
+    """Distance [N] of loading from unloading, affine in the force: friction leaves points between; 0 for one way."""
     if len(points.directions) < 2:
         return np.zeros(len(points))
     eq2 = FitProblem.of(ExponentialLaw, points)

@@ -15,6 +15,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
+from mckibben.identification.intervals import t_quantile
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.smooth import SMOOTH_LAWS
@@ -170,11 +171,8 @@ class PooledFit:
 def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) -> PooledFit:
     """Fit one law to several specimens of one make: equal diameter and braid, several initial lengths.
 
-    The force of a braid depends on pressure and contraction, not on the length (Chou and Hannaford 1996). Two
-    corrections are estimated if they lower the error at left-out lengths by more than 5 %: a dead length at the ends,
-    common to the make, and a strength of each specimen. The errors are those at points that were left out: a specimen
-    predicted from the others, and each length of a specimen predicted from all other points, which needs no more than
-    two lengths per specimen.
+    Two corrections are estimated if they lower the error at left-out lengths by more than 5 %: a dead length at the
+    ends, common to the make, and a strength of each specimen (docs/laws.md).
 
     Parameters
     ----------
@@ -248,9 +246,7 @@ def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) ->
 
 def _half_width(force: Floats, strength_scatter: float, scatter: float, count: int, level: float = 0.95) -> Floats:
     """Half width [N] of the prediction interval of another specimen, from the scatter among a count of specimens."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(count - 1, 0.5 + level / 2)) * np.hypot(strength_scatter * force, scatter)
+    return float(t_quantile(level, count - 1)) * np.hypot(strength_scatter * force, scatter)
 
 
 @dataclass(frozen=True, eq=False)
@@ -318,7 +314,7 @@ class _Pool:
         if not form.dead_length:
             return 0.0, self._solved(form, 0.0, kept)[1]
         shortest = float(self.lengths.min())
-        found = minimize_scalar(
+        found: Any = minimize_scalar(
             lambda dead: self._solved(form, dead, kept)[0],
             bounds=(_SHORTEST * shortest, _LONGEST * shortest),
             method="bounded",

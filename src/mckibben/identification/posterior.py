@@ -3,11 +3,9 @@ r"""Bayesian posterior of a law's parameters, sampled by NUTS.
 .. math:: F_i = F_\theta(\varepsilon_i, p_i) + u_{g(i)} + e_i, \qquad u_g \sim N(0, \tau^2)
 
 The errors :math:`e_i` are Gaussian with standard deviation :math:`\sigma`, or Student t with unknown degrees of
-freedom, which is robust to outliers; the random effects :math:`u_g` of groups of points are optional. Priors: flat for
-linear parameters, the prior of the fit for the deviations of `SmoothLaw`, uniform in the unit cube (logarithmic where a
-range is positive) for the shape, 1/sigma for sigma, half-normal of twice the residual standard deviation for tau,
-Gamma(2, 0.1) for the degrees of freedom. With Gaussian errors and a law linear in its parameters the posterior is the
-classical t distribution.
+freedom; the random effects :math:`u_g` of groups of points are optional. Priors: flat for linear parameters, the prior
+of the fit for the deviations of `SmoothLaw`, uniform in the unit cube for the shape, 1/sigma for sigma, half-normal of
+twice the residual standard deviation for tau, Gamma(2, 0.1) for the degrees of freedom.
 
 It needs the package numpyro: ``pip install 'mckibben[bayes]'``.
 
@@ -27,11 +25,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import Interval, IntervalEstimate, check_level, law_forces
+from mckibben.identification.intervals import Interval, check_level
 from mckibben.identification.least_squares import UnitCube
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Floats, Grouping, group_labels
@@ -73,26 +70,11 @@ class Posterior:
     divergences: int
     warnings: tuple[str, ...]
 
-    @property
-    def standard_deviations(self) -> dict[str, float]:
-        """By parameter, in SI."""
-        return dict(zip(self._names, np.std(self.draws, axis=0, ddof=1).tolist(), strict=True))
-
     def intervals(self, level: float = 0.95) -> dict[str, Interval]:
         """Equal-tailed credible intervals by parameter, in SI."""
-        lower, upper = np.quantile(self.draws, _tails(level), axis=0)
-        return {n: Interval(*ends) for n, *ends in zip(self._names, lower.tolist(), upper.tolist(), strict=True)}
-
-    def force_interval(self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95) -> IntervalEstimate:
-        """Posterior mean and credible interval of the law's force [N] at contractions [-] and pressures [Pa]."""
-        forces = law_forces(self.law, self.draws, contraction, pressure)
-        lower, upper = np.quantile(forces, _tails(level), axis=0)
-        value, error = forces.mean(axis=0), np.std(forces, axis=0, ddof=1)
-        return IntervalEstimate(level, value, error, np.full_like(value, np.inf), lower, upper)
-
-    @property
-    def _names(self) -> list[str]:
-        return [p.name for p in type(self.law).parameters()]
+        check_level(level)
+        ends = np.quantile(self.draws, [(1 - level) / 2, (1 + level) / 2], axis=0).T.tolist()
+        return {p.name: Interval(*one) for p, one in zip(type(self.law).parameters(), ends, strict=True)}
 
 
 def posterior(
@@ -180,11 +162,6 @@ def posterior(
     return Posterior(
         fit.law, values, scatter, by, r_hat, effective, divergences, _warnings(r_hat, effective, divergences)
     )
-
-
-def _tails(level: float) -> list[float]:
-    check_level(level)
-    return [(1 - level) / 2, (1 + level) / 2]
 
 
 def _warnings(r_hat: float, effective: float, divergences: int) -> tuple[str, ...]:

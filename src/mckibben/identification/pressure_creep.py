@@ -113,15 +113,12 @@ class PressureCreepFit:
 def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> PressureCreepFit:
     r"""Identify the share of the force that follows steps of the pressure with a delay, at fixed lengths.
 
-    The samples are those of the plateaus of the pressure, and of the steps in between, which determine the delayed
-    pressure :math:`y`. Within plateau j
+    Within plateau j of the pressure
 
     .. math:: F = a_j + b_j p + f(p) + \varphi \big(f(y) - f(p)\big) + v t, \qquad \dot y = \frac{p - y}{\tau}
 
-    with a free line over the pressure per plateau, which absorbs friction, the misfit of any law and a slow
-    regulator, a rate v common to all, and the force f over the pressure at each length, interpolated between the means
-    of the plateaus. The muscle is relaxed at the start of a recording. Time constants below a twentieth of the longest
-    plateau are not tested.
+    with a free line over the pressure per plateau, a rate v common to all, and the force f over the pressure at each
+    length, interpolated between the means of the plateaus (docs/hysteresis.md).
 
     Parameters
     ----------

@@ -5,10 +5,9 @@ signed root
 
 .. math:: \tau(\theta) = \mathrm{sign}(\theta - \hat\theta) \sqrt{(S(\theta) - S(\hat\theta)) / s^2}
 
-and the interval is where :math:`|\tau|` is below the quantile of t (its square is the F test with 1 degree of freedom).
-Where points may share an error, :math:`\tau` is divided by the ratio of the cluster-robust to the classical standard
-error, and t has the degrees of freedom of the former. A Wald interval, a multiple of the standard error to each side,
-assumes that the force is linear in the parameter; the profile does not.
+and the interval is where :math:`|\tau|` is below the quantile of t. Where points may share an error, :math:`\tau` is
+divided by the ratio of the cluster-robust to the classical standard error, and t has the degrees of freedom of the
+former.
 
 References
 ----------

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification.intervals import minimum_near
 from mckibben.identification.loading_path import LoadingPaths
 from mckibben.identification.uncertainty import Bools, Floats, Ints
 from mckibben.muscle.creep import retained_fraction
@@ -131,43 +132,38 @@ class MaxwellElementFit:
 
     def stiffness_and_rate(self, tau: float, used: Bools) -> tuple[float, float]:
         """Stiffness [N/m], at least 0, and common rate [N/s] for a time constant [s]."""
-        return self._solve(tau, used)[:2]
+        stiffness, rate = self._fit(tau, used)[1].tolist()
+        return stiffness, rate
 
     def cost(self, tau: float, used: Bools) -> float:
         """Sum over the plateaus of the mean squared residual [N^2]."""
-        return self._solve(tau, used)[2]
+        return float((self._fit(tau, used)[2] ** 2 @ self.curves.weight).sum())
 
     def stiffness_error(self, tau: float, used: Bools) -> float:
         """Standard error of the stiffness [N/m] at a given time constant [s]."""
-        columns, residuals = self._columns_and_residuals(tau, used)
+        columns, _, residuals = self._fit(tau, used)
         return math.sqrt(_covariance(columns, residuals, self.curves.weight)[0][0, 0])
 
     def time_constant(self, used: Bools, lower: float, upper: float) -> float:
         """Least-squares time constant [s]: from a grid, then refined."""
-        from scipy.optimize import minimize_scalar  # takes 0.1 s to import
+        grid = np.linspace(math.log(lower), math.log(upper), _GRID).tolist()
 
-        grid = np.linspace(math.log(lower), math.log(upper), _GRID)
-        at = int(np.argmin([self.cost(math.exp(log_tau), used) for log_tau in grid]))
-        found = minimize_scalar(
-            lambda log_tau: self.cost(math.exp(log_tau), used),
-            bounds=(float(grid[max(at - 1, 0)]), float(grid[min(at + 1, _GRID - 1)])),
-            method="bounded",
-            options={"xatol": 1e-6},
-        )
-        return math.exp(float(found.x))  # type: ignore[attr-defined]
+        def cost(log_tau: float) -> float:
+            return self.cost(math.exp(log_tau), used)
 
-    def uncertainty(self, tau: float, used: Bools) -> tuple[dict[str, float], float, float]:
-        """Standard errors of stiffness and time constant, their correlation, and the variance inflation."""
+        return math.exp(minimum_near(cost, grid, list(map(cost, grid)), 1e-6))
+
+    def uncertainty(self, tau: float, used: Bools) -> tuple[dict[str, float], float]:
+        """Standard errors of stiffness and time constant, and the variance inflation."""
         small = 1e-4
         after, before = (self._by_stiffness(tau * math.exp(sign * small)) for sign in (1, -1))
-        columns, residuals = self._columns_and_residuals(tau, used)
-        by_log_tau = self.stiffness_and_rate(tau, used)[0] * (after - before)[used] / (2 * small)
+        columns, found, residuals = self._fit(tau, used)
+        by_log_tau = found[0] * (after - before)[used] / (2 * small)
         every = np.concatenate([columns, by_log_tau[..., None]], axis=-1)
         covariance, classical = _covariance(every, residuals, self.curves.weight)
         deviations = np.sqrt(np.diag(covariance))
         errors = {"stiffness": float(deviations[0]), "time_constant": float(deviations[2]) * tau}
-        correlation = float(covariance[0, 2] / (deviations[0] * deviations[2]))
-        return errors, correlation, float(covariance[2, 2] / classical[2, 2])
+        return errors, float(covariance[2, 2] / classical[2, 2])
 
     def time_constant_interval(
         self, tau: float, used: Bools, lower: float, upper: float, inflation: float
@@ -195,32 +191,16 @@ class MaxwellElementFit:
     def _by_stiffness(self, tau: float) -> Floats:
         return self.paths.deflection(tau)[:, None] * self.curves.blocks(np.exp(-self.curves.times / tau))
 
-    def _solve(self, tau: float, used: Bools) -> tuple[float, float, float]:
-        """Stiffness, common rate and cost: normal equations of columns that are products of plateau and block."""
-        values, weight = self.curves.values[used], self.curves.weight
-        deflection = self.paths.deflection(tau)[used]
-        decay, line = self.curves.blocks(np.exp(-self.curves.times / tau)), self.curves.blocks(self.curves.times)
-        size1 = math.sqrt(deflection @ deflection * (decay**2 @ weight))
-        size2 = math.sqrt(len(deflection) * (line**2 @ weight))
-        product1 = deflection @ (values @ (weight * decay)) / size1 if size1 > 0 else 0.0
-        product2 = float((values @ (weight * line)).sum()) / size2
-        cosine = deflection.sum() * ((decay * line) @ weight) / (size1 * size2) if size1 > 0 else 0.0
-        first = (product1 - cosine * product2) / (1 - cosine**2) if abs(cosine) < 1 else 0.0
-        first = max(float(first), 0.0)  # a passive element has no negative stiffness
-        second = product2 - cosine * first
-        cost = (
-            float((values**2 @ weight).sum())
-            - (2 * first * product1 + 2 * second * product2)
-            + (first**2 + second**2 + 2 * cosine * first * second)
-        )
-        return (first / size1 if size1 > 0 else 0.0), float(second / size2), float(cost)
-
-    def _columns_and_residuals(self, tau: float, used: Bools) -> tuple[Floats, Floats]:
-        """Columns, shape (plateaus, blocks, 2), and residuals, shape (plateaus, blocks)."""
-        values = self.curves.values[used]
+    def _fit(self, tau: float, used: Bools) -> tuple[Floats, Floats, Floats]:
+        """Columns (plateaus, blocks, 2), stiffness and common rate, and residuals (plateaus, blocks)."""
+        values, root = self.curves.values[used], np.sqrt(self.curves.weight)
         line = np.broadcast_to(self.curves.blocks(self.curves.times), values.shape)
         columns = np.stack([self._by_stiffness(tau)[used], line], axis=-1)
-        return columns, values - columns @ np.array(self.stiffness_and_rate(tau, used))
+        weighted, target = (columns * root[:, None]).reshape(-1, 2), (values * root).ravel()
+        found: Any = np.linalg.lstsq(weighted, target, rcond=None)[0]
+        if found[0] < 0:  # a passive element has no negative stiffness
+            found = np.array([0.0, weighted[:, 1] @ target / (weighted[:, 1] @ weighted[:, 1])])
+        return columns, found, values - columns @ found
 
 
 def _covariance(columns: Floats, residuals: Floats, weight: Floats) -> tuple[Floats, Floats]:

@@ -44,37 +44,35 @@ def fit_numbers(fit: Fit) -> dict[str, Any]:
     }
 
 
+_FRICTION = {
+    "half_width": ("_N", "N"),
+    "growth": ("_N_per_bar", "N/bar"),
+    "tension_growth": ("", "1"),
+    "viscous": ("_N_s_per_m", "N*s/m"),
+    "viscous_growth": ("_N_s_per_m_bar", "N*s/m/bar"),
+    "viscous_length_growth": ("_N_s_per_m2", "N*s/m^2"),
+    "rate_growth": ("", "1"),
+    "rate_speed": ("_mm_per_s", "mm/s"),
+    "presliding_length": ("_mm", "mm"),
+}
+
+
 def hysteresis_numbers(found: HysteresisFit) -> dict[str, Any]:
     """Friction and drift as plain data."""
-    friction, errors = found.friction, found.standard_errors
-    per_bar = factor("N/bar")
+    friction, numbers = found.friction, {}
+    for name, (ending, unit) in _FRICTION.items():
+        value, error = getattr(friction, name) or 0.0, found.standard_errors[name]
+        numbers |= {f"{name}{ending}": value / factor(unit), f"{name}_standard_error{ending}": error / factor(unit)}
     return {
         "form": found.form.value,
         "held_out_rmse_N": {form.value: rmse for form, rmse in found.comparison.rmse.items()}
         if found.comparison
         else {},
         "rejected_for": found.lack_of_fit.quantity if found.lack_of_fit else None,
-        "half_width_N": friction.half_width,
-        "half_width_standard_error_N": errors["half_width"],
-        "growth_N_per_bar": friction.growth / per_bar,
-        "growth_standard_error_N_per_bar": errors["growth"] / per_bar,
+        **numbers,
         "reference_pressure_bar": friction.reference_pressure / factor("bar"),
-        "tension_growth": friction.tension_growth or 0.0,
-        "tension_growth_standard_error": errors["tension_growth"],
         "reference_tension_N": friction.reference_tension,
-        "viscous_N_s_per_m": friction.viscous,
-        "viscous_standard_error_N_s_per_m": errors["viscous"],
-        "viscous_growth_N_s_per_m_bar": (friction.viscous_growth or 0.0) / per_bar,
-        "viscous_growth_standard_error_N_s_per_m_bar": errors["viscous_growth"] / per_bar,
-        "viscous_length_growth_N_s_per_m2": friction.viscous_length_growth or 0.0,
-        "viscous_length_growth_standard_error_N_s_per_m2": errors["viscous_length_growth"],
         "reference_length_mm": (friction.reference_length or 0.0) / factor("mm"),
-        "rate_growth": friction.rate_growth or 0.0,
-        "rate_growth_standard_error": errors["rate_growth"],
-        "rate_speed_mm_per_s": (friction.rate_speed or 0.0) / factor("mm"),
-        "rate_speed_standard_error_mm_per_s": errors["rate_speed"] / factor("mm"),
-        "presliding_length_mm": friction.presliding_length / factor("mm"),
-        "presliding_length_standard_error_mm": errors["presliding_length"] / factor("mm"),
         "drift_N_per_hour": found.drift.rate * 3600 if found.drift else 0.0,
         "drift_standard_error_N_per_hour": found.drift.rate_error * 3600 if found.drift else None,
         "rmse_N": found.rmse,

@@ -9,13 +9,8 @@ The deviations have a Gaussian prior about zero, of scales that are estimated (`
 
 With the scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
 
-The force falls with contraction and rises with pressure (`mckibben.identification.monotone`), unless the points
-contradict that more than they do Eq. 2.
-
-A law is accepted if the deviations lower the corrected Akaike criterion (with effective parameters: few points support
-few), predict left-out pressures and left-out inner contractions better than Eq. 2, and are physical where Eq. 2 is. For
-each block left out, Eq. 2 is fitted anew and the scales and the deviations are estimated anew. Of the accepted laws,
-the one with the smallest errors is the result, and Eq. 2 itself if there is none.
+Docs/laws.md gives the conditions on which a law is accepted. Of the accepted laws, the one with the smallest errors is
+the result, and Eq. 2 itself if there is none.
 
 References
 ----------
@@ -78,11 +73,8 @@ class Prior(abc.ABC):
 
     def model(self, fixed: Floats, deviations: Floats, residuals: Floats) -> MixedModel:
         """Mixed model of Eq. 2 and the deviations."""
-        return MixedModel(fixed, self.whitened(deviations), residuals, self.scales)
-
-    def whitened(self, deviations: Floats) -> Floats:
-        """Columns of independent coefficients."""
-        return np.asarray(np.linalg.solve(self.root.T, deviations.T).T, np.float64)
+        independent = np.asarray(np.linalg.solve(self.root.T, deviations.T).T, np.float64)
+        return MixedModel(fixed, independent, residuals, self.scales)
 
 
 class OrderPrior(Prior):
@@ -250,11 +242,7 @@ def _window(values: Floats) -> tuple[float, float]:
 def fit_smooth(
     kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, kept: Bools, start: Floats, *, compare: bool = True
 ) -> tuple[Solution, str]:
-    """Fit the best of some laws to the kept points, or Eq. 2 if it is as good; then also return the reason.
-
-    Without comparison of the errors at left-out blocks, the first law that the points support is taken. The search for
-    Eq. 2 begins at a given start, as in its own refits, so that both agree if it is the result.
-    """
+    """Best law for the kept points, or Eq. 2 and the reason; without comparison the first law that they support."""
     eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
     base, used = solve(eq2, start), points.select(kept)
     residuals, reach = base.residuals, float(np.ptp(used.contraction))

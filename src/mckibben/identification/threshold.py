@@ -12,7 +12,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify, residual_correlation
-from mckibben.identification.intervals import profile_interval, t_quantile
+from mckibben.identification.intervals import minimum_near, profile_interval, t_quantile
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.smooth import SMOOTH_LAWS
@@ -132,11 +132,13 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset) -> Th
     profile = _Profile(law_type, points)
     grid = np.geomspace(_LOWEST, _HIGHEST * float(points.pressure.max()), _GRID)
     without, solutions = profile.solution(0.0), [profile.solution(one) for one in grid]
-    threshold = _refined(profile, grid, np.array([one.cost for one in solutions]))
+    reached = [one.cost for one in solutions]
+    log = minimum_near(lambda log: profile.solution(math.exp(log)).cost, np.log(grid).tolist(), reached, 1e-4)
+    threshold = math.exp(log)
     best = profile.solution(threshold)
     freedom, inflation = profile.inflation(threshold, best)
     scale = best.cost / max(len(points) - len(best.values) - 1, 1) * inflation
-    costs = np.array([without.cost, *(one.cost for one in solutions)])
+    costs = np.array([without.cost, *reached])
     from scipy.special import fdtrc
 
     ratio = max(without.cost - best.cost, 0.0) / scale
@@ -215,20 +217,6 @@ def _shifted(dataset: IsobaricDataset, threshold: float) -> IsobaricDataset:
     return IsobaricDataset(
         table.assign({name: ("point", effective_pressure(table[name].to_numpy(), threshold)) for name in names})
     )
-
-
-def _refined(profile: _Profile, grid: Floats, costs: Floats) -> float:
-    """Threshold [Pa] of least squares, refined from a grid."""
-    from scipy.optimize import minimize_scalar
-
-    at = int(np.argmin(costs))
-    found = minimize_scalar(
-        lambda log: profile.solution(math.exp(log)).cost,
-        bounds=(math.log(grid[max(at - 1, 0)]), math.log(grid[min(at + 1, len(grid) - 1)])),
-        method="bounded",
-        options={"xatol": 1e-4},
-    )
-    return math.exp(float(found.x))  # type: ignore[attr-defined]
 
 
 def _interval(grid: Floats, costs: Floats, best: float, least: float, limit: float) -> tuple[float, float]:

@@ -50,30 +50,20 @@ CONDITION_LIMIT = 1e10
 """Limit of the condition number of a Jacobian with columns of unit length: six of sixteen digits are left."""
 
 
-@dataclass(frozen=True, eq=False)
-class Uncertainty:
-    """Classical standard errors and correlations (NaN at a bound), and scatter s [N] about the law."""
-
-    standard_errors: Floats
-    correlations: Floats
-    standard_deviation: float
-
-
-def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> Uncertainty:
-    """Uncertainty of the parameters not at a bound, from a Jacobian (points, parameters) and residuals [N]."""
+def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> tuple[Floats, Floats]:
+    """Classical standard errors and correlations, NaN at a bound; the Jacobian has shape (points, parameters)."""
     count = jacobian.shape[1]
     free = np.flatnonzero(~at_bound)
     lengths, singular, directions = _decompose(jacobian[:, free])
     inverse = directions.T / singular
     scaled = inverse @ inverse.T
-    deviation = float(np.sqrt(residuals @ residuals / (len(residuals) - len(free))))
     widths = np.sqrt(np.diag(scaled))
     errors = np.full(count, np.nan)
-    errors[free] = deviation * widths / lengths
+    errors[free] = np.sqrt(residuals @ residuals / (len(residuals) - len(free))) * widths / lengths
     correlations = np.full((count, count), np.nan)
     correlations[np.ix_(free, free)] = np.clip(scaled / np.outer(widths, widths), -1.0, 1.0)
     correlations[free, free] = 1.0
-    return Uncertainty(errors, correlations, deviation)
+    return errors, correlations
 
 
 def correlated_pairs(names: Sequence[str], correlations: Floats) -> list[tuple[str, str, float]]:
@@ -221,11 +211,8 @@ _GROWTHS = np.geomspace(1e-3, 1e5, 200).tolist()  # of the variance, over the ra
 
 
 def scatter_growth(force: Floats, residuals: Floats) -> float:
-    """Ratio c [1/N^2] of a variance proportional to 1 + c F^2, by maximum likelihood; 0 if not significant.
-
-    Koenker's test on the slope of the squared residuals.
-    """
-    # R. Koenker, J. Econometrics 17 (1981) 107-112.
+    """Ratio c [1/N^2] of a variance proportional to 1 + c F^2, by maximum likelihood; 0 if not significant."""
+    # Test on the slope of the squared residuals: R. Koenker, J. Econometrics 17 (1981) 107-112.
     from scipy.special import stdtr
 
     square, largest = residuals**2, float(np.max(force**2, initial=0.0))
@@ -249,19 +236,9 @@ def scatter_growth(force: Floats, residuals: Floats) -> float:
 
 
 class Grouping(enum.Enum):
-    """Grouping of points that may share an error; groups are independent of each other.
+    """Points that may share an error: each by itself, of one pass, of one pressure level, or of a repeat of the test.
 
-    Attributes
-    ----------
-    POINT
-        Every plateau mean is a group: independent errors, the classical formula.
-    STROKE
-        Points of one pass: same level, repeat and direction or phase, as far as recorded. A zero error of the force
-        sensor, creep or friction common to a pass then counts as one error.
-    PRESSURE
-        Points of one pressure level; their common error includes the misfit of the law there.
-    REPEAT
-        Points of one repeat of the whole test.
+    A pass has one level, repeat and direction or phase, as far as recorded (docs/uncertainty.md).
     """
 
     POINT = "point"

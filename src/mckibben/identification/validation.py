@@ -6,14 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError, RangeError, printable
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import identify
 from mckibben.identification.uncertainty import Bools
 from mckibben.muscle import ForceLaw, forces
 from mckibben.notebook import html_table
@@ -110,14 +108,6 @@ def _row(e: ErrorStatistics) -> tuple[str, ...]:
     )
 
 
-@dataclass(frozen=True)
-class HoldOut:
-    """Fit to a training set, and its errors on the held-out set; the law is named by its class."""
-
-    fit: Fit
-    validation: Validation
-
-
 @checked_call
 def validate(
     laws: Fit | ForceLaw | Sequence[ForceLaw] | Mapping[str, ForceLaw], dataset: IsobaricDataset
@@ -174,30 +164,6 @@ def validate(
                 )
             )
     return Validation(tuple(errors), len(means) - len(points), printable(str(means.table.attrs["specimen"])))
-
-
-def hold_out(
-    law_type: type[ForceLaw],
-    dataset: IsobaricDataset,
-    *,
-    pressures: ArrayLike | None = None,
-    repeats: ArrayLike | None = None,
-    directions: str | Sequence[str] | None = None,
-) -> HoldOut:
-    """Fit a law to a training set and validate it on the held-out points, selected as by `IsobaricDataset.split`.
-
-    Held-out pressures test whether the law interpolates, repeats whether the muscle's behaviour is repeatable.
-
-    Raises
-    ------
-    RangeError
-        If no point or every point is held out.
-    IdentificationError
-        If the training set does not determine the law, or the held-out set has no taut point.
-    """
-    train, held_out = dataset.plateau_means().split(pressures=pressures, repeats=repeats, directions=directions)
-    fit = identify(law_type, train)
-    return HoldOut(fit, validate({law_type.__name__: fit.law}, held_out))
 
 
 def _named(laws: Sequence[ForceLaw]) -> dict[str, ForceLaw]:

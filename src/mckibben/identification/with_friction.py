@@ -138,10 +138,7 @@ def shows_hysteresis(dataset: IsobaricDataset) -> bool:
 
 
 def _half_gap(dataset: IsobaricDataset) -> float:
-    """Half of the difference between loading and unloading [N], 0 if it is not significant.
-
-    Raises `ReversedDirectionsError` if loading is significantly below unloading.
-    """
+    """Half the difference between the directions [N], 0 if not significant; raises `ReversedDirectionsError`."""
     if len(dataset.directions) < 2:
         return 0.0
     means = dataset.plateau_means()

@@ -121,19 +121,11 @@ class MaxwellCreep(Creep):
         \dot y_i &= \frac{p - y_i}{\tau_i'} \\
         F &= T(l, p) + \sum_i \left(x_i + \frac{\varphi}{n} \big(T(l, y_i) - T(l, p)\big)\right)
 
-    The state :math:`x_i` is the force in an arm. After stretching, the muscle pulls harder than its law; after
-    shortening, less; it returns to the law with the time constants :math:`\tau_i`. Arms of equal stiffness, each ten
-    times slower than the previous one, give nearly logarithmic creep, one decade of time per arm.
-
-    With a `pressure_share` :math:`\varphi`, this share of the law follows the delayed pressures :math:`y_i`: after a
-    step of the pressure at constant length, a positive share of the change of force is missing, and follows with the
-    time constants :math:`\tau_i'`. The delay disappears where the law does not depend on the pressure. Real muscles
-    continue in the direction of the step; the physical cause is not modelled.
-
-    Together the arms carry at most half of the law's tension :math:`T` (so does each sum over :math:`i` above); beyond
-    that they slip and lose stored energy. The muscle therefore never pushes. At constant pressure the model is
-    dissipative for any path of length and tension; a change of the pressure may add energy, which the air supplies. The
-    bound and the delayed pressure are ours.
+    The state :math:`x_i` is the force in an arm; arms of equal stiffness, each ten times slower than the previous one,
+    give nearly logarithmic creep. With a `pressure_share` :math:`\varphi`, this share of the law follows the delayed
+    pressures :math:`y_i`. Together the arms carry at most half of the law's tension :math:`T` (so does each sum over
+    :math:`i` above); beyond that they slip: the muscle never pushes, and is dissipative at constant pressure. The bound
+    and the delayed pressure are ours (docs/hysteresis.md).
 
     Parameters
     ----------
@@ -151,9 +143,8 @@ class MaxwellCreep(Creep):
     References
     ----------
     W. N. Findley, J. S. Lai and K. Onaran, "Creep and Relaxation of Nonlinear Viscoelastic Materials", North-Holland
-    1976, section 5.2 (Maxwell models in parallel); T. V. Minh, B. Kamers, H. Ramon and H. Van Brussel, "Modeling and
-    control of a pneumatic artificial muscle manipulator joint - Part I", Mechatronics 22 (2012) 923-933 (creep after
-    steps of the pressure).
+    1976, section 5.2 (Maxwell models in parallel); T. V. Minh, B. Kamers, H. Ramon and H. Van Brussel, Mechatronics 22
+    (2012) 923-933 (creep after steps of the pressure).
 
     Examples
     --------

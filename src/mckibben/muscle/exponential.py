@@ -1,22 +1,54 @@
 """Exponential force laws: the improved Tondu-Lopez law (Eq. 2), and Sarosi's."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import Parameter, PressureAffineLaw, check_gain
+from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, check_gain
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.elementary import exp
 from mckibben.units import ForceTerm, GainTerm, Quantity
+
+# No `from __future__ import annotations` here: equinox does not recognise an AbstractVar written as text.
 
 Decay = Annotated[float, Quantity("1", "1/percent", 0.005, 10)]
 NegativeDecay = Annotated[float, Quantity("1", "1/percent", -10, -0.005)]
 
 
-class ExponentialLaw(PressureAffineLaw):
+class EquationTwo(ForceLaw):
+    """Coefficients and terms of Eq. 2, without the place of its decay among the fields."""
+
+    a1: ForceTerm
+    a2: GainTerm
+    b1: ForceTerm
+    b2: GainTerm
+    c1: ForceTerm
+    c2: GainTerm
+    decay: eqx.AbstractVar[float]
+
+    linear_parameters = (
+        Parameter("a1", "N", "N", "constant"),
+        Parameter("a2", "N/Pa", "N/bar", "constant, per pressure"),
+        Parameter("b1", "N", "N/percent", "linear"),
+        Parameter("b2", "N/Pa", "N/(bar*percent)", "linear, per pressure"),
+        Parameter("c1", "N", "N", "exponential"),
+        Parameter("c2", "N/Pa", "N/bar", "exponential, per pressure"),
+    )
+    shape_parameters = (Parameter("decay", "1", "1/percent", "decay of the exponential", 1.0, 300.0),)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        check_gain(self, **{"a2 + c2": self.a2 + self.c2})
+
+    def terms(self, eps: Array) -> tuple[Array, Array]:
+        """Return offset [N] and gain [N/Pa] at a contraction [-]."""
+        decayed = exp(-self.decay * eps)
+        return self.a1 + self.b1 * eps + self.c1 * decayed, self.a2 + self.b2 * eps + self.c2 * decayed
+
+
+class ExponentialLaw(EquationTwo, PressureAffineLaw):
     r"""Empirical law with six coefficients and a decay.
 
     .. math:: F = (a_1 + a_2 p) + (b_1 + b_2 p)\,\varepsilon + (c_1 + c_2 p)\,e^{-\mu\varepsilon}
@@ -48,35 +80,14 @@ class ExponentialLaw(PressureAffineLaw):
 
     short_name = "exponential"
 
-    a1: ForceTerm
-    a2: GainTerm
-    b1: ForceTerm
-    b2: GainTerm
-    c1: ForceTerm
-    c2: GainTerm
     decay: Decay
     domain: Domain = Domain()
 
     equation = "F = (a1 + a2 p) + (b1 + b2 p) eps + (c1 + c2 p) exp(-mu eps)"
     source = "Eq. 2 of the paper (improved Tondu-Lopez)"
-    linear_parameters = (
-        Parameter("a1", "N", "N", "constant"),
-        Parameter("a2", "N/Pa", "N/bar", "constant, per pressure"),
-        Parameter("b1", "N", "N/percent", "linear"),
-        Parameter("b2", "N/Pa", "N/(bar*percent)", "linear, per pressure"),
-        Parameter("c1", "N", "N", "exponential"),
-        Parameter("c2", "N/Pa", "N/bar", "exponential, per pressure"),
-    )
-    shape_parameters = (Parameter("decay", "1", "1/percent", "decay of the exponential", 1.0, 300.0),)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_gain(self, **{"a2 + c2": self.a2 + self.c2})
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        eps = jnp.asarray(contraction)
-        decayed = exp(-self.decay * eps)
-        return (self.a1 + self.b1 * eps + self.c1 * decayed, self.a2 + self.b2 * eps + self.c2 * decayed)
+        return self.terms(jnp.asarray(contraction))
 
 
 class SarosiLaw(PressureAffineLaw):

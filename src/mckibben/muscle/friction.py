@@ -138,25 +138,17 @@ class MaxwellSlip(Friction):
         f = \sum_i \mathrm{clip}\big(k_i (l - a_i),\ \pm w_i A\big), \qquad a_i \leftarrow l - f_i/k_i,
         \qquad A = B \tanh\frac{T}{2B}, \quad B = B_0 + B_1 (p - p_0) + B_2 (T - T_0)
 
-    The state of an element is its anchor :math:`a_i`, the length at which it is unstressed. The half width :math:`A`
-    of the band is at most half the law's tension :math:`T`, so the muscle never pushes, and 0.96 B at T = 4B. Where the
-    band narrows, sliders slip and lose stored energy; where it widens, none is gained: the model is dissipative for any
-    path of length and pressure.
-
-    The number of elements determines their parameters: their sum is the polygon nearest to :math:`f = B(1 -
-    e^{-2s/s_0})`, the response of an unstressed muscle to a displacement s (within 1.1 % of B with six elements). After
-    a reversal at one side of the band, 63 % of the change to the other side is reached after :math:`s_0`, 86 % after
-    :math:`2 s_0`.
-
-    The part that follows the rate of the length, :math:`(T/2) \tanh(2 v / T)`, is :math:`v` for a taut muscle,
+    The state of an element is its anchor :math:`a_i`, the length at which it is unstressed. The half width :math:`A` of
+    the band is at most half the law's tension :math:`T`, so the muscle never pushes; the model is dissipative for any
+    path of length and pressure. The parameters of the elements follow from their number: their sum is the polygon
+    nearest to :math:`f = B(1 - e^{-2s/s_0})`, the response of an unstressed muscle to a displacement s (within 1.1 % of
+    B with six). The part that follows the rate of the length, without presliding, is :math:`(T/2) \tanh(2 v / T)`,
 
     .. math::
 
         v = c\,\dot l + w A \tanh(\dot l/v_0), \qquad c = c_0 + c_1 (p - p_0) + c_2 (l - l_r) \ge 0
 
-    With :math:`c_1` and :math:`c_2` the damping depends on pressure and length; with :math:`w` the half width of
-    steady motion rises from :math:`A` to :math:`(1 + w) A` as the speed exceeds :math:`v_0`. This part is dissipative,
-    too, and has no presliding.
+    Properties and identification: docs/hysteresis.md.
 
     Parameters
     ----------
@@ -181,12 +173,9 @@ class MaxwellSlip(Friction):
     ----------
     D. D. Rizos and S. D. Fassois, "Presliding friction identification based upon the Maxwell Slip model structure",
     Chaos 14 (2004) 431-445; T. Vo-Minh et al., "A new approach to modeling hysteresis in a pneumatic artificial
-    muscle using the Maxwell-slip model", IEEE/ASME Trans. Mechatronics 16 (2011) 177-186. The dependence of the band on
-    the tension is ours. D. B. Reynolds et al., "Modeling the dynamic characteristics of pneumatic muscle", Annals of
-    Biomedical Engineering 31 (2003) 310-317: damping linear in the pressure; the dependence on the length is ours. B.
-    Tondu and S. D. Zagal, "McKibben artificial muscle can be in accordance with the Hill skeletal muscle model",
-    BioRob 2006, 714-720: friction of textile threads that grows with the rate to a limit, there with an exponential
-    in place of the tanh, which is smooth at rest.
+    muscle using the Maxwell-slip model", IEEE/ASME Trans. Mechatronics 16 (2011) 177-186; D. B. Reynolds et al., Annals
+    of Biomedical Engineering 31 (2003) 310-317 (damping linear in the pressure); B. Tondu and S. D. Zagal, BioRob 2006,
+    714-720 (growth with the rate, there with an exponential). The dependences on tension and length are ours.
 
     Examples
     --------

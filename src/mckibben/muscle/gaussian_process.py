@@ -6,17 +6,15 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle import base
-from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, check_gain, check_point
-from mckibben.muscle.exponential import Decay, ExponentialLaw
+from mckibben.muscle.base import Parameter, PositiveContraction, check_point
+from mckibben.muscle.exponential import Decay, EquationTwo
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.elementary import exp
-from mckibben.units import ForceTerm, GainTerm
 
 ORDER = 6
 """Number of basis functions over contraction and over pressure."""
 
 
-class GaussianProcessLaw(ForceLaw):
+class GaussianProcessLaw(EquationTwo):
     r"""Eq. 2 with a smooth deviation over contraction and pressure.
 
     .. math:: F = F_{Eq. 2} + \sum_{i,j=0}^{5} d_{ij}\,T_i(g(v))\,T_j(g(w)), \quad
@@ -24,11 +22,9 @@ class GaussianProcessLaw(ForceLaw):
         w = \mathrm{clip}\left(\frac{p - p_m}{k}, -1, 1\right)
 
     :math:`T_i` are Chebyshev polynomials and :math:`g(v) = (3v - v^3)/2`, so that :math:`T_i(g(v))` is nearly
-    :math:`\cos(i\pi(v - 1)/2)`: the basis of a Gaussian process of reduced rank, without a trigonometric function. Each
-    has a slope of zero at the ends of the window, and beyond them the deviation is constant: the force has a continuous
-    slope everywhere, and the deviation is bounded. `identify` sets the window to twice the range of the points and
-    estimates the size and the two lengths of the deviation (`mckibben.identification.smooth`); it returns a simpler law
-    if that predicts points left out as well.
+    :math:`\cos(i\pi(v - 1)/2)`: the basis of a Gaussian process of reduced rank. Each has a slope of zero at the ends
+    of the window, and beyond them the deviation is constant. `identify` sets the window, estimates size and lengths of
+    the deviation, and returns a simpler law if that predicts points left out as well (docs/laws.md).
 
     Parameters
     ----------
@@ -57,48 +53,7 @@ class GaussianProcessLaw(ForceLaw):
 
     short_name = "gaussian_process"
 
-    a1: ForceTerm
-    a2: GainTerm
-    b1: ForceTerm
-    b2: GainTerm
-    c1: ForceTerm
-    c2: GainTerm
-    d00: float
-    d01: float
-    d02: float
-    d03: float
-    d04: float
-    d05: float
-    d10: float
-    d11: float
-    d12: float
-    d13: float
-    d14: float
-    d15: float
-    d20: float
-    d21: float
-    d22: float
-    d23: float
-    d24: float
-    d25: float
-    d30: float
-    d31: float
-    d32: float
-    d33: float
-    d34: float
-    d35: float
-    d40: float
-    d41: float
-    d42: float
-    d43: float
-    d44: float
-    d45: float
-    d50: float
-    d51: float
-    d52: float
-    d53: float
-    d54: float
-    d55: float
+    __annotations__.update({f"d{i}{j}": "float" for i in range(ORDER) for j in range(ORDER)})
     decay: Decay
     centre: float
     half_width: PositiveContraction
@@ -111,7 +66,7 @@ class GaussianProcessLaw(ForceLaw):
     )
     source = "this project"
     linear_parameters = (
-        *ExponentialLaw.linear_parameters,
+        *EquationTwo.linear_parameters,
         *(
             Parameter(
                 f"d{i}{j}", "N", "N", f"deviation, order {i} over contraction and {j} over pressure", penalised=True
@@ -120,7 +75,6 @@ class GaussianProcessLaw(ForceLaw):
             for j in range(ORDER)
         ),
     )
-    shape_parameters = ExponentialLaw.shape_parameters
     constants = (
         Parameter("centre", "1", "percent", "centre of the window over contraction"),
         Parameter("half_width", "1", "percent", "its half width"),
@@ -128,15 +82,10 @@ class GaussianProcessLaw(ForceLaw):
         Parameter("pressure_half_width", "Pa", "bar", "its half width"),
     )
 
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_gain(self, **{"a2 + c2": self.a2 + self.c2})
-
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         contraction, pressure = check_point(contraction, pressure)
         eps, p = jnp.asarray(contraction), jnp.asarray(pressure)
-        decayed = exp(-self.decay * eps)
-        offset, gain = self.a1 + self.b1 * eps + self.c1 * decayed, self.a2 + self.b2 * eps + self.c2 * decayed
+        offset, gain = self.terms(eps)
         over_contraction = _basis((eps - self.centre) * (1 / self.half_width))
         over_pressure = _basis((p - self.pressure_centre) * (1 / self.pressure_half_width))
         deviation = jnp.asarray(0.0)

@@ -7,11 +7,10 @@ from typing import ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.muscle.base import ForceLaw, Parameter, PositiveContraction, PressureAffineLaw, check_gain, check_point
-from mckibben.muscle.exponential import Decay, ExponentialLaw
+from mckibben.muscle.base import Parameter, PositiveContraction, PressureAffineLaw, check_point
+from mckibben.muscle.exponential import Decay, EquationTwo
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.elementary import exp
-from mckibben.units import ForceTerm, GainTerm
+from mckibben.numerics.elementary import polynomial
 
 DEGREE = 5
 """Degree of the polynomial of each deviation."""
@@ -28,41 +27,19 @@ def _deviation(order: int) -> tuple[Parameter, ...]:
     )
 
 
-class _Deviations(ForceLaw):
+class _Deviations(EquationTwo):
     """Fields and terms of both laws."""
 
-    a1: ForceTerm
-    a2: GainTerm
-    b1: ForceTerm
-    b2: GainTerm
-    c1: ForceTerm
-    c2: GainTerm
-    s00: float
-    s01: float
-    s02: float
-    s03: float
-    s04: float
-    s05: float
-    s10: float
-    s11: float
-    s12: float
-    s13: float
-    s14: float
-    s15: float
+    __annotations__.update({f"s{order}{i}": "float" for order in (0, 1) for i in range(DEGREE + 1)})
     decay: Decay
     centre: float
     half_width: PositiveContraction
 
     source = "this project"
-    shape_parameters = ExponentialLaw.shape_parameters
     constants = (
         Parameter("centre", "1", "percent", "centre of the window of the deviations"),
         Parameter("half_width", "1", "percent", "its half width"),
     )
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        check_gain(self, **{"a2 + c2": self.a2 + self.c2})
 
     def _terms(self, contraction: ArrayLike) -> tuple[Array, Array, Array, Array]:
         """Offset [N] and gain [N/Pa]; position v in the window and factor (1 - v^2)^3 of the deviations."""
@@ -70,18 +47,11 @@ class _Deviations(ForceLaw):
         v = jnp.clip((eps - self.centre) * (1 / self.half_width), -1.0, 1.0)
         inside = 1 - v * v
         window = inside * inside * inside
-        decayed = exp(-self.decay * eps)
-        s0 = _polynomial(v, self.s00, self.s01, self.s02, self.s03, self.s04, self.s05)
-        s1 = _polynomial(v, self.s10, self.s11, self.s12, self.s13, self.s14, self.s15)
-        offset = self.a1 + self.b1 * eps + self.c1 * decayed + window * s0
-        return offset, self.a2 + self.b2 * eps + self.c2 * decayed + window * s1, v, window
+        offset, gain = self.terms(eps)
+        return offset + window * self._polynomial(0, v), gain + window * self._polynomial(1, v), v, window
 
-
-def _polynomial(v: Array, *coefficients: float) -> Array:
-    value = jnp.asarray(coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
-        value = value * v + coefficient
-    return value
+    def _polynomial(self, order: int, v: Array) -> Array:
+        return polynomial(v, tuple(getattr(self, f"s{order}{i}") for i in range(DEGREE + 1)))
 
 
 class SmoothAffineLaw(_Deviations, PressureAffineLaw):
@@ -92,7 +62,7 @@ class SmoothAffineLaw(_Deviations, PressureAffineLaw):
     domain: Domain = Domain()
 
     equation = "F = F_Eq2 + s0 + p s1, s_j = (1 - v^2)^3 sum_i s_ji v^i, v = clip((eps - centre)/half_width, -1, 1)"
-    linear_parameters = (*ExponentialLaw.linear_parameters, *_deviation(0), *_deviation(1))
+    linear_parameters = (*EquationTwo.linear_parameters, *_deviation(0), *_deviation(1))
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
         return self._terms(contraction)[:2]
@@ -105,11 +75,9 @@ class SmoothLaw(_Deviations):
         s_j = (1 - v^2)^3 \sum_{i=0}^{5} s_{ji} v^i, \quad
         v = \mathrm{clip}\left(\frac{\varepsilon - \varepsilon_m}{h}, -1, 1\right)
 
-    The deviations and their first two derivatives vanish outside the window :math:`\varepsilon_m \pm h`, where the law
-    is Eq. 2. `identify` sets the window to twice the range of the contractions measured, and estimates the size of the
-    deviations from the data (`mckibben.identification.smooth`): it returns a `GaussianProcessLaw` if that predicts
-    left-out points better, a `SmoothAffineLaw` if the data do not support a quadratic term, and an `ExponentialLaw` if
-    they support no deviation.
+    Outside the window :math:`\varepsilon_m \pm h` the law is Eq. 2. `identify` sets the window, estimates the size of
+    the deviations, and returns a `GaussianProcessLaw`, a `SmoothAffineLaw` or an `ExponentialLaw` where the data ask
+    for that (docs/laws.md).
 
     Parameters
     ----------
@@ -134,12 +102,7 @@ class SmoothLaw(_Deviations):
 
     short_name = "smooth"
 
-    s20: float
-    s21: float
-    s22: float
-    s23: float
-    s24: float
-    s25: float
+    __annotations__.update({f"s2{i}": "float" for i in range(DEGREE + 1)})
     domain: Domain = Domain()
 
     equation: ClassVar[str] = SmoothAffineLaw.equation.replace("p s1,", "p s1 + p^2 s2,")
@@ -158,5 +121,4 @@ class SmoothLaw(_Deviations):
 
     def _quadratic(self, contraction: ArrayLike) -> tuple[Array, Array, Array]:
         offset, gain, v, window = self._terms(contraction)
-        s2 = _polynomial(v, self.s20, self.s21, self.s22, self.s23, self.s24, self.s25)
-        return offset, gain, window * s2
+        return offset, gain, window * self._polynomial(2, v)

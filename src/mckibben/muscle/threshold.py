@@ -25,10 +25,8 @@ class ThresholdLaw(ForceLaw):
     .. math:: F = F_\mathrm{law}(\varepsilon, p_e), \qquad
         p_e = \frac{1}{2}\left(p - p_t + \sqrt{(p - p_t)^2 + (s\,p_t)^2}\right)
 
-    A bladder of rubber takes the threshold :math:`p_t` to expand to its braid. Below it, the air adds hardly any force,
-    and that of the law at 0 bar remains; above it, the law sees :math:`p - p_t`. The corner is rounded over the width
-    :math:`s\,p_t`: all derivatives are continuous. At :math:`p_t` the effective pressure is :math:`s\,p_t/2`, at 0 bar
-    about :math:`s^2 p_t/4`. The rounded form is ours.
+    A bladder of rubber takes the threshold :math:`p_t` to expand to its braid: the air adds hardly any force below it.
+    The corner is rounded over the width :math:`s\,p_t`; the rounded form is ours.
 
     Parameters
     ----------
