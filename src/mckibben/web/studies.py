@@ -124,9 +124,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
         )
         for each in ranges
     ]
-    metrics = [
-        (_TITLES[name], *("-" if np.isnan(one) else f"{one:.3g}" for one in (old[name], new[name]))) for name in _TITLES
-    ]
+    metrics = [(title, _number(old[name]), _number(new[name])) for name, title in _TITLES.items()]
     costs = np.array([trial.cost for trial in found.trials])
     remarks = [*scenario.joint.remarks, *filter(None, [found.remark])]
     if found.at_bound:
@@ -177,6 +175,10 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     if numbers["no_start"]:
         remarks.append(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     return Compared(headers, rows, errors, scenarios, [*remarks, *scenario.joint.remarks])
+
+
+def _number(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.3g}"
 
 
 def _cell(found: dict[str, Any], metric: str, what: str) -> str:
