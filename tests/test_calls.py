@@ -57,6 +57,15 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.check_reference(SCENARIO), "check_reference(plant, reference"),  # type: ignore[arg-type, call-arg]
         (lambda: mk.catalog.specimen(3), "str"),  # type: ignore[arg-type]
         (lambda: mk.identify(mk.ExponentialLaw, DATA).predict("10 %", "3 bar"), "SI units"),  # type: ignore[arg-type]
+        (lambda: mk.tune(3), "Scenario"),  # type: ignore[arg-type]
+        (lambda: SCENARIO.tune(3), "list"),
+        (lambda: SCENARIO.tune(method="cmaes"), "'cma'"),
+        (lambda: SCENARIO.tune(method=3), "gradient, evolution, cma"),
+        (lambda: mk.sweep(SCENARIO, 3), "mapping"),  # type: ignore[arg-type]
+        (lambda: SCENARIO.envelope(3), "envelope()"),  # type: ignore[call-arg]
+        (lambda: LAW.force({}, 2e5), "SI units"),  # type: ignore[arg-type]
+        (lambda: mk.Fit("fit.yaml"), "Fit.from_yaml('fit.yaml')"),  # type: ignore[arg-type, call-arg]
+        (lambda: mk.catalog.specimen(["x"]), "str"),  # type: ignore[arg-type]
         (lambda: mk.scenario("joint.yaml"), "Scenario.read"),  # type: ignore[operator]
     ],
 )
@@ -76,6 +85,9 @@ def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
         (mk, "ExponentialLw", "ExponentialLaw"),
         (DATA, "identify", "mk.identify"),
         (DATA, "contractions", "contraction"),
+        (LAW, "forces", "force"),
+        (LAW, "decai", "decay"),
+        (mk.catalog, "laws", "law"),
         (mk.identify(mk.ExponentialLaw, DATA), "force", "predict(contraction, pressure)"),
         (SCENARIO.simulate(), "rmse", 'metrics["angle_rmse"]'),
         (SCENARIO.simulate(), "angle", 'result["angle"]'),
@@ -85,6 +97,22 @@ def test_an_unknown_name_has_a_suggestion(of, name, meant):
     with pytest.raises(AttributeError, match=re.escape(meant)):
         getattr(of, name)
     assert not hasattr(SCENARIO, "nothing_like_it") and not hasattr(mk, "nothing_like_it")
+
+
+@pytest.mark.parametrize(("key", "meant"), [(0, "table.isel(point=0)"), ("force", "table['force']")])
+def test_an_item_of_a_dataset_is_in_its_table(key, meant):
+    with pytest.raises(TypeError, match=re.escape(meant)):
+        DATA[key]
+
+
+def test_a_property_that_fails_raises_its_own_error():
+    class Load(mk.PendulumLoad):
+        @property
+        def doubled(self):
+            return 2 * self.lenght  # type: ignore[attr-defined]
+
+    with pytest.raises(AttributeError, match=r"'lenght'; did you mean length\?"):
+        _ = Load(1.0, 0.3).doubled
 
 
 def test_a_scenario_of_a_path_names_the_reader():

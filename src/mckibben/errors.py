@@ -64,8 +64,9 @@ def closest(name: str, known: Sequence[str]) -> str:
 
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:
     """An error for an unknown attribute, with the call that is meant by it, or the closest public name."""
-    known = [one for one in dir(type(owner)) if not one.startswith("_")]
-    found = meant.get(name) or ("" if name.startswith("_") else closest(name, known))
+    private = name.startswith("_")  # asked for by copy, JAX and others, often
+    known = [] if private else [one for one in dir(owner) if not one.startswith("_")]
+    found = meant.get(name) or closest(name, known)
     hint = f"; did you mean {found}?" if found else ""
     kind = type(owner).__name__
     article = "an" if kind[0] in "AEIOU" else "a"

@@ -333,3 +333,24 @@ def test_a_recording_with_the_newest_sample_first_is_refused():
     for extract in (backwards.plateaus, backwards.strokes):
         with pytest.raises(RangeError, match="does not advance"):
             extract()
+
+
+@pytest.mark.parametrize(("other", "reported"), [(1.0, False), (0.3, True)])
+def test_forces_of_fast_and_slow_strokes_differ_by_viscous_friction(other, reported):
+    rows, end = [], 0.0
+    for pressure in (1e5, 2e5, 3e5, 4e5):
+        for duration in (8.0, 3.0, 1.0):
+            t = np.arange(0, 4 * duration, 0.05)
+            contraction = 0.05 + 0.12 * (1 - np.abs(2 * ((t / 2 / duration) % 1) - 1))
+            friction = np.where((t // duration) % 2, 1, -1) * (3 + 36 / duration)  # 36 N at the highest speed
+            part = other if pressure == 3e5 and duration == 3 else 1.0
+            rows.append(
+                [end + t, pressure + 0 * t, part * (pressure * 7e-4 * (1 - 2 * contraction) + friction), contraction]
+            )
+            end += t[-1] + 0.05
+    time, pressure, force, contraction = np.concatenate(rows, axis=1)
+    recording = Recording.of(time=time, pressure=pressure, force=force, contraction=contraction)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", McKibbenWarning)
+        recording.strokes(step=0.01)
+    assert any("contradict" in str(one.message) for one in caught) == reported

@@ -6,12 +6,13 @@ import io
 import zipfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("nicegui")
 
 from mckibben import Scenario, read_dataset
-from mckibben.errors import McKibbenError, ParameterError, ScenarioError
+from mckibben.errors import McKibbenError, ParameterError, RangeError, ScenarioError, UnitError
 from mckibben.identification import identify
 from mckibben.muscle import ExponentialLaw
 from mckibben.web import identify as muscle_page
@@ -33,6 +34,18 @@ def folder(tmp_path):
     made = tmp_path / "session"
     made.mkdir()
     return made
+
+
+def test_an_inner_diameter_gives_the_muscle_a_volume(folder):
+    points = read_dataset(RIG)
+    fit = identify(ExponentialLaw, points)
+    assert muscle_page.keep_muscle(fit, None, points, folder).specimen.volume_terms is None
+    length = float(points.table.attrs["initial_length"])
+    found = muscle_page.keep_muscle(fit, None, points, folder, "10 mm").specimen.volume_terms
+    assert found[0] == pytest.approx(np.pi / 4 * 0.01**2 * length)
+    for wrong in ("1 m", "10 bar"):
+        with pytest.raises((RangeError, UnitError)):
+            muscle_page.keep_muscle(fit, None, points, folder, wrong)
 
 
 @pytest.mark.slow

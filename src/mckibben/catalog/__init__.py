@@ -14,7 +14,7 @@ import importlib
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
-from mckibben.errors import NotInCatalogError, suggest
+from mckibben.errors import NotInCatalogError, closest, suggest
 
 if TYPE_CHECKING:
     from mckibben.catalog.entries import (
@@ -107,4 +107,5 @@ def __dir__() -> list[str]:
 def __getattr__(name: str) -> Any:
     if name in __all__:  # entries need JAX; names and sources do not
         return getattr(importlib.import_module("mckibben.catalog.entries"), name)
-    raise AttributeError(f"module 'mckibben.catalog' has no attribute {name!r}")
+    meant = "" if name.startswith("_") else closest(name, __all__)
+    raise AttributeError(f"mckibben.catalog has no {name!r}{f'; did you mean {meant}?' if meant else ''}")

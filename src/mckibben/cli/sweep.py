@@ -345,6 +345,8 @@ def _show_tuned(
             )
         for remark in dict.fromkeys(remark for one in before for remark in one.joint.remarks):
             echo(remark)
+        if tuned.remark:
+            echo(f"{tuned.remark} (--method cma)")
         if tuned.at_bound:
             echo(f"at a bound of the range: {', '.join(tuned.at_bound)}; consider a wider range")
     echo(f"wrote {', '.join(kept)}, history.journal, results.json, tuning.png and tuning.svg to {out}", err=json)

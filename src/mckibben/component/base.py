@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from inspect import get_annotations
 from numbers import Integral, Real
 from types import NoneType, SimpleNamespace, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 
 from mckibben.component.calls import CheckedCalls
 from mckibben.component.checks import check_kind, known_numbers
-from mckibben.errors import Problem, RangeError, printable, quoted, refuse_problems
+from mckibben.errors import Problem, RangeError, no_attribute, printable, quoted, refuse_problems
 from mckibben.notebook import html_table
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, factor, show
 
@@ -96,6 +96,13 @@ class Component(Described, eqx.Module, metaclass=_ComponentMeta):
 
     def __check_init__(self) -> None:
         check_fields(self)
+
+    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
+
+        def __getattr__(self, name: str) -> Any:
+            if isinstance(found := getattr(type(self), name, None), property):
+                return found.fget(self)  # raises its own error
+            raise no_attribute(self, name, {})
 
     def _repr_html_(self) -> str:
         return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))

@@ -6,9 +6,10 @@ import inspect
 import os
 import sys
 from abc import ABCMeta
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import wraps
+from numbers import Number
 from types import NoneType, SimpleNamespace, UnionType
 from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -18,6 +19,8 @@ P = ParamSpec("P")
 R = TypeVar("R")
 _EXPLAINED = TypeError, AttributeError, ValueError
 _CERTAIN = NoneType, str, Mapping, os.PathLike
+_READERS = "read", "from_yaml"  # class methods that read a file
+_NAMES = {Sequence: "list", Mapping: "mapping"}
 _BY_NAME = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
 
 
@@ -62,7 +65,10 @@ def _explain(of: Callable[..., Any], args: tuple[Any, ...], named: Mapping[str, 
     try:
         given = dict(list(signature.bind(*args, **named).arguments.items())[bound:])
     except TypeError as unbound:
-        raise _unbound(of.__name__, shown, args[bound:], named, str(unbound)) from None
+        failed = _unbound(of.__name__, shown, args[bound:], named, str(unbound))
+        if args[bound:] and (remedy := _reading(of, args[bound])):
+            failed.remedy = f"to read a file, write {remedy}"
+        raise failed from None
     for name, value in given.items():
         kinds = _kinds(of, name)
         if kinds and _is_wrong(value, kinds):
@@ -100,11 +106,19 @@ def _remedy(value: object, kinds: list[type], others: list[Any]) -> str:
         return "give values by name, such as {'name': value}"
     if not any(_is_ours(one) or one in _CERTAIN for one in kinds):
         return "give a number in SI units, such as 30 * mm with mckibben.units"
-    remedy = f"give {with_article(' or '.join(one.__name__ for one in kinds))}"
-    if isinstance(value, str | os.PathLike) and hasattr(kinds[0], "read"):
-        return f"{remedy}: {kinds[0].__name__}.read({os.fspath(value)!r:.60})"
+    remedy = f"give {with_article(' or '.join(_NAMES.get(one, one.__name__) for one in kinds))}"
+    if reading := _reading(kinds[0], value):
+        return f"{remedy}: {reading}"
     swapped = any(isinstance(other, kind) for other in others for kind in kinds if _is_ours(kind))
     return f"{remedy}; are arguments swapped?" if swapped else remedy
+
+
+def _reading(kind: Any, value: object) -> str:
+    """The call that reads an object from a file, if the value is a path; empty without one."""
+    reader = next((one for one in _READERS if hasattr(kind, one)), "")
+    return (
+        f"{kind.__name__}.{reader}({os.fspath(value)!r:.60})" if reader and isinstance(value, str | os.PathLike) else ""
+    )
 
 
 def _kinds(of: Callable[..., Any], name: str) -> list[type]:
@@ -136,8 +150,9 @@ def _is_ours(kind: type) -> bool:
 
 def _is_wrong(value: object, kinds: list[type]) -> bool:
     """Whether a value is certainly of none of these classes; numbers and arrays stand for each other."""
-    certain = value is None or isinstance(value, str) or all(_is_ours(one) or one in _CERTAIN for one in kinds)
-    return certain and not isinstance(value, tuple(kinds))
+    certain = (*_CERTAIN, Sequence) if isinstance(value, Number) else _CERTAIN
+    known = isinstance(value, NoneType | str | Mapping) or all(_is_ours(one) or one in certain for one in kinds)
+    return known and not isinstance(value, tuple(kinds))
 
 
 def user_level() -> int:

@@ -59,6 +59,7 @@ _ENOUGH = 100_000  # points, of which the line is determined well
 _MOVED = 0.2 * percent  # contraction from point to point
 _PAIRS = 3  # of points per direction
 _REVERSED = 0.9  # of these pairs
+_FASTER = 1.5  # ratio of speeds of strokes, above which their forces are not compared
 
 
 def check_dataset(
@@ -118,6 +119,28 @@ def _levels(pressure: Floats) -> list[Rows]:
     bins = np.round(pressure / (_LEVEL * pressure.max()))
     order = np.argsort(bins, kind="stable")
     return np.split(order, np.flatnonzero(np.diff(bins[order])) + 1)
+
+
+def _speeds(dataset: IsobaricDataset) -> NDArray[np.intp]:
+    """Number of each point's speed and direction, where friction may grow with the speed; 0 for equal or unknown ones.
+
+    Points where strokes of different speeds reverse have negative numbers of their own: friction reverses there.
+    """
+    table, speeds, ends = dataset.table, np.zeros(len(dataset)), []
+    if not {"time", "direction", "repeat"} <= {*map(str, table)}:
+        return speeds.astype(np.intp)
+    keys = np.unique(table["direction"], return_inverse=True)[1], table["repeat"].to_numpy(), dataset.levels
+    order = np.lexsort(keys)
+    for rows in np.split(order, np.flatnonzero(np.diff(np.stack(keys)[:, order]).any(axis=0)) + 1):
+        travel, time = np.ptp(dataset.contraction[rows]), np.ptp(table["time"].to_numpy()[rows])
+        speeds[rows] = travel / time if time > 0 else 0.0
+        ends += [rows.min(), rows.max()]
+    distinct = np.unique(speeds)
+    number = np.append(0, np.cumsum(distinct[1:] > _FASTER * distinct[:-1]))[np.searchsorted(distinct, speeds)]
+    if number.any():
+        number = 2 * number + (table["direction"].to_numpy() == "loading")
+        number[ends] = -1 - np.arange(len(ends))
+    return number
 
 
 def _set_pressures(dataset: IsobaricDataset) -> Iterator[str]:
@@ -199,8 +222,11 @@ def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]
     vented = _alone_at_the_top(pressure, contraction, force)
     vented |= (pressure <= _LEVEL / 2 * pressure.max()) & (force > tolerance) & (contraction > _UNSTRETCHED)
     found = set(np.flatnonzero(vented).tolist())
+    speeds = _speeds(dataset)
     for part in [levels] if len(force) <= _MOST else [[rows] for rows in levels if len(rows) <= _MOST]:
-        found |= _against_others(contraction, force, part)
+        for speed in np.unique(speeds[speeds >= 0]):
+            if alike := [rows for each in part if len(rows := each[speeds[each] == speed])]:
+                found |= _against_others(contraction, force, alike)
     single = len(found) <= _SHARE * len(force)
     if found and (single or len(found) >= _AGAINST):
         first = sorted(found)[:_NAMED]
@@ -300,7 +326,8 @@ def _counted(dataset: IsobaricDataset) -> Iterator[str]:
 def _unequal_forces(dataset: IsobaricDataset) -> Iterator[str]:
     """Warning if forces at the same pressure and contraction differ by more than friction and creep."""
     contraction, force, pressure = dataset.contraction, dataset.force, dataset.pressure
-    bins = np.stack([np.round(pressure / (REPEATED * pressure.max())), np.round(contraction / _SAME)])
+    places = np.round(pressure / (REPEATED * pressure.max())), np.round(contraction / _SAME)
+    bins = np.stack([_speeds(dataset), *places])
     order = np.lexsort(bins)
     starts = np.append(0, np.flatnonzero(np.any(np.diff(bins[:, order]), axis=0)) + 1)
     counts = np.diff(starts, append=len(order))

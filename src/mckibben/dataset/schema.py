@@ -19,7 +19,7 @@ from mckibben.dataset.formats import probe
 from mckibben.dataset.netcdf import NUMERIC, write_variables
 from mckibben.dataset.netcdf_check import check_netcdf
 from mckibben.dataset.sheet import unreadable
-from mckibben.errors import DatasetError, FileError, Problem, no_attribute
+from mckibben.errors import DatasetError, FileError, Problem, no_attribute, with_article
 from mckibben.storage.files import atomic_write, check_seal, sealed
 
 VACUUM = -101325.0
@@ -298,6 +298,10 @@ class MeasuredTable:
 
         def __getattr__(self, name: str) -> Any:
             raise no_attribute(self, name, _MEANT)
+
+        def __getitem__(self, key: Any) -> Any:
+            part = f"[{key!r}]" if isinstance(key, str) else f".isel({next(iter(self.table.sizes))}={key!r})"
+            raise TypeError(f"{with_article(type(self).__name__)} has no items, its table has: write data.table{part}")
 
     def __post_init__(self) -> None:
         table, problems = normalize(self.table, self.schema)

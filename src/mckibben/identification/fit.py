@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mckibben.component.calls import checked_call, user_level
+from mckibben.component.calls import CheckedCalls, checked_call, user_level
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
 from mckibben.errors import DomainWarning, IdentificationError, no_attribute, printable
@@ -156,7 +156,7 @@ def wrong_slopes(force: Floats) -> tuple[Bools, Bools]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Fit:
+class Fit(metaclass=CheckedCalls):
     """Force law identified from data, by `identify`.
 
     Attributes

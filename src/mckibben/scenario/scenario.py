@@ -220,6 +220,8 @@ class Scenario(RunSettings):
         parts = type(self.joint.geometry).__name__, type(self.load).__name__, type(self.controller).__name__
         return f"<Scenario {self.name!r}: {', '.join(parts)}, {self.duration:g} s>"
 
+    __str__ = __repr__
+
     def _repr_html_(self) -> str:
         return f"<pre>{escape(self.dumps())}</pre>"
 
@@ -248,6 +250,7 @@ class Scenario(RunSettings):
             warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=user_level())
         return result
 
+    @checked_call
     def envelope(self, **options: Any) -> Any:
         """Return attainable set and trackability, see `mckibben.reachability.envelope`."""
         return _above("reachability").envelope(self, **options)

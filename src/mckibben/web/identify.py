@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import re
 import shutil
 import tempfile
@@ -17,15 +18,17 @@ import numpy as np
 from nicegui import events, ui
 
 from mckibben import catalog
+from mckibben.component.checks import check_within
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.errors import DatasetError, ParameterError, ScenarioError, printable
 from mckibben.identification import Fit, FitWithFriction, HysteresisFit, Ranking, identify_with_friction, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
+from mckibben.muscle.air import volume_terms
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
-from mckibben.units import bar, factor, percent
+from mckibben.units import bar, factor, mm, percent, quantity
 from mckibben.web.layout import (
     PALETTE,
     JobPage,
@@ -98,6 +101,7 @@ class IdentificationState(JobState):
     sources: tuple[Path, ...] = ()
     data: IsobaricDataset | None = None
     law: str = "ExponentialLaw"
+    diameter: str = ""
     reading: ReadingFields = field(default_factory=ReadingFields)
     read_by: ReadingFields | None = None  # the fields by which the data were read; none for the catalog
     found: FitWithFriction | None = None
@@ -141,14 +145,29 @@ def read(paths: Sequence[Path], fields: ReadingFields) -> IsobaricDataset:
         raise DatasetError(Path(error.source).name.removeprefix("data-"), error.problems) from None
 
 
-def keep_muscle(fit: Fit, loops: HysteresisFit | None, data: IsobaricDataset, folder: Path) -> Muscle | None:
-    """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown."""
+def keep_muscle(
+    fit: Fit, loops: HysteresisFit | None, data: IsobaricDataset, folder: Path, diameter: str = ""
+) -> Muscle | None:
+    """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown.
+
+    An inner diameter gives it a volume, as for `mckibben identify --diameter`.
+    """
     fit.to_yaml(folder / "fit.yaml")
     attrs = data.table.attrs
     length = attrs.get("initial_length")
     slip, unknown = (loops.friction, loops.undetermined) if loops else (None, ())
+    terms = None
+    if length and diameter.strip():
+        width = quantity(diameter, "m")
+        check_within("muscle", 1 * mm, length, "m", remedy="give a length, such as 14 mm", diameter=width)
+        terms = volume_terms(fit.law, length, math.pi / 4 * width**2 * length)
     text = muscle_text(
-        "fit.yaml", specimen=attrs["specimen"], initial_length=length, friction=slip, undetermined=unknown
+        "fit.yaml",
+        specimen=attrs["specimen"],
+        initial_length=length,
+        friction=slip,
+        undetermined=unknown,
+        volume_terms=terms,
     )
     if not text:
         return None
@@ -194,6 +213,9 @@ class _Page(JobPage[IdentificationState]):
                     button("Read again", self.read)
             with panel("Force law"):
                 select(sorted(law_types()), "law", "law").bind_value(state, "law")
+                ui.input("inner diameter, such as 14 mm, for the use of air").props("dense").classes(
+                    "w-full"
+                ).bind_value(state, "diameter")
                 with ui.row().style("gap: 8px"):
                     button("Fit", self.fit, "fit", main=True)
                     button("Rank all laws", self.rank, "rank")
@@ -272,11 +294,11 @@ class _Page(JobPage[IdentificationState]):
         if (data := state.data) is None:
             ui.notify("give measured points first")
             return
-        law = law_types()[state.law]
+        law, diameter = law_types()[state.law], state.diameter
 
         def compute(_: Callable[[str, float], None]) -> tuple[FitWithFriction, Muscle | None, Path]:
             found, kept = identify_with_friction(law, data), Path(tempfile.mkdtemp(dir=folder))
-            return found, keep_muscle(found.fit, found.hysteresis, data, kept), kept
+            return found, keep_muscle(found.fit, found.hysteresis, data, kept, diameter), kept
 
         def done(found: tuple[FitWithFriction, Muscle | None, Path], heard: list[str]) -> None:
             state.found, state.muscle, kept = found

@@ -33,6 +33,7 @@ LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
+_COLUMNS = re.compile(r"columns=\{'([^']*)': '([^']*)'\}")  # an argument, which the page has as a line of a field
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
@@ -116,7 +117,7 @@ def show_error(error: McKibbenError) -> None:
             "" if one.line is None else one.line,
             printable(one.field, 80),
             printable(one.message, 400),
-            printable(_ELSEWHERE.sub("", one.remedy), 400),
+            printable(_on_page(one.remedy), 400),
         )
         for one in error.problems[:100]
     ]
@@ -125,12 +126,17 @@ def show_error(error: McKibbenError) -> None:
         ui.label(f"and {count - len(rows)} more").classes("quiet")
 
 
+def _on_page(remedy: str) -> str:
+    """A remedy in terms of the fields of the page."""
+    return _COLUMNS.sub(r"\1 = \2 (columns)", _ELSEWHERE.sub("", remedy))
+
+
 def _message(message: str, remedy: str) -> None:
     with ui.column().style("gap: 2px; border-left: 3px solid #b3261e; padding-left: 10px").mark("error"):
         for line in printable(message, 4000).splitlines():
             ui.label(line)
         if remedy:
-            ui.label(printable(_ELSEWHERE.sub("", remedy), 1000)).classes("quiet")
+            ui.label(printable(_on_page(remedy), 1000)).classes("quiet")
 
 
 class JobPage(Generic[State]):

@@ -112,7 +112,7 @@ class _Page(JobPage[Workbench]):
                 button("Download project", self.pack, "pack")
                 upload("or a project.zip", LARGEST, self.unpack).props("accept=.zip").mark("unpack")
         with results_side():
-            with ui.row().classes("w-full items-center no-wrap").style("gap: 12px"):
+            with ui.row().classes("w-full items-center").style("gap: 12px"):
                 button("Keep this run", self.keep, "keep", main=True)
                 button("Remove kept runs", self.clear)
                 with ui.row().classes("items-center no-wrap") as self.busy:

@@ -14,7 +14,7 @@ from mckibben.scenario import Scenario, with_values
 from mckibben.study.benchmark import Suite, compare
 from mckibben.study.benchmark.statistics import FAILED, failed_runs, statistics
 from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
-from mckibben.study.tune import parse_cost, parse_ranges, tune
+from mckibben.study.tune import Method, parse_cost, parse_ranges, tune
 from mckibben.study.tune.margin import DISK_MARGIN, lost_margin, metrics_and_margins
 from mckibben.study.tune.objective import UNSTABLE_COST
 from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
@@ -45,6 +45,7 @@ class TuningRequest:
     cost: str = DEFAULT_COST
     gain_margin: float = DEFAULT_MARGIN
     over: str = ""
+    method: str = Method.GRADIENT.value
     starts: int = 2
     iterations: int = 20
 
@@ -96,16 +97,20 @@ def _check_budget(scenario: Scenario, runs: float) -> None:
 
 
 def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Tuned:
-    """Tune a scenario as `mckibben tune` does, by the gradient method."""
+    """Tune a scenario as `mckibben tune` does."""
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
-    _check_budget(scenario, request.starts * request.iterations * 2 * (1 + len(ranges)))
+    method = Method(request.method)
+    runs = request.starts * (1 + len(ranges)) if method is Method.GRADIENT else _POPULATION
+    _check_budget(scenario, 2 * request.iterations * runs)
     found = tune(
         scenario,
         ranges,
         parse_cost(request.cost, gain_margin=request.gain_margin),
+        method=method,
         starts=request.starts,
         iterations=request.iterations,
+        population=_POPULATION,
         progress=progress,
     )
     progress("runs before and after", 1.0)
@@ -119,9 +124,9 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
         )
         for each in ranges
     ]
-    metrics = [(_TITLES[name], f"{old[name]:.3g}", f"{new[name]:.3g}") for name in _TITLES]
+    metrics = [(title, _number(old[name]), _number(new[name])) for name, title in _TITLES.items()]
     costs = np.array([trial.cost for trial in found.trials])
-    remarks = list(scenario.joint.remarks)
+    remarks = [*scenario.joint.remarks, *filter(None, [found.remark])]
     if found.at_bound:
         remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
     if lost := lost_margin(old["disk"], new["disk"]):
@@ -170,6 +175,10 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     if numbers["no_start"]:
         remarks.append(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     return Compared(headers, rows, errors, scenarios, [*remarks, *scenario.joint.remarks])
+
+
+def _number(value: float) -> str:
+    return "-" if np.isnan(value) else f"{value:.3g}"
 
 
 def _cell(found: dict[str, Any], metric: str, what: str) -> str:

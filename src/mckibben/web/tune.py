@@ -12,6 +12,7 @@ from nicegui import ui
 
 from mckibben.errors import printable
 from mckibben.scenario import Scenario
+from mckibben.study.tune import Method
 from mckibben.web.layout import (
     BLUE,
     GREY,
@@ -79,6 +80,8 @@ class _Page(JobPage[StudyState]):
                 self.progress = progress_row(state.jobs)
             with panel("Tune"):
                 _text("cost", tuning, "cost")
+                methods = [one.value for one in Method]
+                select(methods, "method", "method").bind_value(tuning, "method")
                 with ui.element("div").classes("fields"):
                     _number("gain margin", tuning, "gain_margin", 1.0, 10.0)
                     _number("starts", tuning, "starts", 1, MOST_STARTS)

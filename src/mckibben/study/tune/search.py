@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import ParameterError
+from mckibben.errors import ParameterError, quoted, suggest
 from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, list_parameters
 from mckibben.study.parameters import LogUniform, SweptParameter, Uniform, parse_sweep
 from mckibben.study.parameters.sampling import parse_distinct
@@ -172,6 +172,12 @@ class Method(enum.Enum):
     GRADIENT = "gradient"
     EVOLUTION = "evolution"
     CMA = "cma"
+
+    @classmethod
+    def _missing_(cls, value: object) -> None:
+        known = [one.value for one in cls]
+        remedy = suggest(value, known) if isinstance(value, str) else f"give one of {', '.join(known)}"
+        raise ParameterError(f"method is {quoted(value)}", field="method", value=value, remedy=remedy)
 
 
 _MIN_POPULATION = {Method.EVOLUTION: 5, Method.CMA: 4}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -38,6 +39,7 @@ from mckibben.study.tune.search import (
 FORMAT, VERSION = "mckibben tuning history", 3
 _TRIAL = b"T"
 DEFAULT_COST, DEFAULT_MARGIN = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad", 1.5
+_PROGRESS = 0.99  # of the cost before
 _MAX_SEED = 2**32 - 1  # arguments common to all methods
 
 
@@ -146,10 +148,10 @@ def kept_software(path: Path | None) -> dict[str, str] | None:
     return read_header(path, FORMAT, VERSION).get("software") if path is not None and path.is_file() else None
 
 
-def read_trials(path: Path) -> list[Trial]:
+def read_trials(path: str | os.PathLike[str]) -> list[Trial]:
     """Intact trials of a tuning history; raises FileError if the file is not a history."""
-    read_header(path, FORMAT, VERSION)
-    return _trials(JournalReader(path))
+    read_header(Path(path), FORMAT, VERSION)
+    return _trials(JournalReader(Path(path)))
 
 
 @dataclass(frozen=True, repr=False)
@@ -178,6 +180,13 @@ class TuningResult:
     at_bound: tuple[str, ...]
     trials: tuple[Trial, ...]
 
+    @property
+    def remark(self) -> str:
+        """What to try next if the gradients led nowhere, as those of stiff friction may; otherwise empty."""
+        if self.cost < _PROGRESS * self.cost_before or not any(trial.gradient for trial in self.trials):
+            return ""
+        return "the gradient method found nothing better, as with stiff friction or at an optimum: try the method cma"
+
     def __repr__(self) -> str:
         count = f"{len(self.values)} parameter{'s' if len(self.values) != 1 else ''}"
         return f"<TuningResult: cost {self.cost_before:.4g} -> {self.cost:.4g}, {count}, {self.evaluated} trials>"
@@ -201,7 +210,7 @@ def tune(
     over: Sequence[SweptParameter] | Sequence[str] | str | Mapping[str, Distribution] = (),
     cost: Cost | str | None = None,
     *,
-    method: Method = Method.GRADIENT,
+    method: Method | str = Method.GRADIENT,
     starts: int = 4,
     iterations: int = 30,
     population: int = 32,
@@ -224,7 +233,7 @@ def tune(
     cost
         Cost of the runs, or its text.
     method
-        Search method.
+        Search method, or its name.
     starts
         Starting points of the gradient method; the first is the scenario's own.
     iterations
@@ -259,6 +268,7 @@ def tune(
     for name, count in (("starts", starts), ("iterations", iterations), ("population", population)):
         check_count(name, count, 1, 10**9)
     check_count("seed", seed, 0, _MAX_SEED)
+    method = Method(method)
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
     swept: Any = [over] if isinstance(over, str) else list(over)
     if isinstance(over, Mapping) and several:
