@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from mckibben.actuator import FirstOrderValve
 from mckibben.control import PID, DelayCompensation, Measurement, PositionStiffnessControl
-from mckibben.control.delay import _means
+from mckibben.control.model_based import _means
 from mckibben.errors import ParameterError
 from mckibben.units import ms
 
@@ -36,7 +36,8 @@ def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, 
     estimates = prepared.init_estimates(Measurement(jnp.asarray(ANGLE), tuple(map(jnp.asarray, PRESSURES))))
     estimates = estimates._replace(motion=estimates.motion._replace(velocity=jnp.asarray(2.0)))
     commands = np.array([[2e5, 4e5]] * 3 + [[3.5e5, 1e5]] * 4 + [[1e5, 5e5]] * 2)  # the last sent first
-    expected = prepared._predicted(knee, estimates, tuple(map(tuple, jnp.asarray(commands))), PERIOD)
+    estimates = estimates._replace(sent=tuple(map(tuple, jnp.asarray(commands))))
+    expected = prepared._predicted(knee, estimates, PERIOD)
 
     def rates(time, state, arriving):
         angle, velocity, *pressures = state
@@ -47,7 +48,7 @@ def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, 
     for arriving in commands[-2::-1]:  # each for a period, the oldest first; the last has acted already
         state = solve_ivp(rates, (0, PERIOD), state, args=(arriving,), rtol=1e-8).y[:, -1]
     np.testing.assert_allclose(expected.pressures, state[2:], rtol=1e-4)
-    assert float(expected.angle) - ANGLE == pytest.approx(state[0] - ANGLE, rel=2e-3)
+    assert float(expected.motion.angle) - ANGLE == pytest.approx(state[0] - ANGLE, rel=2e-3)
 
 
 def test_without_a_delay_the_estimates_are_passed_on_and_without_a_period_it_is_refused(control, knee):
