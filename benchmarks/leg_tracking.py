@@ -164,9 +164,7 @@ def controllers(plant: LegPlant) -> dict[str, JointwiseControl]:
         pid.append(mk.PositionStiffnessControl(**loops, model=model, minimum_tension=5.0))
         late.append(DelayCompensation(model, load, controller=pid[-1], **known))
         alone.append(
-            mk.DecouplingControl(
-                model, load, mk.PolePlacement(25.0, damping=2.5), friction_compensation=True, **known
-            )
+            mk.DecouplingControl(model, load, mk.PolePlacement(25.0, damping=2.5), friction_compensation=True, **known)
         )
     each = (
         *(JointwiseControl(tuple(one), reference) for one in (pid, late, alone)),

@@ -8,9 +8,17 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mckibben.actuator import FirstOrderValve
-from mckibben.control import PID, DelayCompensation, Measurement, PositionStiffnessControl
+from mckibben.control import (
+    PID,
+    DecouplingControl,
+    DelayCompensation,
+    Measurement,
+    PolePlacement,
+    PositionStiffnessControl,
+    Setpoint,
+)
 from mckibben.control.model_based import _means
-from mckibben.errors import ParameterError
+from mckibben.errors import ParameterError, RangeError
 from mckibben.units import ms
 
 PERIOD, DELAY, LAG = 1 * ms, 8 * ms, 20 * ms
@@ -55,9 +63,19 @@ def test_without_a_delay_the_estimates_are_passed_on_and_without_a_period_it_is_
     now = Measurement(jnp.asarray(ANGLE), tuple(map(jnp.asarray, PRESSURES)))
     with pytest.raises(ParameterError):
         control.init(now)
-    assert len(control.with_period(PERIOD).init(now).sent) == 9
+    assert len(control.with_period(PERIOD).init(now).estimates.sent) == 9
     prompt = dataclasses.replace(control, command_delay=0.0).with_period(PERIOD)
-    state = prompt.init(now)
-    assert len(state.sent) == 1
-    moving = state.estimates._replace(motion=state.estimates.motion._replace(velocity=jnp.asarray(2.0)))
-    assert prompt._predicted(knee, moving, state.sent, PERIOD) == now
+    estimates = prompt.init(now).estimates
+    assert len(estimates.sent) == 1
+    moving = estimates._replace(motion=estimates.motion._replace(velocity=jnp.asarray(2.0)))
+    setpoint = Setpoint(now.angle, jnp.asarray(15.0))
+    following, expected = prompt.update(moving, setpoint, now, PERIOD)
+    assert expected.angle == now.angle and expected.setpoint == setpoint
+    assert expected.estimates is following
+
+
+def test_a_controller_that_predicts_itself_is_refused(knee, load):
+    inner = DecouplingControl(knee, load, PolePlacement(40.0), valve=FirstOrderValve(LAG))
+    with pytest.raises(RangeError) as caught:
+        DelayCompensation(knee, load, valve=FirstOrderValve(LAG), controller=inner, command_delay=DELAY)
+    assert caught.value.field == "controller"
