@@ -41,7 +41,7 @@ from mckibben.units import AngleScale, CommandDelay, Force
 
 Scalar = Float[Array, ""]
 
-_MOST_STEPS = 8  # of the prediction
+_MOST_STEPS = 4  # of the prediction
 
 
 def _plant_delay(scope: Mapping[str, Any]) -> Any:
