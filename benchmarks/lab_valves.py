@@ -28,13 +28,6 @@ FILES = {
 }
 
 
-def with_valve(controller, valve):
-    """The controller with a valve as the model of each part that has one."""
-    inner = controller.controller
-    own = {"controller": replaced(inner, {"valve": valve})} if hasattr(inner, "valve") else {}
-    return replaced(controller, {"valve": valve, **own})
-
-
 def evaluated(suite, controllers, runs):
     """Median angle RMSE [deg], and diverged runs and limit cycles of each controller."""
     tuning = suite.tuning.model_copy(update={"untuned": tuple(controllers), "starts_of": {}, "over": {}})
@@ -62,10 +55,12 @@ def main():
         whole = dataclasses.replace(tube.valve, dead_volume=tube.dead_volume)
         paths = {one: ROOT / "valves" / f"{FILES[name]}-{one}.yaml" for one in ("decoupling", "pid")}
         read = {one: Scenario.read(path).controller for one, path in paths.items() if path.is_file()}
-        before = evaluated(plain, {one: with_valve(own, plain.valve) for one, own in read.items()}, given.runs)
+        before = evaluated(plain, {one: replaced(own, {"valve": plain.valve}) for one, own in read.items()}, given.runs)
         models = {"known": tube, "dead volume": whole}
         both = {
-            f"{one}, {model}": with_valve(own, valve) for one, own in read.items() for model, valve in models.items()
+            f"{one}, {model}": replaced(own, {"valve": valve})
+            for one, own in read.items()
+            for model, valve in models.items()
         }
         after = evaluated(lab, both, given.runs)
         for one in read:

@@ -163,10 +163,9 @@ def controllers(plant: LegPlant) -> dict[str, JointwiseControl]:
         known = {"valve": plant.valve, "command_delay": plant.command_delay, **observers}
         pid.append(mk.PositionStiffnessControl(**loops, model=model, minimum_tension=5.0))
         late.append(DelayCompensation(model, load, controller=pid[-1], **known))
-        inner = mk.DecouplingControl(
-            model, load, mk.PolePlacement(25.0, damping=2.5), valve=plant.valve, friction_compensation=True, **observers
+        alone.append(
+            mk.DecouplingControl(model, load, mk.PolePlacement(25.0, damping=2.5), friction_compensation=True, **known)
         )
-        alone.append(DelayCompensation(model, load, controller=inner, **known))
     each = (
         *(JointwiseControl(tuple(one), reference) for one in (pid, late, alone)),
         CoupledControl(tuple(alone), reference, leg=plant.leg, gravity=plant.gravity),
@@ -180,7 +179,7 @@ def gains_of(name: str) -> dict[str, tuple[float, float]]:
         return PID
     if name == REFERENCE:
         return PREDICTION | {f"controller.{one}": value for one, value in PID.items()}
-    return PREDICTION | {f"controller.{one}": value for one, value in (PREDICTION | POLES).items()}
+    return PREDICTION | POLES
 
 
 def draws(setup: Setup, plant: LegPlant, runs: int, seed: int) -> dict[str, np.ndarray]:

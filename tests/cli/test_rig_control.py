@@ -56,7 +56,7 @@ def test_a_limit_cycle_on_the_rig_is_named(cli, tmp_path):
     """The rig delays commands by 24 ms, and the controller knows 4 ms of them."""
     text = (ROOT / "examples" / "valves" / "regulator-decoupling.yaml").read_text(encoding="utf-8")
     text = text.replace("\ncommand_delay: 4 ms", "\ncommand_delay: 24 ms")
-    text = text.replace("class: delay_compensation", "class: delay_compensation\n  command_delay: 4 ms")
+    text = text.replace("class: decoupling", "class: decoupling\n  command_delay: 4 ms")
     (tmp_path / "late.yaml").write_text(text, encoding="utf-8")
     found = cli("rig", "control", "late.yaml", "--out", "run", "--unpaced", "--json")
     numbers = json.loads(found.out)

@@ -128,7 +128,7 @@ def test_a_users_controller_gets_the_model_of_the_plant_as_ours_does():
     control = scenario.control()
     assert type(control) is OwnDecoupling and control.valve.time_constant == 0.08
     assert control.load == scenario.load and control.model == scenario.joint and control.model is not scenario.joint
-    assert inherited_fields(scenario.controller) == {"model", "load", "valve"}
+    assert inherited_fields(scenario.controller) == {"model", "load", "valve", "command_delay"}
     slower = with_values(scenario, {"valve.time_constant": 0.1})
     assert slower.control().valve.time_constant == 0.1
     assert with_values(scenario, {"valve.time_constant": 0.1}, known=()).control().valve.time_constant == 0.08

@@ -162,14 +162,18 @@ def test_a_pair_is_estimated_as_its_valves_are(knee, load):
     setpoint = Setpoint(jnp.asarray(0.05), jnp.asarray(15.0))
     found = []
     for valve in (REGULATOR, UnequalValves(REGULATOR, REGULATOR)):
-        inner = DecouplingControl(knee, load, PolePlacement(40.0), valve=valve)
-        control = DelayCompensation(
-            knee, load, valve=valve, controller=inner, command_delay=DELAY, actuator_adaptation=ActuatorAdaptation()
+        control = DecouplingControl(
+            knee,
+            load,
+            PolePlacement(40.0),
+            valve=valve,
+            command_delay=DELAY,
+            actuator_adaptation=ActuatorAdaptation(),
         ).with_period(PERIOD)
         state = control.init(measured)
         for _ in range(3):
             state, sent = control.step(state, setpoint, measured, PERIOD)
-        found.append([*sent, state.adaptation.speed, state.adaptation.delay])
+        found.append([*sent, state.estimates.actuation.speed, state.estimates.actuation.delay])
     np.testing.assert_allclose(found[1], found[0], rtol=1e-12)
     pair = with_speed(UnequalValves(REGULATOR, with_speed(REGULATOR, 2.0)), 1.5)
     assert (

@@ -8,7 +8,7 @@ import pytest
 
 import mckibben as mk
 from mckibben.control import DelayCompensation, ExtendedStateObserver, PressureObserver
-from mckibben.control.delay import _means
+from mckibben.control.model_based import _means
 from mckibben.errors import McKibbenError, RangeError, ReachabilityWarning
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.plant import PressureRegulator, SampledSensors
@@ -96,10 +96,10 @@ def test_the_supply_of_the_model_limits_the_pressures(run, make):
 
 @pytest.mark.parametrize("delay", [3 * ms, 4.5 * ms, 8 * ms, 16 * ms])
 @pytest.mark.slow
-def test_a_known_delay_of_the_commands_is_compensated(run, make, knee, load, delay):
+def test_a_known_delay_of_the_commands_is_compensated(run, make, delay):
     valve = mk.FirstOrderValve(20 * ms)
     inner = make("decoupling", valve, 60.0)
-    control = DelayCompensation(knee, load, controller=inner, command_delay=delay, valve=valve, **observers(60.0))
+    control = dataclasses.replace(inner, command_delay=delay)
     late = run(valve, control, command_delay=delay)
     assert late.outcome is not Outcome.LIMIT_CYCLE
     assert settled(late) < 2.5 * settled(run(valve, inner))
@@ -123,7 +123,7 @@ def test_delays_may_differ_between_runs(make, knee, load):
     valve, delays = VALVES[0.12], np.array([0.0, 2.5 * ms, 8 * ms])
     inner = make("decoupling", valve, 40.0)
     plant = mk.JointPlant(knee, load, valve, command_delay=8 * ms)
-    control = DelayCompensation(knee, load, controller=inner, command_delay=8 * ms, valve=valve, **observers(40.0))
+    control = dataclasses.replace(inner, command_delay=8 * ms)
     over = {"plant.command_delay": delays, "controller.command_delay": delays}
     over = {key.removeprefix("plant."): column for key, column in over.items()}
     batch = mk.simulate_many(plant, control, SINE, over=over, duration=1.0)
@@ -155,7 +155,7 @@ def test_a_model_of_valves_that_lacks_a_number_is_refused(make, knee):
 
 def test_the_control_period_has_to_be_known(knee, load, make):
     valve = mk.FirstOrderValve(20 * ms)
-    control = DelayCompensation(knee, load, controller=make("decoupling", valve, 60.0), command_delay=8 * ms)
+    control = dataclasses.replace(make("decoupling", valve, 60.0), command_delay=8 * ms)
     with pytest.raises(McKibbenError, match="with_period"):
         control.init(mk.JointPlant(knee, load, valve).true_measurement(mk.JointPlant(knee, load, valve).equilibrium()))
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.control import DelayCompensation
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
 from mckibben.leg import BiarticularMuscle, CoupledControl, LegMeasurement, LegStart, TimedReference, read_leg
@@ -63,9 +62,8 @@ def test_each_load_has_the_torque_of_the_other_joints_and_of_biarticular_muscles
 def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_leg() -> None:
     plant, delay, period = EXAMPLE["plant"](), 8 * ms, 1 * ms
     each = tuple(
-        DelayCompensation(joint.muscles, LOAD, valve=plant.valve, controller=inner, command_delay=delay)
+        mk.DecouplingControl(joint.muscles, LOAD, mk.PolePlacement(30.0), valve=plant.valve, command_delay=delay)
         for joint in plant.leg.joints
-        for inner in [mk.DecouplingControl(joint.muscles, LOAD, mk.PolePlacement(30.0), valve=plant.valve)]
     )
     control = CoupledControl(each, TimedReference(EXAMPLE["references"]()), leg=plant.leg).with_period(period)
     state = plant.begin(LegStart(ANGLES, (3e5, 2e5) * 3, clearance=0.5))
@@ -83,8 +81,8 @@ def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_leg() -> None:
             pair = slice(2 * i, 2 * i + 2)
             estimates = one.init_estimates(Measurement(ANGLES[i], state.pressures[pair]))
             estimates = estimates._replace(motion=estimates.motion._replace(velocity=RATES[i], disturbance=0.0))
-            predicted = one._predicted(joint.muscles, estimates, (commands[pair],) * 9, period)
-            found.append(abs(float(predicted.angle - end[i])))
+            predicted = one._predicted(joint.muscles, estimates._replace(sent=(commands[pair],) * 9), period)
+            found.append(abs(float(predicted.motion.angle - end[i])))
         assert found[0] < 0.01 * abs(float(end[i]) - ANGLES[i])
         assert found[0] < found[1] / 5
 
@@ -93,10 +91,7 @@ def test_the_prediction_over_a_delay_is_the_motion_of_the_coupled_leg() -> None:
 def test_commands_that_arrive_late_are_predicted() -> None:
     plant = dataclasses.replace(EXAMPLE["plant"](), command_delay=16 * ms)
     prompt = EXAMPLE["controllers"](plant)["decoupling of the leg"]
-    late = tuple(
-        DelayCompensation(one.model, one.load, valve=one.valve, controller=one, command_delay=16 * ms)
-        for one in prompt.controllers
-    )
+    late = tuple(dataclasses.replace(one, command_delay=16 * ms) for one in prompt.controllers)
     unaware, aware = (EXAMPLE["errors"](plant, one) for one in (prompt, dataclasses.replace(prompt, controllers=late)))
     assert aware["side"][0] < unaware["side"][0] / 2
     for joint in ("hip", "knee"):  # which need slower gains to be free of oscillations

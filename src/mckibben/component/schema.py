@@ -22,7 +22,7 @@ from types import UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
-from pydantic import Field, GetCoreSchemaHandler, TypeAdapter, create_model
+from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, TypeAdapter, create_model
 from pydantic_core import PydanticSerializationError, ValidationError, core_schema
 
 from mckibben.component.base import Checked, Component, Inherited, Units, field_hints, field_quantities
@@ -68,7 +68,10 @@ def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) 
         field = declared[name]
         has_default = not field.default is field.default_factory is dataclasses.MISSING
         if partial or has_default or name in aliased or inherited_from(runtime, name) is not None:
-            fields[name] = form | None, None
+            optional = form | None
+            if inherited_from(runtime, name) is not None and part_of(form) is None:
+                optional = Annotated[optional, BeforeValidator(lambda value: None if value == "none" else value)]
+            fields[name] = optional, None
         else:
             fields[name] = form, ...
     fields |= {alias: (known[names[0]] | None, None) for alias, names in getattr(runtime, "aliases", {}).items()}

@@ -79,6 +79,11 @@ class DecouplingControl(ModelBasedControl):
         On-line correction of the strength of the model's muscles. Default: none.
     valve_adaptation
         On-line estimate of the time constant of a `FirstOrderValve`. Default: none.
+    command_delay
+        Delay of the commands [s], over which the model predicts (`ModelBasedControl`); in a file, by default, that of
+        the plant.
+    actuator_adaptation
+        On-line estimate of the delay and of the speed of the valves, used by the model. Default: none.
     stiffness_amplitude
         Amplitude [rad] of the motion whose stiffness is controlled, friction of the model's muscles included
         (`AntagonisticJoint.secant_stiffness`). Default: the isobaric stiffness.
@@ -113,23 +118,24 @@ class DecouplingControl(ModelBasedControl):
         self, state: DecouplingState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[DecouplingState, Pair]:
         lag = self.feedback.lag
-        estimates, model, valves = self.update(state.estimates, setpoint, measurement, period)
-        motion, reference = estimates.motion, estimates.reference
+        estimates, expected = self.update(state.estimates, setpoint, measurement, period)
+        setpoint, position, ahead, model, valves = expected
+        motion, reference = ahead.motion, ahead.reference
         angle = motion.angle + lag * motion.velocity
         affine, lower, upper, torque_rate = self._attainable(model, angle, valves, period)
 
-        error, rate = setpoint.angle - measurement.angle, reference.velocity - motion.velocity
-        jerk = self._jerk(torque_rate, estimates)
+        error, rate = setpoint.angle - position, reference.velocity - motion.velocity
+        jerk = self._jerk(torque_rate, ahead)
         feedback, correction = self.feedback.step(state.feedback, error, rate, jerk, period)
         acceleration = reference.acceleration_after(lag, period) + correction - motion.disturbance
-        torque = self.load.required_torque(angle, motion.velocity, acceleration) - estimates.friction
+        torque = self.load.required_torque(angle, motion.velocity, acceleration) - ahead.friction
 
-        stiffness = setpoint.stiffness - estimates.added_stiffness
+        stiffness = setpoint.stiffness - ahead.added_stiffness
         allocation = prioritise_torque(affine, torque, stiffness, lower, upper, model.springs)
         commands = valves.commands_toward(allocation.pressures, lag, period)
 
         feedback = self.feedback.track(feedback, (torque - allocation.torque) / self.load.total_inertia, period)
-        estimates = estimates._replace(commands=commands, saturated=allocation.saturated)
+        estimates = estimates._replace(sent=(commands, *estimates.sent[:-1]), saturated=allocation.saturated)
         return DecouplingState(estimates, feedback), commands
 
     def telemetry(self, state: DecouplingState) -> dict[str, Scalar]:

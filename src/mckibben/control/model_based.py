@@ -1,18 +1,24 @@
-"""State estimation shared by the controllers that invert or predict a model of the joint."""
+"""State estimation, and prediction over the delay of the commands, shared by the controllers with a model."""
 
 from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
+import functools
+import operator
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator import Actuator, AirVolume, FirstOrderValve
-from mckibben.actuator.base import Attainable, air_volumes
+from mckibben.actuator.base import Attainable, air_volumes, delay_periods
+from mckibben.component.base import Inherited
 from mckibben.component.columns import Label
+from mckibben.control.actuator_adaptation import ActuatorAdaptation, ActuatorAdaptationState, with_speed
 from mckibben.control.adaptation import AdaptationState, LawAdaptation, with_strengths
 from mckibben.control.allocation import command_limits
 from mckibben.control.base import (
@@ -27,13 +33,20 @@ from mckibben.control.base import (
 from mckibben.control.observer import MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.control.valve_adaptation import ValveAdaptation, ValveAdaptationState
-from mckibben.errors import RangeError
+from mckibben.errors import ParameterError, RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
-from mckibben.units import AngleScale, Force
+from mckibben.units import AngleScale, CommandDelay, Force
 
 Scalar = Float[Array, ""]
+
+_MOST_STEPS = 4  # of the prediction
+
+
+def _plant_delay(scope: Mapping[str, Any]) -> Any:
+    """Delay of the plant's commands [s]."""
+    return scope.get("command_delay")
 
 
 class Valves(NamedTuple):
@@ -76,17 +89,45 @@ class Estimates(NamedTuple):
     muscles: MuscleStates  # of the model, along the reference
     adaptation: AdaptationState | tuple[()]
     valves: ValveAdaptationState | tuple[()]
+    actuation: ActuatorAdaptationState | tuple[()]
     torque: Scalar  # of the model's muscles at the estimated pressures, without friction [N*m]
     stiffness: Scalar  # of the model, for the amplitude of the controller [N*m/rad]
     added_stiffness: Scalar  # minus the isobaric one [N*m/rad]
     friction: Scalar  # compensated torque [N*m]
-    commands: Pair  # since the sample [Pa]
+    sent: tuple[Pair, ...]  # commands on their way [Pa], the last first
+    reading: Scalar  # last measured angle [rad]
     actuators: tuple[Any, Any]  # states of the model of the valves
     saturated: Array
 
 
+class Expected(NamedTuple):
+    """What the next commands meet when they arrive: setpoint, angle [rad], estimates, and models for them."""
+
+    setpoint: Setpoint
+    angle: Scalar  # measured, or predicted over the delay
+    estimates: Estimates
+    model: AntagonisticJoint
+    valves: Valves
+
+
 class ModelBasedControl(Controller):
-    """Base of controllers with a model of joint, load and valves: parameters and state estimation."""
+    r"""Base of controllers with a model of joint, load and valves: parameters, state estimation and prediction.
+
+    A command arrives at the valves after the delay d. An observer estimates motion, pressures and disturbance from the
+    measurement and the commands that have arrived; the model then predicts the motion and the pressures over d with the
+    commands on their way and a constant disturbance, and the controller acts on these, with the setpoint of the angle
+    extrapolated by the derivatives of its samples:
+
+    .. math:: \theta_r(t + d) \approx \theta_r + d\,\dot\theta_r + \tfrac12 d^2\,\ddot\theta_r
+
+    The delay need not be a multiple of the control period.
+
+    References
+    ----------
+    O. J. M. Smith, A controller to overcome dead time, ISA Journal 6, 1959; with a state observer, so that disturbances
+    and unstable loads are predicted too: A. Z. Manitius and A. W. Olbrot, Finite spectrum assignment problem for
+    systems with delays, IEEE Trans. Automatic Control 24, 1979.
+    """
 
     telemetry_labels: ClassVar = {
         "velocity_estimate": Label("rad/s", "controller's estimate of the angular velocity"),
@@ -94,6 +135,8 @@ class ModelBasedControl(Controller):
         "strength1_estimate": Label("1", "controller's estimate of the strength of muscle 1 relative to its law"),
         "strength2_estimate": Label("1", "controller's estimate of the strength of muscle 2 relative to its law"),
         "valve_time_constant_estimate": Label("s", "controller's estimate of the time constant of the valves"),
+        "command_delay_estimate": Label("s", "controller's estimate of the delay of the commands"),
+        "valve_speed_estimate": Label("1", "controller's estimate of the speed of the valves, relative to its model"),
     }
 
     model: JointModel
@@ -104,6 +147,9 @@ class ModelBasedControl(Controller):
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
     valve_adaptation: ValveAdaptation | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
+    command_delay: Annotated[CommandDelay | None, Inherited(_plant_delay)] = eqx.field(kw_only=True, default=None)
+    actuator_adaptation: ActuatorAdaptation | None = eqx.field(kw_only=True, default=None)
+    periods: int | None = eqx.field(kw_only=True, default=None, static=True)
 
     def __check_init__(self) -> None:
         super().__check_init__()
@@ -123,11 +169,41 @@ class ModelBasedControl(Controller):
                 f"{name}: no muscle of its model has friction to compensate",
                 remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
             )
+        if self.actuator_adaptation is not None:
+            self.actuator_adaptation.check_valve(self.valve)
+            if self.valve_adaptation is not None:
+                raise RangeError(
+                    f"{name}: actuator_adaptation and valve_adaptation estimate the same valves",
+                    field="actuator_adaptation",
+                    remedy="leave one of them out",
+                )
 
     @property
     @abc.abstractmethod
     def observers(self) -> tuple[Observer, PressureObserver]:
         """Observers of the motion and of the pressures."""
+
+    def with_period(self, period: float) -> Self:
+        prepared = super().with_period(period)
+        adaptation, longest = self.actuator_adaptation, self._delay
+        if adaptation is not None:
+            longest = adaptation.longest_delay(longest)
+        return dataclasses.replace(prepared, periods=delay_periods(longest, period))
+
+    @property
+    def _delay(self) -> ArrayLike:
+        """Delay of the commands [s], 0 for none."""
+        return 0.0 if self.command_delay is None else self.command_delay
+
+    @property
+    def _periods(self) -> int:
+        """Control periods that hold the commands on their way."""
+        if self.periods is None and (self.command_delay is not None or self.actuator_adaptation is not None):
+            raise ParameterError(
+                f"{type(self).__name__}: the control period is unknown, and with it the commands on their way",
+                remedy="use controller.with_period(period)",
+            )
+        return self.periods or 0
 
     def init_estimates(self, measurement: Measurement) -> Estimates:
         """Estimates before the first step, at rest."""
@@ -135,6 +211,7 @@ class ModelBasedControl(Controller):
         torque, isobaric = self.model.evaluate(angle, pressures)
         stiffness, added = self._stiffness(self.model, angle, pressures, isobaric)
         zero = jnp.zeros_like(angle)
+        actuation = self.actuator_adaptation
         return Estimates(
             motion=self.observers[0].init(angle, self.load.acceleration(angle, zero, torque)),
             pressures=pressures,
@@ -142,34 +219,46 @@ class ModelBasedControl(Controller):
             muscles=self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES,
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
             valves=() if self.valve_adaptation is None else self.valve_adaptation.init(self.valve.lag, pressures),
+            actuation=() if actuation is None else actuation.init(self.valve, self._delay, pressures),
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
             friction=zero,
-            commands=pressures,
+            sent=(pressures,) * (self._periods + 1),
+            reading=angle,
             actuators=tuple(self.valve.for_muscle(i).init_model(pressures[i]) for i in (0, 1)),  # type: ignore
             saturated=jnp.asarray(False),
         )
 
     def update(
         self, last: Estimates, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
-    ) -> tuple[Estimates, AntagonisticJoint, Valves]:
-        """Estimates after a further sample, with the last commands, and the adapted models of joint and valves."""
+    ) -> tuple[Estimates, Expected]:
+        """Estimates after a further sample, and what the next commands meet."""
+        actuation = self._adapt_actuator(last, measurement, period)
+        return self._with_speed(actuation)._update(last._replace(actuation=actuation), setpoint, measurement, period)
+
+    def _update(
+        self, last: Estimates, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
+    ) -> tuple[Estimates, Expected]:
         angle = measurement.angle
         observer, pressure_observer = self.observers
-        adapted = self._adapt_valves(last, measurement.pressures, period)
+        delay = self._delay / jnp.asarray(period)
+        arrived = _means(last.sent, delay, delay + 1) if self._periods else last.sent[0]
+        adapted = self._adapt_valves(last, arrived, measurement.pressures, period)
         valves = self._valves(adapted, angle, last.motion.velocity, last.pressures, last.actuators)
-        predicted, actuators = valves.predict(last.commands, period)
+        predicted, actuators = valves.predict(arrived, period)
         pressures = pressure_observer.step(predicted, measurement.pressures, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
         torque, isobaric = model.evaluate(angle, pressures)
         stiffness, added = self._stiffness(model, angle, pressures, isobaric)
-        muscles, friction_torque = self._friction(last.muscles, setpoint.angle, pressures)
+        reference = last.reference.update(setpoint.angle, period)
+        ahead = reference.after(self._delay) if self._periods else reference
+        muscles, friction_torque = self._friction(last.muscles, ahead.angle, pressures)
         known = self.load.acceleration(angle, last.motion.velocity, torque + friction_torque)
         estimates = last._replace(
             motion=observer.step(last.motion, angle, known, period),
             pressures=pressures,
-            reference=last.reference.update(setpoint.angle, period),
+            reference=reference,
             muscles=muscles,
             adaptation=adaptation,
             valves=adapted,
@@ -178,9 +267,46 @@ class ModelBasedControl(Controller):
             stiffness=stiffness,
             added_stiffness=added,
             friction=friction_torque,
+            reading=angle,
         )
-        now = self._valves(adapted, angle, estimates.motion.velocity, pressures, actuators)
-        return estimates, model, now
+        expected = estimates
+        if self._periods:
+            expected = self._predicted(model, estimates, period)._replace(reference=ahead)
+            angle, setpoint = expected.motion.angle, setpoint._replace(angle=ahead.angle)
+        now = self._valves(adapted, angle, expected.motion.velocity, expected.pressures, expected.actuators)
+        return estimates, Expected(setpoint, angle, expected, model, now)
+
+    def _predicted(self, model: AntagonisticJoint, estimates: Estimates, period: ArrayLike) -> Estimates:
+        """Estimates when the next commands arrive."""
+        steps = min(self._periods, _MOST_STEPS)
+        delay, step = self._delay / jnp.asarray(period), jnp.asarray(self._delay) / steps
+        pairs = [_means(estimates.sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)]
+        commands = jnp.stack([one for one, _ in pairs]), jnp.stack([other for _, other in pairs])
+        motion = estimates.motion
+
+        def advance(state: tuple[Scalar, Scalar, Pair, Any], commands: Pair) -> tuple[Any, None]:
+            angle, velocity, pressures, actuators = state
+            midway = angle + step / 2 * velocity  # one evaluation of the geometry
+            valves = self._valves(estimates.valves, midway, velocity, pressures, actuators)
+            following, actuators = valves.predict(commands, step)
+            middle = tuple((one + other) / 2 for one, other in zip(pressures, following, strict=True))
+            torque = model.torque(midway, (middle[0], middle[1])) + estimates.friction
+            acceleration = self.load.acceleration(midway, velocity, torque) + motion.disturbance
+            moved = angle + step * (velocity + step / 2 * acceleration)
+            return (moved, velocity + step * acceleration, following, actuators), None
+
+        start = motion.angle, motion.velocity, estimates.pressures, estimates.actuators
+        (angle, velocity, pressures, actuators), _ = lax.scan(advance, start, commands)
+        torque, isobaric = model.evaluate(angle, pressures)
+        stiffness, added = self._stiffness(model, angle, pressures, isobaric)
+        return estimates._replace(
+            motion=motion._replace(angle=angle, velocity=velocity),
+            pressures=pressures,
+            actuators=actuators,
+            torque=torque,
+            stiffness=stiffness,
+            added_stiffness=added,
+        )
 
     def estimates_telemetry(self, estimates: Estimates) -> dict[str, Scalar]:
         """Signals to record, by name."""
@@ -196,6 +322,11 @@ class ModelBasedControl(Controller):
             signals |= {"strength1_estimate": strength1, "strength2_estimate": strength2}
         if isinstance(estimates.valves, ValveAdaptationState):
             signals |= {"valve_time_constant_estimate": estimates.valves.time_constant}
+        if isinstance(estimates.actuation, ActuatorAdaptationState):
+            signals |= {
+                "command_delay_estimate": estimates.actuation.delay,
+                "valve_speed_estimate": estimates.actuation.speed,
+            }
         return signals
 
     def _valves(
@@ -232,11 +363,40 @@ class ModelBasedControl(Controller):
         state = self.adaptation.step(state, self.model, self.load, *measurement, period)
         return state, with_strengths(self.model, state.strengths)
 
-    def _adapt_valves(self, last: Estimates, measured: Pair, period: ArrayLike) -> ValveAdaptationState | tuple[()]:
+    def _adapt_valves(
+        self, last: Estimates, arrived: Pair, measured: Pair, period: ArrayLike
+    ) -> ValveAdaptationState | tuple[()]:
         """Estimate of the valves' time constant after measured pressures [Pa]."""
         if self.valve_adaptation is None or not isinstance(last.valves, ValveAdaptationState):
             return last.valves
-        return self.valve_adaptation.step(last.valves, self.valve.lag, last.commands, measured, period)
+        return self.valve_adaptation.step(last.valves, self.valve.lag, arrived, measured, period)
+
+    def _adapt_actuator(
+        self, last: Estimates, measurement: Measurement, period: ArrayLike
+    ) -> ActuatorAdaptationState | tuple[()]:
+        """Estimates of delay and speed after a further measurement."""
+        if self.actuator_adaptation is None or not isinstance(last.actuation, ActuatorAdaptationState):
+            return last.actuation
+        angle, pressures = measurement
+        air: Any = (None, None)
+        if self.valve.holds_air:
+            # An observer lags; steps of the encoder cancel in the sum over several periods.
+            velocity, middle = (angle - last.reading) / period, (angle + last.reading) / 2
+            attached = tuple(self.valve.for_muscle(side).attached_volume for side in (0, 1))
+            air = air_volumes(self.model, middle, velocity, pressures, dead_volumes=attached)
+        held = last.actuation, self.valve, self._delay
+        return self.actuator_adaptation.step(*held, last.sent, pressures, air, period)
+
+    def _with_speed(self, adapted: ActuatorAdaptationState | tuple[()]) -> Self:
+        """The controller with estimates in place of delay and speed of its models."""
+        if not isinstance(adapted, ActuatorAdaptationState):
+            return self
+        valves = [with_speed(one.valve, adapted.speed) for one in with_valves(self)]
+
+        def replaced(control: Any) -> list[Any]:
+            return [one.valve for one in with_valves(control)]
+
+        return dataclasses.replace(eqx.tree_at(replaced, self, valves), command_delay=adapted.delay)
 
     def _friction(self, muscles: MuscleStates, angle: ArrayLike, pressures: Pair) -> tuple[MuscleStates, Scalar]:
         """Internal states of the model's muscles at a reference angle [rad], and their torque of friction [N*m]."""
@@ -244,3 +404,25 @@ class ModelBasedControl(Controller):
             return muscles, jnp.zeros_like(pressures[0])
         muscles = self.model.update_state(muscles, angle, pressures)
         return muscles, self.model.friction_torque(angle, 0.0, pressures, muscles)
+
+
+def with_valves(controller: Any) -> Iterator[Any]:
+    """The controllers with a model of the valves: this one, and those that it wraps."""
+    if isinstance(getattr(controller, "valve", None), Actuator):
+        yield controller
+    for field in dataclasses.fields(controller):
+        inner = getattr(controller, field.name)
+        if isinstance(inner, Controller):
+            yield from with_valves(inner)
+
+
+def _means(sent: tuple[Pair, ...], newest: ArrayLike, oldest: ArrayLike) -> Pair:
+    """Mean commands [Pa] between two ages, in control periods; the last sent has an age of up to 1."""
+    span = jnp.maximum(jnp.asarray(oldest) - newest, 1e-9)
+    shares = [
+        jnp.clip((jnp.minimum(oldest, age + 1.0) - jnp.maximum(newest, float(age))) / span, 0.0, 1.0)
+        for age in range(len(sent))
+    ]
+    weighed = [(share * one, share * other) for share, (one, other) in zip(shares, sent, strict=True)]
+    first, second = (functools.reduce(operator.add, side) for side in zip(*weighed, strict=True))
+    return first, second

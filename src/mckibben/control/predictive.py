@@ -76,7 +76,8 @@ class PredictiveControl(ModelBasedControl):
     Parameters
     ----------
     model, load, pressure_observer, valve, minimum_tension, friction_compensation, adaptation
-        As for `DecouplingControl`, and so are `valve_adaptation` and `stiffness_amplitude`.
+        As for `DecouplingControl`, and so are `valve_adaptation`, `command_delay`, `actuator_adaptation` and
+        `stiffness_amplitude`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
     bandwidth, stiffness_bandwidth
@@ -131,30 +132,30 @@ class PredictiveControl(ModelBasedControl):
     def step(
         self, state: PredictiveState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[PredictiveState, Pair]:
-        angle = measurement.angle
-        estimates, model, valves = self.update(state.estimates, setpoint, measurement, period)
-        reference = estimates.reference
+        estimates, expected = self.update(state.estimates, setpoint, measurement, period)
+        setpoint, angle, ahead, model, valves = expected
+        reference = ahead.reference
         new = 1 - exp(-jnp.asarray(period) / _FREQUENCY_MEMORY)
         jerk_velocity, velocity_sq = state.averages
         jerk_velocity = jerk_velocity + new * (reference.jerk * reference.velocity - jerk_velocity)
         velocity_sq = velocity_sq + new * (reference.velocity**2 - velocity_sq)
         frequency_sq = -jerk_velocity / (velocity_sq + _STILL)
 
-        local = local_model(model, angle, estimates.pressures, minimum_tension=self.minimum_tension)
+        local = local_model(model, angle, ahead.pressures, minimum_tension=self.minimum_tension)
         stage = jnp.maximum(jnp.asarray(self.horizon) / self.stages, period)
         problem = self._problem(
-            local, estimates, valves, angle, frequency_sq, setpoint.stiffness - estimates.added_stiffness, stage, period
+            local, ahead, valves, angle, frequency_sq, setpoint.stiffness - ahead.added_stiffness, stage, period
         )
 
-        pressures = estimates.pressures[0] / bar, estimates.pressures[1] / bar
+        pressures = ahead.pressures[0] / bar, ahead.pressures[1] / bar
         policy = shift(state.policy, jnp.minimum(period / stage, 1.0))
-        errors = self._errors(problem, estimates, angle, setpoint)
+        errors = self._errors(problem, ahead, angle, setpoint)
         policy, first = solve(problem, errors, pressures, policy, self.iterations)
 
         target1, target2 = first.pressures
         commands = valves.commands_toward((bar * target1, bar * target2), _AT_ONCE * stage, stage)
         limited = [each for each, spring in zip(first.limited, self.model.springs, strict=True) if not spring]
-        estimates = estimates._replace(commands=commands, saturated=limited[0] | limited[-1])
+        estimates = estimates._replace(sent=(commands, *estimates.sent[:-1]), saturated=limited[0] | limited[-1])
         return PredictiveState(estimates, (jerk_velocity, velocity_sq), policy), commands
 
     def telemetry(self, state: PredictiveState) -> dict[str, Scalar]:

@@ -315,6 +315,15 @@ class ReferenceDerivatives(NamedTuple):
             samples_since_jump=samples,
         )
 
+    def after(self, time: ArrayLike) -> ReferenceDerivatives:
+        """Derivatives extrapolated over a time [s]."""
+        time = jnp.asarray(time)
+        return self._replace(
+            angle=self.angle + time * (self.velocity + time / 2 * self.acceleration),
+            velocity=self.velocity + time * (self.acceleration + time / 2 * self.jerk),
+            acceleration=self.acceleration + time * self.jerk,
+        )
+
     def acceleration_after(self, time: ArrayLike, period: ArrayLike) -> Scalar:
         """Acceleration [rad/s^2] a time [s] after the last sample; the differences themselves lag by one period."""
         return self.acceleration + (time + period) * self.jerk

@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.columns import Label
-from mckibben.control import Controller, DecouplingControl, DelayCompensation, Reference
+from mckibben.control import Controller, DecouplingControl, Reference
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
-from mckibben.control.delay import DelayState
 from mckibben.errors import RangeError
 from mckibben.joint import GeneralLoad, Measurement
 from mckibben.leg.dynamics import joint_equations
@@ -302,8 +301,7 @@ class CoupledControl(JointwiseControl):
     references after the lag of their feedback, and the torques of the biarticular muscles at their measured pressures.
     The observers of the joints see what is left. Stiffness setpoints are those of a joint's own pair.
 
-    Where commands arrive late, each controller is in a `DelayCompensation`: its observer and its prediction have the
-    load at the measured angles, and the controller the load of the motion that it expects when its commands arrive.
+    For controllers with a `command_delay` the load is that of the motion to be expected when their commands arrive.
 
     Parameters
     ----------
@@ -332,13 +330,13 @@ class CoupledControl(JointwiseControl):
                 value=len(self.controllers),
                 remedy="give one for each joint, from the trunk down",
             )
-        for joint, one in zip(self.leg.joints, map(_undelayed, self.controllers), strict=True):
+        for joint, one in zip(self.leg.joints, self.controllers, strict=True):
             if not isinstance(one, DecouplingControl):
                 raise RangeError(
                     f"{joint.name}: a {type(one).__name__} has no torque to add others to",
                     field="controllers",
                     value=type(one).__name__,
-                    remedy="give a DecouplingControl, alone or in a DelayCompensation, or use JointwiseControl",
+                    remedy="give a DecouplingControl, or use JointwiseControl",
                 )
             if joint.locked is not None:
                 remedy = "use JointwiseControl"
@@ -346,28 +344,25 @@ class CoupledControl(JointwiseControl):
 
     def init(self, measurement: LegMeasurement) -> Any:
         zero = tuple(map(jnp.zeros_like, measurement.angles))
-        loads = self._loads(measurement, zero, zero)
-        return JointwiseControl.init(self._with_loads(loads, loads), measurement)
+        return JointwiseControl.init(self._with_loads(self._loads(measurement, zero, zero)), measurement)
 
     def step(
         self, state: Any, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
     ) -> tuple[Any, tuple[Array, ...]]:
-        def loads(at: LegMeasurement, states: Sequence[Any], lags: Sequence[ArrayLike]) -> list[GeneralLoad]:
-            each = [one.estimates for one in states]
-            planned = [
-                one.reference.acceleration_after(lag + period, period) for one, lag in zip(each, lags, strict=True)
-            ]
-            return self._loads(at, [one.motion.velocity for one in each], planned)
-
-        lags = [one.feedback.lag for one in map(_undelayed, self.controllers)]  # type: ignore[attr-defined]
-        inner = [one.inner if isinstance(one, DelayState) else one for one in state[1]]
-        if not any(isinstance(one, DelayState) for one in state[1]):
-            prompt = loads(measurement, state[1], lags)
-            return JointwiseControl.step(self._with_loads(prompt, prompt), state, time, measurement, period)
-        motions = [one.estimates.motion for one in inner]
-        expected = measurement._replace(angles=tuple(one.angle + period * one.velocity for one in motions))
-        late = self._with_loads(loads(measurement, state[1], [0.0] * len(lags)), loads(expected, inner, lags))
-        return JointwiseControl.step(late, state, time, measurement, period)
+        controllers: Any = self.controllers
+        estimates = [one.estimates for one in state[1]]
+        delays = [0.0 if one.command_delay is None else one.command_delay for one in controllers]
+        planned = [
+            one.reference.acceleration_after(control.feedback.lag + delay + period, period)
+            for one, control, delay in zip(estimates, controllers, delays, strict=True)
+        ]
+        velocities = [one.motion.velocity for one in estimates]
+        angles = tuple(
+            angle + delay * velocity
+            for angle, velocity, delay in zip(measurement.angles, velocities, delays, strict=True)
+        )
+        loads = self._loads(measurement._replace(angles=angles), velocities, planned)
+        return JointwiseControl.step(self._with_loads(loads), state, time, measurement, period)
 
     def _loads(self, at: LegMeasurement, rates: Sequence[Array], planned: Sequence[Array]) -> list[GeneralLoad]:
         """Loads of the joints in a motion, for accelerations [rad/s^2] of the others' references."""
@@ -386,16 +381,10 @@ class CoupledControl(JointwiseControl):
             loads.append(load)  # its gravity acts at a right angle: the torque
         return loads
 
-    def _with_loads(self, outer: Sequence[GeneralLoad], inner: Sequence[GeneralLoad]) -> JointwiseControl:
-        """The controller with loads of its joints: of their predictions, and of the controllers themselves."""
-        controllers = []
-        for one, now, expected in zip(self.controllers, outer, inner, strict=True):
-            within = dataclasses.replace(_undelayed(one), load=expected)  # type: ignore[call-arg]
-            late = isinstance(one, DelayCompensation)
-            controllers.append(dataclasses.replace(one, load=now, controller=within) if late else within)
-        return dataclasses.replace(self, controllers=tuple(controllers))
-
-
-def _undelayed(controller: Controller) -> Controller:
-    """A controller without the compensation of its delay."""
-    return controller.controller if isinstance(controller, DelayCompensation) else controller
+    def _with_loads(self, loads: Sequence[GeneralLoad]) -> JointwiseControl:
+        """The controller with other loads of its joints."""
+        controllers = tuple(
+            dataclasses.replace(one, load=load)  # type: ignore[call-arg]
+            for one, load in zip(self.controllers, loads, strict=True)
+        )
+        return dataclasses.replace(self, controllers=controllers)
