@@ -52,14 +52,11 @@ class DelayState(NamedTuple):
 class DelayCompensation(ModelBasedControl):
     r"""Wrapper that gives a controller the measurement to be expected when its commands arrive.
 
-    A command arrives at the valves after the delay d. An observer estimates motion, pressures and disturbance from the
-    measurement and the commands that have arrived; the model then predicts angle and pressures over d with the commands
-    on their way. The controller gets these in place of the measurement, and the setpoint of the angle extrapolated over
-    d by the derivatives of its samples:
+    An observer estimates motion, pressures and disturbance from the measurement and the commands that have arrived; the
+    model then predicts angle and pressures over the delay d with the commands on their way. The controller gets these,
+    and the setpoint of the angle extrapolated over d by the derivatives of its samples:
 
     .. math:: \theta_r(t + d) \approx \theta_r + d\,\dot\theta_r + \tfrac12 d^2\,\ddot\theta_r
-
-    It is therefore tuned as if there were no delay; the delay need not be a multiple of the control period.
 
     Parameters
     ----------
