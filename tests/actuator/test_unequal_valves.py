@@ -148,7 +148,7 @@ def test_what_no_pair_can_be_is_refused():
         ({"muscle2": FlowValve(1e-9, SUPPLY, direct=True)}, "muscle2"),
         ({"muscle1": stored}, "muscle1"),
         ({"muscle2": PAIR}, "muscle2"),
-        ({"reservoir_volume": 1e-3}, ""),
+        ({"reservoir_volume": 1e-3}, "line_conductance"),
     ):
         with pytest.raises(RangeError) as caught:
             UnequalValves(**({"muscle1": flow_valve, "muscle2": flow_valve} | wrong))

@@ -14,7 +14,7 @@ from mckibben.realtime import ControlProgram, JointLimits, Sensing, Timing, comp
 from mckibben.realtime.compiled_step import FlatTree, LimitCycleDetection, vented_angle
 from mckibben.realtime.loop import realtime_process_settings
 from mckibben.realtime.record import Phase, RowBuffer
-from mckibben.realtime.wiring import Wiring
+from mckibben.realtime.wiring import JointReading, Wiring
 from mckibben.rig.backend import Backend
 from mckibben.rig.safety import JointMonitor
 from mckibben.rig.simulated.faults import HostDelayed, SamplesDropped
@@ -248,7 +248,7 @@ def test_rows_of_a_slow_loop_do_not_wait_for_others(stiff):
     kept = Kept()
     rows = RowBuffer(kept, ())
     for number in range(40):
-        rows.begin(number, Phase.RUN, number * 50 * ms, (0.0, 0.0, 0.0), number * 50 * ms)
+        rows.begin(number, Phase.RUN, number * 50 * ms, (0.0,) * 3, JointReading(0.0, 0.0, 0.0), number * 50 * ms)
         there = sum(len(table["sample"]) for table in kept.tables)
         assert number - there < 4
     rows.flush()

@@ -1,6 +1,6 @@
 """The record of a test to its dataset: the right rows, wherever the chunks end."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def write(folder, size, kept=POINTS):
             recorder.append({**table, "plateau": np.zeros(len(number))})
             recorder.flush()
         for point in kept:
-            recorder.event(POINT if point.keep else PLACE, **point.to_json())
+            recorder.event(POINT if point.keep else PLACE, **asdict(point))
 
 
 @pytest.mark.parametrize("size", [1, 2, 7, 28, 100])
@@ -98,5 +98,5 @@ def test_a_point_without_all_its_samples_is_left_out(tmp_path):
 
 
 def test_a_point_counts_once_and_first_comes_first():
-    events = [Event(POINT, "", 0, point.to_json()) for point in (POINTS[2], POINT_0, replace(POINT_0, first=50))]
+    events = [Event(POINT, "", 0, asdict(point)) for point in (POINTS[2], POINT_0, replace(POINT_0, first=50))]
     assert points([*events, Event("stopped", "", 0, {})]) == [POINT_0, POINTS[2]]

@@ -12,10 +12,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator, Exchange
-from mckibben.actuator.base import AirVolume, Attainable, Reservoir, Scalar, lag_fraction
+from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar, lag_fraction
 from mckibben.component.checks import check_within
 from mckibben.component.columns import Label
-from mckibben.errors import RangeError
 from mckibben.muscle import Domain
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, CriticalRatio, exchange_rate, flow_of_warm_air, mass_flow
 from mckibben.numerics.elementary import exp, floating
@@ -76,6 +75,7 @@ class AirValve(AirActuator):
         supply drops while air flows. Default: the pressure at the inlets is constant.
     """
 
+    together: ClassVar = (("reservoir_volume", "line_conductance"),)
     telemetry_labels: ClassVar = {
         "opening1": Label("1", "opening of the valve of muscle 1, to the supply or where negative to the exhaust"),
         "opening2": Label("1", "opening of the valve of muscle 2, to the supply or where negative to the exhaust"),
@@ -93,14 +93,6 @@ class AirValve(AirActuator):
     leak: Conductance | None = eqx.field(kw_only=True, default=None)
     reservoir_volume: Volume | None = eqx.field(kw_only=True, default=None)
     line_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
-
-    def __check_init__(self) -> None:
-        super().__check_init__()
-        if (self.reservoir_volume is None) != (self.line_conductance is None):
-            raise RangeError(
-                f"{type(self).__name__}: a reservoir has a volume and a line that fills it",
-                remedy="give reservoir_volume and line_conductance, or neither",
-            )
 
     @abc.abstractmethod
     def opening(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> Array:
@@ -157,7 +149,7 @@ class AirValve(AirActuator):
     def flow(self, opening: ArrayLike, inlet: ArrayLike, pressure: ArrayLike) -> Array:
         """Return the mass flow [kg/s] into a muscle at a gauge pressure [Pa], from an absolute pressure [Pa]."""
         opening = jnp.asarray(opening)
-        conductance = jnp.where(opening > 0, self.conductance * opening, -self._exhaust * opening)
+        conductance = jnp.where(opening > 0, self.conductance * opening, -self.exhaust * opening)
         return mass_flow(
             conductance, self.critical_ratio, jnp.where(opening > 0, inlet, ATMOSPHERE), pressure + ATMOSPHERE
         )
@@ -198,12 +190,7 @@ class AirValve(AirActuator):
         return pressure + moved + drift * (full + lag * (1 - left)), following
 
     def attainable(
-        self,
-        pressure: Scalar,
-        state: Scalar,
-        commands: tuple[ArrayLike, ArrayLike],
-        air: AirVolume | None,
-        duration: ArrayLike,
+        self, pressure: Scalar, state: Scalar, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
     ) -> Attainable:
         slowest, fastest, drift = self.open_rates(pressure, air)
         one = jnp.ones_like(pressure)
@@ -249,7 +236,7 @@ class AirValve(AirActuator):
     def time_constant_at(self, pressure: Any, volume: Any) -> Any:
         inside = pressure + ATMOSPHERE
         fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside)
-        vent = mass_flow(self._exhaust, self.critical_ratio, inside, ATMOSPHERE)
+        vent = mass_flow(self.exhaust, self.critical_ratio, inside, ATMOSPHERE)
         mass = self.band * (volume + self.dead_volume) / (self.polytropic_index * ENERGY)  # of a band
         return self.command_lag + mass * (1 / fill + 1 / vent) / 2
 
@@ -263,14 +250,15 @@ class AirValve(AirActuator):
 
     @property
     def widest(self) -> float:
-        return max(float(self.conductance), float(self._exhaust))
+        return max(float(self.conductance), float(self.exhaust))
 
     def scaled(self, factor: float) -> Self:
         exhaust = None if self.exhaust_conductance is None else self.exhaust_conductance * factor
         return dataclasses.replace(self, conductance=self.conductance * factor, exhaust_conductance=exhaust)
 
     @property
-    def _exhaust(self) -> Conductance:
+    def exhaust(self) -> Conductance:
+        """C [m^3/(s*Pa)] to the exhaust."""
         return self.conductance if self.exhaust_conductance is None else self.exhaust_conductance
 
     def _loop(self, command: ArrayLike, pressure: ArrayLike) -> Array:
@@ -343,7 +331,7 @@ class FlowValve(AirValve):
             wanted = _compensated(self._loop(command, pressure), self.dead_zone, self.compensation)
         return (wanted - state) * (1 / self.spool_lag)
 
-    def command_range(self, rated: Domain) -> tuple[ArrayLike, ArrayLike]:
+    def command_range(self, rated: Domain) -> CommandRange:
         return (-1.0, 1.0) if self.direct else super().command_range(rated)
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:

@@ -24,6 +24,9 @@ from mckibben.numerics.elementary import exp, floating
 
 Scalar = Float[Array, ""]
 
+CommandRange = tuple[ArrayLike, ArrayLike]
+"""Lowest and highest command [Pa]."""
+
 _MOST_PERIODS = 100  # of a command delay
 _ROUNDING = 1e-9  # periods
 
@@ -280,12 +283,7 @@ class Actuator(Labelled, Component):
         return pressure + lag_fraction(self.lag, duration) * (command - pressure), state
 
     def attainable(
-        self,
-        pressure: Scalar,
-        state: Any,
-        commands: tuple[ArrayLike, ArrayLike],
-        air: AirVolume | None,
-        duration: ArrayLike,
+        self, pressure: Scalar, state: Any, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
     ) -> Attainable:
         """Return the pressures that the lowest and the highest command [Pa] reach within a time [s]."""
         fraction = lag_fraction(self.lag, duration)
@@ -347,7 +345,7 @@ class Actuator(Labelled, Component):
         """Return the pressure [Pa] right after a new command [Pa]."""
         return jnp.asarray(pressure)
 
-    def command_range(self, rated: Domain) -> tuple[ArrayLike, ArrayLike]:
+    def command_range(self, rated: Domain) -> CommandRange:
         """Return the lowest and the highest command [Pa] of a muscle: its rated pressures, and the supply if known."""
         supply = getattr(self, "supply", None)
         highest = rated.pressure_max if supply is None else jnp.minimum(jnp.asarray(rated.pressure_max), supply)

@@ -57,11 +57,9 @@ class SecondOrderValve(Valve):
         return command + moved, state * even - (self.bandwidth**2 * error + decay * state) * odd
 
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
-        """Return the pressure [Pa] a time [s] after a pressure [Pa] at rest, under a constant command [Pa]."""
         return self.after(pressure, 0.0, command, elapsed)[0]
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
-        """Return the command [Pa] at which a pressure [Pa] keeps changing at a rate [Pa/s]."""
         return jnp.asarray(pressure) + self.lag * jnp.asarray(rate)
 
     @property

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator, Exchange
 from mckibben.actuator.air_valve import AirValve
-from mckibben.actuator.base import AirVolume, Attainable, Reservoir, Scalar
+from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar
 from mckibben.component.columns import Label
 from mckibben.errors import RangeError
 from mckibben.muscle.air import (
@@ -176,12 +176,7 @@ class Tube(AirActuator):
         return pressure + muscle, TubeState(following, state.pressure + tube)
 
     def attainable(
-        self,
-        pressure: Scalar,
-        state: TubeState,
-        commands: tuple[ArrayLike, ArrayLike],
-        air: AirVolume | None,
-        duration: ArrayLike,
+        self, pressure: Scalar, state: TubeState, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
     ) -> Attainable:
         # the rates that last: those of one flow through valve and tube, which fills both muscle and tube
         assert air is not None
@@ -217,8 +212,7 @@ class Tube(AirActuator):
     def _in_series(self) -> AirValve:
         """The valve with the conductances of valve and tube in series, 1/C^2 = 1/C_v^2 + 1/C_t^2."""
         valve, tube = self.valve, self.conductance
-        exhaust = valve.conductance if valve.exhaust_conductance is None else valve.exhaust_conductance
-        fill, vent = (1 / (1 / one**2 + 1 / tube**2) ** 0.5 for one in (valve.conductance, exhaust))
+        fill, vent = (1 / (1 / one**2 + 1 / tube**2) ** 0.5 for one in (valve.conductance, valve.exhaust))
         # of the critical ratios, 1 - b = C^2 ((1 - b_v)/C_v^2 + (1 - b_t)/C_t^2)
         share = (fill / tube) ** 2
         critical = (1 - share) * valve.critical_ratio + share * self.critical_ratio
@@ -243,12 +237,8 @@ class Tube(AirActuator):
         air: AirVolume | None,
         duration: ArrayLike,
     ) -> tuple[Scalar, Scalar]:
-        """Changes [Pa] of the pressures of muscle and outlet within a time [s].
-
-        The valve leads the outlet towards a pressure at an error [Pa] with a speed [1/s]. The tube has the conductance
-        of its mean pressures, and the step is that of the (0, 2) Pade approximant of the matrix exponential, which is
-        stable with any tube.
-        """
+        """Changes [Pa] of the pressures of muscle and outlet within a time [s], from an error [Pa] and speed [1/s]."""
+        # The step is that of the (0, 2) Pade approximant of the matrix exponential, stable with any tube.
         assert air is not None
         index, step = self.polytropic_index, jnp.asarray(duration)
         room = air.effective(index, pressure + ATMOSPHERE)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, ClassVar, Self
 
 import equinox as eqx
@@ -27,6 +26,7 @@ class UnequalValves(Actuator):
 
     short_name = "unequal"
     aliases: ClassVar = {"muscle": ("muscle1", "muscle2")}
+    together: ClassVar = (("reservoir_volume", "line_conductance"),)
     muscle_count = 2
 
     muscle1: Actuator
@@ -49,11 +49,6 @@ class UnequalValves(Actuator):
                     field=f"muscle{number}",
                     remedy="give each muscle one valve, and the reservoir at the inlets of both to the pair",
                 )
-        if (self.reservoir_volume is None) != (self.line_conductance is None):
-            raise RangeError(
-                "UnequalValves: a reservoir has a volume and a line that fills it",
-                remedy="give reservoir_volume and line_conductance, or neither",
-            )
         if self.reservoir_volume is not None and not self.holds_air:
             message = "UnequalValves: a reservoir at valves without air"
             remedy = "leave it out, or give valves with a conductance"
@@ -84,7 +79,8 @@ class UnequalValves(Actuator):
 
     @property
     def lag(self) -> Any:
-        return _mean(lambda one: one.lag, self.muscle1, self.muscle2)
+        first, second = self.muscle1.lag, self.muscle2.lag
+        return None if first is None or second is None else (first + second) / 2
 
     @property
     def reservoir(self) -> Reservoir | None:
@@ -116,9 +112,3 @@ class UnequalValves(Actuator):
         if self.reservoir is None:
             return fastest
         return max(fastest, self.reservoir.fastest_rate(sum(one.widest for one in each)))
-
-
-def _mean(of: Callable[[Actuator], Any], one: Actuator, other: Actuator) -> Any:
-    """Mean of a quantity of two actuators, None where one of them has none."""
-    first, second = of(one), of(other)
-    return None if first is None or second is None else (first + second) / 2

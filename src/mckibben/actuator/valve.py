@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Actuator, AirVolume, Attainable, Scalar
+from mckibben.actuator.base import Actuator, AirVolume, Attainable, CommandRange, Scalar
 from mckibben.units import PositivePressure, PressureRate, ValveTime
 
 
@@ -107,12 +107,7 @@ class FirstOrderValve(Valve):
         return self.pressure_after(pressure, command, duration), state
 
     def attainable(
-        self,
-        pressure: Scalar,
-        state: Any,
-        commands: tuple[ArrayLike, ArrayLike],
-        air: AirVolume | None,
-        duration: ArrayLike,
+        self, pressure: Scalar, state: Any, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
     ) -> Attainable:
         if self.rate is None:
             return super().attainable(pressure, state, commands, air, duration)

@@ -60,6 +60,12 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", *, reme
             )
 
 
+def check_count(field: str, given: int, count: int, each: str) -> None:
+    """Raise `RangeError` unless a field has one value for each of a number of things, named in words."""
+    if given != count:
+        raise RangeError(f"{given} {field} for {count}", field=field, value=given, remedy=f"give one for each {each}")
+
+
 def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
     """Raise `RangeError` unless a field is of its type, a class or a union: arguments are easily swapped."""
     if not isinstance(value, kind):

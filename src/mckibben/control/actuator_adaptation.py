@@ -53,21 +53,17 @@ class ActuatorAdaptation(Component):
     r"""Estimate of the delay of the commands and of the speed of the valves by recursive prediction errors.
 
     The speed v multiplies the conductances of valves with air, and divides the time constant of a first-order valve.
-    The model predicts both pressures from the commands alone (output error), so that noise of the sensors does not bias
-    the estimate; the slopes :math:`\psi` of the prediction over :math:`x = (\ln v, d)` follow by differentiation.
-    Errors and slopes pass the same high-pass filter, of 0.1 s, which removes offsets of the sensors. The estimate is
-    the most probable one of the linearised errors,
+    The model predicts both pressures from the commands alone (output error); the slopes :math:`\psi` of the prediction
+    over :math:`x = (\ln v, d)` follow by differentiation. Errors and slopes pass the same high-pass filter, of 0.1 s.
+    The estimate is the most probable one of the linearised errors,
 
     .. math::
 
         \hat x = \arg\min_x \sum_k w_k e^{-(t - t_k)/T} (e_k + \psi_k^T (\hat x_k - x))^2
         + \frac{\ln^2 v}{\sigma_v^2} + \frac{(d - d_0)^2}{\sigma_d^2},
 
-    within three prior standard deviations of the model, and with a delay from 0 up. The
-    weights fall for errors above three standard deviations, as for `ValveAdaptation`. Without changes of the commands
-    the slopes vanish: the estimate stays, and returns to the model when all evidence is forgotten.
-
-    Both valves are assumed to differ from their models by the same factor.
+    within three prior standard deviations of the model, and with a delay from 0 up. The weights fall for errors above
+    three standard deviations, as for `ValveAdaptation`. Both valves are assumed to differ by the same factor.
 
     Parameters
     ----------

@@ -58,16 +58,14 @@ class LawAdaptation(Component):
         \sin(\theta_h - \theta) - l_2^2\ddot\theta)
 
     All terms pass the same filter of three lags, :math:`(\lambda/(s+\lambda))^3`, behind which the measured angle has
-    two derivatives. The prior is the model with the given standard deviations: estimates stay at the model without
-    evidence, and where motion cannot separate strength from load.
+    two derivatives. The prior is the model with the given standard deviations.
 
     With a `drift_time` the deviations from the model drift: each is a first-order Gauss-Markov process whose stationary
     distribution is the prior,
 
     .. math:: x \leftarrow a x, \quad P \leftarrow a^2 P + (1 - a^2) I, \quad a = e^{-h / T}
 
-    before each sample, in prior standard deviations. So old evidence is forgotten, no covariance exceeds the prior, and
-    without evidence the estimates return to the model.
+    before each sample, in prior standard deviations.
 
     Parameters
     ----------

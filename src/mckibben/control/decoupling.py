@@ -51,11 +51,7 @@ class DecouplingControl(ModelBasedControl):
     and for valves with air the opening follows from the mass flow for the rate of the pressure, at the volume of the
     muscle and its rate. p is the estimate of a `PressureObserver`, so that a shortfall of a valve is commanded again.
 
-    The torque has priority: where torque and stiffness are not attainable together, the stiffness is the nearest on the
-    line of constant torque. Limits: the pressures (now, and those that the valves reach within T), the specimens' rated
-    force and a minimum tension. A step of the stiffness moves both pressures along a straight line of constant torque,
-    however slow the valves. The feedback takes into account the rate of the torque that they leave to it, and brakes in
-    time.
+    Within the limits, the torque has priority over the stiffness.
 
     Parameters
     ----------
@@ -73,8 +69,8 @@ class DecouplingControl(ModelBasedControl):
     minimum_tension
         Lower limit of each muscle's tension [N].
     friction_compensation
-        Whether to compensate the friction of the model's muscles along the reference. The observer accounts for it; do
-        not wrap this controller in `FrictionCompensation`.
+        Whether to compensate the friction of the model's muscles along the reference, in place of a
+        `FrictionCompensation`.
     adaptation
         On-line correction of the strength of the model's muscles. Default: none.
     valve_adaptation
@@ -145,11 +141,7 @@ class DecouplingControl(ModelBasedControl):
     def _attainable(
         self, model: AntagonisticJoint, angle: Scalar, valves: Valves, period: ArrayLike
     ) -> tuple[TorqueStiffnessMap, Pair, Pair, Scalar]:
-        """Torque and stiffness over the pressures at an angle [rad], their limits, and the rate of the torque [N*m/s].
-
-        The limits are those of the pressures that the valves approach with the lag of the feedback; the rate is the
-        mean of both directions.
-        """
+        """Torque and stiffness over the pressures at an angle [rad], their limits, and the torque's rate [N*m/s]."""
         lowest, highest = pressure_range(model, angle, self.minimum_tension)
         covered = 1 - exp(-jnp.asarray(period) / self.feedback.lag)  # part of the way in a period
 

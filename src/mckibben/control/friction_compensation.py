@@ -34,10 +34,8 @@ class FrictionCompensation(Controller):
     .. math:: p_d \leftarrow p_d - \tau_f \Big/ \frac{\partial\tau}{\partial p_d}
 
     :math:`\tau_f` is the rate-independent friction torque of the model's muscles along the *reference* angle at the
-    measured pressures. Along the measured angle it would have the wrong sign near a reversal, and cause limit cycles or
-    drift once friction is overestimated. Viscous friction is not compensated: a step of the reference would cause a
-    kick. Limits that the shift meets are not fed back to the inner controller, whose minimum tension holds here as
-    well.
+    measured pressures: along the measured angle it would have the wrong sign near a reversal. Limits that the shift
+    meets are not fed back to the inner controller, whose minimum tension holds here as well.
     """
 
     short_name = "friction_compensation"

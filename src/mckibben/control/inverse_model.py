@@ -78,8 +78,7 @@ class InverseModelState(NamedTuple):
 class InverseModelControl(Controller):
     r"""Feedforward pressures from a learned inverse of the joint, in addition to a position and a stiffness loop.
 
-    The inverse is that of a model, if there is a `load`, plus a network with one hidden layer (without a load the
-    network alone),
+    The inverse is that of a model, if there is a `load`, plus a network with one hidden layer,
 
     .. math:: (p_d, p_c) = M(x) + p_0 + p_s\,[W (\tanh(V \bar x), 1)], \quad
               x = (\theta, \dot\theta, \ddot\theta, K), \quad \bar x = (x / x_s, 1)
@@ -92,13 +91,9 @@ class InverseModelControl(Controller):
 
     .. math:: \Delta w = \eta h\, \frac{J^T e / p_s}{1 + |J|^2}
 
-    A step removes at most the fraction :math:`\eta h \le 1` of the error, which makes it stable. Weights are bounded,
-    an error is clipped to p_s, and nothing is learned from a slack muscle. The output layer starts at zero, the hidden
-    one at random. Feedback-error learning (Kawato), with the output of the loops as the error, raised the worst error
-    or diverged at each rate that lowered the median one.
-
-    The position loop works relative to the reference with its jumps removed, so that its derivative does not oppose the
-    feedforward. The learned inverse includes friction: do not wrap this controller in `FrictionCompensation`.
+    so that a step removes at most the fraction :math:`\eta h \le 1` of the error. Weights are bounded, an error is
+    clipped to p_s, and nothing is learned from a slack muscle. The output layer starts at zero, the hidden one at
+    random. The learned inverse includes friction.
 
     Parameters
     ----------
@@ -119,10 +114,9 @@ class InverseModelControl(Controller):
     References
     ----------
     D. Psaltis, A. Sideris and A. Yamamura, A multilayered neural network controller, IEEE Control Systems Magazine 8,
-    1988 ("generalized learning"); the alternative: M. Kawato, K. Furukawa and R. Suzuki, A hierarchical neural-network
-    model for control and learning of voluntary movement, Biological Cybernetics 57, 1987. Normalised steps: G. Goodwin
-    and K. Sin, Adaptive Filtering, Prediction and Control, Prentice-Hall 1984, ch. 3; filters on both sides of a model:
-    J.-J. Slotine and W. Li, Applied Nonlinear Control, Prentice-Hall 1991, sec. 9.2.
+    1988 ("generalized learning"). Normalised steps: G. Goodwin and K. Sin, Adaptive Filtering, Prediction and Control,
+    Prentice-Hall 1984, ch. 3; filters on both sides of a model: J.-J. Slotine and W. Li, Applied Nonlinear Control,
+    Prentice-Hall 1991, sec. 9.2.
     """
 
     short_name = "inverse_model"

@@ -61,9 +61,8 @@ class Feedforward(NamedTuple):
 class PositionStiffnessControl(Controller):
     """Position loop on the differential pressure pd, stiffness loop on the co-contraction pc (Fig. 5 of the paper).
 
-    p1 = pc - pd and p2 = pc + pd, within the limits of each muscle's domain; both loops track the achieved output.
-    Stiffness cannot be measured: it is estimated from the measured angle and pressures by the controller's own model
-    of the joint, and is only as accurate as that model.
+    p1 = pc - pd and p2 = pc + pd, within the limits of each muscle's domain; both loops track the achieved output. The
+    stiffness is estimated from the measured angle and pressures by the controller's own model of the joint.
 
     Parameters
     ----------
@@ -72,9 +71,8 @@ class PositionStiffnessControl(Controller):
     model
         Controller's model of the joint; not the same object as the plant's.
     minimum_tension
-        Lower limit of each muscle's tension [N]; the upper one is the specimen's rated force. Both are computed by the
-        model at the measured angle; the differential pressure has priority over the co-contraction. None, as in the
-        paper: each command is clipped separately, and a muscle may go slack.
+        Lower limit of each muscle's tension [N] by the model; the upper one is the specimen's rated force. None, as in
+        the paper: each command is clipped separately, and a muscle may go slack.
     stiffness_amplitude
         Amplitude [rad] of the motion whose stiffness is controlled, friction included
         (`AntagonisticJoint.secant_stiffness`). Default: the isobaric stiffness.

@@ -56,22 +56,15 @@ class PredictiveControl(ModelBasedControl):
         + \frac{\ddot e^2}{\omega_c^4}\Big) + \frac{\dddot e^2}{\omega_c^6}\Big)
         + \frac{1}{K_s^2} \Big((K - K_r)^2 + \frac{\dot K^2}{\omega_K^2}\Big) \, dt, \quad e = \theta - \theta_r
 
-    The prediction model has torque and stiffness affine in the pressures (for other laws the secant, recomputed in each
-    period) and to second order in the angle, and valves of first order. The acceleration of the reference is predicted
-    as a sine of the frequency of its recent samples, as a controller gets no preview; stiffness and disturbance are
-    constant. The pressures are limited to the law's domain, the rated force and a minimum tension at the predicted
-    angle, and their change to the speed of the valves.
+    The prediction model has torque and stiffness affine in the pressures (for other laws the secant) and to second
+    order in the angle, and valves of first order; stiffness and disturbance are constant.
 
     Without active limits this is, up to the duration of a stage and for any horizon, the decoupled linear loop
 
     .. math:: \dddot e + d\,\omega_c \ddot e + d\,\omega_c^2 \dot e + \omega_c^3 e = 0, \quad
               \dot K = \omega_K (K_r - K)
 
-    With an active limit the errors of angle and stiffness are traded by their weights: a small
-    :math:`\theta_s / K_s`, the default, gives priority to the torque.
-
-    The problem is solved by control-limited differential dynamic programming (`mckibben.control.ddp`): one or a few
-    Newton steps from the shifted policy of the last period.
+    The solver is `mckibben.control.ddp`.
 
     Parameters
     ----------

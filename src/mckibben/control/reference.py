@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component, Inherited
-from mckibben.component.checks import check_within
+from mckibben.component.checks import check_count, check_within
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import RANK
 from mckibben.numerics.elementary import floating, sin
@@ -162,13 +162,8 @@ class Multisine(Signal):
     def __check_init__(self) -> None:
         if not self.amplitudes:
             raise RangeError("a multisine of no sines", field="amplitudes", remedy="give at least one of each")
-        counts = {len(self.amplitudes), len(self.frequencies), len(self.phases or self.amplitudes)}
-        if len(counts) != 1:
-            raise RangeError(
-                f"a multisine has {len(self.amplitudes)} amplitudes, {len(self.frequencies)} frequencies and "
-                f"{len(self.phases)} phases",
-                remedy="give one of each for every sine",
-            )
+        check_count("frequencies", len(self.frequencies), len(self.amplitudes), "sine")
+        check_count("phases", len(self.phases or self.amplitudes), len(self.amplitudes), "sine")
 
     def __call__(self, time: ArrayLike) -> Float[Array, "..."]:
         total = jnp.full_like(floating(time), self.offset)

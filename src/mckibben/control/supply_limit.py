@@ -41,15 +41,13 @@ class SupplyLimitState(NamedTuple):
 class SupplyLimit(Controller):
     r"""Wrapper that limits the pressures of a controller's model to an estimate of the supply.
 
-    A supply below the rated pressure leaves commands above it without effect. With the limit, allocation and
-    anti-windup give the torque by less co-contraction instead, and integrals do not wind up. Commands at the estimate
-    :math:`\hat p_s` that are not reached lower it; otherwise it rises, up to the limit of the model's domain:
+    Commands at the estimate :math:`\hat p_s` that are not reached lower it; otherwise it rises, up to the limit of the
+    model's domain:
 
     .. math:: \dot{\hat p}_s = r - \frac1T \max\big(\hat p_i - p_i - 4 \max(p_i - \bar p_i, 0), 0\big), \quad
               \tau_v \dot{\hat p}_i = u_i - \hat p_i, \quad \tau_v \dot{\bar p}_i = p_i - \bar p_i
 
-    with the larger shortfall of the muscles whose command is at the limit. A pressure that still rises is attributed to
-    a slow valve, with up to five times the lag of the model.
+    with the larger shortfall of the muscles whose command is at the limit.
 
     Parameters
     ----------

@@ -42,10 +42,9 @@ class ValveAdaptation(Component):
     r"""Estimate of the time constant of the valves by a bank of models.
 
     Nine first-order lags, whose time constants :math:`\tau_j` lie up to three prior standard deviations from the
-    model's, predict both pressures from the commands alone (output error), so that noise of the sensors does not bias
-    the estimate. Commands u and measured pressures p pass the same high-pass filter, of 0.1 s, which removes offsets
-    between them; at the start, their variance is added to that of the error as they decay. The estimate is the most
-    probable time constant,
+    model's, predict both pressures from the commands alone (output error). Commands u and measured pressures p pass the
+    same high-pass filter, of 0.1 s; at the start, the variance of offsets is added to that of the error. The estimate
+    is the most probable time constant,
 
     .. math::
 
@@ -54,19 +53,14 @@ class ValveAdaptation(Component):
         + \frac{\ln^2(\tau / \tau_v)}{2 \sigma^2} + \frac{d^2}{2 \sigma_d^2}, \quad
         \tau \dot{\hat p} = u - \hat p,
 
-    the vertex of the parabola through the best model and its neighbours. An unknown delay d of the commands, of up to
-    some 10 ms, is estimated as well, or it would be mistaken for lag. The weights w are 1 up to three standard
-    deviations, and fall above them so that a larger error counts as three: other causes of error, such as a supply
-    below the commands, bias the estimate little. Without changes of the commands it stays, and returns to the model
-    when all evidence is forgotten.
-
-    Both valves are assumed identical.
+    the vertex of the parabola through the best model and its neighbours, with a delay d of the commands of up to some
+    10 ms. The weights w are 1 up to three standard deviations; a larger error counts as three. Both valves are assumed
+    identical.
 
     Parameters
     ----------
     time_constant_spread
-        sigma: prior standard deviation of the logarithm of the time constant [-], at most 0.6. With 0.5, the estimate
-        stays within a factor of 4.5 of the model's.
+        sigma: prior standard deviation of the logarithm of the time constant [-], at most 0.6.
     pressure_error
         sigma_p: standard deviation of a measured pressure from that of a first-order lag [Pa].
     memory

@@ -15,6 +15,7 @@ from mckibben.joint import attainable
 from mckibben.joint.geometry import Geometry, Pair, Pressures
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
+from mckibben.muscle.air import ATMOSPHERE
 from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.compiled import compiled_alone, computed_once
@@ -306,7 +307,6 @@ class AntagonisticJoint(Component):
         pressures: Pressures,
         *,
         polytropic_index: ArrayLike | tuple[ArrayLike, ArrayLike] = 1.0,
-        atmosphere: float = 101325.0,
         dead_volume: float = 0.0,
     ) -> Num[Array, "..."]:
         """Return the stiffness [N*m/rad] with closed valves: p V^n is constant, n = 1 for slow, 1.4 for fast motion.
@@ -325,7 +325,7 @@ class AntagonisticJoint(Component):
             contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
             by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
             volume, volume_slope = value_and_derivative(muscle.specimen.volume, contraction)
-            compression = -index * (pressure + atmosphere) * volume_slope / (volume + dead_volume)  # dp / d contraction
+            compression = -index * (pressure + ATMOSPHERE) * volume_slope / (volume + dead_volume)  # dp / d contraction
             pressure_slope = compression * by_path / (1 - compression * by_pressure)  # dp / d path
             isobaric = derivative(lambda x: self.tendon.tension(muscle, x, pressure), path)
             by_air = derivative(lambda p: self.tendon.tension(muscle, path, p), pressure)
@@ -344,7 +344,6 @@ class AntagonisticJoint(Component):
         amplitude: ArrayLike,
         *,
         polytropic_index: ArrayLike | None = None,
-        atmosphere: float = 101325.0,
         dead_volume: float = 0.0,
     ) -> Float[Array, "..."]:
         r"""Return the secant stiffness [N*m/rad] of slow motion with an amplitude [rad] about an angle, friction
@@ -391,10 +390,10 @@ class AntagonisticJoint(Component):
             def expansion(path: Array, pressure: Array) -> Array:
                 """Absolute pressure [Pa] times V^n."""
                 volume = muscle.specimen.volume(self.tendon.contraction(muscle, path, pressure, state)) + dead_volume
-                return (pressure + atmosphere) * volume**index
+                return (pressure + ATMOSPHERE) * volume**index
 
             held = expansion(start, pressure)
-            return bracketed_root(lambda p: expansion(path, p) / held - 1, -atmosphere, 9 * (pressure + atmosphere))
+            return bracketed_root(lambda p: expansion(path, p) / held - 1, -ATMOSPHERE, 9 * (pressure + ATMOSPHERE))
 
         def torque(angle: Array) -> Array:
             path1, path2 = self.geometry.path_lengths(angle)

@@ -102,7 +102,6 @@ class KneeGeometry(Geometry):
             check_positive("KneeGeometry", "m", zero=True, muscle_length=length)
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
-        """Return the length [m] of each muscle with its series spring at an angle [rad]."""
         H, r = self.joint_length, self.joint_radius
         sine, cosine = sincos(angle)
         # Eq. 4 with its squares multiplied out, r^2 (sin^2 + cos^2) being r^2: fewer operations.
@@ -151,7 +150,6 @@ class ScaledArms(Geometry):
         return self.geometry.angle_range
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
-        """Return the length [m] of each muscle with its series spring at an angle [rad]."""
         found, fixed = self.geometry.path_lengths(angle), self.geometry.path_lengths(self.angle)
         one, two = (at + self.scale * (now - at) for now, at in zip(found, fixed, strict=True))
         return one, two

@@ -140,12 +140,10 @@ class KneeLoad(Load):
 
     @property
     def total_inertia(self) -> Float[Array, ""]:
-        """I [kg*m^2] about the axis."""
         return self.inertia + self.mass1 * self.distance1**2 + self.mass2 * self.distance2**2  # type: ignore
 
     @property
     def gravity_moment(self) -> Float[Array, ""]:
-        """G [N*m], the largest torque of gravity; negative for an inverted load."""
         moment = (self.mass1 * self.distance1 + self.mass2 * self.distance2) * self.gravity
         return moment if self.hanging else -moment  # type: ignore
 
@@ -186,12 +184,10 @@ class PendulumLoad(Load):
 
     @property
     def total_inertia(self) -> Float[Array, ""]:
-        """I [kg*m^2] about the axis."""
         return self.mass * self.length**2  # type: ignore
 
     @property
     def gravity_moment(self) -> Float[Array, ""]:
-        """G [N*m], the largest torque of gravity."""
         return self.mass * self.length * self.gravity  # type: ignore
 
 
@@ -225,10 +221,8 @@ class GeneralLoad(Load):
 
     @property
     def total_inertia(self) -> Float[Array, ""]:
-        """I [kg*m^2] about the axis."""
         return self.inertia  # type: ignore
 
     @property
     def gravity_moment(self) -> Float[Array, ""]:
-        """G [N*m], the largest torque of gravity."""
         return self.greatest_gravity_torque  # type: ignore

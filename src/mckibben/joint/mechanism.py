@@ -53,14 +53,7 @@ class Mechanism:
 
     Straight muscles lie between their anchors. Any other path is drawn as the cam with its moment arms: a line of
     action parallel to the fixed limb touches the cam, at the distance of the moment arm from the hinge. A pulley is a
-    round cam.
-
-    Parameters
-    ----------
-    geometry
-        Geometry of the joint.
-    angles
-        Angles [rad] to be drawn, for the extent of cams.
+    round cam. The angles [rad] to be drawn determine the extent of cams.
     """
 
     def __init__(self, geometry: Geometry, angles: tuple[float, ...] = (0.0,)) -> None:
@@ -123,11 +116,10 @@ def _profiles(geometry: Geometry, angles: ArrayLike) -> tuple[tuple[Pair, Pair],
 
 
 class _Cam:
-    """Cam on the side of muscle 2, turned by an angle that shortens its muscle; the line of action is along y.
+    """Cam on the side of muscle 2, turned by an angle that shortens its muscle; the line of action is along y."""
 
-    The moment arm is the support function of the profile, the envelope of the lines of action. If it is not convex, no
-    cam has these arms, and a circle with the current arm is drawn.
-    """
+    # The moment arm is the support function of the profile, the envelope of the lines of action. If it is not convex,
+    # no cam has these arms, and a circle with the current arm is drawn.
 
     def __init__(self, angles: Points, arms: Points, slopes: Points) -> None:
         order = np.argsort(angles)

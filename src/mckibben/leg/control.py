@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.checks import check_count
 from mckibben.component.columns import Label
 from mckibben.control import Controller, DecouplingControl, Reference
 from mckibben.control.base import DiscreteTimeSystem, Setpoint
@@ -67,13 +68,7 @@ class PressureSchedule(LegController):
     def __check_init__(self) -> None:
         super().__check_init__()
         times = self.switches or ((),) * len(self.levels)
-        if len(times) != len(self.levels):
-            raise RangeError(
-                f"switching times of {len(times)} of {len(self.levels)} muscles",
-                field="switches",
-                value=len(times),
-                remedy="give those of each muscle, () for none",
-            )
+        check_count("switches", len(times), len(self.levels), "muscle, () for no switching times")
         for number, (levels, own) in enumerate(zip(self.levels, times, strict=True), 1):
             if len(levels) != len(own) + 1:
                 raise RangeError(
@@ -182,14 +177,8 @@ class PhasedReference(LegReference):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        counts = {len(phase) for phase in (self.flight, self.touchdown, self.stance, self.push_off)}
-        if len(counts) != 1:
-            raise RangeError(
-                "phases with setpoints of different numbers of joints",
-                field="flight",
-                value=sorted(counts),
-                remedy="give one setpoint for each joint in each phase",
-            )
+        for name in ("touchdown", "stance", "push_off"):
+            check_count(name, len(getattr(self, name)), len(self.flight), "joint, as for the flight")
 
     def init(self, measurement: LegMeasurement) -> PhaseState:
         zero = jnp.zeros(())
@@ -256,13 +245,7 @@ class JointwiseControl(LegController):
     biarticular: tuple[Pressure, ...] = ()
 
     def init(self, measurement: LegMeasurement) -> Any:
-        if len(self.controllers) != len(measurement.angles):
-            raise RangeError(
-                f"{len(self.controllers)} controllers for {len(measurement.angles)} joints",
-                field="controllers",
-                value=len(self.controllers),
-                remedy="give one for each joint, from the hip down",
-            )
+        check_count("controllers", len(self.controllers), len(measurement.angles), "joint, from the trunk down")
         states = [one.init(_of_joint(measurement, index)) for index, one in enumerate(self.controllers)]
         return self.reference.init(measurement), tuple(states)
 
@@ -323,13 +306,7 @@ class CoupledControl(JointwiseControl):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        if len(self.controllers) != len(self.leg.joints):
-            raise RangeError(
-                f"{len(self.controllers)} controllers for {len(self.leg.joints)} joints",
-                field="controllers",
-                value=len(self.controllers),
-                remedy="give one for each joint, from the trunk down",
-            )
+        check_count("controllers", len(self.controllers), len(self.leg.joints), "joint, from the trunk down")
         for joint, one in zip(self.leg.joints, self.controllers, strict=True):
             if not isinstance(one, DecouplingControl):
                 raise RangeError(

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.component.checks import check_within
+from mckibben.component.checks import check_count, check_within
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, UnreachableError
 from mckibben.leg.foot import FootStiffness, foot_jacobian, movable, stiffness_of, stiffness_through
 from mckibben.leg.mechanism import Leg, check_contractions
@@ -204,8 +204,8 @@ def trajectory_pressures(
     """
     count = len(angles)
     for name, given in {"wanted": wanted, "forces": forces, "torques": torques}.items():
-        if given is not None and len(given) != count:
-            raise RangeError(f"{len(given)} {name} for {count} postures", field=name, remedy=f"give {count}")
+        if given is not None:
+            check_count(name, len(given), count, "posture")
     _check_angles(leg, angles)
     check_affine(leg)
     domains, found = [muscle.domain for muscle in leg.muscles], []

@@ -31,25 +31,13 @@ LANES = 16
 
 
 class ScheduleVariables(eqx.Module):
-    """Schedules by variables from 0 to 1: levels of the muscles, and, if timed, two switching times of each.
+    """Schedules by variables from 0 to 1: levels of the muscles, and, if timed, two switching times of each."""
 
-    Parameters
-    ----------
-    held
-        Gauge pressures [Pa] of the start.
-    low, high
-        Range of the levels [Pa].
-    latest
-        Latest switching time [s].
-    timed
-        Whether each muscle switches twice; else all change their command once, at the start.
-    """
-
-    held: tuple[Any, ...]
-    low: Any
+    held: tuple[Any, ...]  # pressures of the start [Pa]
+    low: Any  # range of the levels [Pa]
     high: Any
-    latest: Any
-    timed: bool = eqx.field(static=True)
+    latest: Any  # switching time [s]
+    timed: bool = eqx.field(static=True)  # each muscle switches twice; else all change once, at the start
 
     @property
     def size(self) -> int:

@@ -47,43 +47,19 @@ _KIND = StudyKind("mckibben jumps", 1, "evaluations of the search")
 
 @dataclass(frozen=True)
 class Jump:
-    """A jump with its controller, time traces, and results over the draws, of which the first is nominal.
-
-    Attributes
-    ----------
-    controller
-        `PressureSchedule`, or `PlannedControl` of a planned jump.
-    run
-        Time traces of the nominal jump (`simulate_leg`), with its `resolution`.
-    balance
-        Energies of the nominal run, landing included.
-    substeps
-        Integration steps per control period of the jumps of the draws.
-    heights
-        Heights [m] of the centre of mass at the apex above that of the standing leg of the same draw.
-    rises
-        Rise of the centre of mass [m] after take-off.
-    push_force, landing_force
-        Largest force of the ground [weight of the leg] before the apex, nominal, and after the flight, over the draws.
-    work
-        Work of the muscles [J] until take-off, nominal.
-    stop_energy
-        Energy [J] that the stops absorb until then.
-    air_energy
-        Exergy [J], at room temperature, of the air in the muscles at the start and of the inflow until take-off.
-    """
+    """A jump with its controller, time traces, and results over the draws, of which the first is nominal."""
 
     controller: PressureSchedule | PlannedControl
-    run: LegResult
-    balance: EnergyBalance
-    substeps: int
-    heights: Floats
-    rises: Floats
-    push_force: float
-    landing_force: Floats
-    work: float
-    stop_energy: float
-    air_energy: float
+    run: LegResult  # of the nominal jump, with its `resolution`
+    balance: EnergyBalance  # of the nominal run, landing included
+    substeps: int  # of the jumps of the draws
+    heights: Floats  # of the centre of mass at the apex above that of the standing leg of the same draw [m]
+    rises: Floats  # of the centre of mass after take-off [m]
+    push_force: float  # largest force of the ground before the apex [weight of the leg]; nominal
+    landing_force: Floats  # the same after the flight, over the draws
+    work: float  # of the muscles until take-off [J]; nominal
+    stop_energy: float  # that the stops absorb until then [J]
+    air_energy: float  # exergy at room temperature of the air in the muscles at the start, and of the inflow [J]
 
     def record(self) -> dict[str, Any]:
         """The results as plain data."""

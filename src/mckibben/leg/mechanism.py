@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben import catalog
 from mckibben.component.base import Component
+from mckibben.component.checks import check_count
 from mckibben.config.model import fail_validation, with_changes
 from mckibben.errors import McKibbenError, RangeError, quoted, suggest
 from mckibben.joint import AntagonisticJoint, MusclePath, RigidTendon, Tendon
@@ -217,13 +218,7 @@ class Leg(Component):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        if len(self.links) != len(self.joints) or not self.links:
-            raise RangeError(
-                f"a leg of {len(self.links)} links and {len(self.joints)} joints",
-                field="joints",
-                value=len(self.joints),
-                remedy="give one joint for each link, the joint above it",
-            )
+        check_count("joints", len(self.joints), max(len(self.links), 1), "link, the joint above it")
         if isinstance(self.links[-1].mass, Real) and self.links[-1].mass == 0:
             raise RangeError(
                 "the last link has no mass", field="links", value=0.0, remedy="give mass and inertia of the last link"

@@ -16,7 +16,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import Actuator, AirState, AirVolume, at_room_temperature
-from mckibben.component.checks import check_positive, known_numbers
+from mckibben.component.checks import check_count, check_positive, known_numbers
 from mckibben.component.columns import Label, labelled
 from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement, RigidTendon
@@ -177,7 +177,6 @@ class LegPlant(Plant):
         return Measurement(angles, pressures)
 
     def sample(self, state: LegState, period: ArrayLike) -> tuple[LegState, LegMeasurement]:
-        """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
         state, (angles, pressures) = super().sample(state, period)
         return state, LegMeasurement(cast(Any, angles), pressures, self.ground_force(state).z)
 
@@ -289,8 +288,9 @@ class LegPlant(Plant):
     def check_start(self, start: LegStart) -> None:
         """Raise `RangeError` where the plain numbers of a start are not possible, as by `init_state`."""
         leg = self.leg
-        _check_count("angles", len(start.angles), [joint.name for joint in leg.joints])
-        _check_count("pressures", len(start.pressures), leg.muscle_names)
+        joints, muscles = (", ".join(names) for names in ((joint.name for joint in leg.joints), leg.muscle_names))
+        check_count("angles", len(start.angles), len(leg.joints), f"of {joints}")
+        check_count("pressures", len(start.pressures), len(leg.muscles), f"of {muscles}")
         for joint, angle in zip(leg.joints, start.angles, strict=True):
             remedy = "start within the range of the joint"
             _check_inside(joint.name, "angles", angle, joint.lower, joint.upper, "rad", remedy)
@@ -335,7 +335,7 @@ class LegPlant(Plant):
 
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] within rated pressures and supply; `RangeError` unless each muscle has one."""
-        _check_count("commands", len(commands), self.leg.muscle_names)
+        check_count("commands", len(commands), len(self.muscles), f"of {', '.join(self.leg.muscle_names)}")
         return super().clip_commands(commands)
 
     def forces(self, state: LegState) -> LegForces:
@@ -419,7 +419,6 @@ class LegPlant(Plant):
         return functools.reduce(lambda one, i: reweighted(i, one), range(_PASSES), found)
 
     def air_volumes(self, state: LegState) -> list[AirVolume]:
-        """Return the volume of the air of each muscle, dead volume included."""
         dead = self.valve.attached_volume
         volumes = []
         units = self.leg.routed_muscles(state.posture.angles)
@@ -464,16 +463,6 @@ def _path_rate(unit: RoutedMuscle, rates: Sequence[Array]) -> Array:
 def _power(forces: Sequence[Array], rates: Sequence[Array]) -> Array:
     """Power [W] of forces at the rates of their coordinates."""
     return jnp.asarray(sum(force * rate for force, rate in zip(forces, rates, strict=True)))
-
-
-def _check_count(field: str, given: int, names: Sequence[str]) -> None:
-    if given != len(names):
-        raise RangeError(
-            f"{given} {field} for {len(names)}",
-            field=field,
-            value=given,
-            remedy=f"give one for each of {', '.join(names)}",
-        )
 
 
 def _check_inside(what: str, field: str, value: Any, lower: Any, upper: Any, unit: str, remedy: str) -> None:

@@ -63,44 +63,19 @@ class DrawSettings(ConfigModel):
 
 
 class LandingSettings(ConfigModel):
-    """Drops on the ground over stiffness of a joint, drop height and valve.
+    """Drops on the ground over stiffness of a joint, drop height and valve."""
 
-    Attributes
-    ----------
-    joint
-        Name of the joint whose stiffness varies; the others have the middle of their attainable range.
-    touchdown
-        Angles at touchdown [rad].
-    stiffness
-        Commanded isobaric stiffness [N*m/rad]. Default: `levels` values over the attainable range.
-    drop
-        Drop heights [m].
-    time_constants
-        Time constants [s] of the valve for small changes of its command, at the volume of the first muscle, in addition
-        to constant pressures and closed valves.
-    """
-
-    joint: Title
+    joint: Title  # whose stiffness varies; the others have the middle of their attainable range
     touchdown: Angles = Field(default_factory=dict)
-    stiffness: Annotated[tuple[Stiffness, ...], Field(min_length=2)] | None = None
-    levels: Annotated[int, BoundedInt(3, 200)] = 13
+    stiffness: Annotated[tuple[Stiffness, ...], Field(min_length=2)] | None = None  # commanded, isobaric
+    levels: Annotated[int, BoundedInt(3, 200)] = 13  # values over the attainable range, without `stiffness`
     drop: Annotated[tuple[DropHeight, ...], Field(min_length=1)] = (0.02, 0.05, 0.1)
-    time_constants: tuple[PositiveTime, ...] = (0.02,)
+    time_constants: tuple[PositiveTime, ...] = (0.02,)  # see `valve_with`; constant pressures and closed valves, too
     duration: Duration = 0.3
 
 
 class FootStiffnessSettings(ConfigModel):
-    """A stiffness of the foot, as its main axes.
-
-    Attributes
-    ----------
-    principal
-        Stiffness [N/m] along the first axis, and across it, both in the plane of walking.
-    direction
-        Angle [rad] of the first axis from the forward direction.
-    sideways
-        Stiffness to the side [N/m], of a leg in space.
-    """
+    """A stiffness of the foot, as its main axes; see `foot_matrix`."""
 
     principal: tuple[FootStiffnessValue, FootStiffnessValue]
     direction: Angle = 0.0
@@ -116,20 +91,7 @@ class PlannedStiffness(ConfigModel):
 
 
 class PlanSettings(ConfigModel):
-    """A planned jump with a soft landing, from the squat.
-
-    Attributes
-    ----------
-    take_off
-        Angles of the joints [rad] in which the foot leaves the ground and touches it again.
-    height
-        Rise of the centre of mass in flight [m].
-    landing_depth
-        Distance [m] by which the centre of mass sinks after touchdown.
-    stiffness
-        Wanted stiffness of the foot, without the part of the ground's force. Default: the middle of the attainable
-        stiffness of each joint.
-    """
+    """A planned jump with a soft landing, from the squat; see `plan_jump`."""
 
     take_off: Angles = Field(default_factory=dict)
     height: JumpHeight
@@ -138,26 +100,14 @@ class PlanSettings(ConfigModel):
 
 
 class JumpSettings(ConfigModel):
-    """A jump from a squat.
+    """A jump from a squat."""
 
-    Attributes
-    ----------
-    squat
-        Angles of the joints at the start [rad], held by the muscles at rest.
-    low, high
-        Gauge pressures [Pa] between which the muscles are switched.
-    latest
-        Latest switching time [s].
-    plan
-        A planned jump, simulated alongside. Default: none.
-    """
-
-    squat: Angles = Field(default_factory=dict)
-    low: Pressure = 0.0
+    squat: Angles = Field(default_factory=dict)  # at the start, held by the muscles at rest
+    low: Pressure = 0.0  # the muscles are switched between these pressures
     high: Pressure = 6e5
-    latest: Duration = 0.15
+    latest: Duration = 0.15  # switching time
     duration: Duration = 0.5
-    plan: PlanSettings | None = None
+    plan: PlanSettings | None = None  # simulated alongside
 
     @model_validator(mode="after")
     def _in_order(self) -> JumpSettings:
@@ -175,18 +125,10 @@ class JumpSettings(ConfigModel):
 
 
 class StiffnessSettings(FootStiffnessSettings):
-    """A stiffness of the foot at a posture, as its main axes.
-
-    Attributes
-    ----------
-    posture
-        Angles of the joints [rad].
-    force
-        Force of the ground on the foot [N]: forwards and up, or in space forwards, to the left and up. Default: none.
-    """
+    """A stiffness of the foot at a posture, as its main axes."""
 
     posture: Angles = Field(default_factory=dict)
-    force: tuple[SignedForce, ...] | None = None
+    force: tuple[SignedForce, ...] | None = None  # of the ground: forwards and up, or forwards, to the left and up
 
 
 class LegScenario(RunSettings):

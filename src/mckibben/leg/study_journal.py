@@ -50,20 +50,7 @@ def check_continued(journal: Path | None, resume: bool) -> None:
 class StudyJournal:
     """Context with the finished blocks of a study, kept in a journal if there is one; it locks out other processes.
 
-    Parameters
-    ----------
-    path
-        The journal. Default: none.
-    scenario
-        File of the leg; a journal of another is refused.
-    resume
-        Whether to continue an existing journal.
-
-    Raises
-    ------
-    FileError
-        If the journal exists, or, with `resume`, belongs to another leg or version; if another process is computing
-        the study; or if the disk is full.
+    Raises `FileError` as `study_landing`.
     """
 
     def __init__(self, path: Path | None, kind: StudyKind, scenario: LegScenario, engine: str, resume: bool) -> None:

@@ -54,14 +54,14 @@ class LoopState(NamedTuple):
 
 
 class PeriodRecord(NamedTuple):
-    """Record of control periods, each of shape (periods,)."""
+    """Record of control periods: tuples of columns, or arrays of shape (periods, columns)."""
 
-    volts: tuple[Any, Any, Any]
-    reading: tuple[Any, Any, Any]
-    errors: tuple[Any, Any]
-    wanted: tuple[Any, Any]
-    commands: tuple[Any, Any]
-    telemetry: tuple[Any, ...]
+    volts: Any
+    reading: Any
+    errors: Any
+    wanted: Any
+    commands: Any
+    telemetry: Any
 
 
 class Joint(NamedTuple):
@@ -124,7 +124,7 @@ def _run(parts: tuple[Joint, Channels, LoopState, Periods], _: None) -> tuple[Lo
         new = LoopState(plant, memory, commands, valves, errors)  # type: ignore[arg-type]
         new = LoopState(*(_chosen(at.counts, *pair) for pair in zip(new, state, strict=True)))
         reported = tuple(values[2 + i] for i in range(joint.telemetry))
-        return new, PeriodRecord(tuple(volts), tuple(reading), errors, wanted, commands, reported)  # type: ignore[arg-type]
+        return new, PeriodRecord(tuple(volts), tuple(reading), errors, wanted, commands, reported)
 
     return lax.scan(period, start, periods)
 
@@ -139,20 +139,6 @@ run_periods = NativeFunction(_run, EXACT)
 """Program of `_run`; raises `ExportError` where it cannot be compiled."""
 
 
-class Computed(NamedTuple):
-    """Record of periods, each of shape (periods, ...), and states and commands of the valves [Pa] after them."""
-
-    volts: NDArray[np.float64]
-    reading: NDArray[np.float64]
-    errors: NDArray[np.float64]
-    wanted: NDArray[np.float64]
-    commands: NDArray[np.float64]
-    telemetry: NDArray[np.float64]
-    plant: NDArray[np.float64]
-    controller: NDArray[np.float64]
-    valves: tuple[float, float]
-
-
 def compute_periods(
     program: ControlProgram,
     backend: SimulatedJoint,
@@ -165,10 +151,10 @@ def compute_periods(
     sensors: Sequence[Calibration],
     *,
     size: int,
-) -> Computed:
+) -> tuple[PeriodRecord, LoopState]:
     """Compute up to `size` periods after a command [Pa], with a controller's state, or without one on a ramp [Pa].
 
-    Raises `ExportError` if the loop cannot be compiled.
+    Returns their record, of shape (periods, ...), and the state after them; `ExportError` if it cannot be compiled.
     """
     count, raising, start = len(references), memory is None, backend.ahead(len(references))
     memory = np.zeros(program.layouts[1].size) if memory is None else memory
@@ -187,14 +173,11 @@ def compute_periods(
     columns = [_filled(column, size) for column in (*ramp.T, *references.T, *start.noise.T)]
     pairs = zip(columns[::2], columns[1::2], strict=True)
     periods = Periods(np.arange(size) < count, np.full(size, raising), *pairs)
-    state = LoopState(start.state, memory, commands, start.commands, monitor.errors)
+    state = LoopState(start.state, memory, commands, start.commands, tuple(monitor.errors))  # type: ignore[arg-type]
     parts = jax.tree.map(_as_array, (joint, channels, state, periods))  # other numbers compile nothing
     after, record = run_periods(parts)
-    volts, reading, errors, wanted, given, reported = (
-        np.array([column[:count] for column in part]).reshape(len(part), count).T for part in record
-    )
-    ends = after.plant, after.controller, (float(after.valves[0]), float(after.valves[1]))
-    return Computed(volts, reading, errors, wanted, given, reported, *ends)
+    parts = (np.array([column[:count] for column in part]).reshape(len(part), count).T for part in record)
+    return PeriodRecord(*parts), after
 
 
 def _as_array(leaf: Any) -> Any:

@@ -107,17 +107,9 @@ class StepResult(NamedTuple):
 
 
 class ControlProgram:
-    """Compiled controller, the same as in a simulation, one step per call.
+    """Compiled controller, the same as in a simulation, one step per call; its parameters are arguments.
 
-    Parameters
-    ----------
-    controller
-        Its parameters are arguments of the program.
-
-    Attributes
-    ----------
-    telemetry
-        Names of its telemetry, in the order of `StepResult.values` after the two commands.
+    `telemetry` has the names of its telemetry, in the order of `StepResult.values` after the two commands.
     """
 
     def __init__(self, controller: Controller) -> None:

@@ -25,23 +25,13 @@ from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitT
 
 
 class RunConditions(NamedTuple):
-    """Conditions of a run, for the hardware of a joint rig.
+    """Conditions of a run, for the hardware of a joint rig; the last three are for a simulated joint."""
 
-    Attributes
-    ----------
-    period, patience
-        Control period, which is the sampling period, and timeout of the watchdog [s].
-    substeps, paced
-        For a simulated joint: integration steps per period, and whether it runs in real time.
-    start
-        For a simulated joint: state at which it starts, with ideal sensors. Default: vented, with its own sensors.
-    """
-
-    period: float
-    patience: float
-    substeps: int = 4
-    paced: bool = True
-    start: PlantState | None = None
+    period: float  # control period, which is the sampling period [s]
+    patience: float  # timeout of the watchdog [s]
+    substeps: int = 4  # integration steps per period
+    paced: bool = True  # whether it runs in real time
+    start: PlantState | None = None  # state at which it starts, with ideal sensors; else vented, with its own sensors
 
 
 class JointHardware(Keyed, Checked, abc.ABC):
@@ -67,7 +57,6 @@ class SimulatedJointSettings(JointHardware):
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
 
     def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
-        """Return the simulated joint."""
         return SimulatedJoint(
             plant,
             period=run.period,
@@ -95,7 +84,6 @@ class JointCardSettings(CardSettings, JointHardware):
     valve2: str = "ao1"
 
     def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
-        """Return the card."""
         return NiBackend(
             self.terminals(),
             rate=1 / run.period,

@@ -43,28 +43,15 @@ _FEW = 50  # periods for which a chunk does not pay
 
 @dataclass(frozen=True)
 class RunPlan:
-    """Plan of a run: approach and reference.
+    """Plan of a run: approach and reference."""
 
-    Attributes
-    ----------
-    references
-        Angle [rad] and stiffness [N*m/rad] at the start of each control period [s], shape (periods, 2).
-    raising, settling
-        Number of periods in which the pressures are ramped to `pressures` [Pa], without the controller, and of those in
-        which the controller holds the first reference.
-    command_limits
-        Range of the commands of each muscle [Pa]: (lowest, highest), (lowest, highest).
-    angle_resolution
-        Step of the sensor of the angle [rad], 0 for none; smaller limit cycles are not reported.
-    """
-
-    references: NDArray[np.float64]
-    period: float
-    raising: int
-    settling: int
-    pressures: tuple[float, float]
-    command_limits: tuple[tuple[float, float], tuple[float, float]]
-    angle_resolution: float = 0.0
+    references: NDArray[np.float64]  # angle [rad] and stiffness [N*m/rad] at the start of each period, (periods, 2)
+    period: float  # control period [s]
+    raising: int  # periods in which the pressures are ramped to `pressures`, without the controller
+    settling: int  # periods in which the controller holds the first reference
+    pressures: tuple[float, float]  # [Pa]
+    command_limits: tuple[tuple[float, float], tuple[float, float]]  # lowest and highest of each muscle [Pa]
+    angle_resolution: float = 0.0  # step of the sensor [rad], 0 for none; smaller limit cycles are not reported
 
     @property
     def periods(self) -> int:
@@ -81,41 +68,26 @@ class RunPlan:
 
 
 class RunProgress(NamedTuple):
-    """Progress of a run: time and duration [s], phase, reading, reference angle [rad], missed deadlines.
+    """Progress of a run."""
 
-    `limit_cycle` is that of the closed loop so far, None for none.
-    """
-
-    time: float
-    duration: float
+    time: float  # [s]
+    duration: float  # [s]
     phase: Phase
     reading: JointReading
-    reference: float
-    missed: int
-    limit_cycle: LimitCycle | None = None
+    reference: float  # angle [rad]
+    missed: int  # deadlines
+    limit_cycle: LimitCycle | None = None  # of the closed loop so far
 
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """Outcome of a run.
+    """Outcome of a run."""
 
-    Attributes
-    ----------
-    kind
-        "completed"; or "stopped", "signal", "silent", "rig", "failed".
-    text, error
-        Reason, as a sentence, and the error that stopped it, if any.
-    vented_after
-        Time from the vent until both pressures were below 0.2 bar [s]; None if that was not measured.
-    remaining
-        The higher pressure [Pa] as last measured after the vent; None if it was not measured.
-    """
-
-    kind: str
-    text: str
-    error: McKibbenError | None = None
-    vented_after: float | None = None
-    remaining: float | None = None
+    kind: str  # "completed"; or "stopped", "signal", "silent", "rig", "failed"
+    text: str  # reason, as a sentence
+    error: McKibbenError | None = None  # that stopped it
+    vented_after: float | None = None  # time from the vent until both pressures were below 0.2 bar [s], if measured
+    remaining: float | None = None  # the higher pressure [Pa] as last measured after the vent, if it was
 
     @property
     def completed(self) -> bool:
@@ -201,11 +173,8 @@ def control(
     RigError
         If the backend does not match, before anything moves.
     """
-    connected = Connected(backend)
-    _check(backend, plan, connected)
-    rows = RowBuffer(recorder, program.telemetry)
-    monitor = JointMonitor(backend, limits, connected.wiring.sensors, plan.period)
-    loop = ControlLoop(backend, program, plan, monitor, rows, connected, stop_flag or StopFlag(), progress, together)
+    loop = ControlLoop(backend, program, plan, limits, recorder, stop_flag or StopFlag(), progress, together)
+    monitor, rows = loop.monitor, loop.rows
     error: McKibbenError | None = None
     with backend.opened():
         try:
@@ -272,15 +241,18 @@ class ControlLoop:
         backend: Backend,
         program: ControlProgram,
         plan: RunPlan,
-        monitor: JointMonitor,
-        rows: RowBuffer,
-        connected: Connected,
+        limits: JointLimits,
+        recorder: Recorder,
         stop_flag: StopFlag,
         progress: Callable[[RunProgress], None] | None,
-        together: int = 1,
+        together: int,
     ) -> None:
-        self._backend, self._program, self._plan, self._monitor = backend, program, plan, monitor
-        self._rows, self._connected, self._stop_flag, self._progress = rows, connected, stop_flag, progress
+        self._connected = Connected(backend)
+        _check(backend, plan, self._connected)
+        self.monitor = JointMonitor(backend, limits, self._connected.wiring.sensors, plan.period)
+        self.rows = RowBuffer(recorder, program.telemetry)
+        self._backend, self._program, self._plan = backend, program, plan
+        self._stop_flag, self._progress = stop_flag, progress
         self._next = 0  # number of the next sample
         self._delay = math.inf  # shortest delay of a sample [s]
         self._missed = 0
@@ -298,7 +270,7 @@ class ControlLoop:
     def run(self) -> None:
         """Run all periods of the plan, to the end of the last one."""
         total, backend, plan = self._plan.periods, self._backend, self._plan
-        silence = self._monitor.limits.silence
+        silence = self.monitor.limits.silence
         while self._next < total:
             self._stop_flag.check()
             if self._together > 1 and self._run_ahead(self._together):
@@ -324,20 +296,20 @@ class ControlLoop:
             part = ((numbers + 1) / plan.raising)[:, np.newaxis]
             ramp = self._ramp_start + part * (np.array(plan.pressures) - self._ramp_start)
         memory = None if raising else self._state
-        inputs = self._program, backend, self._monitor, plan.command_limits, memory, self._commands, ramp, references
+        inputs = self._program, backend, self.monitor, plan.command_limits, memory, self._commands, ramp, references
         try:
-            found = compute_periods(*inputs, self._connected.wiring.sensors, size=most)
+            found, after = compute_periods(*inputs, self._connected.wiring.sensors, size=most)
         except ExportError as error:
             warn_of_fallback(error)
             self._together = 1
             return False
         time = numbers * np.float64(plan.period)
-        if not (np.isfinite(found.wanted).all() and self._monitor.accept(time, found.volts, found.errors)):
+        if not (np.isfinite(found.wanted).all() and self.monitor.accept(time, found.volts, found.errors)):
             return False
-        backend.moved_ahead(count, found.plant, found.valves)
+        backend.moved_ahead(count, after.plant, (float(after.valves[0]), float(after.valves[1])))
         self._next, self._commands = first + count, (float(found.commands[-1, 0]), float(found.commands[-1, 1]))
         if not raising:
-            self._state, self._stepped = found.controller, first + count - 1
+            self._state, self._stepped = after.controller, first + count - 1
             for number, angle, reference in zip(numbers, found.reading[:, 0], references[:, 0], strict=True):
                 self._detect(int(number) - self._first, float(angle), float(reference))
         references = np.full((count, 2), np.nan) if raising else references
@@ -351,12 +323,8 @@ class ControlLoop:
             **dict(zip(("command1", "command2"), found.commands.T, strict=True)),
             "limited": (found.commands != found.wanted).any(axis=1) & (not raising),
         }
-        self._rows.extend(own, found.telemetry)
-        if self._progress is not None:
-            duration, phase = plan.periods * plan.period, plan.phase(self._next - 1)
-            reading = JointReading(*found.reading[-1].tolist())
-            state = time[-1], duration, phase, reading, float(references[-1, 0]), self._missed, self._limit_cycle
-            self._progress(RunProgress(*state))
+        self.rows.extend(own, found.telemetry)
+        self._report(time[-1], self._next - 1, JointReading(*found.reading[-1].tolist()), float(references[-1, 0]))
         return True
 
     def record_venting(self, block: Block) -> None:
@@ -372,7 +340,7 @@ class ControlLoop:
 
     def _step(self, first: int, times: Sequence[float], volts: Sequence[Sequence[float]], clock: float) -> None:
         """Record and check samples, act on the newest, send the heartbeat."""
-        plan, monitor, rows = self._plan, self._monitor, self._rows
+        plan, monitor, rows = self._plan, self.monitor, self.rows
         lost = first - self._next
         if lost < 0:
             raise RigError(f"sample {first} came when {self._next} was due", remedy="check the device")
@@ -389,10 +357,13 @@ class ControlLoop:
         commanded = self._backend.clock()
         rows.commanded_at(row, commanded)
         self._missed += lost + last + (commanded > times[last] + plan.period * (1 + 1e-9))
+        self._report(times[last], number, reading, reference)
+
+    def _report(self, time: float, number: int, reading: JointReading, reference: float) -> None:
+        """Report the progress after a period."""
         if self._progress is not None:
-            duration = plan.periods * plan.period
-            shown = times[last], duration, plan.phase(number), reading, reference, self._missed
-            self._progress(RunProgress(*shown, self._limit_cycle))
+            duration, phase = self._plan.periods * self._plan.period, self._plan.phase(number)
+            self._progress(RunProgress(time, duration, phase, reading, reference, self._missed, self._limit_cycle))
 
     def _record(
         self,
@@ -404,13 +375,11 @@ class ControlLoop:
         venting: bool = False,
     ) -> tuple[int, list[JointReading]]:
         """Record samples; return the row of the last one, and all readings."""
-        rows, connected, row, readings = self._rows, self._connected, -1, []
+        rows, connected, row, readings = self.rows, self._connected, -1, []
         for number, (time, signals) in enumerate(zip(times, volts, strict=True), start=first):
             phase = Phase.VENTING if venting else self._plan.phase(number)
-            row = rows.begin(number, phase, time, connected.picked(signals), clock)
-            reading = connected.reading(signals)
-            rows.measured(row, reading)
-            readings.append(reading)
+            readings.append(connected.reading(signals))
+            row = rows.begin(number, phase, time, connected.picked(signals), readings[-1], clock)
         self._next = first + len(times)
         return row, readings
 
@@ -424,7 +393,7 @@ class ControlLoop:
             part = (number + 1) / plan.raising
             ramp = [start + part * (end - start) for start, end in zip(self._ramp_start, plan.pressures, strict=True)]
             commands, _ = self._command(ramp)
-            self._rows.commanded(row, (math.nan, math.nan), commands, False)
+            self.rows.commanded(row, (math.nan, math.nan), commands, False)
             return math.nan
         reference = plan.references[max(number - plan.raising - plan.settling, 0)]
         if self._stepped is None:
@@ -437,7 +406,7 @@ class ControlLoop:
         self._stepped = number
         self._state, values = self._program.step(self._state, inputs)
         commands, limited = self._command(values[:2].tolist())
-        self._rows.commanded(row, reference, commands, limited, values[2:])
+        self.rows.commanded(row, reference, commands, limited, values[2:])
         self._detect(number - self._first, angle, float(reference[0]))
         return float(reference[0])
 
@@ -447,7 +416,7 @@ class ControlLoop:
         if found is not None and self._limit_cycle is None:
             amplitude, period = map(float, found)
             text = f"the angle oscillates by {amplitude / deg:.3g} deg either way with a period of {period:.3g} s"
-            self._rows.event("limit cycle", text, amplitude=amplitude, period=period)
+            self.rows.event("limit cycle", text, amplitude=amplitude, period=period)
         self._limit_cycle = found
 
     def _command(self, pressures: Sequence[float]) -> tuple[tuple[float, float], bool]:

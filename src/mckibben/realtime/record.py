@@ -70,19 +70,18 @@ class RowBuffer:
         self._table: NDArray[np.float64] = np.full((_TOGETHER, len(self._names)), np.nan)
         self._filled = 0
 
-    def begin(self, sample: int, phase: int, time: float, volts: Sequence[float], read_at: float) -> int:
+    def begin(
+        self, sample: int, phase: int, time: float, volts: Sequence[float], reading: JointReading, read_at: float
+    ) -> int:
         """Begin the row of a sample; return its index."""
         if self._filled == _TOGETHER or (self._filled and time - self._table[0, _TIME] > _LONGEST):
             self.flush()
         row = self._filled
         self._table[row, :_COMMANDED] = (sample, phase, time, read_at)
         self._table[row, _VOLTS : _VOLTS + 3] = volts
+        self._table[row, _READING : _READING + 3] = reading
         self._filled = row + 1
         return row
-
-    def measured(self, row: int, reading: JointReading) -> None:
-        """Set the reading of a row."""
-        self._table[row, _READING : _READING + 3] = reading
 
     def commanded(
         self,
@@ -201,30 +200,15 @@ class Percentiles(NamedTuple):
 
 
 class Timing(NamedTuple):
-    """Timing of the closed loop of a run.
-
-    Attributes
-    ----------
-    periods, missed
-        Control periods, and those in which the command from their sample did not reach the valves before their end.
-    skipped, dropped
-        Of the missed: periods without a command, as the loop was late and took the next sample; samples that the device
-        lost.
-    lateness
-        Time from a sample to its reading by the loop.
-    work
-        Time from the reading to the commands: limits, controller, valves.
-    jitter
-        Absolute difference between the time between commands and the period.
-    """
+    """Timing of the closed loop of a run."""
 
     periods: int
-    missed: int
-    skipped: int
-    dropped: int
-    lateness: Percentiles
-    work: Percentiles
-    jitter: Percentiles
+    missed: int  # periods in which the command from their sample did not reach the valves before their end
+    skipped: int  # of these: without a command, as the loop was late and took the next sample
+    dropped: int  # of these: samples that the device lost
+    lateness: Percentiles  # from a sample to its reading by the loop
+    work: Percentiles  # from the reading to the commands: limits, controller, valves
+    jitter: Percentiles  # absolute difference between the time between commands and the period
 
     @classmethod
     def of(cls, columns: Mapping[str, NDArray[Any]], period: float) -> Timing:

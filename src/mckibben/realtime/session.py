@@ -16,6 +16,7 @@ from mckibben.realtime.compiled_step import ControlProgram, vented_angle
 from mckibben.realtime.config import JointRig, RunConditions
 from mckibben.realtime.loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
 from mckibben.realtime.record import Timing, columns, measured_result
+from mckibben.realtime.simulated import rated_commands
 from mckibben.realtime.wiring import Wiring
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
@@ -32,23 +33,13 @@ _ABOVE = 1.05  # pressure limit over the rated pressure
 
 
 class JointRunResult(NamedTuple):
-    """Result of a run.
-
-    Attributes
-    ----------
-    result
-        Measured trajectory, with the columns of a simulation; None if the run did not begin.
-    timing
-        Timing of the loop; meaningless for an unpaced run.
-    priority
-        Of the process: "real-time" or "ordinary".
-    """
+    """Result of a run."""
 
     outcome: RunOutcome
-    result: Result | None
+    result: Result | None  # measured trajectory, with the columns of a simulation; None if the run did not begin
     reach: Feasibility
-    timing: Timing
-    priority: str
+    timing: Timing  # of the loop; meaningless for an unpaced run
+    priority: str  # of the process: "real-time" or "ordinary"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,7 +158,7 @@ def prepare(
         raising=0 if ideal else round(approach.raising / period),
         settling=0 if ideal else round(approach.settling / period),
         pressures=(float(start.pressures[0]), float(start.pressures[1])),
-        command_limits=_rated(plant),
+        command_limits=rated_commands(plant),
         angle_resolution=float(plant.sensors.angle_resolution),
     )
     limits = _limits(rig, plant, references[:, 0], (float(start.angle), hanging))
@@ -187,20 +178,13 @@ def prepare(
     return JointSession(scenario, plant, reach, backend, limits, plan, program, header)
 
 
-def _rated(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Ranges of the commands [Pa] of both muscles: their rated pressures, and the supply if known."""
-    valve, muscles = plant.valve, enumerate(plant.muscles)
-    (low1, high1), (low2, high2) = (valve.for_muscle(i).command_range(one.specimen.domain) for i, one in muscles)
-    return ((float(low1), float(high1)), (float(low2), float(high2)))
-
-
 def _limits(rig: JointRig, plant: JointPlant, angles: np.ndarray, others: tuple[float, ...]) -> JointLimits:
     given = {name: value for name, value in rig.limits if value is not None}
     extremes = [float(angles.min()), float(angles.max()), *others]
     defaults = {
         "lowest_angle": min(extremes) - _BEYOND,
         "highest_angle": max(extremes) + _BEYOND,
-        "pressure": _ABOVE * max(high for _, high in _rated(plant)),
+        "pressure": _ABOVE * max(high for _, high in rated_commands(plant)),
     }
     return JointLimits(**defaults | given)
 

@@ -6,12 +6,12 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.component.base import check_fields
+from mckibben.component.base import Checked
 from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.plant import JointPlant, PlantState
@@ -28,7 +28,7 @@ from mckibben.rig.simulated.faults import (
     SensorDisconnected,
     SupplyLost,
 )
-from mckibben.units import AngleStep, PressureNoise, deg, kPa, ms
+from mckibben.units import AngleStep, PressureNoise, Quantity, deg, kPa, ms
 
 _SPIN = 80e-6  # s of spinning, as a sleep may end late
 _DRAWN = 1024  # samples of noise drawn at once
@@ -37,30 +37,23 @@ _OUTPUTS = tuple(AnalogChannel(name, 0.0, 10.0, "simulated") for name in ("valve
 
 
 @dataclass(frozen=True)
-class Sensing:
-    """Sensors of a simulated joint.
+class Sensing(Checked):
+    """Sensors of a simulated joint."""
 
-    Parameters
-    ----------
-    angle_step
-        Resolution of the encoder [rad]; 0 for none. 0.022 deg are 14 bits per revolution.
-    pressure_noise
-        Standard deviation [Pa] of each sample.
-    volts_step
-        Resolution of the converter [V]; 0 for none. 16 bits over 20 V are 0.31 mV.
-    """
-
-    angle_step: AngleStep = 0.022 * deg
-    pressure_noise: PressureNoise = 4 * kPa
-    volts_step: float = 20 / 2**16
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        check_positive("Sensing", "V", zero=True, volts_step=self.volts_step)
+    angle_step: AngleStep = 0.022 * deg  # resolution of the encoder, 14 bits per revolution; 0 for none
+    pressure_noise: PressureNoise = 4 * kPa  # standard deviation of each sample
+    volts_step: Annotated[float, Quantity("V", "V", 0, 20)] = 20 / 2**16  # of the converter, 16 bits; 0 for none
 
 
 PERFECT = Sensing(0.0, 0.0, 0.0)
 """Ideal sensors, as in a simulation."""
+
+
+def rated_commands(plant: JointPlant) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Ranges of the commands [Pa] of both muscles: their rated pressures, and the supply if known."""
+    valve, muscles = plant.valve, enumerate(plant.muscles)
+    (low1, high1), (low2, high2) = (valve.for_muscle(i).command_range(one.specimen.domain) for i, one in muscles)
+    return ((float(low1), float(high1)), (float(low2), float(high2)))
 
 
 class StartOfLoop(NamedTuple):
@@ -131,13 +124,12 @@ class SimulatedJoint(Backend):
         self.rate, self.patience, self.paced = 1 / period, patience, paced
         self._delay = float(plant.command_delay or 0.0)
         self._period, self._seed, self._faults = period, seed, tuple(faults)
-        self._wiring, self._sensing = wiring or Wiring(), sensing or Sensing()
-        self._program = program or PlantProgram(plant, substeps)
+        self._wiring, self.sensing = wiring or Wiring(), sensing or Sensing()
+        self.program = program or PlantProgram(plant, substeps)
         state = plant.init_state(vented_angle(plant), (0.0, 0.0)) if start is None else plant.complete_state(start)
-        self._start = self._program.state(state)
+        self._start = self.program.state(state)
         self._initial_commands = (0.0, 0.0) if start is None else (float(start.pressures[0]), float(start.pressures[1]))
-        ranges = [plant.valve.for_muscle(i).command_range(one.specimen.domain) for i, one in enumerate(plant.muscles)]
-        self._rated = tuple((float(low), float(high)) for low, high in ranges)
+        self._rated = rated_commands(plant)
         self._volts_of = tuple((c.gain, c.offset, c.tare) for c in self._wiring.sensors)
         self.is_open = False
         self._reset()
@@ -156,27 +148,23 @@ class SimulatedJoint(Backend):
 
     @property
     def inputs(self) -> Sequence[AnalogChannel]:
-        """Angle and pressures."""
         return _INPUTS
 
     @property
     def outputs(self) -> Sequence[AnalogChannel]:
-        """Both valves."""
         return _OUTPUTS
 
     @property
     def calibrations(self) -> Mapping[str, Calibration]:
-        """Calibrations by channel."""
         return vars(self._wiring)
 
     @property
     def description(self) -> Mapping[str, str]:
-        """Description for the record."""
         return {
             "kind": "simulated joint",
             "paced": "yes" if self.paced else "no",
             "seed": str(self._seed),
-            "sensing": str(self._sensing),
+            "sensing": str(self.sensing),
             "faults": ", ".join(map(str, self._faults)) or "none",
         }
 
@@ -186,11 +174,9 @@ class SimulatedJoint(Backend):
         self.is_open = True
 
     def clock(self) -> float:
-        """Time since it was opened [s]."""
         return time.perf_counter() - self._origin if self.paced else self._now
 
     def heartbeat(self) -> None:
-        """Reset the watchdog."""
         now = self.clock()
         self._check_watchdog(now)
         self._watchdog.reset(now)
@@ -212,17 +198,14 @@ class SimulatedJoint(Backend):
         self._command(now, (commands[0], commands[1]))
 
     def vent(self) -> None:
-        """Vent at once."""
         self._command(self.clock(), (0.0, 0.0))
 
     def close(self) -> None:
-        """Vent and close."""
         if self.is_open:
             self.vent()
         self.is_open = False
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for a number of samples, and return them; as `Backend.read`."""
         self._check_open()
         if count < 1:
             raise RangeError(f"{count} samples cannot be read", value=count, lower=1)
@@ -274,16 +257,6 @@ class SimulatedJoint(Backend):
             tuple((c.gain, c.offset, c.tare, channel.low, channel.high, *rated) for c, channel, rated in valves),
         )
 
-    @property
-    def sensing(self) -> Sensing:
-        """Its sensors."""
-        return self._sensing
-
-    @property
-    def program(self) -> PlantProgram:
-        """Its compiled plant."""
-        return self._program
-
     def pass_time(self, duration: float) -> None:
         """Advance the time [s] without a host, if unpaced."""
         self._now += duration
@@ -326,13 +299,13 @@ class SimulatedJoint(Backend):
             step = self._period if stretch > self._period - little else stretch
             supplied = not any(isinstance(fault, SupplyLost) and fault.at <= self._at for fault in self._faults)
             command1, command2 = self._commands if supplied else (0.0, 0.0)
-            self._state = self._program.advance(self._state, command1, command2, step)
+            self._state = self.program.advance(self._state, command1, command2, step)
             self._at = until if stretch - step <= little else self._at + step
 
     def _sensed(self, due: float) -> list[float]:
         """Volts of the sensors."""
         angle, _, pressure1, pressure2 = self._state[:4].tolist()
-        sensing = self._sensing
+        sensing = self.sensing
         if sensing.angle_step:
             angle = round(angle / sensing.angle_step) * sensing.angle_step
         if sensing.pressure_noise:
@@ -355,7 +328,7 @@ class SimulatedJoint(Backend):
 
     def _drawn(self) -> list[list[float]]:
         """Noise of the pressures [Pa]."""
-        return (self._random.standard_normal((_DRAWN, 2)) * self._sensing.pressure_noise).tolist()
+        return (self._random.standard_normal((_DRAWN, 2)) * self.sensing.pressure_noise).tolist()
 
     def _silent(self, due: float) -> bool:
         return any(isinstance(fault, SamplesStopped) and fault.at <= due for fault in self._faults)

@@ -32,27 +32,12 @@ _NOTE = {"fontsize": 9, "color": BLACK}
 class JointPicture:
     """Artists of a joint on axes with equal scales; `update` moves them.
 
-    Parameters
-    ----------
-    axes
-        Axes; their limits are set.
-    mechanism
-        Parts of the joint.
-    limb
-        Length of the moving limb [m].
-    masses
-        Distances [m] of point masses from the hinge.
-    springs
-        Whether muscle 1 and muscle 2 are return springs.
+    The moving limb has a length [m], and point masses at distances [m] from the hinge; `springs` are not drawn as
+    muscles.
     """
 
     def __init__(
-        self,
-        axes: Axes,
-        mechanism: Mechanism,
-        limb: float,
-        masses: Sequence[float] = (),
-        springs: tuple[bool, bool] = (False, False),
+        self, axes: Axes, mechanism: Mechanism, limb: float, masses: Sequence[float], springs: tuple[bool, bool]
     ) -> None:
         self.mechanism, self._limb, self._masses, self._springs = mechanism, limb, masses, springs
         scale = mechanism.height

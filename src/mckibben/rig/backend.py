@@ -158,8 +158,7 @@ class MovingBackend(Backend, MuscleRig):
     """A backend with a motor that stretches the muscle; a protocol can name a dataclass that derives from it."""
 
     homed: bool = False
-    """Whether opening it moves the motor to the mounted position of the muscle; otherwise it stays where it was
-    left."""
+    """Whether opening it moves the motor to the mounted position of the muscle."""
 
     def __post_init__(self) -> None:
         from mckibben.component.base import check_fields
@@ -167,7 +166,6 @@ class MovingBackend(Backend, MuscleRig):
         check_fields(self)
 
     def backend(self, session: int = 0) -> MovingBackend:
-        """Return the backend itself."""
         return self
 
     @property

@@ -103,42 +103,22 @@ class RigLimits(Checked):
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointLimits:
-    """Limits of a joint rig; a single sample beyond one of them stops the run and vents both muscles.
-
-    Parameters
-    ----------
-    lowest_angle, highest_angle, pressure
-        Limits [rad], [Pa, gauge] of either muscle.
-    angle_rate, pressure_rate
-        Highest rates [rad/s], [Pa/s] between the means over two consecutive windows [s].
-    pressure_error
-        Highest deviation of a pressure from its command [Pa], low-pass filtered with the time constant `following` [s].
-        Detects a lost supply, a stuck valve, and a frozen sensor.
-    silence
-        Timeout of a sample after it was due [s].
-    late
-        Highest age of the newest sample, and longest time without one [s].
-
-    Raises
-    ------
-    RangeError
-        If one is out of its range, or the angles are in the wrong order.
-    """
+class JointLimits(Checked):
+    """Limits of a joint rig, in SI; a single sample beyond one of them stops the run and vents both muscles."""
 
     lowest_angle: Angle
     highest_angle: Angle
-    pressure: PositivePressure
-    angle_rate: AngularRate = 720 * deg
-    pressure_rate: PressureRate = math.inf
+    pressure: PositivePressure  # of either muscle
+    angle_rate: AngularRate = 720 * deg  # highest, between the means over two consecutive windows
+    pressure_rate: PressureRate = math.inf  # the same
     window: MonitorTime = 10 * ms
-    pressure_error: PressureScale = 1 * bar
-    following: MonitorTime = 250 * ms
-    silence: MonitorTime = 20 * ms
-    late: MonitorTime = 50 * ms
+    pressure_error: PressureScale = 1 * bar  # highest filtered deviation from the command: lost supply, stuck valve ...
+    following: MonitorTime = 250 * ms  # time constant of that filter
+    silence: MonitorTime = 20 * ms  # timeout of a sample after it was due
+    late: MonitorTime = 50 * ms  # highest age of the newest sample, and longest time without one
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         if not self.lowest_angle < self.highest_angle:
             raise RangeError(
                 f"limits: the angle may be {self.lowest_angle / deg:g}..{self.highest_angle / deg:g} deg",

@@ -44,7 +44,6 @@ class _SetPressureRange(Quantity):
 
     @property
     def range(self) -> str:
-        """The range as text."""
         return f"{self.lower:g} to 0 bar, or {LEAST_PRESSURE / bar:g} to {self.upper:g} bar"
 
 

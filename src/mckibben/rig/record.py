@@ -6,9 +6,9 @@ import json
 import os
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -195,23 +195,13 @@ class Point:
     repeat: int  # number of the innermost repetition
     keep: bool  # whether it is a point of the dataset
 
-    def to_json(self) -> dict[str, Any]:
-        """The data of an event."""
-        return asdict(self)
-
-    @classmethod
-    def of(cls, event: Event) -> Self:
-        """The point that an event describes."""
-        return cls(**event.data)
-
 
 def points(events: Iterable[Event]) -> list[Point]:
     """The points among events, in the order of their numbers, each once."""
     found: dict[int, Point] = {}
     for event in events:
         if event.kind in (POINT, PLACE):
-            point = Point.of(event)
-            found.setdefault(point.number, point)
+            found.setdefault(event.data["number"], Point(**event.data))
     return [found[number] for number in sorted(found)]
 
 

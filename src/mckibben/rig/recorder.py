@@ -41,7 +41,7 @@ class Recorder:
         self.path = path
         self.columns = tuple(columns)
         self._row_size = sum(column.stored.itemsize for column in self.columns)
-        self._rows = first  # appended
+        self.rows = first  # of the record, those included that are still to be written
         self._is_empty = True
         self._written = first  # of those, in the file
         self._pending: list[list[np.ndarray] | JournalRecord] = []
@@ -90,11 +90,6 @@ class Recorder:
         number = int(there[-1].stem.rpartition("-")[2]) + 1
         return cls(folder / _name(number), header, columns, rows_in(folder))
 
-    @property
-    def rows(self) -> int:
-        """Rows of the record, those included that are still to be written."""
-        return self._rows
-
     def append(self, table: Mapping[str, ArrayLike]) -> None:
         """Append rows: for each column an array, all of one length, or single numbers for one row. They are copied."""
         arrays = [np.array(table[column.name], column.stored, ndmin=1) for column in self.columns]
@@ -116,13 +111,13 @@ class Recorder:
             self._pending.append(arrays)
             self._is_empty = False
             self._bytes += count * self._row_size
-            self._rows += count
+            self.rows += count
 
     def event(self, kind: str, text: str = "", /, **data: Any) -> None:
         """Record an event between the rows before and after it: a kind (one word), a text, data for JSON."""
         content = {"kind": kind, "text": text, "data": data}
         with self._change:
-            chunk = json_record(EVENT, self._rows, content)
+            chunk = json_record(EVENT, self.rows, content)
             self._raise_closed()
             self._raise_failure(but_full=True)
             self._pending.append(chunk)

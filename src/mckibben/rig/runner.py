@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from mckibben.errors import StoppedError
 from mckibben.muscle import Muscle, forces
@@ -190,7 +190,7 @@ class Runner(StepInterpreter):
             keep=acquire.keep,
         )
         self._check_against_law(point)
-        recorder.event(POINT if acquire.keep else PLACE, **point.to_json())
+        recorder.event(POINT if acquire.keep else PLACE, **asdict(point))
         return point.force
 
     def _check_against_law(self, point: Point) -> None:

@@ -331,7 +331,6 @@ class RigMonitor(SafetyMonitor):
         self._set_at = 0.0
 
     def stop(self) -> None:
-        """Vent, stop the motor, and end the heartbeat."""
         try:
             super().stop()
         finally:
@@ -384,8 +383,8 @@ class JointMonitor(SafetyMonitor):
         ]
         super().__init__(backend, signals, maximum_age=limits.late, window=max(1, round(limits.window / period)))
         self.limits = limits
-        self._share = min(1.0, period / limits.following)
-        self._errors = [0.0, 0.0]
+        self.share = min(1.0, period / limits.following)  # of a new error in the filtered one
+        self.errors = [0.0, 0.0]  # of the pressures from their commands, filtered [Pa]
 
     def check_sample(
         self, time: float, volts: Sequence[float], commands: Sequence[float] | None, clock: float | None
@@ -394,7 +393,7 @@ class JointMonitor(SafetyMonitor):
         values = self.check(time, time, volts, volts, volts, clock)
         if commands is None:
             return
-        errors, share, limit = self._errors, self._share, self.limits.pressure_error
+        errors, share, limit = self.errors, self.share, self.limits.pressure_error
         for i in (0, 1):
             pressure = values[1 + i]
             errors[i] += share * (pressure - commands[i] - errors[i])
@@ -440,15 +439,5 @@ class JointMonitor(SafetyMonitor):
         self._recent.extend(rows[-2 * width :].tolist())
         self._newer = rows[-width:].sum(axis=0).tolist()
         self._older = rows[-2 * width : -width].sum(axis=0).tolist()
-        self._time, self._errors = float(time[-1]), errors[-1].tolist()
+        self._time, self.errors = float(time[-1]), errors[-1].tolist()
         return True
-
-    @property
-    def errors(self) -> tuple[float, float]:
-        """Filtered errors of the pressures from their commands [Pa]."""
-        return self._errors[0], self._errors[1]
-
-    @property
-    def share(self) -> float:
-        """Part of a new error in the filtered one."""
-        return self._share

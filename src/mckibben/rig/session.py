@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Mapping
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +35,8 @@ class Progress(NamedTuple):
     points: int
 
 
-class ProgressCallback(Protocol):
-    """Callback for the progress, called once per cycle."""
-
-    def __call__(self, progress: Progress) -> None: ...
+ProgressCallback = Callable[[Progress], None]
+"""Called once per cycle."""
 
 
 class PlateauSamples(NamedTuple):

@@ -41,7 +41,6 @@ from mckibben.units import (
 )
 
 Phase = Literal["", "filling", "venting"]
-DIRECTIONS, PHASES = ("", "loading", "unloading"), ("", "filling", "venting")
 
 SPEED = 0.2 * mm / s
 """Speed of the paper [m/s]: a step of 1 mm takes 5 s."""

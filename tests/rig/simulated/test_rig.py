@@ -178,18 +178,6 @@ def test_motor_counts_its_pulses_in_time():
         rig.move(1, 2001.0)
 
 
-def test_motor_ramps_where_it_has_an_acceleration():
-    """100 pulses at 100 a second, 200 a second more each second: 0.5 s up, 0.5 s even, 0.5 s down."""
-    rig = opened(stretcher=Stretcher(acceleration=200.0), patience=10.0)
-    rig.move(100, 100.0)
-    pulses = rig.read(1600).pulses
-    assert pulses[[0, 500, 1000, 1499]].tolist() == [0, 25, 75, 99] and pulses[1500] == 100 and not rig.moving
-    assert (np.diff(pulses) >= 0).all()
-    rig.heartbeat()
-    rig.move(-8, 100.0)  # too short to get there: up and down in 2 sqrt(8/200) s
-    assert rig.read(500).pulses[[0, 200, 399, 400]].tolist() == [100, 96, 93, 92]
-
-
 def test_slack_muscle_is_left_in_the_play_of_the_screw():
     play = 0.05 * mm
     rig = opened(mounted_at=0.2, stretcher=Stretcher(backlash=play), patience=1e9)

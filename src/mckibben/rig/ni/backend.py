@@ -79,19 +79,16 @@ class NiBackend(Backend):
 
     @property
     def inputs(self) -> Sequence[AnalogChannel]:
-        """Sensors."""
         return tuple(AnalogChannel(name, *self.wiring.input_range, where) for name, where in self.wiring.inputs.items())
 
     @property
     def outputs(self) -> Sequence[AnalogChannel]:
-        """The valves."""
         return tuple(
             AnalogChannel(name, *self.wiring.output_range, where) for name, where in self.wiring.outputs.items()
         )
 
     @property
     def calibrations(self) -> Mapping[str, Calibration]:
-        """Calibrations by channel."""
         return self._calibrations
 
     @property
@@ -188,7 +185,6 @@ class NiBackend(Backend):
         return host_watchdog(self)
 
     def status(self) -> Iterator[ChannelStatus]:
-        """Status of driver, devices and terminals, see `channel_status`."""
         yield from channel_status(self.wiring, self.calibrations, server=self.server)
 
     def _open_tasks(self, driver: Driver) -> None:
@@ -330,7 +326,6 @@ class NiRig(NiBackend, MovingBackend):
 
     @property
     def drive(self) -> Drive:
-        """The motor, its reducer and its lead screw."""
         return self._drive or super().drive
 
     def open(self) -> None:
@@ -367,14 +362,12 @@ class NiRig(NiBackend, MovingBackend):
 
     @property
     def moving(self) -> bool:
-        """Whether the motor is moving."""
         if self._train is None:
             return False
         with self._open().translated("the motor"):
             return not self._train.is_task_done()
 
     def stop(self) -> None:
-        """Stop the motor at once. Never raises."""
         if self._train is None:
             return
         sent = self._pulses
@@ -385,7 +378,6 @@ class NiRig(NiBackend, MovingBackend):
         self._end(sent)
 
     def close(self) -> None:
-        """Vent, stop, and close the card. Never raises."""
         self.vent()  # first: the air is the greater hazard
         self.stop()
         super().close()

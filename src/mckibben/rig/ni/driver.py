@@ -133,40 +133,18 @@ def _first(error: Exception) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Terminals:
-    """Terminals of a rig, in the notation of the driver; by default the paper's.
+    """Terminals of a rig, in the notation of the driver; by default the paper's."""
 
-    Parameters
-    ----------
-    inputs
-        Analog inputs of the sensors, each differential: "Dev1/ai0" is AI 0 against AI 8.
-    outputs
-        Analog outputs of the valves.
-    heartbeat
-        Digital line that toggles with each heartbeat; an external relay opens when it does not.
-    hold
-        Digital line that, through that relay, energises the spring-return vent valve: high = closed.
-    counter, direction
-        Counter of the motor's pulses, empty without a motor; digital line of its direction: high = stretching.
-    input_range, output_range
-        Ranges of all inputs and of all outputs [V].
-    rest
-        Signal [V] of the outputs at which a valve vents.
-
-    Raises
-    ------
-    RangeError
-        If terminals are missing or given twice; reports all at once.
-    """
-
+    # analog inputs of the sensors, each differential: "Dev1/ai0" is AI 0 against AI 8
     inputs: Mapping[str, str] = field(default_factory=lambda: {"force": "Dev1/ai0", "pressure": "Dev1/ai1"})
     outputs: Mapping[str, str] = field(default_factory=lambda: {"valve": "Dev1/ao0"})
-    heartbeat: str = "Dev1/port0/line0"
-    hold: str = "Dev1/port0/line1"
-    counter: str = "Dev1/ctr0"
-    direction: str = "Dev1/port0/line2"
-    input_range: tuple[float, float] = (-10.0, 10.0)
+    heartbeat: str = "Dev1/port0/line0"  # toggles with each heartbeat; an external relay opens when it does not
+    hold: str = "Dev1/port0/line1"  # through that relay energises the spring-return vent valve: high = closed
+    counter: str = "Dev1/ctr0"  # of the motor's pulses; empty without a motor
+    direction: str = "Dev1/port0/line2"  # of the motor: high = stretching
+    input_range: tuple[float, float] = (-10.0, 10.0)  # of all inputs [V]
     output_range: tuple[float, float] = (0.0, 10.0)
-    rest: float = 0.0
+    rest: float = 0.0  # signal of the outputs at which a valve vents [V]
 
     def __post_init__(self) -> None:
         problems: list[Problem] = []

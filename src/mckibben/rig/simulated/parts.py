@@ -10,8 +10,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.component.base import check_fields
-from mckibben.component.checks import check_positive
+from mckibben.component.base import Checked
 from mckibben.errors import RangeError, RigError
 from mckibben.muscle.air import ATMOSPHERE, ENERGY, FLOATS, L_PER_S_BAR, CriticalRatio, mass_flow
 from mckibben.rig.bench import Drive
@@ -35,55 +34,31 @@ from mckibben.units import (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Regulator:
+class Regulator(Checked):
     """Proportional pressure regulator such as SMC's ITV0050-3ML, with supply, vent valve and tube.
 
     The command follows the signal with play (hysteresis), offset and lag. The opening is proportional to the pressure
     error within a band, to the supply or to the exhaust. Behind it is a 3/2 valve: without current its spring shuts off
     the regulator and vents the muscle.
 
-    Numbers "of the maker" are quoted from memory from the data sheet of the ITV0000 series, unverified.
-
-    Parameters
-    ----------
-    supply
-        Gauge pressure [Pa] of the compressed air: 8 bar (ours; the maker allows 10).
-    conductance, critical
-        C [m^3/(s*Pa)] and b [-] of the fully open regulator, in both directions: 0.0091 dm^3/(s*bar), with which it
-        passes the maker's 6 dm^3/min (ANR) at 10 bar, and 0.3 (ours).
-    band
-        Pressure error at which it is fully open [Pa]: 0.1 bar (ours).
-    lag
-        Time constant of the command [s]: 30 ms (ours), a third of the maker's response of 0.1 s without a load.
-    hysteresis
-        Width of the command's play [Pa]: 4.5 kPa, the maker's 0.5 % of 9 bar.
-    repeatability
-        Largest offset [Pa], drawn at each new command: 4.5 kPa, the maker's 0.5 % of 9 bar.
-    highest
-        Highest command [Pa]: 9 bar (the maker).
-    dead_volume
-        Volume of tube and fittings [m^3]: 5 cm^3 (ours; a metre of tube with 2.5 mm inside).
-    exhaust, exhaust_delay
-        C [m^3/(s*Pa)] of the vent valve with its tube, 0.1 dm^3/(s*bar), and its opening time [s], 20 ms; both ours.
-    leak
-        C [m^3/(s*Pa)] of all leaks: 1e-5 dm^3/(s*bar) (ours).
+    Numbers "of the maker" are quoted from memory from the ITV0000 data sheet, unverified; others are ours.
     """
 
-    supply: PositivePressure = 8 * bar
-    conductance: Conductance = 0.0091 * L_PER_S_BAR
+    supply: PositivePressure = 8 * bar  # the maker allows 10
+    conductance: Conductance = 0.0091 * L_PER_S_BAR  # fully open, in both directions: the maker's 6 dm^3/min at 10 bar
     critical: CriticalRatio = 0.3
-    band: PressureScale = 0.1 * bar
-    lag: PositiveTime = 30 * ms
-    hysteresis: PressureNoise = 4.5 * kPa
-    repeatability: PressureNoise = 4.5 * kPa
-    highest: PositivePressure = 9 * bar
-    dead_volume: Volume = 5e-6
-    exhaust: Conductance = 0.1 * L_PER_S_BAR
-    exhaust_delay: ShortTime = 20 * ms
+    band: PressureScale = 0.1 * bar  # pressure error at which it is fully open
+    lag: PositiveTime = 30 * ms  # of the command: a third of the maker's response of 0.1 s without a load
+    hysteresis: PressureNoise = 4.5 * kPa  # width of the command's play: the maker's 0.5 % of 9 bar
+    repeatability: PressureNoise = 4.5 * kPa  # largest offset, drawn at each new command: the maker's 0.5 % of 9 bar
+    highest: PositivePressure = 9 * bar  # command (the maker)
+    dead_volume: Volume = 5e-6  # of tube and fittings: a metre of tube with 2.5 mm inside
+    exhaust: Conductance = 0.1 * L_PER_S_BAR  # of the vent valve with its tube
+    exhaust_delay: ShortTime = 20 * ms  # its opening time
     leak: Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4)] = 1e-5 * L_PER_S_BAR
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        super().__post_init__()
         if self.supply <= self.band:
             raise RangeError("regulator: a supply below its band gives no pressure", remedy="raise the supply")
 
@@ -109,28 +84,23 @@ class Chamber:
         self.flow = 0.0  # into the muscle [kg/s]
         self.mass = ATMOSPHERE * (volume + regulator.dead_volume) / ENERGY
         self.resting = False
-        self._signal = 0.0
+        self.signal = 0.0  # of the regulator, as a pressure [Pa]
         self._played = 0.0
         self._command = 0.0
         self._last = _SHORTEST  # length of the last adaptive step
 
-    @property
-    def signal(self) -> float:
-        """Signal of the regulator, as a pressure [Pa]."""
-        return self._signal
-
     def set_signal(self, pressure: float, offset: float) -> None:
         """Set a new signal, as a pressure [Pa], with the offset of the regulator [Pa]."""
         half = self.regulator.hysteresis / 2
-        self._signal = min(max(pressure, 0.0), self.regulator.highest)
-        self._played = min(max(self._played, self._signal - half), self._signal + half)
-        self.offset = offset if self._signal > 0 else 0.0
+        self.signal = min(max(pressure, 0.0), self.regulator.highest)
+        self._played = min(max(self._played, self.signal - half), self.signal + half)
+        self.offset = offset if self.signal > 0 else 0.0
         self.resting = False
 
     @property
     def target(self) -> float:
         """Target of the command [Pa]; 0 at a signal of 0."""
-        return self._played + self.offset if self._signal > 0 else 0.0
+        return self._played + self.offset if self.signal > 0 else 0.0
 
     def step(self, span: float, volume: Callable[[float], float]) -> float:
         """Integrate at most a time span [s], with the volume [m^3] as a function of time; return the step [s]."""
@@ -187,65 +157,36 @@ _ROUNDING = 1e-6  # pulses
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stretcher:
-    """Motor, reducer, lead screw and guide rails.
+class Stretcher(Checked):
+    """Motor, reducer, lead screw and guide rails; the numbers are ours.
 
-    Parameters
-    ----------
-    drive
-        Motor and lead screw.
-    backlash
-        Backlash of the nut [m]: 0.02 mm (ours). A force above the friction of the guide takes it up: with a taut
-        muscle the carriage follows the screw, with a slack one it stays.
-    guide_friction
-        Friction of the guide rails [N]: 5 N (ours).
-    acceleration
-        Of the motor [Hz/s]: infinite; at 80 Hz it needs no ramp.
+    A force above the friction of the guide takes up the backlash: with a taut muscle the carriage follows the screw,
+    with a slack one it stays.
     """
 
     drive: Drive = field(default_factory=Drive)
-    backlash: Distance = 0.02 * mm
+    backlash: Distance = 0.02 * mm  # of the nut
     guide_friction: Force = 5 * N
-    acceleration: float = math.inf
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        if self.acceleration != math.inf:
-            check_positive("stretcher", "Hz/s", acceleration=self.acceleration)
 
 
 @dataclass(frozen=True)
 class _Move:
-    """Trapezoidal profile of a move: ramp up, constant rate, ramp down."""
+    """A move at a constant rate [Hz], which begins at a time [s] and a position [pulses]."""
 
     begin: float
     first: int
     pulses: int
     rate: float
-    acceleration: float
 
     @property
     def end(self) -> float:
-        ramp = self.rate / self.acceleration
-        return self.begin + abs(self.pulses) / self.rate + ramp
-
-    def sent(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Distance [pulses, fractional], not negative, at times [s]."""
-        total, since = abs(self.pulses), np.minimum(time, self.end) - self.begin
-        if self.acceleration == math.inf:
-            return np.clip(since * self.rate, 0.0, total)
-        ramp, left = self.rate / self.acceleration, self.end - self.begin - since
-        even = self.rate * (since - ramp / 2)
-        there = np.where(since < ramp, self.acceleration * since**2 / 2, even)
-        there = np.where(left < ramp, total - self.acceleration * left**2 / 2, there)
-        return np.clip(there, 0.0, total)
+        return self.begin + abs(self.pulses) / self.rate
 
 
 class Motor:
     """Position of the motor over time."""
 
     def __init__(self, stretcher: Stretcher) -> None:
-        self._acceleration = stretcher.acceleration
         self._per_metre = stretcher.drive.pulses_per_metre
         self._fastest = stretcher.drive.fastest
         self._move: _Move | None = None
@@ -262,8 +203,7 @@ class Motor:
             raise RigError(message, value=rate, lower=0.0, upper=self._fastest, unit="Hz", remedy=remedy)
         self.stop(now)
         if pulses:
-            rate = min(rate, math.sqrt(abs(pulses) * self._acceleration))
-            self._move = _Move(now, self._counted, int(pulses), rate, self._acceleration)
+            self._move = _Move(now, self._counted, int(pulses), rate)
 
     def moving(self, now: float) -> bool:
         """Whether it is moving."""
@@ -285,10 +225,10 @@ class Motor:
 
     def counted(self, time: NDArray[np.float64]) -> NDArray[np.int64]:
         """Whole pulses sent until times [s]."""
-        if self._move is None:
+        if (move := self._move) is None:
             return np.full(len(time), self._counted, np.int64)
-        sent = np.floor(self._move.sent(time) + _ROUNDING).astype(np.int64)
-        return self._move.first + (sent if self._move.pulses > 0 else -sent)
+        sent = np.clip((np.minimum(time, move.end) - move.begin) * move.rate, 0.0, abs(move.pulses))
+        return move.first + np.sign(move.pulses) * np.floor(sent + _ROUNDING).astype(np.int64)
 
     def travel(self, now: float) -> float:
         """Travel of the screw [m]."""
@@ -298,10 +238,7 @@ class Motor:
         move = self._move
         if move is None:
             return float(self._counted)
-        if self._acceleration == math.inf:
-            sent = min(max((now - move.begin) * move.rate, 0.0), abs(move.pulses))
-        else:
-            sent = float(move.sent(np.array([now]))[0])
+        sent = min(max((now - move.begin) * move.rate, 0.0), abs(move.pulses))
         return move.first + math.copysign(sent, move.pulses)
 
 

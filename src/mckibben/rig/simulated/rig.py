@@ -111,7 +111,7 @@ class SimulatedRig(MovingBackend):
         self._sampling = Sampling(self._sensors, self._converter, self.rate, noise, wanders)
         self._machine = Machine(muscle, mounted_at, self._regulator, self._stretcher)
         self._opened = 0.0  # by the machine's time [s]
-        self._is_open = False
+        self.is_open = False
         self._watchdog = Watchdog(self.patience)
         self._late = 0.0  # of the host [s]
         self._turn = itertools.count()
@@ -120,28 +120,23 @@ class SimulatedRig(MovingBackend):
 
     @property
     def inputs(self) -> Sequence[AnalogChannel]:
-        """Force and pressure."""
         low, high = self._converter.low, self._converter.high
         return tuple(AnalogChannel(name, low, high, f"simulated {name}") for name in self._sensors)
 
     @property
     def outputs(self) -> Sequence[AnalogChannel]:
-        """The valve."""
         return (AnalogChannel("valve", -10.0, 10.0, "simulated regulator"),)
 
     @property
     def calibrations(self) -> Mapping[str, Calibration]:
-        """Calibrations by name: "force", "pressure", "valve"."""
         return {**{name: sensor.calibration for name, sensor in self._sensors.items()}, "valve": self._valve}
 
     @property
     def drive(self) -> Drive:
-        """Motor and lead screw."""
         return self._stretcher.drive
 
     @property
     def description(self) -> Mapping[str, str]:
-        """Description for the record."""
         return {
             "kind": "simulated",
             "muscle": self._muscle.specimen.name,
@@ -163,23 +158,17 @@ class SimulatedRig(MovingBackend):
         """True state."""
         return self._machine.truth
 
-    @property
-    def is_open(self) -> bool:
-        """Whether it is open."""
-        return self._is_open
-
     def open(self) -> None:
         """Open the rig, vented and at rest. Times of faults count from the first opening."""
-        if self._is_open:
+        if self.is_open:
             raise RigError("the simulated rig is already open", remedy="close it first")
         self._rest()
-        self._is_open = True
+        self.is_open = True
         self._opened = now = self._machine.now
         self._watchdog.start(now)
         self._sampling.begin(now, int(self._machine.motor.counted(np.array([now]))[0]))
 
     def clock(self) -> float:
-        """Time since it was opened [s]."""
         return self._machine.now - self._opened
 
     def due(self, count: int) -> float:
@@ -225,12 +214,10 @@ class SimulatedRig(MovingBackend):
         self._machine.hold()
 
     def heartbeat(self) -> None:
-        """Reset the watchdog; no effect once it has tripped."""
         self._catch_up()
         self._watchdog.reset(self._machine.now)
 
     def vent(self) -> None:
-        """Vent. Never raises."""
         self._catch_up()
         self._machine.set_signal(0.0, 0.0)
         self._machine.cut()
@@ -239,7 +226,7 @@ class SimulatedRig(MovingBackend):
         """Vent, stop, and close. Its time stands still until `pass_time`. Never raises."""
         self._catch_up()
         self._rest()
-        self._is_open = False
+        self.is_open = False
         self._sampling.forget()
 
     def move(self, pulses: int, rate: float) -> None:
@@ -250,12 +237,10 @@ class SimulatedRig(MovingBackend):
 
     @property
     def moving(self) -> bool:
-        """Whether the motor is moving."""
         self._catch_up()
         return self._machine.motor.moving(self._machine.now)
 
     def stop(self) -> None:
-        """Stop the motor at once. Never raises."""
         self._catch_up()
         self._machine.motor.stop(self._machine.now)
 
@@ -269,7 +254,7 @@ class SimulatedRig(MovingBackend):
         self._machine.motor.stop(self._machine.now)
 
     def _check_open(self) -> None:
-        if not self._is_open:
+        if not self.is_open:
             raise RigError("the simulated rig is not open", remedy="open it first")
 
     def _check_armed(self) -> None:
@@ -284,13 +269,13 @@ class SimulatedRig(MovingBackend):
         """Advance the time to a time [s], from event to event."""
         machine = self._machine
         while machine.now < to - INSTANT:
-            armed = self._is_open and not self._watchdog.has_expired
+            armed = self.is_open and not self._watchdog.has_expired
             expiry = self._watchdog.deadline if armed else math.inf
             fault = self._schedule[0][0] if self._schedule else math.inf
             event = min(expiry, fault, machine.next_event())
             if event > machine.now:
                 knots = machine.pass_until(min(to, event))
-                if self._is_open:
+                if self.is_open:
                     self._sampling.sample(knots, machine.motor)
             if armed and self._watchdog.expires(machine.now + 2 * INSTANT):
                 machine.cut()
@@ -328,20 +313,16 @@ class RealTimeRig(SimulatedRig):
 
     @property
     def description(self) -> Mapping[str, str]:
-        """Description of the rig."""
         return {**super().description, "pace": "real time"}
 
     def open(self) -> None:
-        """Open the rig; its time begins now."""
         super().open()
         self._began = self._wall()
 
     def clock(self) -> float:
-        """Time since it was opened [s], by the wall clock."""
         return self._wall() - self._began
 
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for samples; as `SimulatedRig.read`."""
         self._catch_up()
         most = count / self.rate + timeout
         while _SOON < (left := self.due(count) - self.clock()) <= most:  # later samples are refused by the rig

@@ -49,25 +49,13 @@ VALVE = Calibration(
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """Sensor with its amplifier.
+    """Sensor with its amplifier; noise, drift and wander are in the calibration's unit."""
 
-    Parameters
-    ----------
-    calibration
-        True calibration, which may differ from that of the host.
-    noise
-        Standard deviation of a sample, white, in the calibration's unit.
-    drift, wander
-        Drift of its zero, and standard deviation of its random walk, after an hour, in the unit.
-    saturation
-        Saturation of its amplifier, in both directions [V].
-    """
-
-    calibration: Calibration
-    noise: float = 0.0
-    drift: float = 0.0
-    wander: float = 0.0
-    saturation: float = 10.5
+    calibration: Calibration  # the true one, which may differ from that of the host
+    noise: float = 0.0  # standard deviation of a sample, white
+    drift: float = 0.0  # of its zero, after an hour
+    wander: float = 0.0  # standard deviation of the random walk of its zero, after an hour
+    saturation: float = 10.5  # of its amplifier, in both directions [V]
 
     def __post_init__(self) -> None:
         name, unit = self.calibration.name, self.calibration.unit
