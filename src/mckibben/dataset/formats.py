@@ -12,8 +12,9 @@ from mckibben.dataset.child import LIMIT_REMEDY, call_in_child, limit_factor
 from mckibben.dataset.encodings import decode
 from mckibben.dataset.headers import parse_header
 from mckibben.dataset.large_text import read_large_text
+from mckibben.dataset.lvm import SIGNATURE, read_lvm
 from mckibben.dataset.sheet import RawTable
-from mckibben.dataset.text import SIGNATURE, read_lvm, read_text
+from mckibben.dataset.text import read_text
 from mckibben.errors import DatasetError, Problem
 
 _SMALL = 2**20  # bytes: smaller texts are read in this process

@@ -1,11 +1,10 @@
-"""Delimited text files and LabVIEW measurement files (.lvm)."""
+"""Delimited text files."""
 
 from __future__ import annotations
 
 import csv
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -448,53 +447,3 @@ def _short(text: str, delimiter: str) -> str:
     if len(decimals) < 5 or len(set(decimals[:-1])) > 1 or decimals[-1] >= decimals[0]:
         return ""
     return f"its last number has {decimals[-1]} decimals where others have {decimals[0]}"
-
-
-SIGNATURE = "LabVIEW Measurement"
-_END = "***End_of_Header***"
-
-
-def read_lvm(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: str = "") -> RawTable:
-    """Columns of a single-segment file, with units from ``Y_Unit_Label``; ``X_Value`` may be the time [s]."""
-    parts = text.split(_END)
-    if len(parts) != 3:
-        found = f"has {len(parts) - 2} segments" if len(parts) > 3 else "is a LabVIEW measurement without a segment"
-        raise DatasetError(source, [Problem(found, remedy="write one segment to a file, or give TDMS")])
-    separator = "," if "Separator,Comma" in parts[0] else "\t"
-    fields = [line.rstrip().split(separator) for line in parts[1].splitlines()]
-    said = {cells[0]: cells[1:] for cells in fields if cells}
-    first = text[: text.rindex(_END)].count("\n") + 1
-    body = parts[2].partition("\n")[2]
-    header, _, rows = body.partition("\n")
-    names = header.rstrip("\r\n").split(separator)
-    if names[-1] == "Comment":  # its cells are written only if there is a comment
-        bare = re.sub(rf"{separator}+(?=\r?$)", "", rows, flags=re.MULTILINE)
-        longest = max((line.count(separator) for line in bare.splitlines()), default=0)
-        if longest < len(names) - 1:  # no comment at all
-            header, rows = header.rstrip("\r\n").removesuffix(f"{separator}Comment"), bare
-        else:
-            rows = "".join(_padded(line, len(names), separator) for line in rows.splitlines(keepends=True))
-        del bare
-    text = "\n" * first + f"{header}\n{rows}"  # leading blank lines preserve the line numbers
-    del parts, fields, body, rows  # of a large text
-    sheet = read_text(text, source, known, zeros=zeros, decimal=decimal)
-    if names[-1] == "Comment" and len(sheet.channels) == len(names) - 1:
-        lines = sheet.channels[0].lines
-        sheet.channels.append(RawColumn("Comment", [""] * len(lines), lines))
-    units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
-    if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
-        units["X_Value"] = "s"
-    if not any(map(str.strip, map(str, sheet.channels[0].cells))):  # X_Columns: No
-        del sheet.channels[0]
-    sheet.channels = [
-        replace(each, short="time" if each.name == "X_Value" else "", unit=each.unit or units.get(each.name, ""))
-        for each in sheet.channels
-    ]
-    return sheet
-
-
-def _padded(line: str, cells: int, separator: str) -> str:
-    """Row padded with an empty comment cell, if only that is missing."""
-    content = line.rstrip("\r\n")
-    missing = cells - 1 - content.count(separator)
-    return f"{content}{separator}{line[len(content) :]}" if missing == 1 and content.strip() else line
