@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mckibben.dataset.arrangement import labelled, titles
 from mckibben.dataset.columns import SUBTRACT
 from mckibben.dataset.headers import ABSOLUTE, is_unit
 from mckibben.dataset.sheet import (
@@ -51,9 +52,11 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
         text = _TIME_STAMP.sub("", text)
     if _QUOTED.search(text, 0, _LONGEST_HEADER) or _APOSTROPHE.search(text, 0, _LONGEST_HEADER):
         text = _QUOTED.sub(r'"\1\2\3"', _APOSTROPHE.sub("", text))
-    stream = _Lines(text)
     comments: dict[str, tuple[int, str]] = {}
     number = 0
+    if table := labelled(text):
+        text, number = table, -1
+    stream = _Lines(text)
     named = ""  # the last comment, which is the header of a table of numbers, as numpy.savetxt writes it
     for line in stream:
         number += 1
@@ -76,14 +79,16 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
             positions = ""
         lines, number = [positions or f"{named}\n", *lines], number - 1
     delimiter = _delimiter(lines[0], known)
+    if (others := _delimiter_of_rows(lines, delimiter)) != delimiter:
+        lines[0], delimiter = f"{others.join(_split(lines[0], delimiter))}\n", others
     if (count := len(_split(lines[0], delimiter))) > _MOST_COLUMNS:
         raise DatasetError(source, [_too_wide(f"{count} columns", number)])
     sheet = RawTable(header_line=number or None, comments=comments, delimiter=delimiter, has_header=not positions)
     if (numbers := _numbers(lines, stream, number, sheet, decimal, known)) is None:
-        _cells(lines, stream, number, sheet, known)
+        used = _cells(lines, stream, number, sheet, known)
     else:
-        sheet.channels = numbers
-    used = {at for at, _ in comments.values()}
+        sheet.channels, used = numbers, set[int]()
+    used |= {at for at, _ in comments.values()}
     mentioned: list[str] = []
     for at, line in enumerate(islice(_Lines(text), max(0, number - 1)), 1):
         if ABSOLUTE.search(line) and _OF_PRESSURE.search(line):
@@ -149,7 +154,8 @@ def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list
             return lines[index:], number + index
         if index and _is_units(above := _split(lines[index - 1], delimiter)) and sum(map(known, cells, above)) >= 2:
             return [candidate, lines[index - 1], *lines[index + 1 :]], number + index - 1  # units over the names
-        if max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
+        numbered = not index and cells == [str(at) for at in range(1, len(cells) + 1)]  # columns, above their names
+        if not numbered and max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
             break  # a row: the following lines cannot be a header
     return lines, number
 
@@ -166,6 +172,18 @@ def _delimiter(header: str, known: _Known) -> str:
     best = max(_DELIMITERS, key=lambda delimiter: _score(header, delimiter, known))
     words = _score(header, " ", known)
     return best if _score(header, best, known)[1] > 1 or words[1] < 2 else " "
+
+
+def _delimiter_of_rows(lines: Sequence[str], delimiter: str) -> str:
+    """Delimiter of a row of numbers as long as the header, where it is not that of the header."""
+    names, row = _split(lines[0], delimiter), "".join(lines[1:2])
+
+    def fits(one: str) -> bool:
+        cells = _split(row, one)
+        return len(cells) == len(names) > 1 and all(map(_NUMBER.fullmatch, cells))
+
+    others = (one for one in _DELIMITERS if one not in lines[0] and fits(one))
+    return delimiter if fits(delimiter) else next(others, delimiter)
 
 
 def _score(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
@@ -235,8 +253,8 @@ class _Row(NamedTuple):
     line: int
 
 
-def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known: _Known) -> None:
-    """Columns of any other file, and its corrupt rows."""
+def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known: _Known) -> set[int]:
+    """Columns of any other file, and its corrupt rows; returns the lines of titles above blocks."""
     lines = [*lines, *_LINE.findall(stream.text, stream.at)]
     rows, comments = [], []
     for row in _rows(lines, first, sheet):
@@ -244,8 +262,7 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
             continue  # under the names, as in Markdown
         (comments if _COMMENT.match(row.cells[0].lstrip()) else rows).append(row)
     if not rows:
-        return
-    sheet.suspect += _remarks(comments, rows[1:], sheet.delimiter)
+        return set()
     header = [cell.strip() for cell in rows[0].cells]
     sheet.header_line = rows[0].line
     skipped = 1 + (len(rows) > 1 and _is_units(rows[1].cells))
@@ -257,10 +274,20 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
         del rows[-1]
     units = [cell.strip() for cell in rows[1].cells] if skipped > 1 else []
     repeated = [header, units] if units else [header]
-    preamble = {line.strip() for line in islice(_Lines(stream.text), max(0, first - 1))}
+    above = [_Row([line.strip()], at) for at, line in enumerate(islice(_Lines(stream.text), max(0, first - 1)), 1)]
+    preamble = {row.cells[0] for row in above}
+    headed = titles(above, rows[skipped:], known) if len(header) > 1 else {}
+    words = [
+        row
+        for row in rows[skipped:]
+        if len(row.cells) == 1 < len(header) and _WORD.match(row.cells[0].lstrip()) and row.line not in headed
+    ]
+    sheet.suspect += _remarks(sorted([*comments, *words], key=lambda row: row.line), rows[1:], sheet.delimiter)
+    left_out = {row.line for row in words} | {*headed}
     rows = [
         row
         for row in rows[skipped:]
+        if row.line not in left_out
         if row.cells[0].strip() not in {one[0] for one in repeated}
         or [cell.strip() for cell in row.cells] not in repeated
     ]
@@ -303,6 +330,11 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     sheet.channels = [
         RawColumn(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
     ]
+    if headed and numbers and min(headed) < numbers[0]:
+        at = [max(line for line in headed if line < number) for number in numbers]
+        (name, unit), *_ = (one[:2] for one in headed.values())
+        sheet.channels.append(RawColumn(name, [headed[line][2] for line in at], numbers, unit=unit))
+    return {*headed}
 
 
 def _is_other_header(row: _Row, known: _Known) -> bool:
@@ -316,6 +348,7 @@ def _is_other_header(row: _Row, known: _Known) -> bool:
 
 
 _RULER = re.compile(r":?[-=+]{2,}:?|")
+_WORD = re.compile(r"[A-Za-z]{3}")
 _COMMENT = re.compile(r"#(?!N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
 
 
