@@ -104,7 +104,7 @@ def test_a_pressure_above_the_table_alone_is_not_taken_for_that_of_the_muscle(pu
 
 def workbook(titles, header, blocks):
     book = openpyxl.Workbook()
-    book.remove(book.active)
+    del book["Sheet"]
     for title, rows in zip(titles, blocks, strict=True):
         sheet = book.create_sheet(title)
         for row in [header, *rows]:

@@ -225,6 +225,8 @@ def titles(above: Sequence[_Row], rows: Sequence[_Row], known: Callable[[str, st
 
 def labelled(text: str) -> str:
     """Table of a text of lines such as "pressure_bar=2, force_N=100" or of JSON; empty for any other text."""
+    if len(_LABEL.findall(text[:_LONGEST].lstrip().partition("\n")[0])) < 2:
+        return ""
     rows, names = [], None
     for line in text.splitlines():
         row = _LABEL.findall(line) if len(line) <= _LONGEST else []
