@@ -245,7 +245,8 @@ def wide_with_a_column_for_each_pressure(p, rng):
     """One row for each contraction."""
     per = len(np.unique(p.contraction))
     forces = p.force.reshape(-1, per)
-    header = ("Contraction [%]", *(f"Force at {i + 1} bar [N]" for i in range(len(forces))))
+    p = replace(p, pressure=np.repeat(p.pressure[::per], per))
+    header = ("Contraction [%]", *(f"Force at {pressure:g} bar [N]" for pressure in p.pressure[::per]))
     rows = [[f"{p.contraction[i]:g}", *(f"{column[i]:g}" for column in forces)] for i in range(per)]
     return csv(p, text(rows, header))
 

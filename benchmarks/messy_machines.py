@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 from messy_kinds import HEADER, File, cells, csv, kind, numbers, text, third, workbook
 from messy_loggers import times, with_times
 from messy_rows import levels, means
@@ -171,6 +172,7 @@ def german_excel_with_dates_for_decimals(p, rng):
 @kind
 def german_excel_with_rows_for_each_pressure(p, rng):
     """The pressure stands only in the first row of its block."""
+    p = replace(p, pressure=np.concatenate([np.full(len(p.force[at]), p.pressure[at][0]) for at in levels(p)]))
     rows = cells(p, ",")
     for block in levels(p):
         for row in rows[block][1:]:

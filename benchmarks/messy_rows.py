@@ -301,7 +301,8 @@ def setpoint_and_actual_in_german(p, rng):
 @kind
 def force_up_and_down(p, rng):
     rows = [[*row, f"{1.1 * float(row[2]):.1f}"] for row in cells(p)]
-    both = Points(*(np.tile(v, 2) for v in (p.pressure, p.contraction)), np.r_[p.force, (1.1 * p.force).round(1)])
+    loading = [float(row[3]) for row in rows]
+    both = Points(*(np.tile(v, 2) for v in (p.pressure, p.contraction)), np.r_[p.force, loading])
     return replace(csv(p, text(rows, (*HEADER[:2], "Force unloading [N]", "Force loading [N]"))), truth=both)
 
 

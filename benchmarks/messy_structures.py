@@ -97,6 +97,7 @@ def pivot(p, rng):
 
 @kind
 def blocks_under_titles_of_pressure(p, rng):
+    p = replace(p, pressure=np.repeat(p.pressure[:: block(p)], block(p)))
     out = "Contraction [%];Force [N]\n"
     last = None
     for (a, b, c), lv in zip(cells(p), np.repeat(np.arange(20), block(p)), strict=False):

@@ -248,7 +248,7 @@ def test_decimal_commas_between_commas_are_recognised(file):
             "pressure_Mbar,contraction_ratio,force_N",
             "line 1, pressure_Mbar: 'Mbar' is not a unit of pressure",
         ),
-        ("pressure_bar,contraction_ratio,force_kg", "line 1, force_kg: 'kg' is not a unit of force here"),
+        ("pressure_bar,contraction_ratio,force_mm", "line 1, force_mm: 'mm' is not a unit of force here"),
         ("pressure,contraction_ratio,force_N", "line 1, pressure: has no unit"),
         (
             "pressure_bar,angle_deg,force_N",

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 _OFF_SET = 0.2  # of the highest pressure: a set pressure that is not the measured one
-_LEVEL = 0.05  # of the highest pressure: pressures compared with each other
+_LEVEL = 0.05  # of a pressure, and of the highest: pressures compared with each other
 _STROKE = 0.5  # of the range of contractions: a level that covers less may follow a spring
 _FEWEST = 8  # points at levels with different contractions
 _RISING = 0.7  # correlation of force and contraction at constant pressure
@@ -353,7 +353,8 @@ def _saturated(dataset: IsobaricDataset) -> Iterator[str]:
         return
     shorter, stroke = contraction[top, None] - contraction[top], np.ptp(contraction)
     weaker = (pressure[top] > _MORE * pressure[top, None]) & (shorter > _SHORTER * stroke)
-    weaker |= (pressure[top] >= pressure[top, None]) & (shorter > max(_MUCH_SHORTER[0] * stroke, _MUCH_SHORTER[1]))
+    as_much = (1 + _LEVEL) * pressure[top] >= pressure[top, None]
+    weaker |= as_much & (shorter > max(_MUCH_SHORTER[0] * stroke, _MUCH_SHORTER[1]))
     if weaker.any():
         at, other = (top[row] for row in np.argwhere(weaker)[0])
         yield (

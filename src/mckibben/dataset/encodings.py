@@ -24,6 +24,8 @@ _REGIONAL = {
 _BINARY = 0.01  # share of zero bytes above which a file is not text
 _PROBED = 4096  # bytes
 _MINUS = re.compile(r"(?<![^\s;,|\"])[\u2212\u2013\uff0d](?=[0-9.,])")  # before a number
+_FULL_DIGIT = re.compile(r"[\uff10-\uff19]")
+_FULL_WIDTH = str.maketrans("\uff0b\uff0c\uff0e" + "".join(map(chr, range(0xFF10, 0xFF1A))), "+,.0123456789")
 _HEAD = 2**16  # bytes searched for words of a header
 
 
@@ -34,8 +36,9 @@ def decode(data: bytes, source: str) -> tuple[str, int]:
 
 
 def _plain(text: str) -> str:
-    """Text without byte order marks between joined files, and with common minus signs."""
+    """Text without byte order marks between joined files, and with common minus signs and digits."""
     text = text.replace("\ufeff", "")
+    text = text.translate(_FULL_WIDTH) if _FULL_DIGIT.search(text) else text
     return _MINUS.sub("-", text) if any(sign in text for sign in "\u2212\u2013\uff0d") else text
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 import stat
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,13 +13,15 @@ from mckibben.dataset.child import LIMIT_REMEDY, call_in_child, limit_factor
 from mckibben.dataset.encodings import decode
 from mckibben.dataset.headers import parse_header
 from mckibben.dataset.large_text import read_large_text
+from mckibben.dataset.lvm import SIGNATURE, read_lvm
 from mckibben.dataset.sheet import RawTable
-from mckibben.dataset.text import SIGNATURE, read_lvm, read_text
+from mckibben.dataset.text import read_text
 from mckibben.errors import DatasetError, Problem
 
 _SMALL = 2**20  # bytes: smaller texts are read in this process
 _LARGEST = 2**28  # bytes of a file
 _CELLS = 2**24  # of all columns
+_PROBED = 4096  # bytes of a text searched for lines of JSON
 _SHOWN = 1000  # corrupt rows of a file with few others
 _OTHER_FORMATS = {
     b"\xd0\xcf\x11\xe0": ("a workbook in the format before 2007", "save it as .xlsx or CSV"),
@@ -27,12 +30,13 @@ _OTHER_FORMATS = {
         (b"<!doctype", b"<html", b"<?xml", b"<table"),
         ("HTML or XML, which some programs name .xls", "open it in a spreadsheet, and save it as .xlsx or CSV"),
     ),
-    **dict.fromkeys((b'{"', b"[{", b"[["), ("JSON", "write a table: pandas.DataFrame(...).to_csv(...)")),
     b"sqlite format 3": ("an SQLite database", "export the table as CSV"),
     b"par1\x15": ("Parquet", "write a table: pandas.read_parquet(...).to_csv(...)"),
     b"%pdf": ("a PDF document", "ask for the table as CSV or .xlsx"),
 }
 """First bytes, in small letters, of files that are not read, what they are, and the remedy."""
+_JSON = re.compile(rb"""\s*(?:\{\s*"|\[\s*(?:\{\s*"|\[\s*["0-9.-]))""")  # not a table under [[mm]], say
+_LINES_OF_JSON = re.compile(rb'\s*\{"[^\n]*\}\r?\n\s*\{"')
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -125,7 +129,10 @@ def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
 
         return read_matlab(path, data)
     head = data[:64].lstrip().lower()
-    if found := next((kind for start, kind in _OTHER_FORMATS.items() if head.startswith(start)), None):
+    found = next((kind for start, kind in _OTHER_FORMATS.items() if head.startswith(start)), None)
+    if _JSON.match(data) and not _LINES_OF_JSON.match(data[:_PROBED]):
+        found = "JSON", "write a table: pandas.DataFrame(...).to_csv(...)"
+    if found:
         raise DatasetError(str(path), [Problem(f"is {found[0]}", remedy=found[1])])
     text, zeros = decode(data, str(path))
     del data  # a large text is in memory once

@@ -113,7 +113,9 @@ _SPELLED: Mapping[str, str] = {
     **dict.fromkeys(("μm", "micron", "microns"), "um"),
     "pct": "percent",
     "hpa": "mbar",
-    "kp": "kgf",
+    **dict.fromkeys(("kp", "kg"), "kgf"),
+    **dict.fromkeys(("lb", "lbs"), "lbf"),
+    "at": "kgf/cm^2",
     **dict.fromkeys(("n/mm2", "n/mm^2"), "MPa"),
     **dict.fromkeys(("n/m2", "n/m^2"), "Pa"),
     **dict.fromkeys(("kilopascal", "kilopascals"), "kPa"),
@@ -143,6 +145,7 @@ OTHER_PLACE = re.compile(r"set|soll|target|ref|demand|command|desired|goal|suppl
 """Words of a pressure that is not measured in the muscle."""
 ABSOLUTE = re.compile(r"(?<![a-z])abs(?![a-z])|absolut", re.IGNORECASE)
 """Words of names and comments that may mean an absolute pressure."""
+_MANY = 10_000  # cells, beyond which those in other units than the first are not read
 LONGEST_NAME = 200
 """Characters of a name; matching takes quadratic time."""
 _UNITS = frozenset(name.lower() for name in units.UNITS)
@@ -213,18 +216,45 @@ def is_unit(text: str) -> bool:
     return bare != "1" and bare != "" and any(same_unit(bare, unit, "pressure") for unit in known)
 
 
-def without_units(column: RawColumn) -> RawColumn:
-    """A column whose cells all have the same unit (3.5 bar), with numbers alone in its cells and its unit."""
+def without_units(column: RawColumn, mapped: str = "") -> RawColumn:
+    """A column whose cells state their unit (3.5 bar), with numbers alone in its cells and its unit.
+
+    Cells in other units than the column, by its name or the header that it is given, have a factor.
+    """
     if isinstance(column.cells, np.ndarray):
         return column
     filled = (_NUMBER_AND_UNIT.fullmatch(text[:LONGEST_NAME]) for text in map(str.strip, column.cells) if text)
     first = next(filled, None)
     if first is None or not is_unit(first[2]) or any(one is None or one[2] != first[2] for one in filled):
-        return column
+        return _with_factors(column, mapped) if len(column.cells) <= _MANY else column
     if column.unit and not same_unit(bare_unit(column.unit), first[2], "pressure"):
         return column
     ends = [cell.strip().removesuffix(first[2]).rstrip() for cell in column.cells]
     return replace(column, cells=ends, unit=first[2])
+
+
+def _with_factors(column: RawColumn, mapped: str) -> RawColumn:
+    """A column with several units in its cells, with numbers alone and factors to the unit of the column.
+
+    Cells without a unit have that of the column. At least one cell has to agree with its name.
+    """
+    texts = [cell.strip()[:LONGEST_NAME] for cell in map(str, column.cells)]
+    found = [_NUMBER_AND_UNIT.fullmatch(text) for text in texts]
+    spelled = list(dict.fromkeys(one[2] for one in found if one))
+    bare = any(text and one is None for text, one in zip(texts, found, strict=True))
+    header, inside = parse_header(mapped), name_and_unit(column.label[:LONGEST_NAME])[1]
+    given = header.unit if header else bare_unit(column.unit) or inside or ""
+    if not spelled or not all(map(is_unit, spelled)) or (bare and not given):
+        return column
+    several = [given or spelled[0], *spelled]
+    for quantity, accepted in ACCEPTED.items():
+        known = [next((unit for unit in accepted if same_unit(one, unit, quantity)), "") for one in several]
+        if all(known) and (bare or known[0] in known[1:]):
+            factors = {one: units.factor(unit, known[0]) for one, unit in zip(several, known, strict=True)}
+            scale = np.array([factors[one[2]] if one else 1.0 for one in found])
+            cells = [one[1] if one else cell for cell, one in zip(column.cells, found, strict=True)]
+            return replace(column, cells=cells, unit=column.unit or ("" if given else known[0]), scale=scale)
+    return column
 
 
 def with_units_beside(columns: Sequence[RawColumn]) -> tuple[list[RawColumn], list[str]]:

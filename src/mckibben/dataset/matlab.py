@@ -6,7 +6,7 @@ import functools
 import io
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ _DEEPEST = 6  # nested structs
 _MOST = 4096  # columns of a file
 _WIDEST = 64  # columns of a matrix
 _UNITS = ("units", "unit", "unit_string")
+_LABELS = ("columns", "column_names", "names", "labels", "fields")
 _TABLE = "is a MATLAB object (a table?), which only MATLAB can open"
 _TABLE_REMEDY = "save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')"
 
@@ -75,8 +76,8 @@ def _checked(path: Path, sheet: RawTable) -> RawTable:
     return sheet
 
 
-def _add(sheet: RawTable, name: str, value: Any, depth: int) -> None:
-    """Add the columns of a variable."""
+def _add(sheet: RawTable, name: str, value: Any, depth: int, unit: object = "") -> None:
+    """Add the columns of a variable; a struct in it named units has those of its fields."""
     from scipy.io.matlab import MatlabOpaque, mat_struct
 
     if isinstance(value, MatlabOpaque):
@@ -86,10 +87,11 @@ def _add(sheet: RawTable, name: str, value: Any, depth: int) -> None:
         if depth >= _DEEPEST:
             sheet.ignored.append(name)
             return
+        units = next((getattr(value, each) for each in _UNITS if hasattr(value, each)), None)
         for field in value._fieldnames:  # pyright: ignore[reportAttributeAccessIssue]
-            _add(sheet, f"{name}.{field}", getattr(value, field), depth + 1)
+            _add(sheet, f"{name}.{field}", getattr(value, field), depth + 1, getattr(units, field, ""))
     elif type(value) is np.ndarray and value.dtype.kind in "biuf":
-        _columns(sheet, name, value)
+        _columns(sheet, name, value, unit=unit if isinstance(unit, str) else "")
     elif type(value) is np.ndarray and value.dtype.kind == "O" and not any(isinstance(c, mat_struct) for c in value):
         cells = as_column([_one(cell) for cell in value])
         sheet.channels.append(RawColumn(name, cells, range(1, len(cells) + 1), short=name.rpartition(".")[2]))
@@ -112,8 +114,9 @@ def _columns(
     unit: str = "",
     notes: tuple[str, ...] = (),
     missing: np.ndarray | None = None,
+    labels: Sequence[str] = (),
 ) -> None:
-    """Add the columns of a matrix, numbered as in MATLAB; `missing` marks its missing values."""
+    """Add the columns of a matrix, labelled or numbered as in MATLAB; `missing` marks its missing values."""
     notes += at_type_limit(array)
     matrix = array.reshape(-1, 1) if array.ndim == 1 or (array.ndim == 2 and 1 in array.shape) else array
     if len(sheet.channels) >= _MOST or matrix.ndim > 2 or matrix.size <= 1 or matrix.shape[1] > _WIDEST:
@@ -121,10 +124,11 @@ def _columns(
         return
     for column, values in enumerate(np.ascontiguousarray(matrix.T, dtype=np.float64)):
         full = name if matrix.shape[1] == 1 else f"{name}(:,{column + 1})"
+        short = labels[column] if len(labels) == matrix.shape[1] else full.rpartition(separator)[2]
         rows = range(1, len(values) + 1)
         marked = () if missing is None else np.flatnonzero(missing.reshape(matrix.shape)[:, column]) + 1
         lines = frozenset(map(int, marked))
-        sheet.channels.append(RawColumn(full, values, rows, full.rpartition(separator)[2], unit, notes, lines))
+        sheet.channels.append(RawColumn(full, values, rows, short, unit, notes, lines))
 
 
 def _nodes(group: Any, separator: str, prefix: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
@@ -170,7 +174,9 @@ def _add_node(sheet: RawTable, name: str, node: Any, matlab: bool) -> None:
             return
         units = [] if matlab else [name for name in node.attrs if name.lower() in _UNITS]
         unit = _text(node.attrs, units[0]) if units else ""
-        _columns(sheet, name, values.T if matlab else values, "." if matlab else "/", unit, notes, missing)
+        labels = [] if matlab else [_labels(node.attrs[name]) for name in node.attrs if name.lower() in _LABELS]
+        values = values.T if matlab else values
+        _columns(sheet, name, values, "." if matlab else "/", unit, notes, missing, labels[0] if labels else ())
 
 
 _APPLIED = ("scale_factor", "add_offset")
@@ -209,6 +215,12 @@ def _referred(file: Any, reference: Any) -> str:
     if codes.dtype.kind != "u" or codes.size > 1000:
         return ""
     return "".join(map(chr, codes.tolist()))
+
+
+def _labels(attribute: Any) -> list[str]:
+    """Names of the columns of a matrix: texts, or one text with commas."""
+    texts = [one.decode("utf-8", "replace") if isinstance(one, bytes) else str(one) for one in np.ravel(attribute)]
+    return [one.strip() for one in (texts[0].split(",") if len(texts) == 1 else texts)]
 
 
 def _text(attrs: Mapping[str, Any], name: str) -> str:

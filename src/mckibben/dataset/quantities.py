@@ -110,7 +110,9 @@ class ColumnConverter:
     ) -> None:
         self.sheet = sheet
         self.displacement, self.zero_length = displacement, zero_length
-        sheet.channels, several = with_units_beside([without_units(channel) for channel in sheet.channels])
+        sheet.channels, several = with_units_beside(
+            [without_units(channel, mapping.get(channel.name, "")) for channel in sheet.channels]
+        )
         self.missing: list[Problem] = []
         self.mapping = mapping
         self.initial_length = initial_length
@@ -200,7 +202,7 @@ class ColumnConverter:
         bad = {problem.line for problem in omitted}
         lines = self.line_numbers()
         kept = ~np.isin(lines, [line for line in bad if line is not None])
-        rows = len(set(lines.tolist()) | bad - {None}) if bad else len(lines)
+        rows = len(lines) + len(bad - {None, *lines.tolist()}) if bad else len(lines)
         left_out = rows - int(kept.sum())
         refused = self.corrupt and on_corrupt == "raise"
         if omitted and not refused and not self.problems and 2 * left_out > rows:
@@ -330,6 +332,7 @@ class ColumnConverter:
                 self.missing.append(replace(problem, message="is marked as missing by the file"))
             else:
                 self.corrupt.append(problem)
+        values = values if channel.scale is None else values * channel.scale
         self._report_marks(channel.name, values)
         with np.errstate(over="ignore"):
             si = values * factor(column.unit) if column.unit else values

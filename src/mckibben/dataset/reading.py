@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import xarray as xr
 
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import check_number
+from mckibben.dataset.arrangement import one_row_per_point
 from mckibben.dataset.consistency import check_dataset
 from mckibben.dataset.file_names import add_from_name, check_pattern
 from mckibben.dataset.formats import read_table
@@ -21,6 +23,7 @@ from mckibben.dataset.preprocessing import preprocess, with_notes, without_offse
 from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt, impossible_settings
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import OF_FILE, written_by_us
+from mckibben.dataset.sheet import RawTable
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
 from mckibben.units import mm
 
@@ -105,25 +108,8 @@ def read_dataset(
     McKibbenWarning
         If forces, pressures or contractions are unusual for a muscle or contradict each other, or rows are left out.
     """
-    lengths = {"initial_length": initial_length, "zero_length": zero_length}
-    check_reading(force_sign, decimal, displacement, on_corrupt, slack_force=slack_force, **lengths)
-    check_pattern(from_name)
-    mapping = _mapping(columns)
-    read = [
-        _read_points(
-            one,
-            columns=mapping,
-            displacement=displacement,
-            specimen=specimen,
-            slack_force=slack_force,
-            force_sign=force_sign,
-            on_corrupt=on_corrupt,
-            decimal=decimal,
-            from_name=from_name,
-            **lengths,
-        )
-        for one in _paths(path)
-    ]
+    asked = _Options.checked(**locals())
+    read = [_read_points(one, asked) for one in _paths(path)]
     parts, ours, slack_known = zip(*read, strict=True)
     dataset, source = _joined(parts, path, slack_known)
     if all(ours):
@@ -137,37 +123,67 @@ def read_dataset(
     return check_dataset(dataset, source, measured=measured)
 
 
-def _read_points(
-    path: Path,
-    *,
-    columns: dict[str, str],
-    initial_length: float | None,
-    displacement: str,
-    zero_length: float | None,
-    specimen: str,
-    slack_force: float | None,
-    force_sign: int,
-    on_corrupt: OnCorrupt,
-    decimal: str,
-    from_name: str,
-) -> tuple[IsobaricDataset, bool, bool]:
+Kind = TypeVar("Kind", IsobaricDataset, Recording)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Options:
+    """Arguments of both readers."""
+
+    columns: dict[str, str]
+    initial_length: float | None
+    displacement: str
+    zero_length: float | None
+    specimen: str
+    slack_force: float | None
+    force_sign: int
+    on_corrupt: OnCorrupt
+    decimal: str
+    from_name: str
+    contraction: float | None = None
+    sample_rate: float | None = None
+
+    @classmethod
+    def checked(cls, path: FilePaths, columns: Mapping[str, str] | None, **given: Any) -> Self:
+        """The arguments of a reader; raises a `RangeError` for impossible ones."""
+        asked = cls(columns=_mapping(columns), **given)
+        numbers = ("initial_length", "zero_length", "slack_force", "contraction", "sample_rate")
+        words = asked.force_sign, asked.decimal, asked.displacement, asked.on_corrupt
+        check_reading(*words, **{name: getattr(asked, name) for name in numbers})
+        check_pattern(asked.from_name)
+        return asked
+
+    def table(self, path: Path) -> RawTable:
+        return add_from_name(read_table(path, self.columns, self.decimal), path, self.from_name)
+
+    def converter(self, table: RawTable, needed: Sequence[str], unread: Sequence[str] = ()) -> ColumnConverter:
+        given = {"displacement": self.displacement, "zero_length": self.zero_length}
+        return ColumnConverter(table, self.columns, self.initial_length, needed, self.decimal, unread=unread, **given)
+
+    def netcdf(self, kind: type[Kind], path: Path) -> Kind:
+        """Dataset or recording of a NetCDF file, with the given sign and attributes."""
+        if self.columns or self.from_name:
+            problem = Problem("columns cannot be renamed in NetCDF", remedy="leave columns and from_name out")
+            raise DatasetError(str(path), [problem])
+        if problems := impossible_settings(self.initial_length, self.slack_force):
+            raise DatasetError(str(path), problems)
+        found = kind.from_netcdf(path)
+        given = {name: getattr(self, name) for name in ("initial_length", "specimen", "slack_force")}
+        changes = {name: value for name, value in given.items() if value not in (None, "")}
+        if self.force_sign < 0:
+            found = kind(found.table.assign(force=-found.table["force"]))
+        return kind(found.table.assign_attrs(changes)) if changes else found
+
+
+def _read_points(path: Path, asked: _Options) -> tuple[IsobaricDataset, bool, bool]:
     """Points of a file as they are; whether this program wrote it, and whether its slack force is known."""
     if path.suffix.lower() == ".nc":
-        given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
-        return _from_netcdf(IsobaricDataset, path, columns or from_name, force_sign, given), True, True
-    file = ColumnConverter(
-        add_from_name(read_table(path, columns, decimal), path, from_name),
-        columns,
-        initial_length,
-        _NEEDED,
-        decimal,
-        displacement=displacement,
-        zero_length=zero_length,
-    )
-    attrs = file.attributes(path, specimen, slack_force)
-    data, found = file.settle(path, file.columns(force_sign), on_corrupt)
+        return asked.netcdf(IsobaricDataset, path), True, True
+    file = asked.converter(one_row_per_point(asked.table(path), asked.columns), _NEEDED)
+    attrs = file.attributes(path, asked.specimen, asked.slack_force)
+    data, found = file.settle(path, file.columns(asked.force_sign), asked.on_corrupt)
     dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
-    slack_known = slack_force is not None or "slack_force" in file.sheet.comments
+    slack_known = asked.slack_force is not None or "slack_force" in file.sheet.comments
     return dataset, written_by_us(file.sheet.names, file.sheet.comments), slack_known
 
 
@@ -191,9 +207,6 @@ def _paths(path: FilePaths) -> list[Path]:
             f"{path!r:.60} is not a file", field="path", value=path, remedy="give a path, or a list of paths"
         )
     return [Path(one) for one in several]
-
-
-Kind = TypeVar("Kind", IsobaricDataset, Recording)
 
 
 def _made(
@@ -304,20 +317,6 @@ def check_reading(
         raise RangeError(f"force_sign is {force_sign!r}", field="force_sign", value=force_sign, remedy=remedy)
 
 
-def _from_netcdf(kind: type[Kind], path: Path, named: object, force_sign: int, given: Mapping[str, Any]) -> Kind:
-    """Dataset or recording of a NetCDF file, with the given sign and attributes."""
-    if named:
-        problem = Problem("columns cannot be renamed in NetCDF", remedy="leave columns and from_name out")
-        raise DatasetError(str(path), [problem])
-    if problems := impossible_settings(given["initial_length"], given["slack_force"]):
-        raise DatasetError(str(path), problems)
-    found = kind.from_netcdf(path)
-    changes = {name: value for name, value in given.items() if value not in (None, "")}
-    if force_sign < 0:
-        found = kind(found.table.assign(force=-found.table["force"]))
-    return kind(found.table.assign_attrs(changes)) if changes else found
-
-
 _KEPT = ("time", "pressure", "force", "contraction", "set_pressure")
 _OWN_CONTRACTION = "contraction is given, but the file has its own"
 _RATE_REMEDY = "give sample_rate (command line: --sample-rate '1000 Hz'), or a column time_s, time_ms or time_min"
@@ -361,57 +360,25 @@ def read_recording(
     DatasetError, RangeError
         As `read_dataset`, with the same warnings.
     """
-    numbers = {"contraction": contraction, "sample_rate": sample_rate, "slack_force": slack_force}
-    numbers |= {"initial_length": initial_length, "zero_length": zero_length}
-    check_reading(force_sign, decimal, displacement, on_corrupt, **numbers)
-    check_pattern(from_name)
-    arguments: dict[str, Any] = {"columns": _mapping(columns), "displacement": displacement, "specimen": specimen}
-    arguments |= {"force_sign": force_sign, "from_name": from_name}
-    parts = []
-    for one in _paths(path):
-        found = _read_samples(one, on_corrupt=on_corrupt, decimal=decimal, **arguments, **numbers)  # type: ignore[arg-type]
-        parts.append(found)
+    asked = _Options.checked(**locals())
+    parts = [_read_samples(one, asked) for one in _paths(path)]
     return _joined(parts, path, [bool(part.table.attrs["slack_force"]) for part in parts])[0]
 
 
-def _read_samples(
-    path: Path,
-    *,
-    columns: dict[str, str],
-    initial_length: float | None,
-    displacement: str,
-    zero_length: float | None,
-    contraction: float | None,
-    sample_rate: float | None,
-    specimen: str,
-    slack_force: float | None,
-    force_sign: int,
-    on_corrupt: OnCorrupt,
-    decimal: Decimal,
-    from_name: str,
-) -> Recording:
+def _read_samples(path: Path, asked: _Options) -> Recording:
     """Recording of one file."""
+    contraction, sample_rate = asked.contraction, asked.sample_rate
     if path.suffix.lower() == ".nc":
-        given = {"initial_length": initial_length, "specimen": specimen, "slack_force": slack_force}
-        found = _from_netcdf(Recording, path, columns or from_name, force_sign, given)
+        found = asked.netcdf(Recording, path)
         if contraction is None:
             return found
         if "contraction" in found.table:
             raise DatasetError(str(path), [Problem(_OWN_CONTRACTION, remedy="leave contraction out")])
         return Recording(found.table.assign(contraction=("sample", np.full(len(found), contraction))))
-    sheet = add_from_name(read_table(path, columns, decimal), path, from_name)
-    file = ColumnConverter(
-        sheet,
-        columns,
-        initial_length,
-        ("pressure", "force"),
-        decimal,
-        displacement=displacement,
-        zero_length=zero_length,
-        unread=() if contraction is None else ("displacement",),
-    )
-    attrs = file.attributes(path, specimen, slack_force)
-    data = {name: values for name, values in file.columns(force_sign).items() if name in _KEPT}
+    sheet = asked.table(path)
+    file = asked.converter(sheet, ("pressure", "force"), () if contraction is None else ("displacement",))
+    attrs = file.attributes(path, asked.specimen, asked.slack_force)
+    data = {name: values for name, values in file.columns(asked.force_sign).items() if name in _KEPT}
     file.ignored += [
         sheet.channels[file.places[name][0]].name
         for name in file.places
@@ -429,7 +396,7 @@ def _read_samples(
         file.problems.append(Problem("sample_rate is given, but the file has times", remedy="leave sample_rate out"))
     if contraction is not None and "contraction" in data:
         file.problems.append(Problem(_OWN_CONTRACTION, remedy="leave contraction out"))
-    data, found = file.settle(path, data, on_corrupt)
+    data, found = file.settle(path, data, asked.on_corrupt)
     if contraction is not None:
         data["contraction"] = np.full(len(data["pressure"]), contraction)
     return _made(Recording, path, data, {"initial_length": file.initial_length, **attrs}, found)

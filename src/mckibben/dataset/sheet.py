@@ -36,7 +36,8 @@ class RowProblem(Problem):
 class RawColumn:
     """Raw column: full name (``group/channel``), cells, line numbers, short name and unit given outside the name.
 
-    `notes` are warnings that matter only if the column is read; `missing` are lines that the file marks as missing.
+    `notes` are warnings that matter only if the column is read; `missing` are lines that the file marks as missing;
+    `scale` are factors of cells that are in another unit.
     """
 
     name: str
@@ -46,6 +47,7 @@ class RawColumn:
     unit: str = ""
     notes: tuple[str, ...] = ()
     missing: frozenset[int] = frozenset()
+    scale: NDArray[np.float64] | None = None
 
     @property
     def label(self) -> str:
@@ -212,7 +214,7 @@ def decimal_sign(
     """
     if given:
         return DecimalSign(given, given=True), None
-    open_question: tuple[RawColumn, int] | None = None
+    open_question: tuple[RawColumn, int, str] | None = None
     found: DecimalSign | None = None
     for column in columns:
         if isinstance(column.cells, np.ndarray):
@@ -220,11 +222,11 @@ def decimal_sign(
         for line, cell in zip(column.lines, column.cells, strict=True):
             if found is not None and found.line is not None and line >= found.line:
                 break
-            sign = evidence(cell) if cell else ""
+            sign = evidence(cell) if "." in cell or "," in cell else ""
             if sign == _UNDECIDED and delimiter == "," and "." in cell:
                 sign = "."
             if sign == _UNDECIDED:
-                open_question = open_question or (column, line)
+                open_question = open_question or (column, line, cell.strip())
             elif sign:
                 found = DecimalSign(sign, line)
                 break
@@ -232,8 +234,7 @@ def decimal_sign(
         found = next(filter(None, map(_sign_of_numbers, others)), None)
     if found is not None or open_question is None:
         return found or DecimalSign("."), None
-    column, line = open_question
-    text = column.cells[column.lines.index(line)].strip()
+    column, line, text = open_question
     sign = "," if "," in text else "."
     other = "." if sign == "," else ","
     remedy = (

@@ -268,6 +268,9 @@ def drifting_temperatures(channels: Sequence[RawColumn]) -> Iterator[str]:
             )
 
 
+_OF_NUMBERS = frozenset("0123456789+-.,") | {""}
+
+
 def labelled_summaries(channels: Sequence[RawColumn]) -> dict[int, str]:
     """Lines with a word such as mean in place of a number, and the word."""
     return {
@@ -275,7 +278,7 @@ def labelled_summaries(channels: Sequence[RawColumn]) -> dict[int, str]:
         for channel in channels
         if not isinstance(channel.cells, np.ndarray)
         for row, cell in enumerate(channel.cells)
-        if cell and cell.strip().rstrip(":=").lower() in _SUMMARY
+        if cell[:1] not in _OF_NUMBERS and cell.strip().rstrip(":=").lower() in _SUMMARY
     }
 
 

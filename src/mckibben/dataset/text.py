@@ -1,16 +1,16 @@
-"""Delimited text files and LabVIEW measurement files (.lvm)."""
+"""Delimited text files."""
 
 from __future__ import annotations
 
 import csv
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from itertools import islice
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from mckibben.dataset.arrangement import labelled, titles
 from mckibben.dataset.columns import SUBTRACT
 from mckibben.dataset.headers import ABSOLUTE, is_unit
 from mckibben.dataset.sheet import (
@@ -52,9 +52,11 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
         text = _TIME_STAMP.sub("", text)
     if _QUOTED.search(text, 0, _LONGEST_HEADER) or _APOSTROPHE.search(text, 0, _LONGEST_HEADER):
         text = _QUOTED.sub(r'"\1\2\3"', _APOSTROPHE.sub("", text))
-    stream = _Lines(text)
     comments: dict[str, tuple[int, str]] = {}
     number = 0
+    if table := labelled(text):
+        text, number = table, -1
+    stream = _Lines(text)
     named = ""  # the last comment, which is the header of a table of numbers, as numpy.savetxt writes it
     for line in stream:
         number += 1
@@ -77,14 +79,16 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
             positions = ""
         lines, number = [positions or f"{named}\n", *lines], number - 1
     delimiter = _delimiter(lines[0], known)
+    if (others := _delimiter_of_rows(lines, delimiter)) != delimiter:
+        lines[0], delimiter = f"{others.join(_split(lines[0], delimiter))}\n", others
     if (count := len(_split(lines[0], delimiter))) > _MOST_COLUMNS:
         raise DatasetError(source, [_too_wide(f"{count} columns", number)])
     sheet = RawTable(header_line=number or None, comments=comments, delimiter=delimiter, has_header=not positions)
     if (numbers := _numbers(lines, stream, number, sheet, decimal, known)) is None:
-        _cells(lines, stream, number, sheet, known)
+        used = _cells(lines, stream, number, sheet, known)
     else:
-        sheet.channels = numbers
-    used = {at for at, _ in comments.values()}
+        sheet.channels, used = numbers, set[int]()
+    used |= {at for at, _ in comments.values()}
     mentioned: list[str] = []
     for at, line in enumerate(islice(_Lines(text), max(0, number - 1)), 1):
         if ABSOLUTE.search(line) and _OF_PRESSURE.search(line):
@@ -150,7 +154,8 @@ def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list
             return lines[index:], number + index
         if index and _is_units(above := _split(lines[index - 1], delimiter)) and sum(map(known, cells, above)) >= 2:
             return [candidate, lines[index - 1], *lines[index + 1 :]], number + index - 1  # units over the names
-        if max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
+        numbered = not index and cells == [str(at) for at in range(1, len(cells) + 1)]  # columns, above their names
+        if not numbered and max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
             break  # a row: the following lines cannot be a header
     return lines, number
 
@@ -167,6 +172,18 @@ def _delimiter(header: str, known: _Known) -> str:
     best = max(_DELIMITERS, key=lambda delimiter: _score(header, delimiter, known))
     words = _score(header, " ", known)
     return best if _score(header, best, known)[1] > 1 or words[1] < 2 else " "
+
+
+def _delimiter_of_rows(lines: Sequence[str], delimiter: str) -> str:
+    """Delimiter of a row of numbers as long as the header, where it is not that of the header."""
+    names, row = _split(lines[0], delimiter), "".join(lines[1:2])
+
+    def fits(one: str) -> bool:
+        cells = _split(row, one)
+        return len(cells) == len(names) > 1 and all(map(_NUMBER.fullmatch, cells))
+
+    others = (one for one in _DELIMITERS if one not in lines[0] and fits(one))
+    return delimiter if fits(delimiter) else next(others, delimiter)
 
 
 def _score(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
@@ -236,8 +253,8 @@ class _Row(NamedTuple):
     line: int
 
 
-def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known: _Known) -> None:
-    """Columns of any other file, and its corrupt rows."""
+def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known: _Known) -> set[int]:
+    """Columns of any other file, and its corrupt rows; returns the lines of titles above blocks."""
     lines = [*lines, *_LINE.findall(stream.text, stream.at)]
     rows, comments = [], []
     for row in _rows(lines, first, sheet):
@@ -245,8 +262,7 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
             continue  # under the names, as in Markdown
         (comments if _COMMENT.match(row.cells[0].lstrip()) else rows).append(row)
     if not rows:
-        return
-    sheet.suspect += _remarks(comments, rows[1:], sheet.delimiter)
+        return set()
     header = [cell.strip() for cell in rows[0].cells]
     sheet.header_line = rows[0].line
     skipped = 1 + (len(rows) > 1 and _is_units(rows[1].cells))
@@ -258,10 +274,20 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
         del rows[-1]
     units = [cell.strip() for cell in rows[1].cells] if skipped > 1 else []
     repeated = [header, units] if units else [header]
-    preamble = {line.strip() for line in islice(_Lines(stream.text), max(0, first - 1))}
+    above = [_Row([line.strip()], at) for at, line in enumerate(islice(_Lines(stream.text), max(0, first - 1)), 1)]
+    preamble = {row.cells[0] for row in above}
+    headed = titles(above, rows[skipped:], known) if len(header) > 1 else {}
+    words = [
+        row
+        for row in rows[skipped:]
+        if len(row.cells) == 1 < len(header) and _WORD.match(row.cells[0].lstrip()) and row.line not in headed
+    ]
+    sheet.suspect += _remarks(sorted([*comments, *words], key=lambda row: row.line), rows[1:], sheet.delimiter)
+    left_out = {row.line for row in words} | {*headed}
     rows = [
         row
         for row in rows[skipped:]
+        if row.line not in left_out
         if row.cells[0].strip() not in {one[0] for one in repeated}
         or [cell.strip() for cell in row.cells] not in repeated
     ]
@@ -304,6 +330,11 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     sheet.channels = [
         RawColumn(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
     ]
+    if headed and numbers and min(headed) < numbers[0]:
+        at = [max(line for line in headed if line < number) for number in numbers]
+        (name, unit), *_ = (one[:2] for one in headed.values())
+        sheet.channels.append(RawColumn(name, [headed[line][2] for line in at], numbers, unit=unit))
+    return {*headed}
 
 
 def _is_other_header(row: _Row, known: _Known) -> bool:
@@ -317,6 +348,7 @@ def _is_other_header(row: _Row, known: _Known) -> bool:
 
 
 _RULER = re.compile(r":?[-=+]{2,}:?|")
+_WORD = re.compile(r"[A-Za-z]{3}")
 _COMMENT = re.compile(r"#(?!N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
 
 
@@ -448,53 +480,3 @@ def _short(text: str, delimiter: str) -> str:
     if len(decimals) < 5 or len(set(decimals[:-1])) > 1 or decimals[-1] >= decimals[0]:
         return ""
     return f"its last number has {decimals[-1]} decimals where others have {decimals[0]}"
-
-
-SIGNATURE = "LabVIEW Measurement"
-_END = "***End_of_Header***"
-
-
-def read_lvm(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: str = "") -> RawTable:
-    """Columns of a single-segment file, with units from ``Y_Unit_Label``; ``X_Value`` may be the time [s]."""
-    parts = text.split(_END)
-    if len(parts) != 3:
-        found = f"has {len(parts) - 2} segments" if len(parts) > 3 else "is a LabVIEW measurement without a segment"
-        raise DatasetError(source, [Problem(found, remedy="write one segment to a file, or give TDMS")])
-    separator = "," if "Separator,Comma" in parts[0] else "\t"
-    fields = [line.rstrip().split(separator) for line in parts[1].splitlines()]
-    said = {cells[0]: cells[1:] for cells in fields if cells}
-    first = text[: text.rindex(_END)].count("\n") + 1
-    body = parts[2].partition("\n")[2]
-    header, _, rows = body.partition("\n")
-    names = header.rstrip("\r\n").split(separator)
-    if names[-1] == "Comment":  # its cells are written only if there is a comment
-        bare = re.sub(rf"{separator}+(?=\r?$)", "", rows, flags=re.MULTILINE)
-        longest = max((line.count(separator) for line in bare.splitlines()), default=0)
-        if longest < len(names) - 1:  # no comment at all
-            header, rows = header.rstrip("\r\n").removesuffix(f"{separator}Comment"), bare
-        else:
-            rows = "".join(_padded(line, len(names), separator) for line in rows.splitlines(keepends=True))
-        del bare
-    text = "\n" * first + f"{header}\n{rows}"  # leading blank lines preserve the line numbers
-    del parts, fields, body, rows  # of a large text
-    sheet = read_text(text, source, known, zeros=zeros, decimal=decimal)
-    if names[-1] == "Comment" and len(sheet.channels) == len(names) - 1:
-        lines = sheet.channels[0].lines
-        sheet.channels.append(RawColumn("Comment", [""] * len(lines), lines))
-    units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
-    if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
-        units["X_Value"] = "s"
-    if not any(map(str.strip, map(str, sheet.channels[0].cells))):  # X_Columns: No
-        del sheet.channels[0]
-    sheet.channels = [
-        replace(each, short="time" if each.name == "X_Value" else "", unit=each.unit or units.get(each.name, ""))
-        for each in sheet.channels
-    ]
-    return sheet
-
-
-def _padded(line: str, cells: int, separator: str) -> str:
-    """Row padded with an empty comment cell, if only that is missing."""
-    content = line.rstrip("\r\n")
-    missing = cells - 1 - content.count(separator)
-    return f"{content}{separator}{line[len(content) :]}" if missing == 1 and content.strip() else line
