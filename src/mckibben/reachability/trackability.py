@@ -197,7 +197,7 @@ class Trackability:
     def _violations(self, band: AttainableRange, violation: Values, where: NDArray[np.bool_]) -> str:
         """Violations of a band at the given samples, with their times and sizes."""
         reference, missing = self.trajectory, np.where(where, violation, 0.0)
-        run = reference.times, reference.angle, reference.stiffness, *band
+        run = reference.times, reference.angle, reference.stiffness, band.lowest, band.highest
         return " and ".join(shortcomings(*run, missing, "give the torque"))
 
 

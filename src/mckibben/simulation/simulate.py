@@ -361,7 +361,8 @@ class _Run(NamedTuple):
     def of(cls, plant: Any, controller: Any, setpoints: Setpoint, start: PlantState, period: float) -> _Run:
         """From parts that are neither `numeric` nor completed."""
         plant, controller = plant.with_period(period), controller.with_period(period)
-        return cls(*numeric((plant, controller, setpoints, plant.complete_state(start))), period)
+        plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(start)))
+        return cls(plant, controller, setpoints, start, period)
 
     def record(self, substeps: int) -> tuple[Record, str]:
         """The record with a number of integration steps per period, and the engine that computed it."""
