@@ -41,7 +41,7 @@ def folded(moved: Trajectory) -> Metrics:
     nothing = jnp.zeros_like(moved.angle[0])
     begun = (MetricSample.empty(nothing).totals().empty(), nothing, (moved.air1[0], moved.air2[0]))
     (total, _, _), _ = jax.lax.scan(following, begun, (jnp.arange(periods), moved))
-    course = Course.of(find_limit_cycle(moved.angle, moved.desired_angle, PERIOD), change)
+    course = Course(*find_limit_cycle(moved.angle, moved.desired_angle, PERIOD), change)
     return values_of(Metrics, total, Run(periods, PERIOD, course))
 
 
