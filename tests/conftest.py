@@ -271,7 +271,7 @@ def short_episode():
     """`episode` by the engine of `simulate`, in C compiled in a fraction of XLA's time; give it `numeric` arguments."""
 
     def short_episode(*parts):
-        return compute_with("auto", np.float64, lambda: _episode(parts), lambda: compiled_episode(*parts))[0]
+        return compute_with("auto", lambda: _episode(parts), lambda: compiled_episode(*parts))[0]
 
     return short_episode
 

@@ -261,4 +261,4 @@ def test_only_failures_of_the_compiler_are_passed_over():
         raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
-        compute_with("auto", np.float64, broken, lambda: 1)
+        compute_with("auto", broken, lambda: 1)

@@ -29,7 +29,7 @@ def test_drawn_parameters_are_those_of_the_environments(tmp_path):
     assert others == ["load.mass2"]
     plants = plants_of(scenario, VARIED, WORLDS, SEED)
     for row in range(plants.rows):
-        plant = plants.at(row).plant
+        plant = plants.row(row)[0].plant
         assert found["valve.time_constant"][row] == plant.valve.time_constant
         assert found["joint.muscle1.strength"][row] == plant.joint.muscle1.strength
     assert np.ptp(found["valve.time_constant"]) > 1e-3
@@ -101,7 +101,7 @@ def test_a_second_in_mjlab_agrees_in_every_world_after_a_reset_and_next_to_anoth
     late = np.concatenate([np.repeat(commands[:1], DELAY, axis=0), commands[:-DELAY]])
     start, angles = scenario.initial(scenario.plant()), []
     for row in range(WORLDS):
-        plant = dataclasses.replace(plants.at(row % plants.rows).plant, command_delay=None)
+        plant = dataclasses.replace(plants.row(row % plants.rows)[0].plant, command_delay=None)
         angles.append(np.asarray(wanted(plant, plant.complete_state(start), late)))
     angles = np.stack(angles, -1)
     assert np.min(np.ptp(angles, axis=0)) > 0.05

@@ -88,7 +88,7 @@ def test_a_second_in_newton_agrees_in_every_world(given, newton):
     late = np.concatenate([np.repeat(commands[:1], DELAY, axis=0), commands[:-DELAY]])
     angles = []
     for row in range(WORLDS):
-        plant = dataclasses.replace(plants.at(row).plant, command_delay=None)
+        plant = dataclasses.replace(plants.row(row)[0].plant, command_delay=None)
         angles.append(np.asarray(wanted(plant, plant.complete_state(start), late)))
     angles = np.stack(angles, -1)
     assert np.min(np.ptp(angles, axis=0)) > 0.05

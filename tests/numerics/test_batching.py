@@ -100,8 +100,6 @@ def test_leaves_inside_tuples_and_dictionaries_vary():
 def test_shapes_that_do_not_fit_are_named(tree, message):
     with pytest.raises(ParameterError, match=f"^{message}"):
         lanes_of(tree)
-    with pytest.raises(ParameterError, match=r"^controller\."):
-        lanes_of(tree, "controller")
 
 
 # Names

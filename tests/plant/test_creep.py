@@ -115,7 +115,7 @@ def test_creep_after_steps_of_the_pressure_moves_as_scipy_has_it(engine, knee, l
     held = Setpoint(*(jnp.full(PERIODS, p) for p in steps))
     parts = (plant, playback, held, numeric(start), jnp.asarray(PERIOD), 4)
     natively = NativeFunction(lambda parts, _: episode(*parts))
-    state = compute_with(engine, np.float64, lambda: natively(parts), lambda: compiled_episode(*parts))[0][1].state
+    state = compute_with(engine, lambda: natively(parts), lambda: compiled_episode(*parts))[0][1].state
     delayed = np.array([muscle.creep[1] for muscle in state.muscles])
     assert np.ptp(expected[0]) > math.radians(1) and np.ptp(expected[4:6], axis=1).min() > 4e4
     np.testing.assert_allclose(state.angle, expected[0], atol=1e-8)

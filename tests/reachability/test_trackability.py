@@ -127,7 +127,7 @@ def test_a_stiffness_that_changes_costs_the_valve_its_rate(knee, load):
     assert on(plant, slow).trackable
     found = on(plant, fast)
     assert not found.trackable
-    assert found.describe().startswith("at the rate limit of the valves: the stiffness is not attainable for ")
+    assert found.describe().startswith("at the rate limit of the valves: the desired stiffness is not attainable for ")
     assert on(JointPlant(knee, load, FirstOrderValve(1e-3)), fast).trackable
 
 

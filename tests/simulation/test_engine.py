@@ -171,7 +171,7 @@ def test_without_a_compiler_xla_does_it(monkeypatch):
 @pytest.mark.parametrize(("chosen", "expected"), [("cuda", 3), ("native", 1), ("xla", 2)])
 def test_the_chosen_engine_computes(monkeypatch, chosen, expected):
     monkeypatch.setattr("mckibben.simulation.engine.check_engine", lambda *_, many: chosen)
-    assert compute_with("auto", np.float64, lambda: 1, lambda: 2, cuda=lambda: 3) == (expected, chosen)
+    assert compute_with("auto", lambda: 1, lambda: 2, cuda=lambda: 3) == (expected, chosen)
 
 
 def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):

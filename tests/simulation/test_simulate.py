@@ -208,15 +208,6 @@ def test_a_controller_needs_no_telemetry(plant, control):
     assert np.isnan(silent["stiffness_estimate"]).all() and np.isnan(silent.metrics["estimate_rmse"])
 
 
-@pytest.mark.slow
-def test_in_32_bits_it_is_the_same_to_some_digits(plant, control):
-    single, double = (simulate(plant, control, REFERENCE, duration=0.2, precision=bits) for bits in (32, 64))
-    assert single["torque"].dtype == np.float32
-    np.testing.assert_allclose(single["angle"], double["angle"], atol=1e-4)
-    with pytest.raises(SimulationError, match="give 32 or 64"):
-        simulate(plant, control, REFERENCE, precision=16)
-
-
 @pytest.mark.parametrize(
     ("signal", "said"),
     [

@@ -15,7 +15,7 @@ from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import SETTLING_PART, Metrics, Trajectory, episode, measure, trajectory, without_last_change
+from mckibben.simulation import Metrics, Trajectory, episode, measure, trajectory, without_last_change
 from mckibben.simulation.loop import streaming_episode
 from mckibben.simulation.metrics import Course, MetricSample, last_change
 from mckibben.simulation.oscillation import find_limit_cycle
@@ -35,13 +35,13 @@ def folded(moved: Trajectory) -> Metrics:
         total, at_change, air = carried
         index, moment = at
         at_change = jnp.where(index == change.at, moment.stiffness, at_change)
-        added = MetricSample.of(moment, index, periods, change, at_change, air, SETTLING_PART).totals()
+        added = MetricSample.of(moment, index, periods, change, at_change, air).totals()
         return (total.merge(added), at_change, (moment.air1, moment.air2)), None
 
     nothing = jnp.zeros_like(moved.angle[0])
     begun = (MetricSample.empty(nothing).totals().empty(), nothing, (moved.air1[0], moved.air2[0]))
     (total, _, _), _ = jax.lax.scan(following, begun, (jnp.arange(periods), moved))
-    course = Course.of(find_limit_cycle(moved.angle, moved.desired_angle, PERIOD), change)
+    course = Course(*find_limit_cycle(moved.angle, moved.desired_angle, PERIOD), change)
     return values_of(Metrics, total, Run(periods, PERIOD, course))
 
 
@@ -302,6 +302,6 @@ def test_the_end_of_a_run_begins_at_the_first_control_period_of_its_last_tenth(s
     """As for a single run, whose outcome has the error of its last tenth."""
     error, change = np.arange(1.0, size + 1), last_change(np.full(size, 15.0))
     flown, zero = moved(size, angle=error), np.zeros(size)
-    samples = MetricSample.of(flown, np.arange(size), size, change, 15.0, (zero, zero), SETTLING_PART)
+    samples = MetricSample.of(flown, np.arange(size), size, change, 15.0, (zero, zero))
     first = size - max(size // 10, 1)
     np.testing.assert_array_equal(samples.angle_error_at_end, np.where(np.arange(size) < first, 0.0, error))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import jax
@@ -12,6 +12,13 @@ from mckibben.codegen.graph import Graph, Kind, Value
 from mckibben.codegen.random_bits import MASK
 
 Array = Any  # an array of values
+Rule = Callable[..., Array]
+
+
+def _over_axes(method: str, *operations: str) -> Iterator[Rule]:
+    """Rules of primitives that apply a method to the axes in their parameters, each with an operation."""
+    for one in operations:
+        yield lambda self, parameters, kind, _, x, one=one: getattr(self, method)(one, parameters["axes"], kind, x)
 
 
 class ArrayRules:
@@ -48,12 +55,8 @@ class ArrayRules:
 
     def _logistic(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         one, operation = self._graph.constant(1.0, kind), self._graph.operation
-
-        def logistic(x: Value) -> Value:
-            power = operation("exp", kind, operation("neg", kind, x))
-            return operation("div", kind, one, operation("add", kind, one, power))
-
-        return self._elementwise(logistic, x)
+        power = lambda x: operation("exp", kind, operation("neg", kind, x))  # noqa: E731
+        return self._elementwise(lambda x: operation("div", kind, one, operation("add", kind, one, power(x))), x)
 
     def _round(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
         if parameters["rounding_method"] is not jax.lax.RoundingMethod.TO_NEAREST_EVEN:
@@ -124,26 +127,9 @@ class ArrayRules:
             result = self._elementwise(lambda x, y: self._graph.operation(name, kind, x, y), result, row)
         return result
 
-    def _reduce_sum(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("add", parameters["axes"], kind, x)
-
-    def _reduce_max(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("max", parameters["axes"], kind, x)
-
-    def _reduce_min(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("min", parameters["axes"], kind, x)
-
-    def _reduce_and(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("and", parameters["axes"], kind, x)
-
-    def _reduce_or(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._reduce("or", parameters["axes"], kind, x)
-
-    def _argmin(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._first_of("lt", parameters["axes"], kind, x)
-
-    def _argmax(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._first_of("gt", parameters["axes"], kind, x)
+    _reduce_sum, _reduce_max, _reduce_min = _over_axes("_reduce", "add", "max", "min")
+    _reduce_and, _reduce_or = _over_axes("_reduce", "and", "or")
+    _argmin, _argmax = _over_axes("_first_of", "lt", "gt")
 
     def _first_of(self, better: str, axes: Sequence[int], kind: Kind, x: Array) -> Array:
         """Index of the first smallest or largest element along an axis; of the first NaN if there is one."""
@@ -225,12 +211,8 @@ class ArrayRules:
         config = parameters["padding_config"]
         if any(min(one) < 0 for one in config):
             return None
-        result = np.broadcast_to(value, shape).copy()
-        result[
-            tuple(
-                slice(low, size - high, between + 1) for (low, high, between), size in zip(config, shape, strict=True)
-            )
-        ] = x
+        result, each = np.broadcast_to(value, shape).copy(), zip(config, shape, strict=True)
+        result[tuple(slice(low, size - high, between + 1) for (low, high, between), size in each)] = x
         return result
 
 

@@ -6,11 +6,11 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from mckibben.codegen.graph import Kind, Value, interleave
+from mckibben.codegen.graph import interleave
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.precision import wide_inputs, wide_values
-from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, inputs_of, is_scalar
-from mckibben.codegen.writer import Writer
+from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, is_scalar
+from mckibben.codegen.writer import Writer, inputs_of
 
 _PARAMETERS = "may be changed; call prepare afterwards"
 _STATE = "from one step to the next"
@@ -63,7 +63,6 @@ class _Writing:
         for scope in module.scopes:
             interleave(scope)
         self._writer = Writer(module.scopes, self._language, module.results(), known, c_language("double"))
-        self._prepared = dict.fromkeys(Kind, 0)  # number of prepared values
 
     def sources(self) -> Sources:
         """Header and source."""
@@ -126,15 +125,12 @@ class _Writing:
 
     def _prepare(self) -> str:
         """Function that computes the values that depend on parameters alone."""
-
-        def stored(value: Value) -> str:
-            self._prepared[value.kind] += 1
-            return f"self->prepared.{value.kind.value}[{self._prepared[value.kind] - 1}]"
-
-        root = self._module.graph.root
-        for value in inputs_of(root):
-            self._writer.name(value, f"self->{value.data}")
-        lines = self._writer.scope(root, stored=stored) or ["    (void)self;"]
+        lines, self._prepared = self._writer.prepared(
+            self._module.graph.root,
+            lambda value: f"self->{value.data}",
+            lambda kind, place: f"self->prepared.{kind.value}[{place}]",
+        )
+        lines = lines or ["    (void)self;"]
         return "\n".join([f"void {self._name}_prepare({self._name} *self)", "{", *lines, "}\n"])
 
     def _signature(self, function: Function) -> str:

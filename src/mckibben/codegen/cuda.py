@@ -113,10 +113,8 @@ class Nvrtc:
 
 @functools.cache
 def nvrtc() -> Nvrtc:
-    """NVRTC of a wheel or the system; raises `DeviceError` if there is none.
-
-    Version 12 comes first, as drivers of CUDA 13 load its programs, but not the other way round.
-    """
+    """NVRTC of a wheel or the system; raises `DeviceError` if there is none."""
+    # Version 12 comes first, as drivers of CUDA 13 load its programs, but not the other way round.
     spec = importlib.util.find_spec("nvidia")
     folders = [Path(one) for one in (spec.submodule_search_locations or ())] if spec else []
     for major, wheel in _WHEELS.items():

@@ -7,8 +7,8 @@ from typing import Any
 
 from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.languages import JAVASCRIPT
-from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, inputs_of, is_scalar
-from mckibben.codegen.writer import Text, Writer
+from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, is_scalar
+from mckibben.codegen.writer import Text, Writer, inputs_of
 from mckibben.errors import ExportError
 
 
@@ -62,7 +62,7 @@ def _defaults(module: SourceModule) -> str:
             "function defaults() {",
             "    const self = {",
             *(f"    {line}" for line in lines),
-            "        prepared: [],",
+            f"        prepared: {{{', '.join(f'{kind.value}: []' for kind in Kind)}}},",
             "    };",
             "    prepare(self);",
             "    return self;",
@@ -80,16 +80,12 @@ def _literal(member: Member, *, zero: bool) -> str:
 
 def _prepare(module: SourceModule, writer: Writer) -> str:
     """The function that computes what depends on parameters alone."""
-    places: list[Value] = []
-
-    def stored(value: Value) -> str:
-        places.append(value)
-        return f"self.prepared[{len(places) - 1}]"
-
-    root = module.graph.root
-    for value in inputs_of(root):
-        writer.name(value, f"self.{value.data}")
-    return "\n".join(["function prepare(self) {", *writer.scope(root, stored=stored), "}\n"])
+    lines, _ = writer.prepared(
+        module.graph.root,
+        lambda value: f"self.{value.data}",
+        lambda kind, place: f"self.prepared.{kind.value}[{place}]",
+    )
+    return "\n".join(["function prepare(self) {", *lines, "}\n"])
 
 
 def _function(function: Function, writer: Writer) -> str:
@@ -107,7 +103,9 @@ def _function(function: Function, writer: Writer) -> str:
         values = iter(function.values[result])
         texts = {one.name: [writer.text(next(values)) for _ in range(one.size)] for one in members}
         if result == "state":
-            lines += _assigned(members, texts)
+            places = [element("state", one, number) for one in members for number in range(one.size)]
+            values = [text for one in members for text in texts[one.name]]
+            lines += [f"    self.{place} = {text};" for place, text in zip(places, values, strict=True)]
         elif is_scalar(members):
             returned[result] = texts[members[0].name][0]
         else:
@@ -118,11 +116,6 @@ def _function(function: Function, writer: Writer) -> str:
         lines.append(f"    return {{{', '.join(f'{name}: {text}' for name, text in returned.items())}}};")
     arguments = ["self", *(name for name in function.arguments if name != "state")]
     return "\n".join([f"// {function.text}", f"function {function.name}({', '.join(arguments)}) {{", *lines, "}\n"])
-
-
-def _assigned(members: Sequence[Member], texts: dict[str, list[str]]) -> list[str]:
-    places = [(element("state", one, number), texts[one.name][number]) for one in members for number in range(one.size)]
-    return [f"    self.{place} = {text};" for place, text in places]
 
 
 def _object(members: Sequence[Member], texts: dict[str, list[str]]) -> str:

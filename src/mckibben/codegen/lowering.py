@@ -14,7 +14,7 @@ import numpy as np
 from jax.extend import core
 
 from mckibben.codegen.array_rules import ArrayRules, array_of
-from mckibben.codegen.graph import ForLoop, Graph, Kind, StoredArray, Value
+from mckibben.codegen.graph import FOLDED, ForLoop, Graph, Kind, StoredArray, Value
 from mckibben.codegen.polynomials import erf_inv, log1p, log1p_single, tanh
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
 from mckibben.errors import ExportError
@@ -22,14 +22,8 @@ from mckibben.numerics import elementary
 
 _UNROLLED = 300  # equations: loops with fewer in total are unrolled
 _RENAMED = {"add_any": "add", "shift_right_arithmetic": "shift_right"}
-_UNARY = {
-    "neg", "abs", "sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh",
-    "tanh", "floor", "ceil", "cbrt", "sign", "is_finite", "not",
-}  # fmt: skip
-_BINARY = {
-    "add", "sub", "mul", "div", "max", "min", "pow", "atan2", "rem", "lt", "le", "gt", "ge", "eq", "ne", "and", "or",
-    "xor", "shift_left", "shift_right",
-}  # fmt: skip
+_OWN = {"bits", "from_bits", "from_bits_32", "single", "real", "integer", "boolean"}  # not primitives of JAX
+_ELEMENTWISE = FOLDED.keys() - _OWN - {"round"}
 _RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "random_unwrap"}
 _WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
 _SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
@@ -93,19 +87,14 @@ class Lowering(ArrayRules):
     def function(
         self, function: Callable[..., Any], arguments: Any, inputs: Sequence[Array]
     ) -> tuple[list[Array], Any]:
-        """Lower a function of trees, from example arguments and the values of their leaves.
-
-        Returns the leaves of its results, and the tree of their shapes and types.
-        """
+        """Leaves of a function of trees for values of the leaves of arguments; tree of their shapes and types."""
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
         try:
             return self._closed(closed, inputs), shape
         except _UnsupportedError as error:
-            raise ExportError(
-                f"{error.name} cannot be written as a program: {error.place or 'unknown source'}",
-                field=error.name,
-                remedy="use another option of this component, or write the function without it",
-            ) from None
+            message = f"{error.name} cannot be written as a program: {error.place or 'unknown source'}"
+            remedy = "use another option of this component, or write the function without it"
+            raise ExportError(message, field=error.name, remedy=remedy) from None
 
     def _closed(self, closed: Any, arguments: Sequence[Array]) -> list[Array]:
         if not hasattr(closed, "consts"):
@@ -135,12 +124,9 @@ class Lowering(ArrayRules):
     def expanded(self, stored: Stored) -> Array:
         """The elements of an array in memory as values."""
         if stored.size > _LARGEST:
-            raise ExportError(
-                f"an array of {stored.size} numbers is used as a whole",
-                value=stored.size,
-                upper=_LARGEST,
-                remedy="use its elements one after the other in a loop (jax.lax.scan)",
-            )
+            remedy = "use its elements one after the other in a loop (jax.lax.scan)"
+            message = f"an array of {stored.size} numbers is used as a whole"
+            raise ExportError(message, value=stored.size, upper=_LARGEST, remedy=remedy)
         if stored.array is None:
             values = [self._graph.constant(place, stored.kind) for place in range(stored.size)]
         else:
@@ -171,17 +157,15 @@ class Lowering(ArrayRules):
             return [self._elementwise(lambda x: self._graph.operation("single", kind, x), found)]
         if name in _FOR_LANES and self._in_vectors(arguments):
             return self._closed(_jaxpr_of(_FOR_LANES[name], aval.shape, aval.dtype), arguments)
-        if name in _UNARY | _BINARY:
+        if name in _ELEMENTWISE:
             return [self._elementwise(lambda *xs: self._operation(name, aval.dtype, *xs), *arguments)]
         if name in _SAME:
             return arguments
         if name in _CALLS:
             inner = _called(equation)
-            if rule := self._rule(name, inner, arguments):
-                return [
-                    self._elementwise(lambda x, n=one: self._graph.operation(n, kind, x), *arguments) for one in rule
-                ]
-            return self._closed(inner, arguments)
+            rule = self._rule(name, inner, arguments)
+            found = [self._elementwise(lambda x, n=one: self._graph.operation(n, kind, x), *arguments) for one in rule]
+            return found or self._closed(inner, arguments)
         handler = getattr(self, f"_{name}", None)
         found = None if handler is None else handler(parameters, kind, aval.shape, *arguments)
         if found is None:
@@ -256,7 +240,7 @@ class Lowering(ArrayRules):
             return [array_of(one.shape, lambda _: next(chosen)) for one in found[0]]
         cases = [list(map(self.plain, self._closed(branch, arguments))) for branch in branches]
         return [
-            self._select_n(None, kind_of_values(results[0]), None, which, *results)
+            self._select_n(None, results[0].flat[0].kind if results[0].size else Kind.REAL, None, which, *results)
             for results in zip(*cases, strict=True)
         ]
 
@@ -384,11 +368,6 @@ def _is_uniform(array: Array) -> bool:
 @functools.cache
 def _jaxpr_of(function: Callable[..., Any], shape: tuple[int, ...], dtype: Any) -> Any:
     return jax.make_jaxpr(function)(jnp.zeros(shape, dtype))
-
-
-def kind_of_values(array: Array) -> Kind:
-    """Kind of the values of an array."""
-    return array.flat[0].kind if array.size else Kind.REAL
 
 
 def _equations(jaxpr: Any) -> int:

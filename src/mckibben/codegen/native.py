@@ -30,23 +30,13 @@ from mckibben.codegen.functions import definitions, native_language
 from mckibben.codegen.graph import Graph, Kind, StoredArray
 from mckibben.codegen.kernels import KernelWriter
 from mckibben.codegen.lowering import Lowering, Stored, kind_of
-from mckibben.codegen.source_module import inputs_of
 from mckibben.codegen.vectors import HEADERS, VectorWriter, prelude
-from mckibben.codegen.writer import Writer
+from mckibben.codegen.writer import Writer, inputs_of
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning, quoted
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
 from mckibben.numerics.runtime import programs_folder
 
-_FLAGS = (
-    "-march=native",
-    "-fno-math-errno",
-    "-fno-trapping-math",
-    "-fwrapv",
-    "-frename-registers",
-    "-w",
-    "-shared",
-    "-fPIC",
-)
+_FLAGS = tuple("-march=native -fno-math-errno -fno-trapping-math -fwrapv -frename-registers -w -shared -fPIC".split())
 _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
@@ -95,11 +85,7 @@ def warn_of_fallback(error: ExportError) -> None:
 
 
 class NativeFunction:
-    """A pure function compiled as C, of a tree shared by all runs and, in a batch, a tree with an entry per run.
-
-    Arrays of the second tree have the runs along their last axis, as do the results; leaves other than arrays are
-    static. `flags` are further options of the compiler.
-    """
+    """A pure function of a shared tree and, in a batch, one with the runs along the last axis, compiled as C."""
 
     def __init__(self, function: Callable[..., Any], flags: Sequence[str] = ()) -> None:
         self._function, self._flags = function, tuple(flags)
@@ -107,11 +93,7 @@ class NativeFunction:
         self._lock = threading.Lock()
 
     def __call__(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Any:
-        """Results; raises `ExportError` if the function cannot be emitted or compiled.
-
-        In a `single` program values that differ between runs have 32 bits; shared values, such as the reference, have
-        64.
-        """
+        """Results, with 32 bits where they differ between runs of a `single` program; raises `ExportError`."""
         return self.bound(shared, lanes, single=single)()
 
     def bound(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Callable[[], Any]:
@@ -121,19 +103,14 @@ class NativeFunction:
         with self._lock:
             if (found := self._known.get(key)) is None:
                 try:
-                    found = self._compiled(given, varying, single)
+                    written = lambda: self.written(given, varying, single=single)  # noqa: E731
+                    found = self.cached(key, written, many=bool(varying.arrays))
                 except ExportError as error:  # it will fail next time too
                     found = error
                 self._known[key] = found
         if isinstance(found, ExportError):
             raise found
         return found.bound(given.arrays, varying.arrays)
-
-    def _compiled(self, shared: Split, lanes: Split, single: bool) -> Compiled:
-        """From the program cache, or compiled."""
-        key = shared.key, lanes.key, single
-        many = bool(lanes.arrays)
-        return self.cached(key, lambda: self.written(shared, lanes, single=single), many=many)
 
     def cached(self, key: Any, written: Callable[[], Written], *, many: bool = False) -> Compiled:
         """Return the program of a key from the program cache, or write and compile it."""
@@ -254,10 +231,7 @@ EXACT = ("-ffp-contract=off",)
 
 
 def compile_alone(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
-    """Compile a function of static arguments and 64-bit float vectors for calls that take microseconds.
-
-    Raises `ExportError` if the function cannot be emitted or compiled.
-    """
+    """Compile a function of static arguments and float vectors for calls of microseconds; raises `ExportError`."""
 
     def written() -> Written:
         vectors = [np.zeros(size) for size in sizes]
@@ -279,7 +253,6 @@ def write_native(
     function: Callable[..., Any],
     given: Sequence[Any],
     varying: Sequence[Any],
-    *,
     single: bool = False,
     threads: bool = False,
 ) -> Written:

@@ -142,11 +142,6 @@ def element(structure: str, member: Member, number: int) -> str:
     return f"{structure}.{member.name}" + (f"[{number}]" if member.shape else "")
 
 
-def inputs_of(scope: Scope) -> list[Value]:
-    """Inputs of a scope."""
-    return [one for one in scope.statements if isinstance(one, Value) and one.operation == "input"]
-
-
 def members_of(tree: Any, prefix: str = "") -> list[Member]:
     """Members of a structure for the leaves of a tree, with names from their paths without a prefix."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from mckibben.codegen.graph import Kind, Value
-from mckibben.codegen.source_module import Function, SourceModule, element, identifier, inputs_of
-from mckibben.codegen.writer import Language, Text, Writer
+from mckibben.codegen.source_module import Function, SourceModule, element, identifier
+from mckibben.codegen.writer import Language, Text, Writer, inputs_of
 from mckibben.errors import ExportError
 
 _LARGEST, _SMALLEST = 3.4e38, 1.18e-38  # of a 32-bit number
@@ -20,19 +20,9 @@ _SAME = ("exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "si
 
 
 def write_warp(module: SourceModule) -> str:
-    """Write a module as functions of Warp: `prepare`, a kernel over the worlds, and the functions.
-
-    Each world has its parameters: the functions take `model` (a struct of arrays), `world`, and the elements of their
-    arguments, and return the elements of their results. Raises `ExportError` for operations on bits.
-    """
+    """Write a module as functions of Warp of `model` (a struct of arrays), `world`, and elements of arguments."""
     writer = _Writer(module.scopes, WARP, module.results())
     needed = {value.data for value in inputs_of(module.graph.root) if writer.is_needed(value)}
-    counts = dict.fromkeys(Kind, 0)
-
-    def stored(value: Value) -> str:
-        counts[value.kind] += 1
-        return f"model.{value.kind.value}[world, {counts[value.kind] - 1}]"
-
     lines, places = [], {}
     for one in module.members:
         names = [element("parameters", one, number) for number in range(one.size)]
@@ -40,11 +30,12 @@ def write_warp(module: SourceModule) -> str:
             values = [float(value) for value in one.value.flat]
             lines.append(f"    {one.path.removeprefix(module.prefix)!r}: ({len(places)}, {values!r}),")
             places |= {name: f"model.parameters[world, {len(places) + place}]" for place, name in enumerate(names)}
-    for value in inputs_of(module.graph.root):
-        if value.data in places:
-            writer.name(value, places[value.data])
-    prepare = ["@wp.kernel", "def prepare(model: Model):", "    world = wp.tid()"]
-    prepare += [*writer.scope(module.graph.root, stored=stored), ""]
+    stored, counts = writer.prepared(
+        module.graph.root,
+        lambda value: places.get(value.data),
+        lambda kind, place: f"model.{kind.value}[world, {place}]",
+    )
+    prepare = ["@wp.kernel", "def prepare(model: Model):", "    world = wp.tid()", *stored, ""]
     functions = [_function(one, writer) for one in module.functions]
     return "\n".join(
         [

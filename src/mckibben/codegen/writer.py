@@ -116,6 +116,21 @@ class Writer:
                 lines += self._value(statement, indent, stored)
         return lines
 
+    def prepared(
+        self, scope: Scope, place_of: Callable[[Value], str | None], store: Callable[[Kind, int], str]
+    ) -> tuple[list[str], dict[Kind, int]]:
+        """Lines that store what follows from parameters at the places of their inputs, and its count by kind."""
+        counts = dict.fromkeys(Kind, 0)
+
+        def stored(value: Value) -> str:
+            counts[value.kind] += 1
+            return store(value.kind, counts[value.kind] - 1)
+
+        for value in inputs_of(scope):
+            if (place := place_of(value)) is not None:
+                self.name(value, place)
+        return self.scope(scope, stored=stored), counts
+
     def _value(self, value: Value, indent: str, stored: Callable[[Value], str] | None) -> list[str]:
         text = self._expression(value)
         if stored is not None and id(value) in self.shared:
@@ -321,6 +336,11 @@ class Writer:
             self._uses[id(one)] += 1 if one.scope is scope else 2
             if one.scope is not scope:
                 self.shared.add(id(one))
+
+
+def inputs_of(scope: Scope) -> list[Value]:
+    """Inputs of a scope."""
+    return [one for one in scope.statements if isinstance(one, Value) and one.operation == "input"]
 
 
 def _bound(text: Text, least: int) -> str:

@@ -15,19 +15,18 @@ from mckibben.scenario import Scenario
 
 
 class CasadiPlant(NamedTuple):
-    """CasADi functions of a plant by name, the elements of its state vector, and the omitted parts.
-
-    ``torque``, ``stiffness`` and ``tensions`` take (angle, pressures); ``rate`` and ``step`` take (state, commands). SI
-    units, gauge pressures.
-    """
+    """CasADi functions of a plant by name, in SI: of angle and pressures, or of state and commands."""
 
     functions: dict[str, Any]
-    state: tuple[str, ...]
+    state: tuple[str, ...]  # elements of the vector
     left_out: tuple[str, ...]
 
 
 def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] = (), **options: Any) -> CasadiPlant:
     """CasADi functions of a plant.
+
+    Raises `ExportError` if CasADi is missing, or a part of the plant cannot be expressed; `ParameterError` if there is
+    no such parameter.
 
     Parameters
     ----------
@@ -35,13 +34,6 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
         Scenario, or only a plant; then give `control_period` [s] and `substeps` of ``step``.
     parameters
         Plant parameters that stay symbolic, in an additional argument, such as ``load.mass2``.
-
-    Raises
-    ------
-    ExportError
-        If CasADi is missing, or a part of the plant cannot be expressed.
-    ParameterError
-        If there is no such parameter.
 
     Examples
     --------
@@ -65,10 +57,7 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
 
 
 def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str] = ()) -> Any:
-    """A function of a module as a CasADi function of one column vector per argument.
-
-    `parameters` stay symbolic, in an additional argument; all others have the values of the module.
-    """
+    """A function of a module in CasADi, with a column vector per argument, the last one for symbolic parameters."""
     casadi = _casadi()
     function = find_function(module.functions, name)
     symbols: dict[str, Any] = {}

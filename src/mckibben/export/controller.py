@@ -16,15 +16,17 @@ from numpy.typing import NDArray
 from mckibben.codegen.source_module import SourceModule
 from mckibben.component.base import Units, field_hints, field_quantities, units_of_part
 from mckibben.control import Controller, Setpoint
+from mckibben.export.plant import is_real
 from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled_as_given, numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
 from mckibben.units import SYMBOLS
 
+_MOST_PERIODS = 10_000  # of a recording
 UNITS = {
     "parameters.control_period": "s",
     "setpoint.angle": "rad",
@@ -44,9 +46,7 @@ class ControllerModule(NamedTuple):
     module: SourceModule
     units: dict[str, str]
     columns: tuple[str, ...]  # of the recording
-    recording: NDArray[
-        np.float64
-    ]  # rows: setpoint, measurement, commands; the first one is the start, without commands
+    recording: NDArray[np.float64]  # setpoint, measurement, commands; the first row is the start, without commands
     left_out: tuple[str, ...]
 
 
@@ -93,7 +93,7 @@ def controller_functions(scenario: Scenario) -> ControllerFunctions:
     return ControllerFunctions(parameters, of, init, step, state, setpoint, measurement, plant, controller, initial)
 
 
-def controller_module(scenario: Scenario, name: str = "controller", most_periods: int = 10_000) -> ControllerModule:
+def controller_module(scenario: Scenario, name: str = "controller") -> ControllerModule:
     """Source module of a scenario's controller: first step, subsequent steps, and the laws and limits of its model.
 
     All its real numbers are adjustable parameters; numbers of hidden neurons, seeds and other integers are fixed.
@@ -101,28 +101,37 @@ def controller_module(scenario: Scenario, name: str = "controller", most_periods
     """
     source = controller_functions(scenario)
     module, left_out = controller_program(source, name)
-    plant, controller, measurement = source.plant, source.controller, source.measurement
     _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
-    setpoints = jax.tree.map(lambda x: x[:most_periods], setpoints)
-    run = _recorded(plant, controller, setpoints, source.initial, scenario.control_period, scenario.needed_substeps())
-    recording = np.column_stack(run)
-    first = [np.nan, np.nan, *map(float, (measurement.angle, *measurement.pressures)), np.nan, np.nan]
+    setpoints = jax.tree.map(lambda x: x[:_MOST_PERIODS], setpoints)
+    timing = scenario.control_period, scenario.needed_substeps()
+    recording = recorded(source.plant, source.controller, setpoints, source.initial, *timing, _given)
     columns = ("setpoint.angle", "setpoint.stiffness", "measurement.angle", "measurement.pressures_0",
                "measurement.pressures_1", "commands.pressure1", "commands.pressure2")  # fmt: skip
-    return ControllerModule(
-        module, UNITS | units_of(source.parameters, "parameters"), columns, np.vstack([first, recording]), left_out
-    )
+    units = UNITS | units_of(source.parameters, "parameters")
+    return ControllerModule(module, units, columns, recording, left_out)
+
+
+def _given(controller: Controller, state: Any, setpoint: Setpoint, *_: Any) -> Setpoint:
+    return setpoint
 
 
 def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
     """First step, subsequent steps and model of a controller, and the parts that cannot be exported."""
-    module = SourceModule(name, source.parameters, "controller.")
-    given = {"setpoint": source.setpoint, "measurement": source.measurement}
-    module.add("init", "first state, from the first measurement", source.init, {"measurement": source.measurement})
-    text = "one control period: new state, and commands from now on"
-    module.add("step", text, source.step, {"state": source.state, **given})
+    given = source.state, source.setpoint, source.measurement
+    module = stepping_module(name, source.parameters, source.init, source.step, *given)
     model = getattr(source.controller, "model", None)
     return module, tuple(_add_model(module, source.of, model) if isinstance(model, AntagonisticJoint) else ())
+
+
+def stepping_module(
+    name: str, parameters: Any, init: Any, step: Any, state: Any, setpoint: Any, measurement: Any
+) -> SourceModule:
+    """Source module of the first step and the subsequent steps of a controller."""
+    module = SourceModule(name, parameters, "controller.")
+    module.add("init", "first state, from the first measurement", init, {"measurement": measurement})
+    text = "one control period: new state, and commands from now on"
+    module.add("step", text, step, {"state": state, "setpoint": setpoint, "measurement": measurement})
+    return module
 
 
 def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[str]:
@@ -153,26 +162,32 @@ def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[
     return []
 
 
+def recorded(
+    plant: Plant, controller: Any, given: Any, initial: Any, period: Any, substeps: int, setpoints: Callable[..., Any]
+) -> NDArray[np.float64]:
+    """Recording of a run with what its controller is given in each period, from which `setpoints` follow."""
+    measured, *columns = _recorded(plant, controller, given, initial, period, substeps, setpoints)
+    others = [np.nan] * len(columns[0]), [np.nan] * len(columns[2])
+    first = [*others[0], *map(float, jax.tree.leaves(measured)), *others[1]]
+    return np.vstack([first, np.column_stack([one for part in columns for one in part])])
+
+
 @compiled_as_given
 def _recorded(
-    plant: JointPlant, controller: Controller, setpoints: Setpoint, initial: PlantState, period: Any, substeps: Any
+    plant: Plant, controller: Any, given: Any, initial: Any, period: Any, substeps: Any, setpoints: Callable[..., Any]
 ) -> tuple[Any, ...]:
-    """Setpoints, measurements and commands of a run, each of shape (periods,)."""
+    """First measurement; setpoints, measurements and commands of a run, each of shape (periods,)."""
 
-    def next_period(states: Any, setpoint: Setpoint) -> Any:
+    def next_period(states: Any, given: Any) -> Any:
         plant_state, measurement = plant.sample(states[0], period)
-        state, commands = controller.step(states[1], setpoint, measurement, period)
+        wanted = setpoints(controller, states[1], given, measurement, period)
+        state, commands = controller.step(states[1], given, measurement, period)
         following = plant.follow(plant_state, plant.clip_commands(commands), period, substeps)
-        return (following, state), (*setpoint, measurement.angle, *measurement.pressures, *commands)
+        return (following, state), (tuple(wanted), tuple(jax.tree.leaves(measurement)), commands)
 
-    start = initial, controller.init(plant.sample(initial, 0.0)[1])
     with batched_program():  # compiles a third faster
-        return lax.scan(next_period, start, setpoints)[1]
-
-
-def is_real(leaf: Any) -> bool:
-    """Whether a leaf is a parameter of a program."""
-    return eqx.is_array_like(leaf) and np.asarray(leaf).dtype.kind == "f"
+        measured = plant.sample(initial, 0.0)[1]
+        return measured, *lax.scan(next_period, (initial, controller.init(measured)), given)[1]
 
 
 def units_of(tree: Any, prefix: str) -> dict[str, str]:

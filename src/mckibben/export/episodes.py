@@ -83,25 +83,19 @@ class Plants(NamedTuple):
     starts: PlantState
     rows: int
 
-    def at(self, row: Any) -> SimulationProblem:
-        """Plant and reference of a row."""
-        return eqx.combine(jax.tree.map(lambda one: one[row], self.varying), self.fixed)
-
     def row(self, row: Any) -> tuple[SimulationProblem, PlantState]:
         """Plant, reference and start of a row."""
-        return self.at(row), jax.tree.map(lambda one: one[row], self.starts)
+        varying, start = jax.tree.map(lambda one: one[row], (self.varying, self.starts))
+        return eqx.combine(varying, self.fixed), start
 
 
 class Episode(NamedTuple):
-    """Number of control periods so far, state of the plant, and the last measurement.
+    """State of an episode."""
 
-    `seen` has a row for each observation of the history, the latest first: 6 elements, and the action before it.
-    """
-
-    period: Array
+    period: Array  # control periods so far
     state: PlantState
-    measured: Measurement
-    seen: Array
+    measured: Measurement  # the last one
+    seen: Array  # a row for each observation, the latest first: 6 elements, and the action before it
 
 
 class EpisodeStep(NamedTuple):
@@ -131,10 +125,7 @@ def example_of(
 
 
 def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
-    """Plants of a scenario with varied parameters, such as ``load.mass2=+-50 %``; those without a start are dropped.
-
-    ``joint.muscle.law=fit`` draws the parameters of a fit from its uncertainty.
-    """
+    """Plants with varied parameters (``load.mass2=+-50 %``, ``joint.muscle.law=fit``), those without start dropped."""
     table = {}
     if random_plant:
         fits = [one for one in random_plant if one.partition("=")[2].strip() == "fit"]
@@ -184,7 +175,7 @@ def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -
 @compiled_as_given
 def _starts(plants: Plants, rows: Any) -> tuple[PlantState, Array]:
     def start(row: Array) -> tuple[PlantState, Array]:
-        problem = plants.at(row)
+        problem, _ = plants.row(row)
         setpoint = problem.reference(jnp.zeros(1))
         state, exists = problem.start(setpoint)
         return jax.tree.map(jnp.asarray, state), exists

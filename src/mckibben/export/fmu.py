@@ -12,9 +12,10 @@ import numpy as np
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.component.columns import attributes
-from mckibben.export.controller import controller_functions, is_real, units_of
+from mckibben.export.controller import controller_functions, units_of
 from mckibben.export.fmi import fmu
 from mckibben.export.functional_unit import FunctionalUnit
+from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.compiled import numeric
@@ -123,24 +124,18 @@ def plant_unit(
 
     state = jax.tree.map(lambda one: np.zeros(np.shape(one)), initial)
     both = {"state": state, "inputs": inputs}
-    module.add(
-        "init",
-        "state at an angle, a velocity and pressures, its muscles relaxed",
-        init,
-        {"start": start, "inputs": inputs},
-    )
+    text = "state at an angle, a velocity and pressures, its muscles relaxed"
+    module.add("init", text, init, {"start": start, "inputs": inputs})
     module.add("advance", "state after a duration [s]", advance, both | {"duration": _NUMBER})
     module.add("evaluate", "forces and stiffness", results, both)
     if not valve.switches:
         module.add("differentiate", "time derivatives of the state", rates, both)
         if plant.slips:
             module.add("project", "state after a step of an integrator", project, both)
-    first = {"angle": initial.angle, "velocity": initial.velocity}
-    pressures = dict(zip(("pressures.0", "pressures.1"), initial.pressures, strict=True))
-    commands = dict(zip(("command1", "command2"), initial.pressures, strict=True))
-    if valve.direct:
-        commands = dict.fromkeys(commands, 0.0)
-    starts = {**first, **(pressures if held else {}), **commands, "torque": 0.0}
+    starts = {"angle": initial.angle, "velocity": initial.velocity, "torque": 0.0}
+    for i, pressure in enumerate(initial.pressures):
+        starts |= {f"command{i + 1}": 0.0 if valve.direct else pressure}
+        starts |= {f"pressures.{i}": pressure} if held else {}
     creep = {
         f"state.muscles.{i}.creep.{k}": unit
         for i, muscle in enumerate(plant.muscles)
@@ -251,9 +246,7 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2)
         f"Controller of the scenario {scenario.name!r}",
         scenario.control_period,
         {path: float(value) for path, value in zip(_CONTROLLER_INPUTS, starts, strict=True)},
-        {f"inputs.{path}": one for path, one in _CONTROLLER_INPUTS.items()}
-        | units
-        | units_of(source.parameters, "parameters"),
+        units | units_of(source.parameters, "parameters"),
         fixed=("control_period",),
         sampled=True,
     )

@@ -14,12 +14,7 @@ from mckibben.errors import ExportError
 
 @dataclass(frozen=True)
 class FunctionalUnit:
-    """Program of an FMU with the additional data that an FMU needs.
-
-    Its functions are `init` (`start`, whose members are those of the state, and `inputs`); `evaluate` (state and inputs
-    to `results`); `differentiate` (the same to `rates` of members of the state); `advance` (state, inputs and
-    `duration` [s]); and `project`, called after an integrator step. All except `evaluate` are optional.
-    """
+    """Program of an FMU, with functions `evaluate` and possibly `init`, `differentiate`, `advance` and `project`."""
 
     module: SourceModule
     title: str

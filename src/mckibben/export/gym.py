@@ -44,12 +44,13 @@ class _Joint:
     def __init__(
         self,
         scenario: Scenario | Suite | str | os.PathLike[str],
-        random_plant: Sequence[str],
-        repeat: int,
-        history: int,
-        reward: RewardTerms,
-        plants: int,
-        plants_seed: int,
+        *,
+        random_plant: Sequence[str] = (),
+        repeat: int = 1,
+        history: int = 1,
+        reward: RewardTerms = DEFAULT_REWARD,
+        plants: int = 256,
+        plants_seed: int = 0,
     ) -> None:
         self.scenario, random_plant = example_of(scenario, random_plant)
         nominal = self.scenario.plant()
@@ -63,12 +64,10 @@ class _Joint:
                 remedy="give the specimen its initial_diameter and braid_angle, or an air_price of 0",
             )
         periods = round(self.scenario.duration / self.scenario.control_period)
-        if isinstance(repeat, bool) or not isinstance(repeat, int) or not 1 <= repeat <= periods:
-            remedy = f"choose a whole number, 1 to {periods}"
-            raise ExportError(f"repeat is {repeat!r}", field="repeat", value=repeat, remedy=remedy)
-        if isinstance(history, bool) or not isinstance(history, int) or not 1 <= history <= _MOST_HISTORY:
-            remedy = f"choose a whole number, 1 to {_MOST_HISTORY}"
-            raise ExportError(f"history is {history!r}", field="history", value=history, remedy=remedy)
+        for name, value, most in (("repeat", repeat, periods), ("history", history, _MOST_HISTORY)):
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= most:
+                remedy = f"choose a whole number, 1 to {most}"
+                raise ExportError(f"{name} is {value!r}", field=name, value=value, remedy=remedy)
         self.plants = plants_of(self.scenario, random_plant, plants, plants_seed)
         self.most_steps = -(-periods // repeat)
         self.options = {"substeps": self.scenario.needed_substeps(), "repeat": repeat, "history": history}
@@ -103,6 +102,9 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
     terminated if the angle error exceeds 90 deg, and truncated at the end of the scenario. `info` has the true
     stiffness [N*m/rad] and the air used in the step [L].
 
+    Raises `ScenarioError` or `ParameterError` for mistakes in scenario and parameters; `ExportError` if no plant has a
+    start, or the reward needs an unknown volume.
+
     Parameters
     ----------
     scenario
@@ -119,31 +121,15 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         delays.
     reward
         Terms of the reward, see `RewardTerms`.
-
-    Raises
-    ------
-    ScenarioError, ParameterError
-        For mistakes in scenario and parameters.
-    ExportError
-        If no plant has a start, or the reward needs an unknown volume.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
     def __init__(
-        self,
-        scenario: Scenario | Suite | str | os.PathLike[str],
-        *,
-        random_plant: Sequence[str] = (),
-        repeat: int = 1,
-        history: int = 1,
-        reward: RewardTerms = DEFAULT_REWARD,
-        plants: int = 256,
-        plants_seed: int = 0,
-        render_mode: None = None,
+        self, scenario: Scenario | Suite | str | os.PathLike[str], *, render_mode: None = None, **options: Any
     ) -> None:
         self.render_mode = render_mode
-        self.joint = _Joint(scenario, random_plant, repeat, history, reward, plants, plants_seed)
+        self.joint = _Joint(scenario, **options)
         self.observation_space, self.action_space = self.joint.observation_space, self.joint.action_space
         self.metadata = self.joint.metadata
         self._program = SingleProgram(self.joint.plants, self.joint.settings, **self.joint.options)
@@ -179,16 +165,11 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         scenario: Scenario | Suite | str | os.PathLike[str],
         num_envs: int = 1,
         *,
-        random_plant: Sequence[str] = (),
-        repeat: int = 1,
-        history: int = 1,
-        reward: RewardTerms = DEFAULT_REWARD,
-        plants: int = 256,
-        plants_seed: int = 0,
         render_mode: None = None,
+        **options: Any,
     ) -> None:
         self.num_envs, self.render_mode = num_envs, render_mode
-        self.joint = _Joint(scenario, random_plant, repeat, history, reward, plants, plants_seed)
+        self.joint = _Joint(scenario, **options)
         self.single_observation_space, self.single_action_space = self.joint.observation_space, self.joint.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)

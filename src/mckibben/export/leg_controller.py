@@ -10,19 +10,16 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 import mckibben
-from mckibben.codegen.source_module import SourceModule
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
-from mckibben.export.controller import ControllerModule, is_real, units_of
+from mckibben.export.controller import ControllerModule, recorded, stepping_module, units_of
 from mckibben.export.controller_files import program_files
+from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported, check_name, write_exported
 from mckibben.leg import JointwiseControl, LegMeasurement, LegPlant, LegReference, LegStart
-from mckibben.leg.plant import LegState
-from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import numeric
 from mckibben.simulation.problem import sampling_times
 
 
@@ -54,27 +51,12 @@ def export_leg_controller(
 
     `make check` there replays a run of the plant with the controller's own reference, and times the steps.
 
-    Parameters
-    ----------
-    plant, start
-        Plant and start of the recorded run.
-    controller
-        A `JointwiseControl`, such as `CoupledControl`. Its real numbers are parameters of the program.
-    duration, control_period
-        Duration of the recorded run, and control period [s].
-    name
-        Name of the program, an identifier.
-    single
-        32-bit instead of 64-bit numbers.
+    Raises `ExportError` for a controller of another class, and for parts that C cannot express, before any file is
+    written; `FileError` if the files exist, unless they may be overwritten; `SimulationError` if the duration is not a
+    positive multiple of the control period.
 
-    Raises
-    ------
-    ExportError
-        For a controller of another class, and for parts that C cannot express, before any file is written.
-    FileError
-        If the files exist, unless they may be overwritten.
-    SimulationError
-        If the duration is not a positive multiple of the control period.
+    `plant`, `start` and `duration` [s] are those of the recorded run. The real numbers of the controller, such as a
+    `CoupledControl`, are parameters of the program, 32-bit if `single`. Its name is an identifier.
     """
     if not isinstance(controller, JointwiseControl):
         message = f"a {type(controller).__name__} takes no setpoints of the joints"
@@ -83,8 +65,7 @@ def export_leg_controller(
     check_name(name)
     made = _module(plant.with_period(control_period), controller, start, name, duration, control_period)
     text = f"Controller of a leg, written by mckibben {mckibben.__version__}."
-    files = program_files(made, name, "a leg", text, control_period, single=single)
-    exported = Exported(files)
+    exported = Exported(program_files(made, name, "a leg", text, control_period, single=single))
     write_exported(exported, out, overwrite=overwrite)
     return exported
 
@@ -116,11 +97,8 @@ def _module(
 
     measurement = plant.sample(initial, 0.0)[1]
     state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), jax.eval_shape(given.init, measurement))
-    module = SourceModule(name, parameters, "controller.")
-    module.add("init", "first state, from the first measurement", init, {"measurement": measurement})
-    text = "one control period: new state, and commands from now on"
     setpoint = {"angles": (zero,) * joints, "stiffness": (zero,) * joints}
-    module.add("step", text, step, {"state": state, "setpoint": setpoint, "measurement": measurement})
+    module = stepping_module(name, parameters, init, step, state, setpoint, measurement)
     muscles, of_joints = range(1, len(plant.muscles) + 1), range(joints)
     measured = [f"angles_{i}" for i in of_joints] + [f"pressures_{i - 1}" for i in muscles] + ["ground_force"]
     columns = (
@@ -131,8 +109,7 @@ def _module(
     )
     times = sampling_times(duration, period)
     substeps = plant.needed_substeps(start.angles, None, period)
-    recorded = np.column_stack(_recorded(plant, controller, initial, times, period, substeps))
-    first = [np.nan] * (2 * joints) + [float(one) for one in jax.tree.leaves(measurement)] + [np.nan] * len(muscles)
+    recording = recorded(plant, controller, times, initial, period, substeps, _wanted)
     units = {
         **{f"setpoint.angles.{i}": "rad" for i in of_joints},
         **{f"setpoint.stiffness.{i}": "N*m/rad" for i in of_joints},
@@ -144,23 +121,10 @@ def _module(
         "parameters.control_period": "s",
     }
     units |= units_of(parameters, "parameters")
-    return ControllerModule(module, units, columns, np.vstack([first, recorded]), ())
+    return ControllerModule(module, units, columns, recording, ())
 
 
-@compiled_as_given
-def _recorded(
-    plant: LegPlant, controller: JointwiseControl, initial: LegState, times: Any, period: Any, substeps: Any
-) -> tuple[Any, ...]:
-    """Setpoints, measurements and commands of a run, each of shape (periods,)."""
-
-    def next_period(states: Any, time: Any) -> Any:
-        plant_state, measurement = plant.sample(states[0], period)
-        setpoints = controller.reference.step(states[1][0], time, measurement, period)[1]
-        state, commands = controller.step(states[1], time, measurement, period)
-        following = plant.follow(plant_state, plant.clip_commands(commands), period, substeps)
-        angles, stiffness = zip(*setpoints, strict=True)
-        return (following, state), (*angles, *stiffness, *jax.tree.leaves(measurement), *commands)
-
-    with batched_program():
-        first = initial, controller.init(plant.sample(initial, 0.0)[1])
-        return lax.scan(next_period, first, times)[1]
+def _wanted(controller: JointwiseControl, state: Any, time: Any, measurement: LegMeasurement, period: Any) -> Any:
+    """Angles and stiffness of all joints at a time [s]."""
+    angles, stiffness = zip(*controller.reference.step(state[0], time, measurement, period)[1], strict=True)
+    return *angles, *stiffness

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
@@ -21,6 +21,7 @@ from mckibben.export.mjcf import (
     command_range,
     keyframe,
     mjcf_document,
+    numbers_text,
     path_transmission,
     plugin_actuator,
     transmissions,
@@ -60,7 +61,7 @@ class LegFrame:
     @property
     def inside(self) -> str:
         """Contents of the body in MJCF."""
-        sites = (f'<site name={_name(name)} pos="{_numbers(place)}"/>' for name, place in self.sites.items())
+        sites = (f'<site name={quoteattr(name)} pos="{numbers_text(place)}"/>' for name, place in self.sites.items())
         return "".join((*self.shapes, *sites))
 
     @property
@@ -74,13 +75,14 @@ class LegFrame:
         """Opening text of the body, with its joint."""
         assert self.joint is not None
         axis, sign = self.joint.direction, self.joint.sign
-        turned = f"{_numbers(axis)} {self.rest!r}"
-        text = f'<body name={_name(self.name)} pos="0 0 {-self.origin!r}" axisangle="{turned}">'
+        turned = f"{numbers_text(axis)} {self.rest!r}"
+        text = f'<body name={quoteattr(self.name)} pos="0 0 {-self.origin!r}" axisangle="{turned}">'
         if self.joint.locked is None:
             axis, limits = axis.scaled(sign), (self.joint.lower, self.joint.upper)
             assert limit is not None
             text += (
-                f'<joint name={_name(self.joint.name)} type="hinge" axis="{_numbers(axis)}" range="{_numbers(limits)}" '
+                f'<joint name={quoteattr(self.joint.name)} type="hinge" axis="{numbers_text(axis)}" '
+                f'range="{numbers_text(limits)}" '
                 f'damping="{float(self.joint.damping)!r}" solreflimit="{limit.reference}" '
                 f'solimplimit="{limit.impedance}"/>'
             )
@@ -100,23 +102,10 @@ class _Driven(NamedTuple):
 
 
 def leg_model(plant: LegPlant, name: str = "leg", timestep: float = 2.5e-4, start: LegState | None = None) -> LegModel:
-    """MJCF of a leg, and the functions of its muscles.
+    """MJCF of a leg for steps [s], and the functions of its muscles; `ExportError` for what MuJoCo cannot express.
 
-    Parameters
-    ----------
-    plant
-        The leg.
-    name
-        Of the model and its plugin.
-    timestep
-        [s]
-    start
-        The keyframe "start". Default: all angles as close to 0 as possible, without pressure, the foot on the ground.
-
-    Raises
-    ------
-    ExportError
-        For parts that MuJoCo cannot express.
+    `start` is the keyframe "start". Default: all angles as close to 0 as possible, without pressure, the foot on the
+    ground.
     """
     leg = plant.leg
     check_valve(plant.valve)
@@ -171,24 +160,13 @@ def export_leg(
     """Write the leg of a scenario for MuJoCo to a folder, in its touchdown or squat posture."""
     check_name(name)
     plant = scenario.plant()
-    angles: dict[str, float] = {}
-    if scenario.jump is not None:
-        angles = scenario.jump.squat
+    angles: dict[str, float] = {} if scenario.jump is None else scenario.jump.squat
     if scenario.landing is not None:
         angles = scenario.landing.touchdown
     start = plant.init_state(plant.leg.posture_angles(angles), [0.0] * len(plant.leg.muscles))
     made = leg_files(plant, name, scenario.name, timestep=scenario.step, start=start)
     write_exported(made, out, overwrite=overwrite)
     return made
-
-
-def _name(name: str) -> str:
-    return quoteattr(name)
-
-
-def _numbers(values: Iterable[Any]) -> str:
-    """Text of numbers."""
-    return " ".join(repr(float(one)) for one in values)
 
 
 def leg_bodies(plant: LegPlant) -> list[LegFrame]:
@@ -203,7 +181,7 @@ def leg_bodies(plant: LegPlant) -> list[LegFrame]:
         axle = joint.direction.scaled(0.016)
         frame.shapes += [
             _inertial(link.mass, -link.centre, link.inertias),
-            f'<geom class="axle" fromto="{_numbers(-axle)} {_numbers(axle)}"/>',
+            f'<geom class="axle" fromto="{numbers_text(-axle)} {numbers_text(axle)}"/>',
         ]
         if length:
             frame.shapes.append(f'<geom class="bone" fromto="0 0 0 0 0 {-length!r}"/>')
@@ -216,7 +194,7 @@ def leg_bodies(plant: LegPlant) -> list[LegFrame]:
 
 def _inertial(mass: Any, height: Any, inertias: Sequence[Any]) -> str:
     mass, *inertias = (max(float(one), LIGHT) for one in (mass, *inertias))
-    return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{_numbers(inertias)}"/>'
+    return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{numbers_text(inertias)}"/>'
 
 
 def add_muscles(plant: LegPlant, bodies: list[LegFrame]) -> tuple[list[_Driven], list[str]]:
@@ -239,7 +217,7 @@ def add_muscles(plant: LegPlant, bodies: list[LegFrame]) -> tuple[list[_Driven],
         """Text of a pulley in a tendon, and its length [m] at a locked joint."""
         if joint.locked is not None:
             return "", moved.coefficient * float(joint.locked)
-        return f'<joint joint={_name(joint.name)} coef="{moved.coefficient!r}"/>', 0.0
+        return f'<joint joint={quoteattr(joint.name)} coef="{moved.coefficient!r}"/>', 0.0
 
     for index, joint in enumerate(leg.joints):
         pair = transmissions(joint.muscles.geometry)
@@ -253,11 +231,11 @@ def add_muscles(plant: LegPlant, bodies: list[LegFrame]) -> tuple[list[_Driven],
             if spatial:
                 tendon = _spatial(name, parts)
             elif moved.coefficient:
-                tendon = f"<fixed name={_name(name)}>{coupled(moved, joint)[0]}</fixed>"
+                tendon = f"<fixed name={quoteattr(name)}>{coupled(moved, joint)[0]}</fixed>"
             else:
                 tendon = ""
                 left_out.append(f"tendon of {name}: path not supported by MuJoCo; its torque acts on the joint")
-            target = f"tendon={_name(name)}" if tendon else f"joint={_name(joint.name)}"
+            target = f"tendon={quoteattr(name)}" if tendon else f"joint={quoteattr(joint.name)}"
             own = (joint.muscles.muscle1, joint.muscles.muscle2)[number]
             found.append(
                 _Driven(name, tendon, target, parts, _of_pair(index, number), _path(index, number, moved), own)
@@ -275,20 +253,17 @@ def add_muscles(plant: LegPlant, bodies: list[LegFrame]) -> tuple[list[_Driven],
         elif all(each.coefficient for each in moved):
             pieces = [coupled(each, joint) for each, joint in zip(moved, both, strict=True)]
             offset += sum(length for _, length in pieces)
-            tendon = f"<fixed name={_name(one.name)}>{''.join(text for text, _ in pieces)}</fixed>"
+            tendon = f"<fixed name={quoteattr(one.name)}>{''.join(text for text, _ in pieces)}</fixed>"
         else:
             raise cannot("path1", f"the paths of {one.name}", "give it a TwoBonePath or a Pulley over both joints")
         own = _of_biarticular(index)
-        target = f"tendon={_name(one.name)}"
+        target = f"tendon={quoteattr(one.name)}"
         found.append(_Driven(one.name, tendon, target, parts, own, _beyond(offset), one.muscle))
     return found, left_out
 
 
 def anchors(joint: LegJoint, moved: Transmission) -> tuple[Vector, Vector]:
-    """Points [m] of a straight path relative to a joint, in the axes of its parent body and of its hanging link.
-
-    The path is in the plane through the joint that its axis is normal to.
-    """
+    """Points [m] of a path in the plane across a joint, in the axes of its parent body and of its hanging link."""
     axis = joint.direction
     across = Z.cross(axis) if axis.x or axis.y else X  # to where a hanging link swings
     across = across.scaled(1 / math.sqrt(across.dot(across)))
@@ -301,9 +276,9 @@ def anchors(joint: LegJoint, moved: Transmission) -> tuple[Vector, Vector]:
 
 def _spatial(name: str, parts: Sequence[tuple[str, str]]) -> str:
     """A tendon of straight parts; its length is their sum."""
-    sites = ("".join(f"<site site={_name(site)}/>" for site in part) for part in parts)
+    sites = ("".join(f"<site site={quoteattr(site)}/>" for site in part) for part in parts)
     joined = '<pulley divisor="1"/>'.join(sites)
-    return f'<spatial name={_name(name)} class="muscle">{joined}</spatial>'
+    return f'<spatial name={quoteattr(name)} class="muscle">{joined}</spatial>'
 
 
 def _of_pair(index: int, number: int) -> Callable[[LegPlant], tuple[Muscle, Tendon]]:
@@ -345,8 +320,8 @@ def _functions(
 
 def _trunk_joints(motions: Sequence[str]) -> str:
     """Joints of the trunk for its translations and rotations."""
-    slides = {name: f'type="slide" axis="{_numbers(axis)}"' for name, axis in SLIDES.items()}
-    hinges = {name: f'type="hinge" axis="{_numbers(axis)}"' for name, axis in TURNS.items()}
+    slides = {name: f'type="slide" axis="{numbers_text(axis)}"' for name, axis in SLIDES.items()}
+    hinges = {name: f'type="hinge" axis="{numbers_text(axis)}"' for name, axis in TURNS.items()}
     return "".join(f'<joint name="{name}" {(slides | hinges)[name]}/>' for name in motions)
 
 
@@ -387,7 +362,7 @@ def _mjcf(
         body += "\n    " + frame.opened(found.get(frame.joint.name)) + frame.inside
     body += "</body>" * len(bodies)
     joints = [frame.joint.name for frame in bodies[1:] if frame.joint is not None and frame.joint.locked is None]
-    sensors = "".join(f"<jointpos name={_name(one)} joint={_name(one)}/>" for one in joints)
+    sensors = "".join(f"<jointpos name={quoteattr(one)} joint={quoteattr(one)}/>" for one in joints)
     mu = float(plant.ground.friction)
     scene = f"""<option cone="elliptic" impratio="{FRICTION_RATIO!r}"/>
   <visual>
@@ -410,7 +385,7 @@ def _mjcf(
   </asset>
   <worldbody>
     <light pos="-0.5 -1.0 3" dir="0.15 0.3 -1" diffuse="0.45 0.45 0.45" specular="0.2 0.2 0.2"/>
-    <geom name="floor" type="plane" size="4 4 0.1" zaxis="{_numbers(plant.ground.normal)}" material="floor"/>
+    <geom name="floor" type="plane" size="4 4 0.1" zaxis="{numbers_text(plant.ground.normal)}" material="floor"/>
     {body}
   </worldbody>
   <contact>

@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from mckibben.errors import ExportError
 from mckibben.export.leg_mjcf import LIGHT, add_muscles, leg_bodies
+from mckibben.export.mjcf import numbers_text
 from mckibben.export.targets import Exported, check_name, write_exported
 from mckibben.leg import Leg, LegPlant, LegScenario
 from mckibben.leg.dynamics import SLIDES, TURNS
@@ -25,16 +26,11 @@ _ANGLES = 41  # of each joint, over which its largest torque is sought
 
 
 def leg_urdf(plant: LegPlant, name: str = "leg", title: str = "a leg") -> Exported:
-    """Return the bodies of a leg as `<name>.urdf`, and the parts that URDF cannot hold.
+    """Bodies of a leg as `<name>.urdf`, and the omitted parts; `ExportError` for two joints or links of one name.
 
     The trunk moves from a link `world`, with the hip at its origin, by one joint for each of its coordinates
     (`trunk_z`, ...). Joints have the angles of the leg; those that are locked are fixed. The ends of straight muscle
     paths are links without mass, such as `knee1_fixed` and `knee1_moving`.
-
-    Raises
-    ------
-    ExportError
-        If two joints or links have the same name.
     """
     leg, left_out = plant.leg, _left_out(plant)
     robot = Element("robot", name=name)
@@ -153,18 +149,18 @@ def _joint(
     """A joint at a place [m] in the parent, turned by a rotation vector [rad]."""
     found = SubElement(robot, "joint", name=name, type=kind)
     angles = Rotation.from_rotvec(turn).as_euler("xyz")  # about fixed axes: roll, pitch and yaw
-    SubElement(found, "origin", xyz=_numbers(place), rpy=_numbers(angles))
+    SubElement(found, "origin", xyz=numbers_text(place), rpy=numbers_text(angles))
     SubElement(found, "parent", link=parent)
     SubElement(found, "child", link=child)
     if axis is not None and kind != "fixed":
-        SubElement(found, "axis", xyz=_numbers(axis))
+        SubElement(found, "axis", xyz=numbers_text(axis))
     return found
 
 
 def _inertial(link: Element, mass: Any, height: Any, inertias: Iterable[Any]) -> None:
     mass, *inertias = (max(float(one), LIGHT) for one in (mass, *inertias))
     found = SubElement(link, "inertial")
-    SubElement(found, "origin", xyz=_numbers((0.0, 0.0, height)), rpy=_numbers((0.0, 0.0, 0.0)))
+    SubElement(found, "origin", xyz=numbers_text((0.0, 0.0, height)), rpy=numbers_text((0.0, 0.0, 0.0)))
     SubElement(found, "mass", value=repr(mass))
     ixx, iyy, izz = map(repr, inertias)
     SubElement(found, "inertia", ixx=ixx, iyy=iyy, izz=izz, ixy="0.0", ixz="0.0", iyz="0.0")
@@ -172,9 +168,5 @@ def _inertial(link: Element, mass: Any, height: Any, inertias: Iterable[Any]) ->
 
 def _shape(link: Element, what: str, height: float, kind: str, **sizes: str) -> None:
     found = SubElement(link, what)
-    SubElement(found, "origin", xyz=_numbers((0.0, 0.0, height)), rpy=_numbers((0.0, 0.0, 0.0)))
+    SubElement(found, "origin", xyz=numbers_text((0.0, 0.0, height)), rpy=numbers_text((0.0, 0.0, 0.0)))
     SubElement(SubElement(found, "geometry"), kind, sizes)
-
-
-def _numbers(values: Iterable[Any]) -> str:
-    return " ".join(repr(float(one) + 0.0) for one in values)

@@ -40,18 +40,14 @@ COMMAND_DELAY = "delay of the commands"  # among the omitted parts
 
 
 class Transmission(NamedTuple):
-    """Transmission of a muscle: sites and tendon of MJCF, and path length [m] in excess of the tendon.
+    """Transmission of a muscle; without a tendon it drives the joint: its length is the angle, its force a torque."""
 
-    The tendon connects two points [m], or has a coefficient [m/rad] of the angle.
-    Without a tendon the muscle drives the joint itself: its length is the angle, its force a torque.
-    """
-
-    fixed_sites: str = ""
+    fixed_sites: str = ""  # in MJCF
     moving_sites: str = ""
     tendon: str = ""
-    offset: Any = 0.0
-    points: tuple[tuple[float, float], ...] = ()
-    coefficient: float = 0.0
+    offset: Any = 0.0  # path length in excess of the tendon [m]
+    points: tuple[tuple[float, float], ...] = ()  # that the tendon connects [m]
+    coefficient: float = 0.0  # of the angle, in place of points [m/rad]
 
 
 def transmissions(geometry: Geometry) -> tuple[Transmission, Transmission]:
@@ -112,10 +108,7 @@ def joint_model(
     *,
     plugin: bool = True,
 ) -> JointModel:
-    """MJCF of a plant, and the functions of its muscles; `start` is its keyframe. Raises `ExportError`.
-
-    The actuators are those of the plugin, or have forces and rates that callbacks set, also those of all valves.
-    """
+    """MJCF of a plant with actuators of the plugin or of callbacks, and the functions of its muscles."""
     check_parts(plant)
     moved = transmissions(plant.joint.geometry)
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
@@ -231,7 +224,7 @@ def command_range(valve: Actuator, muscle: Muscle) -> tuple[float, float]:
 
 def numbers_text(numbers: Any) -> str:
     """Numbers of an MJCF attribute as text."""
-    return " ".join(repr(float(one)) for one in numbers)
+    return " ".join(repr(float(one) + 0.0) for one in numbers)  # no negative zeros
 
 
 def plugin_actuator(
@@ -252,10 +245,8 @@ def _limited(limits: tuple[float, float]) -> str:
 def callback_actuators(
     muscles: Sequence[PluginMuscle], targets: Sequence[str], limits: Sequence[tuple[float, float]]
 ) -> list[str]:
-    """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation.
-
-    They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
-    """
+    """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation."""
+    # They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
     dynamics = ['dyntype="integrator" ' if muscle.activations else "" for muscle in muscles]
     main = [
         f'<general name="muscle{number}" {target} {kind}gaintype="user" biastype="user" {_limited(limited)}/>'

@@ -35,14 +35,10 @@ _MUSCLES = "muscle1", "muscle2"  # actuators and tendons of the exported model
 class MuscleActuatorCfg(XmlActuatorCfg):
     """Muscles of an exported joint; their commands [Pa] are the effort targets of its tendons."""
 
-    module: ModuleType
-    """Module written by ``mckibben export --to warp``."""
-    parameters: Mapping[str, Any] = field(default_factory=dict)
-    """Values by the names of `PARAMETERS` and `command_delay`, one row per plant; worlds take the rows in turn."""
-    start: Sequence[float] = ()
-    """Activations at the start of each episode."""
-    left_out: tuple[str, ...] = ()
-    """Parts of the scenario, and varied parameters, that the actuator does not have."""
+    module: ModuleType  # written by ``mckibben export --to warp``
+    parameters: Mapping[str, Any] = field(default_factory=dict)  # by `PARAMETERS` and `command_delay`, a row per plant
+    start: Sequence[float] = ()  # activations at the start of each episode
+    left_out: tuple[str, ...] = ()  # parts of the scenario, and varied parameters, that the actuator does not have
 
     target_names_expr: tuple[str, ...] = _MUSCLES
     transmission_type: TransmissionType = TransmissionType.TENDON
@@ -105,11 +101,8 @@ def muscle_entity(
     the load, and parts that MuJoCo Warp cannot represent, are in `left_out` of the actuator: vary the load with the
     events of mjlab.
 
-    Raises
-    ------
-    ExportError
-        For parts that cannot be exported, and for muscles without a tendon; importing this module with another version
-        of mjlab raises it, too.
+    Raises `ExportError` for parts that cannot be exported, and for muscles without a tendon; importing this module with
+    another version of mjlab raises it, too.
     """
     scenario, random_plant = example_of(scenario, random_plant)
     made = warp_files(scenario, "joint", Path())

@@ -18,10 +18,8 @@ _LOADED: dict[str, Path] = {}  # libraries by name: MuJoCo keeps one plugin per 
 def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
     """The `mujoco.MjModel` of a folder written by `mckibben export --to mjcf`; builds the plugin on first use.
 
-    Raises
-    ------
-    ExportError
-        Without MuJoCo or a C compiler, or if a plugin of that name from another folder is loaded already.
+    Raises `ExportError` without MuJoCo or a C compiler, or if a plugin of that name from another folder is loaded
+    already.
     """
     mujoco = import_mujoco()
     folder = Path(folder).resolve()

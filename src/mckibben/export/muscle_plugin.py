@@ -22,14 +22,11 @@ from mckibben.realtime.compiled_step import FlatTree
 
 
 class Activations(NamedTuple):
-    """Activations of an actuator: state of the creep [N, Pa], valve state, and pressure [Pa] unless the valve is ideal.
+    """Activations of an actuator; empty ones have no leaves."""
 
-    The state of the valve is paired with the temperature [K] of the air; empty ones have no leaves.
-    """
-
-    creep: Any
-    valve: Any
-    pressure: Any
+    creep: Any  # [N, Pa]
+    valve: Any  # its state, and the temperature of the air [K]
+    pressure: Any  # [Pa], unless the valve is ideal
 
 
 class PluginMuscle(NamedTuple):
@@ -54,30 +51,16 @@ def is_filter(valve: Any) -> bool:
 
 
 class MuscleFunctions:
-    """Functions of one muscle of a plant: force, rates of its activations, and slip after a step.
-
-    Parameters
-    ----------
-    fixed
-        The plant without its real numbers, which are parameters of the module.
-    number
-        Number of the muscle, from 1.
-    muscle_of, path_of
-        Functions for the plant's muscle with its tendon, and for its path [m] at MuJoCo's length.
-    start
-        State, pressure [Pa], and state of the valve with the temperature of the air at the start.
-    filtered
-        Whether the valve is a first-order lag without a limited rate, as MuJoCo's filter is.
-    """
+    """Functions of one muscle of a plant: force, rates of its activations, and slip after a step."""
 
     def __init__(
         self,
-        fixed: Any,
-        number: int,
+        fixed: Any,  # the plant without its real numbers, which are parameters of the module
+        number: int,  # from 1
         muscle_of: Callable[[Any], tuple[Muscle, Tendon]],
-        path_of: Callable[[Any, Any], Any],
-        start: tuple[MuscleState, Any, Any],
-        filtered: bool,
+        path_of: Callable[[Any, Any], Any],  # path [m] at MuJoCo's length
+        start: tuple[MuscleState, Any, Any],  # state, pressure [Pa], and state of valve and air
+        filtered: bool,  # whether MuJoCo's filter models the valve
     ) -> None:
         self._fixed, self._number, self._muscle_of, self._path_of = fixed, number, muscle_of, path_of
         valve = fixed.valve.for_muscle(number - 1)

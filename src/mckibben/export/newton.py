@@ -35,18 +35,13 @@ _LEAST_INERTIA = 2e-6  # kg*m^2: Newton enlarges smaller ones
 class MuscleJoint:
     """A joint with its load and muscles, for Newton's builders."""
 
-    module: ModuleType
-    """Muscles as functions of Warp; their length is the angle, and their force a torque."""
-    parameters: Mapping[str, Any]
-    """Values by the names of `PARAMETERS` and `command_delay`, one row per plant; joints take the rows in turn."""
-    timestep: float
-    """Step [s] of the simulation."""
-    left_out: tuple[str, ...]
-    """Parts of the scenario, and varied parameters, that the joint does not have."""
+    module: ModuleType  # muscles as functions of Warp; their length is the angle, and their force a torque
+    parameters: Mapping[str, Any]  # by `PARAMETERS` and `command_delay`, a row per plant; joints take them in turn
+    timestep: float  # of the simulation [s]
+    left_out: tuple[str, ...]  # parts of the scenario, and varied parameters, that the joint does not have
     plant: JointPlant
     start: PlantState
-    activations: tuple[Sequence[float], Sequence[float]]
-    """Pressures and other activations of both muscles at the start."""
+    activations: tuple[Sequence[float], Sequence[float]]  # of both muscles at the start
 
     def add_to(self, builder: ModelBuilder, parent: int = -1, xform: Any = None) -> int:
         """Add the limb, its joint and its muscles to a builder; returns the index of the joint."""
@@ -90,11 +85,7 @@ class MuscleJoint:
 
 
 class MuscleDrive(DriveBase):
-    """Both muscles of a joint: the torque at its axis under the commands in `COMMANDS` [Pa].
-
-    Pressures and creep are integrated by Heun's method within a step of Newton. `muscles` has the parameters of all
-    joints: ``muscles.set("valve.time_constant", values)``.
-    """
+    """Both muscles of a joint, by Heun's method under the commands in `COMMANDS` [Pa]; `muscles` has the parameters."""
 
     SHARED_PARAMS = {"joint"}  # noqa: RUF012
     custom_inputs = COMMANDS
@@ -207,10 +198,8 @@ def muscle_joint(
     ``valve.time_constant=10..50 ms`` or ``joint.muscle.law=fit``, in the syntax of ``mckibben sweep``; a suite brings
     its conditions. Parts that Newton cannot represent, and variations of the load, are in `left_out`.
 
-    Raises
-    ------
-    ExportError
-        For parts that cannot be exported; importing this module with another version of Newton raises it, too.
+    Raises `ExportError` for parts that cannot be exported; importing this module with another version of Newton raises
+    it, too.
     """
     scenario, random_plant = example_of(scenario, random_plant)
     plant = with_strengths(scenario.plant())

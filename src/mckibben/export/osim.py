@@ -86,10 +86,7 @@ class _Condition(NamedTuple):
 
 
 class _Expression(dict[str, Callable[..., Any]]):
-    """Operations that write an expression for OpenSim; constants are folded.
-
-    Long subexpressions are named and defined after the expression.
-    """
+    """Operations that write an expression for OpenSim, with folded constants and names of long subexpressions."""
 
     _SAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "floor",
              "ceil", "max", "min")  # fmt: skip
@@ -97,9 +94,12 @@ class _Expression(dict[str, Callable[..., Any]]):
 
     def __init__(self) -> None:
         self._names: dict[str, str] = {}
-        written: dict[str, Callable[..., Any]] = {one: self._call(one) for one in self._SAME}
-        written |= {one: self._infix(one, sign) for one, sign in self._INFIX.items()}
-        written |= {one: self._comparison(one) for one in ("lt", "le", "gt", "ge")}
+        written: dict[str, Callable[..., Any]] = {
+            one: lambda *xs, one=one: f"{one}({','.join(xs)})" for one in self._SAME
+        }
+        written |= {one: lambda x, y, sign=sign: f"({x}{sign}{y})" for one, sign in self._INFIX.items()}
+        written |= dict.fromkeys(("lt", "le"), lambda x, y: _Condition(f"step({y}-{x})", x, y))
+        written |= dict.fromkeys(("gt", "ge"), lambda x, y: _Condition(f"step({x}-{y})", y, x))
         written["eq"] = lambda x, y: _Condition(f"(step({x}-{y})*step({y}-{x}))")
         written |= {"neg": lambda x: f"(-{x})" if not x.startswith("(-") else x[2:-1], "real": lambda x: x}
         super().__init__({one: self._folded(one, function) for one, function in written.items()})
@@ -129,19 +129,6 @@ class _Expression(dict[str, Callable[..., Any]]):
         if isinstance(text, str) and len(text) > _LONGEST:
             return self._names.setdefault(text, f"v{len(self._names) + 1}")
         return text
-
-    def _call(self, name: str) -> Callable[..., str]:
-        return lambda *xs: f"{name}({','.join(xs)})"
-
-    def _infix(self, name: str, sign: str) -> Callable[..., str]:
-        return lambda x, y: f"({x}{sign}{y})"
-
-    def _comparison(self, name: str) -> Callable[..., _Condition]:
-        def compared(x: str, y: str) -> _Condition:
-            below, above = (y, x) if name in ("gt", "ge") else (x, y)
-            return _Condition(f"step({above}-{below})", below, above)
-
-        return compared
 
     def _select(self, condition: Any, yes: Any, no: Any) -> Any:
         if not isinstance(condition, _Condition):

@@ -79,10 +79,7 @@ def plant_module(
 
 
 def state_rate(plant: JointPlant, state: PlantState, commands: Commands) -> PlantState:
-    """Time derivative of a state without friction and creep under commands within the limits of the valves.
-
-    The pressures of an ideal valve are its commands: their rate is 0.
-    """
+    """Time derivative of a state without friction and creep under commands within the limits of the valves."""
     limited = plant.clip_commands(commands)
     state = plant.apply_commands(state, limited)
     motion = plant.rate(state)

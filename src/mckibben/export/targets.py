@@ -54,6 +54,9 @@ def export(
 ) -> Exported:
     """Write a scenario, or its controller, in another format into a folder.
 
+    Raises `ExportError` for parts that cannot be exported, before any file is written; `FileError` if the files exist,
+    unless they may be overwritten.
+
     Parameters
     ----------
     target
@@ -64,13 +67,6 @@ def export(
         32-bit instead of 64-bit numbers, for the format ``c``.
     fmi
         FMI version of an FMU, 2 (default) or 3.
-
-    Raises
-    ------
-    ExportError
-        For parts that cannot be exported, before any file is written.
-    FileError
-        If the files exist, unless they may be overwritten.
     """
     if target not in TARGETS:
         legs = ", or a leg" if target == "urdf" else ""

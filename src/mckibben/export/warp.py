@@ -40,10 +40,7 @@ def warp_files(scenario: Scenario, name: str, folder: Path) -> Exported:
 
 
 def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState, title: str = "") -> Exported:
-    """MJCF and module of a plant, which starts in a state, for time steps [s]. Raises `ExportError`.
-
-    The strength of each muscle is a parameter, also if it is not set.
-    """
+    """MJCF and module of a plant, which starts in a state, for time steps [s]."""
     model = joint_model(with_strengths(plant), name, timestep, start, plugin=False)
     left_out = tuple(each for each in model.left_out if each != COMMAND_DELAY)
     text = warp_muscles(model.module, model.muscles, title or name, float(plant.command_delay or 0.0), left_out)
@@ -51,20 +48,16 @@ def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState,
 
 
 def with_strengths(plant: JointPlant) -> JointPlant:
-    """A plant whose muscles have their strength as a number."""
-    both = plant.joint.muscle1, plant.joint.muscle2
-    numbers = [1.0 if each.strength is None else each.strength for each in both]
-    strengths = lambda plant: [each.strength for each in (plant.joint.muscle1, plant.joint.muscle2)]  # noqa: E731
+    """A plant whose muscles have their strength as a number, a parameter."""
+    numbers = [1.0 if each.strength is None else each.strength for each in plant.muscles]
+    strengths = lambda plant: [each.strength for each in plant.muscles]  # noqa: E731
     return eqx.tree_at(strengths, plant, numbers, is_leaf=lambda leaf: leaf is None)
 
 
 def drawn_parameters(
     scenario: Scenario, random_plant: Sequence[str], count: int, seed: int, known: Mapping[str, Any]
 ) -> tuple[dict[str, Any], list[str]]:
-    """Varied parameters of a plant that a module has, one row per plant, and the names of those that it lacks.
-
-    `known` is the `PARAMETERS` of the module. The plants are those of `mckibben.export.gym` with the same seed.
-    """
+    """Varied parameters of a plant among the `PARAMETERS` of a module, one row per plant, and names of the others."""
     drawn = plants_of(scenario, random_plant, count, seed).varying if random_plant else ()
     leaves = jax.tree_util.tree_flatten_with_path(drawn)[0]
     table = {jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in leaves}

@@ -233,7 +233,7 @@ def simulate_legs(
     accuracy, substeps
         As for `mckibben.simulate_many`; the table has the columns ``substeps``, ``error_estimate`` and ``chaotic``.
     precision
-        Bits of the numbers, 64 or 32, as for `mckibben.simulate`; with 32, integration steps are chosen with 64.
+        Bits of the numbers, 64 or 32; with 32, integration steps are chosen with 64.
     chunk, workers, engine, progress
         As for `mckibben.simulate_many`.
 
@@ -275,7 +275,6 @@ def simulate_legs(
         chunk=chunk,
         workers=workers,
         engine=engine,
-        precision=kind,
         progress=progress,
     )
     finite = np.isfinite(joined.peak_force + joined.peak_trunk_force + joined.deflection)

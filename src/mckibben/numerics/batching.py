@@ -33,7 +33,7 @@ RANK = "rank"
 """Metadata key of a field that holds arrays in a single run, such as samples over time: their number of axes."""
 
 
-def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
+def lanes_of(tree: Any) -> tuple[int | None, Any]:
     """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an extra axis."""
     count, first, flags = None, "", []
     leaves, structure = jax.tree.flatten(tree)
@@ -45,8 +45,7 @@ def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
             flags.append(False)
             continue
         extra = axes - _rank(tree, path)
-        where = ".".join(part for part in (name, jax.tree_util.keystr(path, simple=True, separator=".")) if part)
-        where = where.removeprefix(f"{_UNNAMED}.")
+        where = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix(f"{_UNNAMED}.")
         if extra not in (0, 1):
             raise ParameterError(
                 f"{where} has the shape {np.shape(leaf)}",
@@ -64,10 +63,7 @@ def lanes_of(tree: Any, name: str = "") -> tuple[int | None, Any]:
 
 
 def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> dict[str, Any]:
-    """Trees with new, checked values at some leaves, addressed by dotted names such as ``load.mass2``.
-
-    A name that stands for several in files, such as ``joint.muscle.strength`` for both muscles, does so here.
-    """
+    """Trees with new, checked values at leaves by dotted names; ``joint.muscle.strength`` is that of both muscles."""
     if not values:
         return dict(trees)
     values = {each: value for name, value in values.items() for each in _aliased(trees, name)}

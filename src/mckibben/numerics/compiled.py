@@ -6,7 +6,7 @@ import functools
 import threading
 from collections.abc import Callable
 from numbers import Integral, Real
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, cast
 
 import jax
 import jax.core
@@ -77,13 +77,7 @@ def _is_traced(tree: Any) -> bool:
 
 def compiled_as_given(function: Callable[P, R], options: Callable[[], dict[str, Any]] = dict) -> Callable[P, R]:
     """`compiled` with only arrays traced and numbers static; pass trees through `numeric` first."""
-    program = Program(function, options)
-
-    @functools.wraps(function)
-    def call(*args: P.args, **kwargs: P.kwargs) -> R:
-        return program(*args, **kwargs)
-
-    return call
+    return cast(Any, functools.update_wrapper(Program(function, options), function))
 
 
 def compiled_batch(function: Callable[P, R]) -> Callable[P, R]:

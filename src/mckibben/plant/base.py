@@ -74,16 +74,13 @@ S = TypeVar("S", bound=State)
 
 
 class Motion(NamedTuple):
-    """Integrated part of a state, or its rate: positions, velocities, and creep of the muscles [N, Pa].
-
-    With an actuator that `holds_air` pressures [Pa] and the state of the valves as well.
-    """
+    """Integrated part of a state, or its rate."""
 
     position: Any
     velocity: Any
-    creep: tuple[Any, ...] = ((), ())
-    pressures: tuple[Scalar, ...] = ()
-    air: AirState | tuple[()] = ()
+    creep: tuple[Any, ...] = ((), ())  # of the muscles [N, Pa]
+    pressures: tuple[Scalar, ...] = ()  # with an actuator that `holds_air` [Pa]
+    air: AirState | tuple[()] = ()  # likewise, the state of the valves
 
     @classmethod
     def of(cls, state: State) -> Motion:
@@ -118,12 +115,9 @@ class Plant(Component):
         super().__check_init__()
         count = self._valve.muscle_count
         if count is not None and count != len(self.muscles):
-            raise RangeError(
-                f"{type(self).__name__}: a {type(self._valve).__name__} is for {count} muscles, "
-                f"and there are {len(self.muscles)}",
-                field="valve",
-                remedy="give an actuator that all muscles have",
-            )
+            message = f"{type(self).__name__}: a {type(self._valve).__name__} is for {count} muscles, "
+            message += f"and there are {len(self.muscles)}"
+            raise RangeError(message, field="valve", remedy="give an actuator that all muscles have")
 
     @property
     def _valve(self) -> Any:
@@ -180,8 +174,8 @@ class Plant(Component):
     def needed_substeps(self, angles: Any, stiffness: Any, period: float) -> int:
         """Return the least number of integration steps in a period [s] that resolves the fastest rate of the plant.
 
-        At the first, the lowest and the highest of the angles [rad] of a joint, with a stiffness [N*m/rad], or at the
-        angles of all joints of a leg. Raises `SimulationError` if there is none up to 1000.
+        At the extreme angles [rad] of a joint, with a stiffness [N*m/rad], or at the angles of all joints of a leg.
+        Raises `SimulationError` if there is none up to 1000.
         """
         needed = max(self.fastest_rates(angles, stiffness).values()) * period / STABILITY_LIMIT
         if not needed <= MOST_SUBSTEPS:
@@ -189,10 +183,7 @@ class Plant(Component):
         return max(math.ceil(needed * (1 - _ROUNDING)), 1) if math.isfinite(needed) else 1
 
     def check_substeps(self, angles: Any, stiffness: Any, period: float, substeps: int) -> None:
-        """Raise `SimulationError` if integration steps do not resolve the fastest rate of the plant.
-
-        At the angles and with the stiffness of `needed_substeps`.
-        """
+        """Raise `SimulationError` if integration steps do not resolve the fastest rate, as for `needed_substeps`."""
         what, fastest = max(self.fastest_rates(angles, stiffness).items(), key=lambda item: item[1])
         needed = fastest * period / STABILITY_LIMIT
         if math.isfinite(needed) and needed > substeps * (1 + _ROUNDING):
@@ -221,10 +212,7 @@ class Plant(Component):
         return isinstance(self.sensors, PerfectSensors) and quiet
 
     def with_period(self, period: float) -> Self:
-        """Return the plant with states that hold the commands on their way, one per control period [s].
-
-        Raises `RangeError` for a delay of more than 100 periods.
-        """
+        """Return the plant with states for commands on their way, a period [s] each; `RangeError` for more than 100."""
         if self.command_delay is None:
             return self
         return dataclasses.replace(self, delay_periods=delay_periods(self.command_delay, period))
@@ -239,10 +227,7 @@ class Plant(Component):
         return state._replace(io=IOState(io.sample + 1, disturbance, sensors)), measured
 
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Any, ...]:
-        """Return the commands [Pa] clipped to the specimens' rated pressures and to the supply.
-
-        Openings of valves with `direct` commands are clipped to -1..1.
-        """
+        """Return the commands [Pa] within the rated pressures and the supply, or openings within -1..1."""
         rated = (muscle.specimen.domain for muscle in self.muscles)
         each = enumerate(zip(commands, rated, strict=False))  # `clip_commands` of each plant checks the count
         return tuple(self._valve.for_muscle(i).clip_command(*one) for i, one in each)
@@ -255,10 +240,7 @@ class Plant(Component):
         return state._replace(pressures=tuple(self._valve.for_muscle(i).after_command(*one) for i, one in each))
 
     def arriving(self, state: State, commands: Sequence[ArrayLike], period: ArrayLike) -> tuple[Any, ...]:
-        """Return the commands [Pa] that reach the valves in a control period [s], at whose start new ones are sent.
-
-        With a delay between two multiples of the period they are their mean over it.
-        """
+        """Return the mean commands [Pa] at the valves in a control period [s], at whose start new ones are sent."""
         if not state.sent:
             return tuple(commands)
         late = jnp.minimum(jnp.asarray(self.command_delay) / period, len(state.sent))
@@ -275,10 +257,7 @@ class Plant(Component):
         return after._replace(sent=sent)
 
     def advance(self, state: S, commands: Sequence[ArrayLike], duration: ArrayLike, substeps: int) -> S:
-        """Return the state after a duration [s] under constant commands [Pa], by integration steps of equal length.
-
-        The pressures follow from a closed form if there is one; motion, creep and air are integrated.
-        """
+        """Return the state after a duration [s] under constant commands [Pa], by integration steps of equal length."""
         step, valve = duration / substeps, self._valve
         one_step = self._step_with_air if valve.holds_air else self._step
 

@@ -15,28 +15,21 @@ from mckibben.numerics.spatial import ZERO, Rotation, Tensor, Vector, Z, differe
 
 
 class Hinge(NamedTuple):
-    """Hinge between a body and the one above it.
+    """Hinge between a body and the one above it."""
 
-    `axis` is a unit vector of known numbers in the axes of the body above, and `place` the position [m] of the hinge
-    there. Angle [rad] and rate [rad/s] are those of the body from the one above; a hinge that is not `free` is held.
-    """
-
-    axis: Vector
-    place: Vector
-    angle: Any
-    rate: Any
-    free: bool = True
+    axis: Vector  # unit vector of known numbers in the axes of the body above
+    place: Vector  # in the body above [m]
+    angle: Any  # of the body from the one above [rad]
+    rate: Any  # [rad/s]
+    free: bool = True  # or held
 
 
 class Body(NamedTuple):
-    """Rigid body with its centre of mass on its own z axis.
+    """Rigid body with its centre of mass on its own z axis."""
 
-    Mass [kg], coordinate of the centre of mass [m], and principal inertias about it [kg*m^2], along the axes.
-    """
-
-    mass: Any
-    centre: Any
-    inertia: Vector
+    mass: Any  # [kg]
+    centre: Any  # coordinate of the centre of mass [m]
+    inertia: Vector  # principal ones about it, along the axes [kg*m^2]
 
     @property
     def moment(self) -> Any:
@@ -68,17 +61,14 @@ def _in_axes(principal: Vector, axes: Rotation) -> Tensor:
 
 
 class Frame(NamedTuple):
-    """Motion of a body in world axes: its axes, angular velocity, and position and velocity of its hinge.
-
-    `axis` is that of the hinge, and `arm` the vector from the hinge of the body above.
-    """
+    """Motion of a body in world axes: its axes, angular velocity, and position and velocity of its hinge."""
 
     axes: Rotation
     rate: Vector
     position: Vector
     velocity: Vector
-    axis: Vector = ZERO
-    arm: Vector = ZERO
+    axis: Vector = ZERO  # of the hinge
+    arm: Vector = ZERO  # from the hinge of the body above
 
     def point(self, along: Any) -> tuple[Vector, Vector]:
         """Return position and velocity of a point at a coordinate [m] on the z axis of the body."""
@@ -87,10 +77,7 @@ class Frame(NamedTuple):
 
 
 def frames_of(base: Frame, hinges: Sequence[Hinge]) -> list[Frame]:
-    """Return the frames of the base and of the body on each hinge.
-
-    Angles of successive hinges about parallel axes add up, so that there is one rotation for all of them.
-    """
+    """Return the frames of the base and of the body on each hinge, with one rotation about successive parallel axes."""
     found = [base]
     before, axis, angle = base.axes, ZERO, 0.0
     for hinge in hinges:
@@ -110,12 +97,9 @@ def frames_of(base: Frame, hinges: Sequence[Hinge]) -> list[Frame]:
 
 
 class Equations(NamedTuple):
-    """Equations of motion: matrix times accelerations = torques and forces on the free motions - bias.
+    """Equations of motion: matrix times accelerations = torques and forces on slides and free hinges - bias."""
 
-    Motions are those of the slides of the base, then those of free hinges; `matrix` has rows up to the diagonal.
-    """
-
-    matrix: list[list[Any]]
+    matrix: list[list[Any]]  # rows up to the diagonal
     bias: list[Any]
 
     def accelerations(self, torques: Sequence[Any]) -> list[Any]:
@@ -124,27 +108,15 @@ class Equations(NamedTuple):
 
 
 def equations(
-    slides: Sequence[Vector],
+    slides: Sequence[Vector],  # directions in which the base moves without turning
     hinges: Sequence[Hinge],
-    bodies: Sequence[Body],
-    found: Sequence[Frame],
-    gravity: Any,
-    force: Vector = ZERO,
-    arm: Vector = ZERO,
+    bodies: Sequence[Body],  # of the base and on each hinge
+    found: Sequence[Frame],  # their frames
+    gravity: Any,  # downwards [m/s^2]
+    force: Vector = ZERO,  # on the last body [N]
+    arm: Vector = ZERO,  # of its point from the hinge [m]
 ) -> Equations:
-    """Return the equations of motion of a chain.
-
-    Parameters
-    ----------
-    slides
-        Directions in which the base moves without turning.
-    hinges, bodies, found
-        Hinges, the bodies of the base and on each hinge, and their frames.
-    gravity
-        [m/s^2], downwards.
-    force, arm
-        Force [N] on the last body, at a point with this arm [m] from its hinge.
-    """
+    """Return the equations of motion of a chain."""
     moving = _velocity_accelerations(found, gravity)
     load, moment = -force, -arm.cross(force)
     mass, first, second = 0.0, ZERO, Tensor.diagonal(0.0)  # of the bodies from here on, about the hinge
@@ -192,10 +164,7 @@ def _column(
     momentum: Vector,
     moment: Vector,
 ) -> list[Any]:
-    """Row of the mass matrix for a hinge: slides, hinges above it, and itself.
-
-    From the momentum of a unit rate of the bodies from it on, and its moment about the hinge.
-    """
+    """Row of the mass matrix for a hinge, from the momentum of a unit rate and its moment about the hinge."""
     upwards = [found[index].axis.dot(moment)]
     for above in range(index - 1, 0, -1):
         moment = moment + found[above + 1].arm.cross(momentum)

@@ -31,21 +31,16 @@ _STEP = 1e-4  # rad, of the differences that give the moment arms
 
 
 class PlantState(NamedTuple):
-    """State of a `JointPlant`.
-
-    `muscles` has no leaves without friction and creep, `io` none with ideal sensors, `air` none for actuators without
-    an internal state, `friction` none without a `JointFriction`. `sent` are the commands [Pa] on their way, the latest
-    first; without a delay it has no leaves.
-    """
+    """State of a `JointPlant`; parts that a plant lacks have no leaves."""
 
     angle: Scalar
     velocity: Scalar
     pressures: tuple[Scalar, Scalar]
     muscles: MuscleStates = NO_STATES
-    io: IOState | tuple[()] = ()
+    io: IOState | tuple[()] = ()  # of sensors and disturbance
     air: AirState | tuple[()] = ()
-    friction: FrictionState = ()
-    sent: tuple[tuple[Scalar, Scalar], ...] = ()
+    friction: FrictionState = ()  # of the joint
+    sent: tuple[tuple[Scalar, Scalar], ...] = ()  # commands [Pa] on their way, the latest first
 
 
 class JointPlant(Plant):

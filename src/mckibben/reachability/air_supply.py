@@ -23,31 +23,15 @@ _TUBES = (2.5, 4.0, 5.7, 7.0, 8.0, 9.0, 11.0, 13.0)  # mm, inner diameters of co
 
 
 class AirSupply(NamedTuple):
-    """Air supply of a joint: conductances C [m^3/(s*Pa)], lengths [m], volumes [m^3], at 20 degrees C and 1 bar (ANR).
+    """Air supply of a joint, in SI; ANR: at 20 degrees C and 1 bar."""
 
-    Attributes
-    ----------
-    needed
-        Largest C that the motion needs, of filling and venting, in the worse muscle.
-    valve, valve_name
-        Smallest proportional valve of the catalog with twice that.
-    tube
-        Smallest inner diameter of a tube of the given length with four times that.
-    air
-        Air of a cycle (ANR).
-    reservoir
-        Volume at the inlets of the valves from which a cycle takes 5 % of the absolute pressure.
-    compressor
-        Flow of the compressor [m^3/s (ANR)], 1.3 times the mean consumption.
-    """
-
-    needed: float
-    valve: AirValve
+    needed: float  # largest conductance C of filling and venting in the worse muscle [m^3/(s*Pa)]
+    valve: AirValve  # smallest proportional valve of the catalog with twice that
     valve_name: str
-    tube: float
-    air: float
-    reservoir: float
-    compressor: float
+    tube: float  # smallest inner diameter with four times that, for the given length [m]
+    air: float  # of a cycle [m^3 (ANR)]
+    reservoir: float  # volume from which a cycle takes 5 % of the absolute pressure [m^3]
+    compressor: float  # flow, 1.3 times the mean consumption [m^3/s (ANR)]
 
 
 def tube_conductance(diameter: float, length: float) -> float:
@@ -69,10 +53,7 @@ def air_supply(
 ) -> AirSupply:
     """Size the air supply for a motion whose last cycle [s] is periodic; isothermal air in the muscles.
 
-    Raises
-    ------
-    UnreachableError
-        If no pressures give the motion, or no valve or tube is large enough.
+    Raises `UnreachableError` if no pressures give the motion, or no valve or tube is large enough.
     """
     torque = plant.load.required_torque(motion.angle, motion.velocity, motion.acceleration)
     pressures = plant.joint.pressures_for(motion.angle, torque, motion.stiffness)

@@ -189,6 +189,8 @@ def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values)
 def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | None = None) -> Envelope:
     """Compute static envelope, trackability and nearest feasible references of a scenario.
 
+    Raises `RangeError` if the margin or the smoothing is out of range, or the controller has a `stiffness_amplitude`.
+
     Parameters
     ----------
     scenario
@@ -197,11 +199,6 @@ def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | Non
         See `nearest_references`.
     smoothing
         Smoothing of jumps and corners [s], see `check_trackability`.
-
-    Raises
-    ------
-    RangeError
-        If the margin or the smoothing is out of range, or the controller has a `stiffness_amplitude`.
 
     Examples
     --------

@@ -35,37 +35,17 @@ class Preserved(enum.Enum):
 
 @dataclass(frozen=True)
 class FeasibleReference:
-    """A trackable reference close to one that is not.
-
-    Attributes
-    ----------
-    preserved
-        Property preserved.
-    reference
-        Angle of the same kind of signal (samples for a step); stiffness unchanged or as samples.
-    trackability
-        The check that it passed, with the margin.
-    times
-        Sample times of its run [s].
-    amplitude, speed
-        Factors on amplitude and speed, 0 to 1.
-    shift
-        Displacement of the centre of the angle [rad].
-    stiffness_change
-        Largest change of the desired stiffness [N*m/rad], away from its jumps.
-    step_smoothing
-        Time [s] over which a step of the angle is smoothed; 0 without a step.
-    """
+    """A trackable reference close to one that is not."""
 
     preserved: Preserved
-    reference: Reference
-    trackability: Trackability
-    times: Values
-    amplitude: float
-    speed: float
-    shift: float
-    stiffness_change: float
-    step_smoothing: float = 0.0
+    reference: Reference  # angle of the same kind of signal (samples for a step); stiffness unchanged or as samples
+    trackability: Trackability  # the check that it passed, with the margin
+    times: Values  # of the samples [s]
+    amplitude: float  # factor on the amplitude, 0 to 1
+    speed: float  # factor on the speed, 0 to 1
+    shift: float  # of the centre of the angle [rad]
+    stiffness_change: float  # largest, away from jumps of the stiffness [N*m/rad]
+    step_smoothing: float = 0.0  # time over which a step of the angle is smoothed [s]
 
     def __repr__(self) -> str:
         return f"<FeasibleReference: {self.describe()}>"
@@ -110,11 +90,9 @@ def nearest_references(
     There are up to three, without duplicates:
 
     - `Preserved.ANGLE`: shape and speed of the angle, at the largest amplitude for which some stiffness is attainable
-    throughout; the stiffness is clipped to the attainable band (and to the static one, if possible throughout) minus
-    the
-      margin at either end, with the least smoothing that the valves require.
+      throughout; the stiffness is clipped to the attainable band (and to the static one, if possible) minus the margin.
     - `Preserved.AMPLITUDE`, if the angle is statically feasible: the whole amplitude at the highest feasible speed,
-    with the stiffness clipped likewise.
+      with the stiffness clipped likewise.
     - `Preserved.STIFFNESS`: the stiffness, at the largest feasible amplitude.
 
     All stay within the static range of angles minus the margin. If even the centre of the angle is not static, it is
@@ -122,24 +100,11 @@ def nearest_references(
     returned as samples. Factors are found by bisection, assuming that a smaller or slower motion is easier to track;
     each result passes the full check.
 
-    Parameters
-    ----------
-    plant
-        Joint, load and valve.
-    reference
-        Desired angle and stiffness.
-    duration, control_period, smoothing
-        As for `check_trackability`.
-    margin
-        Fraction of the stiffness band, and of half the range of angles, kept free at either end for the controller; the
-        rate-limited band keeps half of it.
+    Raises `RangeError` if the margin is not within [0, 0.5); `SimulationError` if the control period does not divide
+    the duration.
 
-    Raises
-    ------
-    RangeError
-        If the margin is not within [0, 0.5).
-    SimulationError
-        If the control period does not divide the duration.
+    Other arguments are those of `check_trackability`; `margin` is the fraction of the stiffness band, and of half the
+    range of angles, kept free at either end for the controller; the rate-limited band keeps half of it.
 
     Examples
     --------
@@ -213,10 +178,7 @@ class _Search:
         if math.isnan(self.angle_min) or self.angle_min <= self.about <= self.angle_max:
             return self.about
         angle = np.asarray(self.reference.angle(self.checker.times), float) - self.about
-        low, high = (
-            self.angle_min - angle.min(),
-            self.angle_max - angle.max(),
-        )  # centres for which the whole amplitude is static
+        low, high = self.angle_min - angle.min(), self.angle_max - angle.max()  # the whole amplitude is static between
         return float(np.clip(self.about, low, high)) if low <= high else (self.angle_min + self.angle_max) / 2
 
     def largest_amplitude(self, preserved: Preserved) -> FeasibleReference | None:
@@ -249,9 +211,8 @@ class _Search:
         stiffness = slowed(stiffness, speed) if isinstance(stiffness, Samples) else stiffness
         unchanged = Reference(angle, stiffness)
         angles = np.asarray(angle(checker.times), float)
-        if not (
-            self.angle_min - _ANGLE_TOLERANCE <= angles.min() and angles.max() <= self.angle_max + _ANGLE_TOLERANCE
-        ):
+        beyond = max(self.angle_min - angles.min(), angles.max() - self.angle_max)
+        if not beyond <= _ANGLE_TOLERANCE:
             return None
 
         def made(reference: Reference, checked: Trackability, change: float) -> FeasibleReference:

@@ -258,11 +258,9 @@ def friction_force(
     *,
     cocontracted: bool,
 ) -> NDArray[np.float64]:
-    """Largest sum [N] of both muscles' friction, for lengths, radii and middle contractions of shape (candidates,).
-
-    One muscle has its highest pressure and the other one its lowest, as for the largest torque; `cocontracted`: both
-    have the pressure with more friction. The viscous part is that of the highest speed.
-    """
+    """Largest sum [N] of both muscles' friction, for lengths, radii and middle contractions of shape (candidates,)."""
+    # One muscle has its highest pressure and the other one its lowest, as for the largest torque; `cocontracted`: both
+    # have the pressure with more friction. The viscous part is that of the highest speed.
     length, radius, contraction = candidates
     if not muscle.has_friction:
         return np.zeros_like(length)

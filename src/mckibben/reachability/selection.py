@@ -58,32 +58,18 @@ _REACHED, _HELD = 0.02, 0.05  # relative errors of angle and stiffness of a run 
 class Candidate(NamedTuple):
     """A joint that meets a requirement.
 
-    Attributes
-    ----------
-    make, plant
-        Make of the muscles, and joint and load with the valve of the air supply.
-    length, radius, contraction
-        Initial length of the muscles and radius of the pulleys [m]; contraction [-] in the middle of the motion.
-    limiting
-        Requirement or limit that leaves the least margin.
-    torque
-        Torque [N*m] in either direction in excess of gravity and of the muscles' friction that is attainable
-        throughout: with the lowest, nominal and highest forces within the uncertainty of the make.
-    stiffness
-        Lowest and highest stiffness [N*m/rad] attainable throughout, at these forces; the first is the higher one if no
-        stiffness is.
-    supply
-        The air supply.
+    Torque and stiffness are attainable throughout the motion, with the lowest, nominal and highest forces within the
+    uncertainty of the make; of a stiffness range, the first end is the higher one if no stiffness is.
     """
 
-    make: Make
-    plant: JointPlant
-    length: float
-    radius: float
-    contraction: float
-    limiting: str
-    torque: tuple[float, float, float]
-    stiffness: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+    make: Make  # of the muscles
+    plant: JointPlant  # with the valve of the air supply
+    length: float  # initial, of the muscles [m]
+    radius: float  # of the pulleys [m]
+    contraction: float  # in the middle of the motion [-]
+    limiting: str  # requirement or limit that leaves the least margin
+    torque: tuple[float, float, float]  # either way, in excess of gravity and of the muscles' friction [N*m]
+    stiffness: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]  # lowest and highest [N*m/rad]
     supply: AirSupply
 
     def record(self) -> dict[str, Any]:
@@ -424,10 +410,7 @@ def _largest_tensions(one: Candidate, need: Requirement) -> tuple[Array, Array]:
 
 
 def _reference(need: Requirement, plant: JointPlant) -> Reference:
-    """A sine from one end at rest.
-
-    The stiffness passes through its range in the second cycle; without one it is the middle of the attainable range.
-    """
+    """A sine from one end at rest; the stiffness passes its range in the second cycle, or is mid attainable range."""
     angle = Sine(need.amplitude, 1 / need.cycle, offset=need.middle, phase=-math.pi / 2)
     if need.stiffness:
         low, high = need.stiffness

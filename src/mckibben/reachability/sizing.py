@@ -57,13 +57,9 @@ class DesignTarget:
                 remedy = "give two finite numbers, the lower first"
                 raise ParameterError(f"{name} from {low:g} to {high:g}", value=(low, high), remedy=remedy)
         if (largest := max(map(abs, self.angles))) > 80 * deg:
-            raise ParameterError(
-                f"angles reach {largest / deg:.4g} deg",
-                lower=-80.0,
-                upper=80.0,
-                unit="deg",
-                remedy="stay within -80..80 deg, where both moment arms are positive",
-            )
+            remedy = "stay within -80..80 deg, where both moment arms are positive"
+            message = f"angles reach {largest / deg:.4g} deg"
+            raise ParameterError(message, lower=-80.0, upper=80.0, unit="deg", remedy=remedy)
         if not (np.isfinite(self.torque_reserve) and self.torque_reserve >= 0):
             raise ParameterError(
                 f"the torque reserve is {self.torque_reserve:g} N*m", value=self.torque_reserve, remedy="give 0 or more"
@@ -101,14 +97,10 @@ class DesignVariable:
             message = f"{self.name} from {self.lower / mm:g} to {self.upper / mm:g} mm is not a range"
             raise ParameterError(message, value=(self.lower, self.upper), remedy="give two lengths, the shorter first")
         if not max(-self.lower, self.upper) < _LONGEST:
-            raise ParameterError(
-                f"{self.name} up to {max(-self.lower, self.upper):g} m is too long for a joint",
-                value=(self.lower, self.upper),
-                lower=-_LONGEST,
-                upper=_LONGEST,
-                unit="m",
-                remedy=f"give lengths below {_LONGEST:g} m, such as 20..40 mm",
-            )
+            message = f"{self.name} up to {max(-self.lower, self.upper):g} m is too long for a joint"
+            remedy = f"give lengths below {_LONGEST:g} m, such as 20..40 mm"
+            both = self.lower, self.upper
+            raise ParameterError(message, value=both, lower=-_LONGEST, upper=_LONGEST, unit="m", remedy=remedy)
 
 
 def parse_variable(text: str) -> DesignVariable:
@@ -209,35 +201,18 @@ def margins_and_jacobian(
 
 @dataclass(frozen=True)
 class Design:
-    """Result of `design`.
-
-    Attributes
-    ----------
-    lengths, initial
-        Optimised and initial lengths [m], by name.
-    plant, envelope
-        The plant with the optimised lengths, and its static envelope.
-    margin
-        Smallest of the `constraint_margins`; the target is attained if it is not negative.
-    active
-        Active or violated constraints, each with its angle.
-    at_bound
-        Lengths at a bound.
-    angles, stiffness
-        Stiffness attained over the target angles, the intersection over the target torques: shape (241,) [rad],
-        [N*m/rad]; NaN where a torque is not attainable.
-    """
+    """Result of `design`."""
 
     target: DesignTarget
-    lengths: dict[str, float]
+    lengths: dict[str, float]  # optimised [m], by name
     initial: dict[str, float]
-    plant: JointPlant
-    margin: float
-    active: tuple[str, ...]
-    at_bound: tuple[str, ...]
-    angles: Values
-    stiffness: AttainableRange
-    envelope: StaticEnvelope
+    plant: JointPlant  # with the optimised lengths
+    margin: float  # smallest of the `constraint_margins`; the target is attained if it is not negative
+    active: tuple[str, ...]  # or violated constraints, each with its angle
+    at_bound: tuple[str, ...]  # lengths
+    angles: Values  # of the target, shape (241,) [rad]
+    stiffness: AttainableRange  # there, at all target torques [N*m/rad]; NaN where one is not attainable
+    envelope: StaticEnvelope  # of the plant
 
     def __repr__(self) -> str:
         return f"<Design: {self.describe()}>"
@@ -320,6 +295,9 @@ def design(
     programming (SLSQP) with exact derivatives, started from the best of 128 points. An infeasible target gives the
     lengths of the smallest violation.
 
+    Raises `ParameterError` if there are no variables or one is given twice, no lengths within the bounds leave space
+    for the muscles, or the stiffness of the joint is not affine in its tensions.
+
     Parameters
     ----------
     plant
@@ -332,12 +310,6 @@ def design(
         Number of local searches, from the best of the initial lengths and 128 points over the bounds.
     minimum_tension
         Lower bound of the tension of each muscle [N].
-
-    Raises
-    ------
-    ParameterError
-        If there are no variables or one is given twice, no lengths within the bounds leave space for the muscles, or
-        the stiffness of the joint is not affine in its tensions.
 
     Examples
     --------
@@ -381,10 +353,8 @@ def design(
         if margin > best_margin:
             best, best_margin = x, margin
     if not np.isfinite(best_margin):
-        raise ParameterError(
-            "no lengths within the bounds leave space for the muscles",
-            remedy="choose shorter connectors or a smaller radius",
-        )
+        message = "no lengths within the bounds leave space for the muscles"
+        raise ParameterError(message, remedy="choose shorter connectors or a smaller radius")
     lengths = {name: float(value) for name, value in zip(names, lower + width * best, strict=True)}
     sized = numeric(with_lengths(plant, lengths))
     checked = np.linspace(*target.angles, _RESULT_ANGLES)

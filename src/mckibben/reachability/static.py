@@ -17,13 +17,13 @@ from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
+from mckibben.simulation.simulate import distance_from
 from mckibben.units import deg
 
 Values = NDArray[np.float64]
 
 SEGMENT_MARGIN = 1e-9  # of a segment of tensions: at its end a muscle is slack
 _SCAN_POINTS = 41  # along the segment of a joint whose stiffness is not affine in tension
-_TOLERANCE = 1e-6  # N*m/rad
 _ANGLE_LIMIT = 80 * deg
 _TABLE_STEPS = (0.25, 0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0)  # deg
 _TABLE_ROWS = 11
@@ -42,8 +42,7 @@ class AttainableRange(NamedTuple):
 
     def violation(self, value: Values) -> Values:
         """Distance of a value from the range: 0 inside, NaN where nothing is attainable."""
-        out = np.maximum(self.lowest - value, value - self.highest)
-        return np.where(out > _TOLERANCE, out, np.where(np.isnan(out), np.nan, 0.0))
+        return distance_from(*self, value)
 
     def shrunk(self, fraction: float) -> AttainableRange:
         """The range reduced by a fraction of its width at either end."""
@@ -53,44 +52,20 @@ class AttainableRange(NamedTuple):
 
 @dataclass(frozen=True)
 class StaticEnvelope:
-    """Torque and stiffness attainable by a plant's joint at rest.
+    """Torque and stiffness attainable by a plant's joint at rest."""
 
-    Attributes
-    ----------
-    angles
-        Shape (angles,) [rad].
-    torque
-        Muscle torque that balances gravity, shape (angles,) [N*m].
-    torque_range
-        Attainable muscle torque [N*m].
-    stiffness
-        Attainable stiffness under gravity [N*m/rad].
-    pressures_at_lowest, pressures_at_highest
-        Gauge pressures at the two ends of the stiffness range, shape (2, angles) [Pa].
-    angle_min, angle_max
-        Contiguous range of static angles about the requested one [rad]; NaN if there is none.
-    map_angles, map_torques
-        Grid over the attainable torques of each angle, shape (torques, columns) [rad], [N*m]; no columns if nothing is
-        attainable.
-    map_stiffness
-        Attainable stiffness on that grid [N*m/rad].
-    small_motion
-        Stiffness of motion of 0.1 deg at the two ends of `stiffness`, with the muscles' friction [N*m/rad]; None
-        without friction.
-    """
-
-    angles: Values
-    torque: Values
-    torque_range: AttainableRange
-    stiffness: AttainableRange
-    pressures_at_lowest: Values
+    angles: Values  # shape (angles,) [rad]
+    torque: Values  # of the muscles, which balances gravity, shape (angles,) [N*m]
+    torque_range: AttainableRange  # [N*m]
+    stiffness: AttainableRange  # under gravity [N*m/rad]
+    pressures_at_lowest: Values  # gauge, at the lowest stiffness, shape (2, angles) [Pa]
     pressures_at_highest: Values
-    angle_min: float
+    angle_min: float  # of the contiguous range of static angles about the requested one [rad]; NaN if there is none
     angle_max: float
-    map_angles: Values
-    map_torques: Values
-    map_stiffness: AttainableRange
-    small_motion: AttainableRange | None = None
+    map_angles: Values  # grid over the attainable torques of each angle, shape (torques, columns) [rad]
+    map_torques: Values  # likewise [N*m]; no columns if nothing is attainable
+    map_stiffness: AttainableRange  # on that grid [N*m/rad]
+    small_motion: AttainableRange | None = None  # of motion by 0.1 deg at the ends of `stiffness`, with friction
 
     def __repr__(self) -> str:
         if not self.exists:

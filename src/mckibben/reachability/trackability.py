@@ -28,7 +28,7 @@ from mckibben.reachability.trajectory import (
     smoothed,
 )
 from mckibben.simulation.problem import sampled_signal, sampling_times
-from mckibben.simulation.simulate import attainable_band, time_span
+from mckibben.simulation.simulate import attainable_band, shortcomings
 from mckibben.units import deg
 
 MAX_SMOOTHING = 0.25
@@ -137,25 +137,13 @@ def _range_of(values: Values) -> AttainableRange:
 
 @dataclass(frozen=True)
 class Trackability:
-    """Result of the trackability check of a reference.
+    """Result of the trackability check of a reference."""
 
-    Attributes
-    ----------
-    trajectory
-        The reference with jumps and corners smoothed.
-    bands
-        Attainable stiffness along it.
-    breakpoints, smoothing_sufficient
-        Times of its jumps and corners [s], and whether they are trackable when smoothed.
-    deviation
-        Largest deviation of the angle [rad] due to smoothing, away from jumps.
-    """
-
-    trajectory: ReferenceTrajectory
-    bands: StiffnessBands
-    breakpoints: Values
-    smoothing_sufficient: bool
-    deviation: float
+    trajectory: ReferenceTrajectory  # the reference with jumps and corners smoothed
+    bands: StiffnessBands  # attainable along it
+    breakpoints: Values  # times of jumps and corners [s]
+    smoothing_sufficient: bool  # whether they are trackable when smoothed
+    deviation: float  # largest of the angle due to smoothing, away from jumps [rad]
 
     def __repr__(self) -> str:
         return f"<Trackability: {self.describe()}>"
@@ -208,24 +196,9 @@ class Trackability:
 
     def _violations(self, band: AttainableRange, violation: Values, where: NDArray[np.bool_]) -> str:
         """Violations of a band at the given samples, with their times and sizes."""
-        reference, sentences = self.trajectory, []
-        times = reference.times
-        infeasible, outside = where & np.isnan(violation), where & (violation > 0)
-        if infeasible.any():
-            first = int(np.flatnonzero(infeasible)[0])
-            sentences.append(
-                f"no pressures within limits give the torque {time_span(times, infeasible)}, first at "
-                f"{times[first]:.3g} s ({reference.angle[first] / deg:.3g} deg)"
-            )
-        if outside.any():
-            worst = int(np.argmax(np.where(outside, violation, 0.0)))
-            sentences.append(
-                f"the stiffness is not attainable {time_span(times, outside)}, by up to {violation[worst]:.3g} "
-                f"N*m/rad at {times[worst]:.3g} s (desired {reference.stiffness[worst]:.4g}, attainable "
-                f"{band.lowest[worst]:.4g}..{band.highest[worst]:.4g} N*m/rad at "
-                f"{reference.angle[worst] / deg:.3g} deg)"
-            )
-        return " and ".join(sentences)
+        reference, missing = self.trajectory, np.where(where, violation, 0.0)
+        run = reference.times, reference.angle, reference.stiffness, band.lowest, band.highest
+        return " and ".join(shortcomings(*run, missing, "give the torque"))
 
 
 def check_trackability(
@@ -243,6 +216,9 @@ def check_trackability(
     limit. The last one is decisive: a stiffness may be attainable in motion but not statically. The transient from rest
     to the reference and the margin that a controller needs are not considered.
 
+    Raises `SimulationError` if the control period does not divide the duration; `RangeError` if the smoothing is not
+    positive.
+
     Parameters
     ----------
     plant
@@ -254,13 +230,6 @@ def check_trackability(
         scan, at most 400 samples are checked.
     smoothing
         Width [s] over which jumps and corners are smoothed. Default: the narrowest trackable width, up to 0.25 s.
-
-    Raises
-    ------
-    SimulationError
-        If the control period does not divide the duration.
-    RangeError
-        If the smoothing is not positive.
 
     Examples
     --------
@@ -341,9 +310,8 @@ class TrackabilityChecker:
     def check(self, reference: Reference, smoothing: float | None = None) -> Trackability:
         """See `check_trackability`."""
         if smoothing is not None and not 0 < smoothing < np.inf:
-            raise RangeError(
-                f"the smoothing is {smoothing:g} s", value=smoothing, lower=0.0, unit="s", remedy="give a positive time"
-            )
+            remedy = "give a positive time"
+            raise RangeError(f"the smoothing is {smoothing:g} s", value=smoothing, lower=0.0, unit="s", remedy=remedy)
         width, sufficient = self.smoothing_for(reference) if smoothing is None else (smoothing, True)
         trajectory = self.trajectory(reference, width)
         at = self.breakpoints(reference)

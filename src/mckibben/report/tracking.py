@@ -230,7 +230,7 @@ def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]
     desired = first["desired_stiffness"]
     change = int(last_change(desired).at)
     start = float(times[change])
-    band = float(settling_band(desired, first["stiffness"], SETTLING_PART))
+    band = float(settling_band(desired, first["stiffness"]))
     axes.axhspan(-band, band, color="#E8E8E8", zorder=0, label=f"{SETTLING_PART * 100:g} % of the step size")
     settled = {name: result.metrics["stiffness_settling"] for name, result in runs.items()}
     finite = [value for value in settled.values() if np.isfinite(value)]

@@ -54,7 +54,7 @@ def _parameters(scenario: Scenario) -> _Parameters:
     found = _Parameters()
     for name, info in type(scenario).model_fields.items():
         key, value = info.alias or name, getattr(scenario, name)
-        mark = next((one for one in _marks(info) if isinstance(one, Quantity | BoundedInt)), None)
+        mark = next((one for one in _marks(info) if isinstance(one, Mark)), None)
         if isinstance(value, Component):
             _walk(value, Units(), key, ((key,),), found)
         elif isinstance(value, Start):
@@ -93,10 +93,8 @@ def _walk(
         inner = tuple((*place, key) for place in places)
         mark = _mark(form)
         if key in inherited_fields(part) and mark is None:
-            found.refused[here] = (
-                "it is not given and follows the plant",
-                f"write `{key}:` in the file to vary it alone",
-            )
+            remedy = f"write `{key}:` in the file to vary it alone"
+            found.refused[here] = "it is not given and follows the plant", remedy
         elif declared_fields(kind)[key].metadata.get("static") and mark is not None:
             found.refused[here] = _COMPILED, _IN_FILE
         elif mark is not None and value is None and (group := next((g for g in kind.together if key in g), ())):
@@ -130,7 +128,7 @@ def _nominal(key: str, value: Any) -> Any:
 def _mark(form: Any) -> Mark | None:
     """Numeric annotation of a field; None for others."""
     marks = getattr(form, "__metadata__", ())
-    return next((mark for mark in marks if isinstance(mark, Quantity | BoundedInt)), None)
+    return next((mark for mark in marks if isinstance(mark, Mark)), None)
 
 
 def _what_it_is(form: Any) -> str:
@@ -172,33 +170,36 @@ class ScenarioParameter:
     @property
     def unit(self) -> str:
         """SI unit; "1" for a plain number."""
-        return self.mark.unit if isinstance(self.mark, Quantity) else "1"
+        return self.mark.unit
 
     @property
     def shown(self) -> str:
         """Unit in files."""
-        return self.mark.shown if isinstance(self.mark, Quantity) else "1"
+        return self.mark.shown
 
     @property
     def lower(self) -> float | int:
         """Lower bound [SI]."""
-        return self.mark.limits[0] if isinstance(self.mark, Quantity) else self.mark.lower
+        return self.mark.limits[0]
 
     @property
     def upper(self) -> float | int:
         """Upper bound [SI]."""
-        return self.mark.limits[1] if isinstance(self.mark, Quantity) else self.mark.upper
+        return self.mark.limits[1]
 
     @property
     def range(self) -> str:
         """Range as text."""
-        return self.mark.range if isinstance(self.mark, Quantity) else f"{self.mark.lower} to {self.mark.upper}"
+        return self.mark.range
 
     def holds(self, value: Any) -> Any:
         """Whether a value [SI], or each of an array, is in the range."""
-        if isinstance(self.mark, Quantity):
-            return self.mark.holds(value)
-        return (value >= self.mark.lower) & (value <= self.mark.upper) & (value % 1 == 0)
+        return self.mark.holds(value)
+
+    def outside(self, message: str, value: Any) -> ParameterError:
+        """Error for a value [SI] outside the range."""
+        given: dict[str, Any] = {"value": value, "lower": self.lower, "upper": self.upper, "unit": self.unit}
+        return ParameterError(message, **given, remedy="choose values inside")
 
     def show(self, value: float | int, digits: int = 6) -> str:
         """Format a value [SI] in the unit of files."""
@@ -226,10 +227,7 @@ def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
 def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
     """Parameter of a scenario by name, or by the end of its name where that is unique.
 
-    Raises
-    ------
-    ParameterError
-        If there is none, or a study cannot vary it.
+    Raises `ParameterError` if there is none, or a study cannot vary it.
 
     Examples
     --------

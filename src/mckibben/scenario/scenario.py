@@ -104,6 +104,11 @@ class RunSettings(DocumentModel):
             )
         return value
 
+    @property
+    def timing(self) -> dict[str, Any]:
+        """Duration, control period, accuracy and substeps, by the names of arguments of `simulate`."""
+        return {name: getattr(self, name) for name in ("duration", "control_period", "accuracy", "substeps")}
+
     def _written(self, folder: Path) -> dict[str, Any]:
         packages = sorted(filter(None, {package_version(one.__module__) for one in _classes_in(self)}))
         return super()._written(folder) | ({"packages": packages} if packages else {})
@@ -323,24 +328,9 @@ def initial_state(scenario: Scenario) -> AtRest:
 
 
 def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
-    """Simulate a scenario.
+    """Result of a scenario, with its text, and feasibility of its reference; `source` is its file, for errors.
 
-    Parameters
-    ----------
-    scenario
-        Scenario.
-    source
-        File of the scenario, for errors. Default: its name.
-
-    Returns
-    -------
-    CheckedRun
-        Result, with the scenario's text, and the feasibility of its reference.
-
-    Raises
-    ------
-    ScenarioError
-        If its parts do not fit together.
+    Raises `ScenarioError` if its parts do not fit together.
     """
 
     @contextmanager
@@ -361,10 +351,7 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
             plant,
             control,
             scenario.reference(),
-            duration=scenario.duration,
-            control_period=scenario.control_period,
-            accuracy=scenario.accuracy,
-            substeps=scenario.substeps,
+            **scenario.timing,
             initial=initial_state(scenario),
             scenario=scenario.dumps(),
         )

@@ -18,16 +18,13 @@ from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
 from mckibben.scenario.parameters import Place, ScenarioParameter, find_parameters
 from mckibben.scenario.scenario import Scenario, initial_state
-from mckibben.simulation import Batch, Metrics, simulate_many
+from mckibben.simulation import Batch, simulate_many
 
 P = TypeVar("P")
 
 
 def changed(part: P, values: Mapping[Place, Any]) -> P:
-    """Return a scenario or a part of it with other values [SI] by their places within it, checked as on construction.
-
-    Raises `RangeError` where they contradict each other.
-    """
+    """Scenario or part with other values [SI] by their places within it; `RangeError` where they contradict."""
     if not values:
         return part
     if () in values:
@@ -104,11 +101,9 @@ def _part_of(place: Place) -> Place:
 
 
 def _search(attempt: _Attempt, table: Sequence[NDArray], rows: NDArray[np.int64]) -> dict[int, str]:
-    """Invalid rows by bisection.
-
-    Each rule compares sums, products or signs of values, monotonic on either side of zero. So where all corners of the
-    box around some rows are valid, its inside is, too; else the rows are halved.
-    """
+    """Invalid rows by bisection."""
+    # Each rule compares sums, products or signs of values, monotonic on either side of zero: where all corners of the
+    # box around some rows are valid, its inside is, too.
     ends = [_ends(column[rows]) for column in table]
     corners = math.prod(len(each) for each in ends)
     if corners > 1 and corners >= len(rows):
@@ -140,10 +135,7 @@ _PLANT = ("joint", "load", "valve")
 def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known: Known = "all") -> Scenario:
     """The scenario with other values [SI] by name, validated as if they were in its file; `known` as for `batched`.
 
-    Raises
-    ------
-    ParameterError
-        If a name is unknown or repeated, or a value is invalid.
+    Raises `ParameterError` if a name is unknown or repeated, or a value is invalid.
 
     Examples
     --------
@@ -164,10 +156,7 @@ def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known 
     can be neither written nor compared. A controller's model that is taken from the plant stays nominal, except
     for the `known` plant parameters ("all": all of them).
 
-    Raises
-    ------
-    ParameterError
-        If a name is unknown or repeated, or a row is invalid; it names the first such row.
+    Raises `ParameterError` if a name is unknown or repeated, or a row is invalid; it names the first such row.
 
     Examples
     --------
@@ -190,10 +179,7 @@ def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known 
 def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tuple[str, ...]:
     """Varied parameters that the plant and the controller's model have in common; `known` as for `batched`.
 
-    Raises
-    ------
-    ParameterError
-        If a known parameter is not varied, or the controller does not take it from the plant.
+    Raises `ParameterError` if a known parameter is not varied, or the controller does not take it from the plant.
 
     Examples
     --------
@@ -219,10 +205,7 @@ def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tupl
 def valid_rows(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np.bool_]:
     """Mask of the rows of a table that make a valid scenario.
 
-    Raises
-    ------
-    ParameterError
-        If a name is unknown or repeated, or a value is outside the range of its field.
+    Raises `ParameterError` if a name is unknown or repeated, or a value is outside the range of its field.
 
     Examples
     --------
@@ -283,14 +266,8 @@ def _column(parameter: ScenarioParameter, values: ArrayLike) -> NDArray:
     if bad.size:
         value = given[bad[0]].item()
         shown = f"{value:g}, not a whole number of" if parameter.is_integer else f"{parameter.show(value)}, outside"
-        raise ParameterError(
-            f"{_row(bad[0], len(given))}{parameter.name} is {shown} {parameter.range}",
-            value=value,
-            lower=parameter.lower,
-            upper=parameter.upper,
-            unit=parameter.unit,
-            remedy="choose a value inside",
-        )
+        message = f"{_row(bad[0], len(given))}{parameter.name} is {shown} {parameter.range}"
+        raise parameter.outside(message, value)
     return given.astype(np.int64 if parameter.is_integer else float)
 
 
@@ -310,12 +287,7 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     Values that are not in the text are added to it, in the units of `Scenario.dumps` and with all digits. Where unusual
     YAML prevents an edit in place, it is written anew without comments.
 
-    Raises
-    ------
-    ScenarioError
-        If the text is not a scenario.
-    ParameterError
-        As for `with_values`.
+    Raises `ScenarioError` if the text is not a scenario; `ParameterError` as for `with_values`.
 
     Examples
     --------
@@ -361,26 +333,18 @@ def run_many(
     table: Mapping[str, ArrayLike],
     *,
     known: Known = (),
-    metrics: Sequence[str] = Metrics._fields,
-    precision: int = 64,
-    chunk: int | None = None,
-    workers: int | None = None,
-    engine: str = "auto",
+    **options: Any,
 ) -> Batch:
-    """Simulate a scenario once for each row of a table of values; raises ParameterError for an invalid row."""
+    """Simulate a scenario for each row of a table of values, with options of `simulate_many`.
+
+    Raises `ParameterError` for an invalid row.
+    """
     many = batched(scenario, table, known=known)
     return simulate_many(
         many.plant(),
         many.control(),
         many.reference(),
-        duration=scenario.duration,
-        control_period=scenario.control_period,
-        accuracy=scenario.accuracy,
-        substeps=scenario.substeps,
+        **scenario.timing,
         initial=initial_state(many),
-        metrics=metrics,
-        precision=precision,
-        chunk=chunk,
-        workers=workers,
-        engine=engine,
+        **options,
     )

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.columns import Label, declare
@@ -45,24 +44,12 @@ Solve = Callable[[int, Runs], Positions]
 
 
 class Resolution(NamedTuple):
-    """Integration steps per control period of a run, and its error as estimated by step doubling.
+    """Integration steps per control period of a run, and its error as estimated by step doubling."""
 
-    Attributes
-    ----------
-    substeps
-        Integration steps per control period.
-    error
-        Largest distance of the angle from that with half as many steps [rad]; NaN if the number of steps was given.
-    unresolved_from
-        Time [s] from which the two solutions are further apart than the accuracy; NaN if they are not.
-    chaotic
-        Whether the error does not fall with the number of steps.
-    """
-
-    substeps: int
-    error: float = math.nan
-    unresolved_from: float = math.nan
-    chaotic: bool = False
+    substeps: int  # per control period
+    error: float = math.nan  # largest distance of the angle from that with half the steps [rad]; NaN for given steps
+    unresolved_from: float = math.nan  # time from which these are further apart than the accuracy [s]; NaN for none
+    chaotic: bool = False  # whether the error does not fall with the number of steps
 
     @classmethod
     def of(cls, attributes: Mapping[Any, Any]) -> Resolution | None:
@@ -89,11 +76,6 @@ class Resolution(NamedTuple):
         """
         return 2**_FALLBACK_DOUBLINGS * first if self.chaotic else max(self.substeps // 2, 1)
 
-    def with_rounding(self, exact: ArrayLike, rounded: ArrayLike) -> Resolution:
-        """With the error of an angle in 32 bits, if it is larger."""
-        apart = np.abs(np.asarray(exact) - np.asarray(rounded, float))
-        return self._replace(error=max(float(np.max(apart, initial=0.0, where=np.isfinite(apart))), self.error))
-
     def describe(self) -> str:
         """The estimated error in a sentence."""
         steps = f"{self.substeps} integration step{'s' if self.substeps > 1 else ''} per control period"
@@ -102,10 +84,8 @@ class Resolution(NamedTuple):
         if self.resolved:
             return f"estimated integration error of the angle: {self.error:.1e} rad ({steps})"
         if not self.chaotic:
-            return (
-                f"not resolved: from {self.unresolved_from:.4g} s on the angle is less accurate than asked; estimated "
-                f"integration error: {self.error:.1e} rad ({steps})"
-            )
+            since = f"from {self.unresolved_from:.4g} s on the angle is less accurate than asked"
+            return f"not resolved: {since}; estimated integration error: {self.error:.1e} rad ({steps})"
         return (
             f"not resolved: this run is chaotic; from {self.unresolved_from:.4g} s on, solutions with "
             f"{self.substeps // 2} and {self.substeps} integration steps per control period separate, by up to "
@@ -122,9 +102,8 @@ def check_accuracy(accuracy: Any, substeps: Any = None, bits: int = 64) -> None:
         return
     number = float(accuracy) if isinstance(accuracy, Real) and not isinstance(accuracy, bool) else math.nan
     if not 0 < number < math.inf:
-        raise SimulationError(
-            f"accuracy is {accuracy!r}", field="accuracy", value=accuracy, remedy="give an angle in rad above 0"
-        )
+        remedy = "give an angle in rad above 0"
+        raise SimulationError(f"accuracy is {accuracy!r}", field="accuracy", value=accuracy, remedy=remedy)
     if number < _LOWEST[bits] * (1 - 1e-9):
         _raise_unreachable(number, _LOWEST[bits], f"rounding to {bits} bits", ", or 64 bits" if bits == 32 else "")
 
@@ -155,18 +134,13 @@ def full_vectors(runs: Runs) -> Runs:
 
 
 class Refinement(NamedTuple):
-    """Result of step doubling by run: the least number of steps that agrees with twice as many, and the error [rad].
+    """Result of step doubling by run."""
 
-    For a run without agreement, `unresolved_from` [s] is the time at which the last two solutions separate, and
-    `converges` is whether its error falls with the number of steps. `errors` has the error by doubling and run, NaN
-    after agreement.
-    """
-
-    substeps: NDArray[np.int64]
-    error: NDArray[np.float64]
-    unresolved_from: NDArray[np.float64]
-    converges: NDArray[np.bool_]
-    errors: NDArray[np.float64]
+    substeps: NDArray[np.int64]  # the fewest that agree with twice as many
+    error: NDArray[np.float64]  # [rad]
+    unresolved_from: NDArray[np.float64]  # time at which the last two solutions separate [s]; NaN with agreement
+    converges: NDArray[np.bool_]  # whether the error falls with the number of steps
+    errors: NDArray[np.float64]  # by doubling and run, NaN after agreement
     first: int
 
     @property
@@ -184,11 +158,7 @@ def refine(
     first: int = 1,
     meaningful: Callable[[Positions, Runs], NDArray[np.bool_]] | None = None,
 ) -> Refinement:
-    """Double the number of steps of so many runs, from `first`, until the positions of each agree with the last ones.
-
-    Positions are `spacing` [s] apart. Those of a run count while they are finite and, where given, `meaningful`, a mask
-    of shape (periods, runs).
-    """
+    """Double the steps of so many runs until positions, `spacing` [s] apart, agree while finite and `meaningful`."""
     runs, substeps = np.arange(count), first
     errors = np.full((_DOUBLINGS, count), np.nan)
     found = Refinement(
@@ -215,10 +185,7 @@ def refine(
 
 
 def resolution_of(refined: Refinement, accuracy: float) -> Resolution:
-    """Resolution of one run that is computed with the finer of the last two solutions.
-
-    Raises `SimulationError` if the run converges, but does not reach an accuracy that is finer than the default.
-    """
+    """Resolution of one run with the finer of the last two solutions; `SimulationError` for too fine an accuracy."""
     substeps, error, unresolved_from, converges = (column[0].item() for column in refined[:4])
     if converges and not math.isnan(unresolved_from) and accuracy < ACCURACY:
         _raise_unreachable(accuracy, error, f"{2 * substeps} integration steps per control period")
@@ -231,14 +198,10 @@ def nominal_substeps(refined: Refinement, accuracy: float) -> int:
 
 
 class StepCounts(NamedTuple):
-    """Integration steps per control period of the runs of a batch, and their estimated errors [rad].
-
-    The error of a run that was not probed is the largest of the probed ones of its block; that of a chaotic run is NaN,
-    as are all if the number of steps was given.
-    """
+    """Integration steps per control period of the runs of a batch, and their estimated errors [rad]."""
 
     substeps: NDArray[np.int64]
-    error: NDArray[np.float64]
+    error: NDArray[np.float64]  # largest of the block if not probed; NaN if chaotic, or for given steps
     chaotic: NDArray[np.bool_]
 
     @classmethod
@@ -279,10 +242,7 @@ def integration_sentence(summary: Mapping[str, Any]) -> str:
 def refine_blocks(
     lanes: Any, count: int, refine_runs: Callable[[Runs], Refinement], workers: int | None = None
 ) -> StepCounts:
-    """Number of steps for each block of runs, by `refine_runs` of some of its runs.
-
-    The choice depends on the parameters of the runs of a block alone.
-    """
+    """Number of steps for each block of runs, by `refine_runs` of some of its runs."""
     blocks = range(0, count, BLOCK)
 
     def refined(piece: slice) -> tuple[Runs, Refinement]:

@@ -84,7 +84,7 @@ def simulate_many(
 
     Parameters
     ----------
-    plant, controller, reference, duration, control_period, substeps, initial, precision
+    plant, controller, reference, duration, control_period, substeps, initial
         As for `simulate`. The feasibility of each reference is not checked; see `check_reference`.
     accuracy
         Accuracy of the angles [rad]. The number of integration steps is chosen for each 1024 consecutive runs, by
@@ -95,6 +95,8 @@ def simulate_many(
         scenario, ``controller``, ``reference`` or ``initial``.
     metrics
         Metrics to compute. ``coupling`` needs a second run from the stiffness step on.
+    precision
+        Bits of the floats: 64 or 32.
     keep, every
         Names of `Trajectory` to keep over time, and the time between two values [s], by default the control period.
     chunk
@@ -147,7 +149,7 @@ def simulate_many(
     lanes, shared, count = split_runs(problem, over or {}, control_period, alone="simulate")
     varied = times.size * len(Setpoint._fields) * bool(jax.tree.leaves(lanes.reference))
     numbers = len(asked.keep) * times.size // stride + varied
-    size = chunk_size(chunk, count, workers, engine, kind, numbers)
+    size = chunk_size(chunk, count, workers, engine, numbers)
     runs = _Runs(lanes, shared, times, control_period, asked, engine, size)
     if substeps is None:
         steps = refine_blocks(lanes, count, functools.partial(runs.refine, accuracy=accuracy), workers)
@@ -162,7 +164,6 @@ def simulate_many(
         chunk=size,
         workers=workers,
         engine=engine,
-        precision=asked.precision,
         progress=progress,
     )
     table = _table(columns, over or {}, times[::stride], asked, steps)
@@ -233,10 +234,7 @@ class _Runs(NamedTuple):
         )
 
     def warn_of(self, substeps: int) -> None:
-        """Warn of too few given steps where friction or flow, which are bounded, keeps runs from diverging.
-
-        The text names no run, as in a part of a sweep it has another number, and is the same for most parts.
-        """
+        """Warn of too few given steps where friction or flow, which are bounded, keeps runs from diverging."""
         plant = eqx.combine(self.lanes, self.shared).plant
         if not (plant.joint.has_friction or plant.friction is not None or plant.valve.holds_air):
             return

@@ -137,7 +137,7 @@ def differentiate(
         native = lambda: _natively(shared, numbers, times, period, asked)  # noqa: E731
         by_xla = lambda: jax.tree.map(np.asarray, _single(lanes, shared, times, period, asked))  # noqa: E731
         engine = "auto" if mode is Mode.FORWARD else "xla"
-        return _in_order(asked, *compute_with(engine, np.float64, native, by_xla)[0])
+        return _in_order(asked, *compute_with(engine, native, by_xla)[0])
 
     def answers(piece: slice) -> Any:
         found = _many(pad_chunk(lanes, piece, _LANES), shared, times, period, asked)
@@ -263,13 +263,20 @@ def _along(parts: Any, lane: Any) -> Any:
     shared, flat, varying, rest, split, period, asked = parts
 
     def measured(flat: Array, varying: _Begun) -> dict[str, Array]:
-        run, (start, setpoints, change) = _restored(shared, flat, asked), eqx.combine(varying, rest)
-        found = streaming_episode(
-            run.plant, run.controller, setpoints, start, period, asked.substeps, change=change, split=split
-        )
-        return {name: getattr(found.metrics, name) for name in asked.metrics}
+        return _measured(_restored(shared, flat, asked), eqx.combine(varying, rest), split, period, asked)
 
     return jax.jvp(measured, (flat, varying), lane)
+
+
+def _measured(
+    run: SimulationProblem, begun: _Begun, split: Array | None, period: ArrayLike, asked: _Asked
+) -> dict[str, Array]:
+    """Metrics of a run that has begun."""
+    start, setpoints, change = begun
+    checkpoint = asked.mode is Mode.REVERSE
+    parts = run.plant, run.controller, setpoints, start, period, asked.substeps
+    found = streaming_episode(*parts, change=change, split=split, checkpoint=checkpoint)
+    return {name: getattr(found.metrics, name) for name in asked.metrics}
 
 
 def _needed(run: SimulationProblem, times: NDArray[np.float64], period: float, accuracy: float) -> int:
@@ -277,7 +284,7 @@ def _needed(run: SimulationProblem, times: NDArray[np.float64], period: float, a
     setpoints = sampled_reference(run.reference, times)
     without: Any = {"reference": None, "controller": None}
     start, exists = start_of(run._replace(**without), setpoints)
-    return episode_substeps(run.plant, run.controller, setpoints, start, period, accuracy) if exists else 1
+    return episode_substeps(run.plant, run.controller, setpoints, start, period, accuracy=accuracy) if exists else 1
 
 
 def _restored(run: SimulationProblem, flat: Array, asked: _Asked) -> SimulationProblem:
@@ -289,19 +296,10 @@ def _restored(run: SimulationProblem, flat: Array, asked: _Asked) -> SimulationP
 def _metrics(run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked) -> dict[str, Array]:
     setpoints = sample_reference(run.reference, times)
     start, exists = run.start(setpoints)
-    split = _split(last_change(setpoints.stiffness), times, asked)
+    change = last_change(setpoints.stiffness)
     with batched_program(rolled=asked.many):
-        found = streaming_episode(
-            run.plant,
-            run.controller,
-            setpoints,
-            start,
-            period,
-            asked.substeps,
-            split=split,
-            checkpoint=asked.mode is Mode.REVERSE,
-        )
-    return {name: jnp.where(exists, getattr(found.metrics, name), jnp.nan) for name in asked.metrics}
+        found = _measured(run, (start, setpoints, change), _split(change, times, asked), period, asked)
+    return {name: jnp.where(exists, value, jnp.nan) for name, value in found.items()}
 
 
 def _split(change: Change, times: ArrayLike, asked: _Asked) -> Array | None:

@@ -28,21 +28,14 @@ _SHUT = 1e-30  # m^3/(s*Pa)
 
 
 class DynamicStiffness(NamedTuple):
-    """Stiffness over frequency and amplitude; the leaves below have the shape (frequencies, amplitudes).
+    """Stiffness [N*m/rad] over frequency and amplitude, shape (frequencies, amplitudes).
 
-    Attributes
-    ----------
-    frequency, amplitude
-        Of the motion [Hz], [rad]: shapes (frequencies,) and (amplitudes,).
-    stiffness
-        Change of the torque from one reversal to the other over that of the angle [N*m/rad].
-    loss
-        Loss stiffness [N*m/rad]: the energy dissipated in a cycle, over pi times the amplitude squared. Negative where
-        a controller drives the motion.
+    `stiffness` is the change of the torque from one reversal to the other over that of the angle, and `loss` the energy
+    dissipated in a cycle over pi times the amplitude squared, negative where a controller drives the motion.
     """
 
-    frequency: NDArray[np.float64]
-    amplitude: NDArray[np.float64]
+    frequency: NDArray[np.float64]  # of the motion, shape (frequencies,) [Hz]
+    amplitude: NDArray[np.float64]  # shape (amplitudes,) [rad]
     stiffness: NDArray[np.float64]
     loss: NDArray[np.float64]
 

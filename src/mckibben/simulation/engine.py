@@ -40,7 +40,7 @@ ENGINES = ("auto", "native", "xla", "cuda")
 batches emitted as CUDA kernels, which are never chosen automatically."""
 
 
-def check_engine(engine: str, precision: Any = np.float64, *, many: bool = False) -> str:
+def check_engine(engine: str, *, many: bool = False) -> str:
     """The engine to be tried: any but "auto"; raises `ParameterError` for an unknown or unavailable one."""
     if engine not in ENGINES:
         raise ParameterError(
@@ -53,8 +53,6 @@ def check_engine(engine: str, precision: Any = np.float64, *, many: bool = False
     missing = ""
     if compiler() is None:
         missing = "there is no C compiler"
-    elif np.dtype(precision) != np.float64 and not many:
-        missing = "it supports 32 bits only in batches"
     elif jax.default_backend() != "cpu":
         missing = "runs are computed on an accelerator"
     if missing and engine == "native":
@@ -78,13 +76,12 @@ def _check_cuda(many: bool) -> None:
 
 def compute_with(
     engine: str,
-    precision: Any,
     native: Callable[[], R],
     xla: Callable[[], R],
     cuda: Callable[[], R] | None = None,  # of batches
 ) -> tuple[R, str]:
     """Result and engine of a computation; "auto" takes XLA where the native one cannot be used."""
-    chosen = check_engine(engine, precision, many=cuda is not None)
+    chosen = check_engine(engine, many=cuda is not None)
     if cuda is not None and chosen == "cuda":
         return cuda(), chosen
     if chosen == "native":
@@ -102,14 +99,13 @@ def run_alone(
 ) -> tuple[tuple[Any, Record], str]:
     """State after one run with its record, and the engine that computed them; `numeric` parts."""
     parts: Any = plant, controller, setpoints, start, period, np.asarray(substeps)
-    precision = np.asarray(period).dtype
 
     def by_xla() -> tuple[Any, Record]:
         # The stages of many muscles take minutes to compile, unless they are rolled; they are faster as well.
         with batched_program() if len(plant.muscles) > 2 else contextlib.nullcontext():
             return compiled_episode(*parts)
 
-    return compute_with(engine, precision, lambda: native_episode(parts), by_xla)
+    return compute_with(engine, lambda: native_episode(parts), by_xla)
 
 
 @NativeFunction
@@ -119,10 +115,7 @@ def native_episode(parts: Any, _: None) -> tuple[Any, Record]:
 
 
 class BatchFunction:
-    """A pure function of a shared tree and of one for each run, compiled for many runs, by any engine.
-
-    Arrays of the second tree have the runs along their last axis, as do the results.
-    """
+    """A pure function of a shared tree and of one with the runs along the last axis, compiled by any engine."""
 
     def __init__(self, function: Callable[[Any, Any], Any]) -> None:
         self._function, self._native, self._cuda = function, NativeFunction(function), CudaFunction(function)
@@ -132,7 +125,6 @@ class BatchFunction:
         single = np.dtype(precision) == np.float32
         return compute_with(
             engine,
-            precision,
             lambda: self._native(shared, lanes, single=single),
             lambda: _by_xla(self._function, shared, lanes),
             lambda: self._cuda(shared, lanes, single=single),
@@ -156,16 +148,11 @@ def compute_chunks(
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
-    precision: Any = np.float64,
-    numbers: int = 1,
+    numbers: int = 1,  # size of the arguments and results of a run
     progress: Progress | None = None,
 ) -> tuple[R, str]:
-    """Results of many runs in their order, along the first axis, and the engine that computed them.
-
-    `compute` gets a chunk of the lanes, whose arrays have the runs along the last axis, as its results have; `numbers`
-    is the size of the arguments and results of a run.
-    """
-    size = chunk_size(chunk, count, workers, engine, precision, numbers)
+    """Results of many runs in their order, and the engine; chunks for `compute` have the runs along the last axis."""
+    size = chunk_size(chunk, count, workers, engine, numbers)
 
     def piece_of(piece: slice) -> tuple[Any, str]:
         part = jax.tree.map(lambda x: np.moveaxis(x, 0, -1), pad_chunk(lanes, piece, size))
@@ -227,12 +214,10 @@ def check_count(what: str, count: int) -> int:
     return count
 
 
-def chunk_size(
-    chunk: int | None, count: int, workers: int | None, engine: str, precision: Any = np.float64, numbers: int = 1
-) -> int:
+def chunk_size(chunk: int | None, count: int, workers: int | None, engine: str, numbers: int = 1) -> int:
     """Runs per chunk: the best number of the engine, fewer where that leaves cores idle or needs too much memory."""
     workers = cores() if workers is None else check_count("workers", workers)
-    engine = check_engine(engine, precision, many=True)
+    engine = check_engine(engine, many=True)
     if chunk is None:
         best = {"native": NATIVE, "cuda": min(ON_CUDA, max(VECTOR, MOST_NUMBERS // max(numbers, 1)))}
         chunk = best.get(engine, CHUNK if jax.default_backend() == "cpu" else ON_ACCELERATOR)

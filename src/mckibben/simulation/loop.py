@@ -18,7 +18,6 @@ from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
 from mckibben.numerics.compiled import compiled_as_given
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.simulation.metrics import (
-    SETTLING_PART,
     Change,
     Course,
     Metrics,
@@ -164,7 +163,7 @@ def streaming_episode(
         at_change = jnp.where(index == change.at, now.stiffness, carry.stiffness_at_change)
         air = (now.air1, now.air2)
         before = [jnp.where(index == 0, new, old) for new, old in zip(air, carry.air, strict=True)]
-        added = MetricSample.of(now, index, periods, change, at_change, before, SETTLING_PART).totals()
+        added = MetricSample.of(now, index, periods, change, at_change, before).totals()
         without = step_without_change(carry, following, setpoint, index)
         oscillation = carry.oscillation.after(now.angle, now.desired_angle, index, plant.sensors.angle_resolution)
         return _Carry(following, without, carry.total.merge(added), at_change, air, oscillation), {
@@ -187,7 +186,7 @@ def streaming_episode(
     else:
         blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), rows)
         carry, kept = lax.scan(block, carry, blocks)
-    run = Run(periods, period, Course.of(carry.oscillation.limit_cycle(periods, period), change))
+    run = Run(periods, period, Course(*carry.oscillation.limit_cycle(periods, period), change))
     metrics = values_of(Metrics, carry.total, run)
     if split is None:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))

@@ -15,7 +15,7 @@ from mckibben.control.base import Setpoint
 from mckibben.joint.antagonistic import NO_STATES
 from mckibben.numerics.batching import compute_once
 from mckibben.plant import JointPlant
-from mckibben.simulation.oscillation import LimitCycle, find_limit_cycle
+from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.reduction import (
     Duration,
     Largest,
@@ -143,10 +143,7 @@ _BAND_FLOOR = 1e-3  # least half width of the band, as a fraction of the setpoin
 
 
 class SettlingTime(Largest):
-    """Time from the last change of the setpoint until a quantity is within the settling band for good [s].
-
-    The quantity is the number of the control period, counted from 1, where it is outside, and 0 where it is inside.
-    """
+    """Time [s] from the last change until a quantity, the number of the period from 1 if outside a band, stays 0."""
 
     def value(self, totals: Totals, run: Any) -> Any:
         change: Change = run.tracked.change
@@ -264,25 +261,15 @@ def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
     return {name: metrics[metric] / unit for name, (metric, _, unit) in METRICS.items()}
 
 
-def measure(
-    moved: Trajectory, period: ArrayLike, *, settling_part: float = SETTLING_PART, angle_resolution: ArrayLike = 0.0
-) -> Metrics:
-    """Metrics of a trajectory with a control period [s].
-
-    `settling_part` as `SETTLING_PART`, and `angle_resolution` a step of the sensor of the angle [rad].
-    """
+def measure(moved: Trajectory, period: ArrayLike, *, angle_resolution: ArrayLike = 0.0) -> Metrics:
+    """Metrics of a trajectory with a control period [s], and a step of the sensor of the angle [rad]."""
     change = last_change(moved.desired_stiffness)
     at_change = jnp.asarray(moved.stiffness)[change.at]
-    return measure_since(moved, change, at_change, period, settling_part, angle_resolution)
+    return measure_since(moved, change, at_change, period, angle_resolution)
 
 
 def measure_since(
-    moved: Trajectory,
-    change: Change,
-    at_change: ArrayLike,
-    period: ArrayLike,
-    settling_part: ArrayLike = SETTLING_PART,
-    angle_resolution: ArrayLike = 0.0,
+    moved: Trajectory, change: Change, at_change: ArrayLike, period: ArrayLike, angle_resolution: ArrayLike
 ) -> Metrics:
     """`measure` with the last change of the desired stiffness, and the stiffness [N*m/rad] at it."""
     moved = Trajectory(*map(jnp.asarray, moved))
@@ -293,14 +280,13 @@ def measure_since(
         totals, air = so_far
         index, now = at
         before = [jnp.where(index == 0, new, old) for new, old in zip((now.air1, now.air2), air, strict=True)]
-        sample = MetricSample.of(now, index, periods, change, at_change, before, settling_part)
+        sample = MetricSample.of(now, index, periods, change, at_change, before)
         return (totals.merge(sample.totals()), (now.air1, now.air2)), None
 
     start = MetricSample.empty(zero).totals().empty(), (zero, zero)
     (totals, _), _ = lax.scan(following, start, (jnp.arange(periods), moved))
     cycle = find_limit_cycle(moved.angle, moved.desired_angle, period, angle_resolution)
-    course = Course.of(cycle, change)
-    return values_of(Metrics, totals, Run(periods, period, course))
+    return values_of(Metrics, totals, Run(periods, period, Course(*cycle, change)))
 
 
 class Change(NamedTuple):
@@ -332,10 +318,6 @@ class Course(NamedTuple):
     amplitude: Array
     cycle_period: Array
     change: Change
-
-    @classmethod
-    def of(cls, cycle: LimitCycle, change: Change) -> Course:
-        return cls(cycle.amplitude, cycle.period, change)
 
 
 class MetricSample(NamedTuple):
@@ -369,14 +351,13 @@ class MetricSample(NamedTuple):
         change: Change,
         stiffness_at_change: ArrayLike,
         air_before: Sequence[ArrayLike],
-        settling_part: ArrayLike,
     ) -> MetricSample:
         """Samples of single control periods, elementwise: scalars or shape (periods,)."""
         index = jnp.asarray(index)
         angle_error = jnp.asarray(moved.angle) - moved.desired_angle
         stiffness_error = jnp.asarray(moved.stiffness) - moved.desired_stiffness
         since = index >= change.at
-        settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change, settling_part)
+        settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change)
         coupling = jnp.abs(jnp.asarray(moved.angle) - moved.angle_without_step)
 
         def number(flag: Any) -> Array:
@@ -416,12 +397,12 @@ def rms(error: ArrayLike) -> Array:
     return root(jnp.mean(jnp.square(jnp.asarray(error))))
 
 
-def settling_band(desired_stiffness: ArrayLike, stiffness: ArrayLike, part: float) -> Array:
+def settling_band(desired_stiffness: ArrayLike, stiffness: ArrayLike) -> Array:
     """Half the width of the settling band of the stiffness [N*m/rad]: a fraction of the step of its setpoint."""
     change = last_change(desired_stiffness)
-    return _band(change, jnp.asarray(stiffness)[change.at], part)
+    return _band(change, jnp.asarray(stiffness)[change.at])
 
 
-def _band(change: Change, stiffness_at_change: ArrayLike, part: ArrayLike) -> Array:
+def _band(change: Change, stiffness_at_change: ArrayLike) -> Array:
     step = jnp.abs(change.after - stiffness_at_change)
-    return jnp.maximum(part * step, _BAND_FLOOR * jnp.abs(change.after))
+    return jnp.maximum(SETTLING_PART * step, _BAND_FLOOR * jnp.abs(change.after))

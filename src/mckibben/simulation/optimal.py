@@ -30,28 +30,14 @@ _PATIENCE = 3
 
 
 class OptimalCommands(NamedTuple):
-    """Commands of a run, and the errors with them.
+    """Commands of a run, and the errors with them."""
 
-    Attributes
-    ----------
-    commands
-        In each control period, shape (periods, 2): pressures [Pa], or openings of valves with `direct` commands.
-    cost
-        Mean of the squared errors of angle and stiffness over their scales.
-    angle_rmse, stiffness_rmse
-        [rad], [N*m/rad].
-    iterations
-        Improvements found.
-    converged
-        Whether the search ended because the cost hardly fell any more.
-    """
-
-    commands: NDArray[np.float64]
-    cost: float
-    angle_rmse: float
-    stiffness_rmse: float
-    iterations: int
-    converged: bool
+    commands: NDArray[np.float64]  # shape (periods, 2): pressures [Pa], or openings of valves with `direct` commands
+    cost: float  # mean of the squared errors of angle and stiffness over their scales
+    angle_rmse: float  # [rad]
+    stiffness_rmse: float  # [N*m/rad]
+    iterations: int  # improvements found
+    converged: bool  # whether the search ended because the cost hardly fell any more
 
 
 class _Run(NamedTuple):
@@ -121,6 +107,9 @@ def optimal_commands(
     linear-quadratic problem with limits of the commands backwards, and follows its feedback law on the plant: iterative
     LQR, the Gauss-Newton method for the whole sequence.
 
+    Raises `SimulationError` if the times do not fit together, the commands do not fit the duration, or the run with
+    them diverges.
+
     Parameters
     ----------
     plant, reference, initial
@@ -133,11 +122,6 @@ def optimal_commands(
         As for `simulate`.
     iterations
         Most iterations.
-
-    Raises
-    ------
-    SimulationError
-        If the times do not fit together, the commands do not fit the duration, or the run with them diverges.
 
     References
     ----------
@@ -165,11 +149,11 @@ def optimal_commands(
         raise SimulationError("the run diverges with the given commands", field="commands", remedy="start from others")
     damping, flat, found = float(best.cost), 0, 0  # a change by 1 bar costs as much as the errors
     while found < iterations and flat < _PATIENCE:
-        improved = _improved(problem, best, damping)
+        improved, damping = _improved(problem, best, damping)
         if improved is None:
             break
-        flat = flat + 1 if improved.run.cost > (1 - _SMALL) * best.cost else 0
-        best, damping, found = improved.run, improved.damping, found + 1
+        flat = flat + 1 if improved.cost > (1 - _SMALL) * best.cost else 0
+        best, found = improved, found + 1
     angle_rmse, stiffness_rmse = np.sqrt(np.mean(np.asarray(best.errors) ** 2, axis=0)) * np.asarray(problem.scales)
     return OptimalCommands(
         np.asarray(best.commands) * problem.unit,
@@ -181,15 +165,8 @@ def optimal_commands(
     )
 
 
-class _Improved(NamedTuple):
-    """A better run, and the damping of the next iteration."""
-
-    run: _Run
-    damping: float
-
-
-def _improved(problem: _Problem, last: _Run, damping: float) -> _Improved | None:
-    """Run after one iteration; None if no damping gives a better one."""
+def _improved(problem: _Problem, last: _Run, damping: float) -> tuple[_Run | None, float]:
+    """Run after one iteration, None if no damping gives a better one, and the damping of the next."""
     linear = _linearised(problem, last)
     while damping <= _MOST:
         steps, gains = _backward(problem, linear, last, jnp.asarray(damping))
@@ -198,9 +175,9 @@ def _improved(problem: _Problem, last: _Run, damping: float) -> _Improved | None
         at = int(costs.argmin())
         if costs[at] < last.cost:
             follows = max(damping / 5, _LEAST) if at == 0 else damping * (2 if at > 2 else 1)
-            return _Improved(jax.tree.map(lambda leaf, at=at: leaf[at], tried), follows)
+            return jax.tree.map(lambda leaf, at=at: leaf[at], tried), follows
         damping *= 10
-    return None
+    return None, damping
 
 
 def _run(problem: _Problem, law: Callable[[Any, Array], Array], rows: Any) -> _Run:
@@ -270,7 +247,8 @@ def _backward(problem: _Problem, linear: _Linear, run: _Run, damping: Array) -> 
         q_x, q_u = c.T @ errors + a.T @ gradient, b.T @ gradient
         q_xx, q_ux = c.T @ c + a.T @ ahead, b.T @ ahead
         q_uu = b.T @ hessian @ b + damping * jnp.eye(2)
-        (one, other), free = box_qp(_rows(q_uu), tuple(q_u), tuple(lower - commands), tuple(upper - commands))
+        rows = tuple(map(tuple, q_uu))
+        (one, other), free = box_qp(rows, tuple(q_u), tuple(lower - commands), tuple(upper - commands))
         step, moves = jnp.stack([one, other]), jnp.stack(free)
         inside = jnp.where(jnp.outer(moves, moves), q_uu, jnp.eye(2))
         gain = -jnp.linalg.solve(inside, jnp.where(moves[:, None], q_ux, 0.0))
@@ -281,7 +259,3 @@ def _backward(problem: _Problem, linear: _Linear, run: _Run, damping: Array) -> 
     size = linear.a.shape[-1]
     nothing = jnp.zeros(size), jnp.zeros((size, size))  # to come after the last period
     return lax.scan(stage, nothing, (linear, run.errors, run.commands), reverse=True)[1]
-
-
-def _rows(matrix: Array) -> tuple[tuple[Array, ...], ...]:
-    return tuple(tuple(row) for row in matrix)

@@ -98,20 +98,15 @@ class Oscillation(NamedTuple):
         return cls(Swings.empty(like), Swings.empty(like))
 
     def after(self, angle: ArrayLike, desired: ArrayLike, index: ArrayLike, resolution: ArrayLike = 0.0) -> Oscillation:
-        """Return the state after the angle and the reference [rad] of a control period.
-
-        `resolution` is a step of the sensor of the angle [rad], 0 for none: amplitudes below two steps are not counted.
-        """
+        """Return the state after angle, reference and resolution of the sensor [rad] of a control period."""
         swing = 2 * jnp.maximum(_AMPLITUDE, _STEPS * jnp.asarray(resolution))
         error = self.error.after(jnp.asarray(angle) - desired, index, swing)
         return Oscillation(error, self.reference.after(desired, index, 2 * _AMPLITUDE))
 
     def limit_cycle(self, periods: int, period: ArrayLike) -> LimitCycle:
-        """Return the limit cycle of a run of so many control periods [s].
-
-        At least four periods in a row, of swings that do not decay and of similar duration, faster than the reference.
-        In a streaming form of T. Hagglund, A control-loop performance monitor, Control Engineering Practice 3, 1995.
-        """
+        """Return the limit cycle of a run of so many control periods [s]."""
+        # At least four periods in a row, of swings that do not decay and of similar duration, faster than the
+        # reference: a streaming form of T. Hagglund, A control-loop performance monitor, Control Eng. Pract. 3, 1995.
         chain = self.error.longest
         cycle = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
         of_reference = 2 * periods / jnp.maximum(self.reference.total, 1e-9)
@@ -123,10 +118,7 @@ class Oscillation(NamedTuple):
 def find_limit_cycle(
     angle: ArrayLike, desired: ArrayLike, period: ArrayLike, resolution: ArrayLike = 0.0
 ) -> LimitCycle:
-    """Return the limit cycle of a run, from angle and reference [rad] of each control period [s]; shape (periods,).
-
-    `resolution` as for `Oscillation.after`.
-    """
+    """Return the limit cycle of a run, from angle and reference [rad] of each control period [s]; shape (periods,)."""
     angle, desired = jnp.asarray(angle), jnp.asarray(desired)
 
     def following(so_far: Oscillation, at: tuple[Array, Array, Array]) -> tuple[Oscillation, None]:

@@ -25,6 +25,7 @@ from mckibben.numerics.compiled import compiled, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.metrics import last_change
 
 
 class AtRest(NamedTuple):
@@ -241,8 +242,6 @@ def sampling_times(duration: float, period: float) -> NDArray[np.float64]:
 def without_last_change(setpoints: Setpoint) -> Setpoint | None:
     """The setpoints without the last step of stiffness; None if there is none, or it changes otherwise at the end."""
     stiffness = np.asarray(setpoints.stiffness)
-    changes = np.flatnonzero(stiffness[1:] != stiffness[:-1]) + 1
-    if changes.size == 0 or changes[-1] == stiffness.size - 1 or changes[-1] - 1 in changes:
-        return None
-    constant = np.where(np.arange(stiffness.size) >= changes[-1], stiffness[changes[-1] - 1], stiffness)
-    return setpoints._replace(stiffness=constant)  # type: ignore[arg-type]
+    change = last_change(stiffness, np)
+    constant = np.where(np.arange(stiffness.size) >= change.at, change.before, stiffness)
+    return setpoints._replace(stiffness=constant) if change.ends else None  # type: ignore[arg-type]

@@ -55,16 +55,10 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True)
 class Metric(Label, abc.ABC):
-    """Number to which a run is reduced, the annotation of a field of a class of metrics.
-
-    Parameters
-    ----------
-    of
-        Name of the quantity of a sample that it is made of.
-    """
+    """Number to which a run is reduced, the annotation of a field of a class of metrics."""
 
     _: KW_ONLY
-    of: str
+    of: str  # name of the quantity of a sample that it is made of
 
     def terms(self, sample: Any) -> Totals:
         """Return the terms of single control periods, by names that metrics may share."""

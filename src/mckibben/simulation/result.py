@@ -23,7 +23,6 @@ from mckibben.numerics.compiled import compiled, numeric
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.engine import BatchFunction, compute_with
 from mckibben.simulation.metrics import (
-    SETTLING_PART,
     Metrics,
     Trajectory,
     first_of_end,
@@ -76,7 +75,7 @@ def compute_trajectory(
     """`metrics.trajectory` of all control periods, as arrays of NumPy."""
     shared = numeric((plant, stiffness_amplitude))
     lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), (setpoints, record, angle_without_step))
-    found, _ = _trajectories(engine, shared, lanes, np.asarray(setpoints.angle).dtype)
+    found, _ = _trajectories(engine, shared, lanes)
     return jax.tree.map(np.asarray, found)
 
 
@@ -110,9 +109,8 @@ def compute_metrics(moved: Trajectory, period: float, angle_resolution: float = 
     """Metrics of a trajectory with a control period [s], and a step of the sensor of the angle [rad]."""
     change = last_change(moved.desired_stiffness, np)
     at_change = np.asarray(moved.stiffness)[change.at]
-    parts = jax.tree.map(np.asarray, (moved, change, at_change, period, SETTLING_PART, angle_resolution))
-    kind = parts[0].angle.dtype
-    return compute_with("auto", kind, lambda: _native_metrics(parts), lambda: _metrics_by_xla(*parts))[0]
+    parts = jax.tree.map(np.asarray, (moved, change, at_change, period, angle_resolution))
+    return compute_with("auto", lambda: _native_metrics(parts), lambda: _metrics_by_xla(*parts))[0]
 
 
 @NativeFunction

@@ -19,7 +19,6 @@ from mckibben.component.calls import checked_call, user_level
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
-from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import (
@@ -40,7 +39,6 @@ from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
-    float_type,
     sampled,
     sampled_reference,
     sampling_times,
@@ -72,8 +70,7 @@ class Feasibility:
     @property
     def shortfall(self) -> NDArray[np.float64]:
         """Distance of the desired stiffness from the attainable range [N*m/rad]; NaN where the angle cannot be held."""
-        missing = np.maximum(self.lowest - self.desired_stiffness, self.desired_stiffness - self.highest)
-        return np.where(missing > _ROUNDING, missing, np.where(np.isnan(missing), np.nan, 0.0))
+        return distance_from(self.lowest, self.highest, self.desired_stiffness)
 
     @property
     def feasible(self) -> bool:
@@ -87,26 +84,33 @@ class Feasibility:
         """When and by how much the reference is not feasible."""
         if self.feasible:
             return "the reference is statically feasible throughout"
-        missing = self.shortfall
-        sentences = []
-        unheld = np.isnan(missing)
-        if unheld.any():
-            first = np.flatnonzero(unheld)[0]
-            sentences.append(
-                f"no pressures within limits hold the desired angle {time_span(self.times, unheld)}, "
-                f"first at {self.times[first]:.3g} s ({self.desired_angle[first] / deg:.3g} deg)"
-            )
-        short = np.nan_to_num(missing) > 0
-        if short.any():
-            worst = int(np.nanargmax(missing))
-            sentences.append(
-                f"the desired stiffness is not attainable {time_span(self.times, short)}, by up to "
-                f"{missing[worst]:.3g} N*m/rad at {self.times[worst]:.3g} s (desired "
-                f"{self.desired_stiffness[worst]:.4g}, attainable "
-                f"{self.lowest[worst]:.4g}..{self.highest[worst]:.4g} N*m/rad at "
-                f"{self.desired_angle[worst] / deg:.3g} deg)"
-            )
-        return "; ".join(sentences)
+        run = self.times, self.desired_angle, self.desired_stiffness, self.lowest, self.highest
+        return "; ".join(shortcomings(*run, self.shortfall, "hold the desired angle"))
+
+
+def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np.float64]:
+    """Distance of a stiffness from a range, 0 inside to rounding; NaN where nothing is attainable."""
+    out = np.maximum(low - stiffness, stiffness - high)
+    return np.where(out > _ROUNDING, out, np.where(np.isnan(out), np.nan, 0.0))
+
+
+def shortcomings(
+    times: NDArray, angle: NDArray, stiffness: NDArray, low: NDArray, high: NDArray, missing: NDArray, cannot: str
+) -> list[str]:
+    """When, and by how much, a stiffness is missed; `missing` is NaN where no pressures within limits do something."""
+    sentences, unheld, short = [], np.isnan(missing), np.nan_to_num(missing) > 0
+    if unheld.any():
+        at = int(unheld.argmax())
+        when = f"{_span(times, unheld)}, first at {times[at]:.3g} s ({angle[at] / deg:.3g} deg)"
+        sentences.append(f"no pressures within limits {cannot} {when}")
+    if short.any():
+        at = int(np.nanargmax(missing))
+        sentences.append(
+            f"the desired stiffness is not attainable {_span(times, short)}, by up to {missing[at]:.3g} N*m/rad at "
+            f"{times[at]:.3g} s (desired {stiffness[at]:.4g}, attainable {low[at]:.4g}..{high[at]:.4g} N*m/rad at "
+            f"{angle[at] / deg:.3g} deg)"
+        )
+    return sentences
 
 
 @checked_call
@@ -159,8 +163,8 @@ def _band(
     return _bands(engine, numeric((plant, amplitude, tension)), _padded(angles))[0]
 
 
-def time_span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
-    """Return the share of a run in which a mask is true, and the times [s] of its ends, as text."""
+def _span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
+    """The share of a run in which a mask is true, and the times [s] of its ends, as text."""
     where, share = np.flatnonzero(mask), mask.mean()
     text = f"{share:.0%}" if share > 0.005 else "under 1%"
     return f"for {text} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
@@ -184,7 +188,6 @@ def simulate(
     accuracy: float = ACCURACY,
     substeps: int | None = None,
     initial: PlantState | AtRest | None = None,
-    precision: Any = 64,
     engine: str = "auto",
     scenario: str = "",
 ) -> Result:
@@ -209,8 +212,6 @@ def simulate(
         and the error is not estimated.
     initial
         The initial state, or `AtRest`. Default: at rest at the first desired angle, at mid co-contraction.
-    precision
-        Bits of the floats in the run: 64, or 32 as in a batch with 32 bits; a single run is not faster.
     engine
         "native": emitted as C and compiled by the machine's compiler; "xla"; or "auto", native if possible.
         The result's `engine` names the one used. Their results differ by rounding.
@@ -247,7 +248,6 @@ def simulate(
         accuracy=accuracy,
         substeps=substeps,
         initial=initial,
-        precision=precision,
         engine=engine,
         scenario=scenario,
     )
@@ -266,15 +266,13 @@ def checked_run(
     accuracy: float,
     substeps: int | None,
     initial: PlantState | AtRest | None,
-    precision: Any = 64,
     engine: str = "auto",
     scenario: str,
 ) -> CheckedRun:
     """`simulate`, with the feasibility of the reference returned instead of warned of."""
     times = sampling_times(duration, control_period)
-    kind = float_type(precision)
-    check_accuracy(accuracy, substeps, np.finfo(kind).bits)
-    check_engine(engine, kind)
+    check_accuracy(accuracy, substeps)
+    check_engine(engine)
     problem = single_run(SimulationProblem.of(plant, controller, reference, initial), control_period, "simulate_many")
     amplitude = problem.controller.stiffness_amplitude
     setpoints = sampled_reference(problem.reference, times)
@@ -289,7 +287,7 @@ def checked_run(
         _raise_why(plant, initial, float(setpoints.angle[0]))
     if substeps is not None:
         plant.check_substeps(*setpoints, control_period, substeps)
-    run = _Run(problem.plant, problem.controller, setpoints, start, control_period, engine, kind)
+    run = _Run(problem.plant, problem.controller, setpoints, start, control_period, engine)
     record, used, resolution = run.solved(accuracy, substeps)
     result = _result(run, record, used, resolution, known=known, scenario=scenario)
     if not resolution.resolved:
@@ -320,9 +318,7 @@ def run_episode(
     accuracy: float = ACCURACY,
 ) -> Result:
     """The result of an episode from a start that exists, without the attainable stiffness."""
-    plant, controller = plant.with_period(control_period), controller.with_period(control_period)
-    plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(start)))
-    run = _Run(plant, controller, setpoints, start, control_period)
+    run = _Run.of(plant, controller, setpoints, start, control_period)
     record, used, resolution = run.solved(accuracy, substeps)
     return _result(run, record, used, resolution)
 
@@ -343,22 +339,12 @@ def needed_substeps(
     """
     check_accuracy(accuracy)
     _, setpoints = sampled(reference, duration, control_period)
-    plant, controller = plant.with_period(control_period), controller.with_period(control_period)
-    plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(initial)))
-    return episode_substeps(plant, controller, setpoints, start, control_period, accuracy)
+    return episode_substeps(*_Run.of(plant, controller, setpoints, initial, control_period), accuracy=accuracy)
 
 
-def episode_substeps(
-    plant: JointPlant,
-    controller: Controller,
-    setpoints: Setpoint,
-    start: PlantState,
-    control_period: float,
-    accuracy: float,
-) -> int:
-    """`needed_substeps` of an episode of `numeric` parts."""
-    run = _Run(plant, controller, setpoints, start, control_period)
-    return nominal_substeps(run.refined(accuracy, []), accuracy)
+def episode_substeps(*parts: Any, accuracy: float) -> int:
+    """`needed_substeps` of an episode of `numeric` plant, controller, setpoints, start and control period [s]."""
+    return nominal_substeps(_Run(*parts).refined(accuracy, []), accuracy)
 
 
 class _Run(NamedTuple):
@@ -370,21 +356,26 @@ class _Run(NamedTuple):
     start: PlantState
     control_period: float
     engine: str = "auto"
-    kind: Any = np.dtype(np.float64)
+
+    @classmethod
+    def of(cls, plant: Any, controller: Any, setpoints: Setpoint, start: PlantState, period: float) -> _Run:
+        """From parts that are neither `numeric` nor completed."""
+        plant, controller = plant.with_period(period), controller.with_period(period)
+        plant, controller, setpoints, start = numeric((plant, controller, setpoints, plant.complete_state(start)))
+        return cls(plant, controller, setpoints, start, period)
 
     def record(self, substeps: int) -> tuple[Record, str]:
         """The record with a number of integration steps per period, and the engine that computed it."""
-        parts = self.plant, self.controller, self.setpoints, self.start
-        parts = parts if self.kind == np.float64 else cast(parts, self.kind)
-        (_, record), used = run_alone(self.engine, *parts, np.asarray(self.control_period, self.kind), substeps)
+        parts = self.plant, self.controller, self.setpoints, self.start, np.asarray(self.control_period)
+        (_, record), used = run_alone(self.engine, *parts, substeps)
         return record, used
 
     def refined(self, accuracy: float, solutions: list[tuple[Record, str]]) -> Refinement:
-        """Step doubling with 64 bits; `solutions` keeps the last one."""
-        exact, desired = self._replace(kind=np.dtype(np.float64)), np.asarray(self.setpoints.angle)[:, None]
+        """Step doubling; `solutions` keeps the last one."""
+        desired = np.asarray(self.setpoints.angle)[:, None]
 
         def solve(substeps: int, _: Runs) -> Positions:
-            solutions[:] = [exact.record(substeps)]
+            solutions[:] = [self.record(substeps)]
             return np.asarray(solutions[0][0].state.angle)[None, :, None]
 
         return refine(
@@ -402,12 +393,7 @@ class _Run(NamedTuple):
             return *self.record(substeps), Resolution(substeps)
         solutions: list[tuple[Record, str]] = []
         found = resolution_of(self.refined(accuracy, solutions), accuracy)
-        if self.kind == np.float64:
-            return *solutions[0], found
-        rounded, used = self.record(found.substeps)
-        if found.resolved:
-            found = found.with_rounding(solutions[0][0].state.angle, rounded.state.angle)
-        return rounded, used, found
+        return *solutions[0], found
 
 
 def _result(
@@ -421,11 +407,8 @@ def _result(
 ) -> Result:
     """Result of a run; much is computed when it is first asked for."""
     plant, controller, setpoints = run.plant, run.controller, run.setpoints
-    period = np.asarray(run.control_period, run.kind)
-    if run.kind != np.float64:
-        plant, controller, setpoints = cast((plant, controller, setpoints), run.kind)
     state, telemetry = record.state, dict(record.telemetry)
-    commands = plant.arriving(state, record.commands, period)
+    commands = plant.arriving(state, record.commands, run.control_period)
     telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
     telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
     telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
@@ -473,7 +456,7 @@ def _padded(values: ArrayLike) -> Any:
 def start_of(problem: SimulationProblem, setpoints: Setpoint, *, engine: str = "auto") -> tuple[PlantState, Array]:
     """Return the initial state, and whether it exists, of a problem without controller and reference."""
     parts = problem, jax.tree.map(lambda one: np.asarray(one)[:1], setpoints)
-    return compute_with(engine, np.float64, lambda: _native_start(parts), lambda: _start_by_xla(*parts))[0]
+    return compute_with(engine, lambda: _native_start(parts), lambda: _start_by_xla(*parts))[0]
 
 
 @NativeFunction

@@ -48,10 +48,7 @@ def _compiler_version(path: str) -> str:
 def engine_of_job(
     trial: Callable[[], Collection[str]], kept: Mapping[str, str] | None = None, engine: str = "auto"
 ) -> str:
-    """Engine of all results of a job that is stored: "native", "xla" or "cuda".
-
-    A new job uses XLA if it is among the engines of trial runs, a continued one if its `kept` software names it.
-    """
+    """Engine of all results of a stored job: XLA if trial runs of a new job, or the `kept` software, used it."""
     if engine == "auto" and kept is not None and kept.get("engine") in ("xla", "cuda"):
         engine = kept["engine"]
     chosen = check_engine(engine, many=True)

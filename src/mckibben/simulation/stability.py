@@ -32,10 +32,7 @@ _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a consta
 
 
 class LinearLoop(NamedTuple):
-    """Linearisation of the closed loop over a control period: x' = a x + b d, u = c x.
-
-    u are the commands of the controller, and d a disturbance of them.
-    """
+    """The closed loop over a control period: x' = a x + b d, u = c x, with commands u and their disturbance d."""
 
     a: Any
     b: Any
@@ -43,43 +40,26 @@ class LinearLoop(NamedTuple):
 
 
 class Margins(NamedTuple):
-    """Margins along a run; every leaf has the shape (points,), loci and frequencies aside.
+    """Margins along a run; every leaf has the shape (points,) unless another is given.
 
     The loop is opened at the commands of both valves. Infinite where no disturbance of any size leads to instability,
-    and 0 at an unstable point.
-
-    Attributes
-    ----------
-    time
-        Of the operating point [s].
-    radius
-        Largest modulus of the poles in discrete time; below 1 for a stable loop.
-    gain, phase, delay
-        Smallest factor of both commands, phase [rad], and delay [s], beyond which the loop is unstable.
-    disk
-        Disk margin alpha of both commands at once, each with its own gain and phase, without skew: gains from
-        (2 - alpha)/(2 + alpha) to its inverse and phases up to 2 arctan(alpha / 2).
-    frequency
-        [Hz], shape (frequencies,).
-    sensitivity
-        Largest singular value of the sensitivity at the commands, shape (points, frequencies).
-    loci
-        Eigenvalues of the open loop, shape (points, frequencies, 2).
+    and 0 at an unstable point. The disk margin alpha is that of both commands at once, each with its own gain and
+    phase, without skew: gains from (2 - alpha)/(2 + alpha) to its inverse and phases up to 2 arctan(alpha / 2).
 
     References
     ----------
     P. Seiler, A. Packard and P. Gahinet, An introduction to disk margins, IEEE Control Systems Magazine 40, 2020.
     """
 
-    time: NDArray[np.float64]
-    radius: NDArray[np.float64]
-    gain: NDArray[np.float64]
-    phase: NDArray[np.float64]
-    delay: NDArray[np.float64]
+    time: NDArray[np.float64]  # of the operating point [s]
+    radius: NDArray[np.float64]  # largest modulus of the poles in discrete time; below 1 for a stable loop
+    gain: NDArray[np.float64]  # smallest factor of both commands beyond which the loop is unstable
+    phase: NDArray[np.float64]  # likewise [rad]
+    delay: NDArray[np.float64]  # likewise [s]
     disk: NDArray[np.float64]
-    frequency: NDArray[np.float64]
-    sensitivity: NDArray[np.float64]
-    loci: NDArray[np.complex128]
+    frequency: NDArray[np.float64]  # shape (frequencies,) [Hz]
+    sensitivity: NDArray[np.float64]  # largest singular value at the commands, shape (points, frequencies)
+    loci: NDArray[np.complex128]  # eigenvalues of the open loop, shape (points, frequencies, 2)
 
     def __repr__(self) -> str:
         least = ", ".join(f"{name} {margin.min():.3g}" for name, margin in self.in_shown_units().items())
@@ -106,12 +86,7 @@ def margins(
     A reading delay of the sensors counts as a delay of the commands. Where a command or a pressure is at its limit the
     linearised loop is open, and its margins are infinite.
 
-    Raises
-    ------
-    SimulationError
-        If the times do not fit together.
-    RangeError
-        If there are no points.
+    Raises `SimulationError` if the times do not fit together; `RangeError` if there are no points.
     """
     check_positive("margins", points=points)
     times = sampling_times(duration, control_period)
@@ -137,12 +112,7 @@ def linear_loop(
 
     As for `margins`; names are attributes of the states of plant and controller, such as "plant.angle".
 
-    Raises
-    ------
-    ParameterError
-        If the time is not within the duration.
-    SimulationError
-        If the times do not fit together.
+    Raises `ParameterError` if the time is not within the duration; `SimulationError` if the times do not fit together.
     """
     times = sampling_times(duration, control_period)
     if not 0 <= time <= duration:
@@ -195,12 +165,7 @@ def disk_margins(
     As `margins`, at fewer points and frequencies, for a batch: arguments as for `simulate_many`, with arrays in place
     of numbers. Shape (runs,).
 
-    Raises
-    ------
-    ParameterError
-        If all runs are the same.
-    SimulationError
-        If the times do not fit together.
+    Raises `ParameterError` if all runs are the same; `SimulationError` if the times do not fit together.
     """
     times = sampling_times(duration, control_period)
     problem = SimulationProblem.of(_without_noise(plant, control_period), controller, reference, initial)

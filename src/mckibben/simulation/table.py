@@ -208,10 +208,9 @@ class RunTable:
 class Batch(RunTable):
     """Results of a batch; ``batch["angle_rmse"]`` is a column as an array.
 
-    `table` has along ``run`` the metrics (SI; those of several joints along ``joint`` and ``run``), ``outcome`` (a
-    code; its attribute ``flag_meanings`` lists the names), ``substeps`` (integration steps per control period),
-    ``error_estimate`` (of the angle by the integration [rad]), ``chaotic``, and the values of `over`; along ``run`` and
-    ``time`` the kept parts of the trajectories. `kind` is the class of the metrics.
+    `table` has as well ``substeps`` (integration steps per control period), ``error_estimate`` (of the angle by the
+    integration [rad]), ``chaotic``, and the values of `over`; along ``run`` and ``time`` the kept parts of the
+    trajectories. Metrics of several joints are along ``joint`` and ``run``. `kind` is the class of the metrics.
     """
 
     kind: type = Metrics

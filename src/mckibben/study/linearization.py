@@ -23,33 +23,18 @@ _STATES = {"angle": "plant.angle", "velocity": "plant.velocity"}
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """Deviations from an operating point over a control period: x' = A x + B u, y = C x + D u.
-
-    Attributes
-    ----------
-    a, b, c, d
-        Matrices, in SI.
-    states, inputs, outputs
-        Names, such as "plant.angle" of a state; the outputs are both commands of the controller [Pa], the angle [rad]
-        and its velocity [rad/s].
-    period
-        Control period [s].
-    time
-        Operating point, the start of a control period [s].
-    closed
-        Whether the loop is closed; open, the inputs are the commands that the valves receive.
-    """
+    """Deviations from an operating point over a control period, in SI: x' = A x + B u, y = C x + D u."""
 
     a: Floats
     b: Floats
     c: Floats
     d: Floats
-    states: tuple[str, ...]
+    states: tuple[str, ...]  # names, such as "plant.angle"
     inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    period: float
-    time: float
-    closed: bool
+    outputs: tuple[str, ...]  # commands of the controller [Pa], angle [rad] and velocity [rad/s]
+    period: float  # of the control [s]
+    time: float  # operating point, the start of a control period [s]
+    closed: bool  # or open: the inputs are the commands that the valves receive
 
     def __repr__(self) -> str:
         kind = "closed" if self.closed else "open"

@@ -10,25 +10,15 @@ import numpy as np
 from mckibben.control import OpenLoopControl, Samples
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import OptimalCommands, Result, optimal_commands, simulate
-from mckibben.units import deg
 
 
 @dataclass(frozen=True)
 class OracleResult:
-    """A run of a controller, and the same run with optimal commands.
-
-    Attributes
-    ----------
-    controlled, optimal
-        Results of both runs.
-    starts
-        Optima found from the commands of the controller, and from commands that stay as they begin; the optimal run is
-        that of least cost.
-    """
+    """A run of a controller, and the same run with optimal commands, those of least cost of two starts."""
 
     controlled: Result
     optimal: Result
-    starts: tuple[OptimalCommands, OptimalCommands]
+    starts: tuple[OptimalCommands, OptimalCommands]  # from the controller's commands, and from constant ones
 
     @property
     def ratio(self) -> float:
@@ -36,24 +26,10 @@ class OracleResult:
         return self.controlled.metrics["angle_rmse"] / self.optimal.metrics["angle_rmse"]
 
 
-def oracle(
-    scenario: Scenario, *, angle_scale: float = 0.02 * deg, stiffness_scale: float = 0.5, iterations: int = 100
-) -> OracleResult:
-    """Simulate a scenario, and optimise its commands for its plant off line (`optimal_commands`).
+def oracle(scenario: Scenario, **options: Any) -> OracleResult:
+    """Simulate a scenario, and optimise its commands for its plant off line with options of `optimal_commands`.
 
-    Parameters
-    ----------
-    scenario
-        Plant, controller and reference.
-    angle_scale, stiffness_scale, iterations
-        As for `optimal_commands`.
-
-    Raises
-    ------
-    ScenarioError
-        If the parts of the scenario do not fit together, or no pressures hold its start.
-    SimulationError
-        If a run diverges.
+    Raises `ScenarioError` if its parts do not fit together or it cannot start, `SimulationError` if a run diverges.
     """
     controlled = run_scenario(scenario).result
     plant, reference = scenario.plant(), scenario.reference()
@@ -62,16 +38,7 @@ def oracle(
     settings: Any = {"duration": scenario.duration, "control_period": scenario.control_period, "substeps": substeps}
     commands = np.stack([controlled["command1"], controlled["command2"]], axis=1)
     first, second = (
-        optimal_commands(
-            plant,
-            reference,
-            initial,
-            begun,
-            angle_scale=angle_scale,
-            stiffness_scale=stiffness_scale,
-            iterations=iterations,
-            **settings,
-        )
+        optimal_commands(plant, reference, initial, begun, **settings, **options)
         for begun in (commands, np.broadcast_to(commands[0], commands.shape))
     )
     best = min(first, second, key=lambda found: found.cost)

@@ -35,39 +35,19 @@ SHOWN = {
 
 @dataclass(frozen=True)
 class StiffnessTests:
-    """Stiffness over amplitude and rate of a motion about the angle held by a scenario's controller.
-
-    Attributes
-    ----------
-    scenario
-        Scenario.
-    angle, pressures, asked
-        Angle [rad] and gauge pressures [Pa] held, and the stiffness setpoint [N*m/rad].
-    isobaric, closed_valve
-        Slopes without friction (Eq. 8), at constant pressures and with closed valves [N*m/rad].
-    polytropic_index
-        n of the closed valves; for air with a temperature that of fast motion.
-    secant, closed_secant
-        Closed forms with friction (`AntagonisticJoint.secant_stiffness`) over the amplitudes of the tests [N*m/rad].
-    tests
-        Simulated tests by name: constant pressures, closed valves, constant commands (with an `AirValve`, which lets
-        the pressure vary), and the active controller.
-    closed_dynamic
-        Closed form of K' + i K'' with closed valves over the rates, without friction [N*m/rad], for air with a
-        temperature (`wall_conductance`); else None.
-    """
+    """Stiffness [N*m/rad] over amplitude and rate of a motion about the angle held by a scenario's controller."""
 
     scenario: Scenario
-    angle: float
-    pressures: tuple[float, float]
-    asked: float
-    isobaric: float
-    closed_valve: float
-    polytropic_index: float
-    secant: Values
+    angle: float  # held [rad]
+    pressures: tuple[float, float]  # held, gauge [Pa]
+    asked: float  # setpoint
+    isobaric: float  # slope without friction (Eq. 8), at constant pressures
+    closed_valve: float  # likewise, with closed valves
+    polytropic_index: float  # of the closed valves; for air with a temperature that of fast motion
+    secant: Values  # with friction, over the amplitudes (`AntagonisticJoint.secant_stiffness`)
     closed_secant: Values
-    tests: dict[str, DynamicStiffness]
-    closed_dynamic: NDArray[np.complex128] | None = None
+    tests: dict[str, DynamicStiffness]  # simulated, by name
+    closed_dynamic: NDArray[np.complex128] | None = None  # K' + i K'' over the rates, for air with a temperature
 
     def __repr__(self) -> str:
         low, high = self.secant.min(), self.secant.max()
@@ -106,6 +86,10 @@ class StiffnessTests:
 
     def records(self) -> dict[str, Any]:
         """The results as plain data; angles in deg, pressures in bar, stiffness in N*m/rad."""
+        dynamic = self.closed_dynamic
+        closed = (
+            {} if dynamic is None else {"closed_storage": dynamic.real.tolist(), "closed_loss": dynamic.imag.tolist()}
+        )
         return {
             "scenario": self.scenario.name,
             "angle_deg": self.angle / deg,
@@ -117,17 +101,12 @@ class StiffnessTests:
             "amplitude_deg": (self.amplitudes / deg).tolist(),
             "secant": self.secant.tolist(),
             "closed_secant": self.closed_secant.tolist(),
-            **self._closed_records(),
+            **closed,
             "tests": {
                 name: {key: getattr(test, key).tolist() for key in ("frequency", "stiffness", "loss")}
                 for name, test in self.tests.items()
             },
         }
-
-    def _closed_records(self) -> dict[str, Any]:
-        if self.closed_dynamic is None:
-            return {}
-        return {"closed_storage": self.closed_dynamic.real.tolist(), "closed_loss": self.closed_dynamic.imag.tolist()}
 
 
 def stiffness_tests(
@@ -135,12 +114,7 @@ def stiffness_tests(
 ) -> StiffnessTests:
     """Hold the first setpoint of a scenario for 2 s, and test the stiffness over amplitudes [rad] and rates [Hz].
 
-    Raises
-    ------
-    RangeError
-        If an amplitude or a rate is not positive, or a cycle is shorter than 100 control periods.
-    SimulationError
-        If the plant needs more substeps.
+    Raises `RangeError` for one that is not positive or too high, `SimulationError` if the plant needs more substeps.
     """
     report = progress or silent
     plant, controller = scenario.plant(), scenario.control()

@@ -48,6 +48,9 @@ def joint_bands(
 ) -> JointBands:
     """Torque and stiffness of a joint with their uncertainty; a slack muscle contributes nothing.
 
+    Raises `IdentificationError` if a fit was read from a file, or there are no such groups; `ParameterError` if there
+    are not one or two fits.
+
     Parameters
     ----------
     joint
@@ -58,13 +61,6 @@ def joint_bands(
         Angle [rad] and gauge pressures [Pa]; they broadcast.
     level, by
         As for `Fit.intervals`.
-
-    Raises
-    ------
-    IdentificationError
-        If a fit was read from a file, or there are no such groups.
-    ParameterError
-        If there are not one or two fits.
 
     Examples
     --------
@@ -84,10 +80,9 @@ def joint_bands(
     pair: Sequence[Fit] = (fits,) if one else fits
     if not all(isinstance(fit, Fit) for fit in pair) or len(pair) not in (1, 2):
         raise ParameterError("a joint has two muscles", remedy="give one fit for both, or a tuple of two")
-    first, last = pair[0], pair[-1]
+    both = pair[0], pair[-1]
     values = tuple(np.array(list(fit.estimates.values())) for fit in pair)
-    both = first, last
-    with_laws = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, (first.law, last.law))
+    with_laws = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, tuple(fit.law for fit in both))
     pressures = pressure_pair(pressures)  # type: ignore[arg-type]  # JAX accepts the same arrays as NumPy
     where = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (angle, *pressures)))
     shape = where[0].shape

@@ -49,32 +49,17 @@ _PENALTY = 10.0  # penalty on the angle error, relative to the excess of air or 
 class BenchmarkResult:
     """Result of a benchmark, by controller.
 
-    Attributes
-    ----------
-    runs
-        Evaluation runs.
-    tuned
-        Tuned values [SI] by name; empty for an untuned controller.
-    training_cost
-        Cost of a tuned controller on the training runs, after and before tuning.
-    at_bound
-        Parameters at an end of their range.
-    batches
-        Results in the evaluation runs.
-    trials
-        Tuning trials, with the median metrics of the training runs if no run diverged.
-    at_air
-        Evaluation at equal air: for each controller, the trial of lowest angle error on its Pareto front with no more
-        air than the tuned first controller, by medians of the training runs. None if the first is not tuned.
+    `at_air` is the evaluation at equal air: for each controller, the trial of lowest angle error on its Pareto front
+    with no more air than the tuned first controller, by medians of the training runs; None if the first is not tuned.
     """
 
     suite: Suite
-    runs: Runs
-    tuned: dict[str, dict[str, float]]
-    training_cost: dict[str, tuple[float, float]]
-    at_bound: dict[str, tuple[str, ...]]
-    batches: dict[str, Batch]
-    trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)
+    runs: Runs  # of the evaluation
+    tuned: dict[str, dict[str, float]]  # values [SI] by name; empty for an untuned controller
+    training_cost: dict[str, tuple[float, float]]  # on the training runs, after and before tuning
+    at_bound: dict[str, tuple[str, ...]]  # parameters at an end of their range
+    batches: dict[str, Batch]  # results in the evaluation runs
+    trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of the training runs
     at_air: BenchmarkResult | None = None
 
     def __repr__(self) -> str:
@@ -139,19 +124,15 @@ def compare(
 ) -> BenchmarkResult:
     """Tune the controllers of a suite and compare them on its evaluation runs.
 
+    Raises `ParameterError` if a controller has nothing to tune, no trial succeeds, or no run can start; `FileError` as
+    for `tune`.
+
     Parameters
     ----------
     folder, resume
         Folder for the tuning histories, one file per controller, and whether to continue existing ones.
     progress
         Called with the current step and the completed fraction, 0 to 1. Default: a progress bar in notebooks.
-
-    Raises
-    ------
-    ParameterError
-        If a controller has nothing to tune, no trial succeeds, or no run can start.
-    FileError
-        As for `tune`.
     """
     progress = progress or notebook_progress()
     training = draw(suite, suite.tuning.runs, suite.tuning.seed)
@@ -213,47 +194,43 @@ def _none_starts(runs: str) -> ParameterError:
 
 @dataclass(frozen=True, eq=False)
 class ControllerTuning:
-    """Tuning of one controller of a suite on training runs.
-
-    The searches for the lowest cost are followed by one for the lowest angle error at a given air [m^3], both medians
-    (default: the air of the best trial so far). `wrapped` are tuned values [SI] of controllers that this one wraps.
-    """
+    """Tuning of one controller on training runs: for lowest cost, then for lowest angle error at equal air."""
 
     suite: Suite
     controller: str
     space: SearchSpace
     runs: Runs
-    air: float | None = None
-    wrapped: Mapping[str, float] = field(default_factory=dict)
+    air: float | None = None  # median [m^3] of the last search; None: that of the best trial so far
+    wrapped: Mapping[str, float] = field(default_factory=dict)  # tuned values [SI] of controllers that it wraps
 
     @cached_property
     def _scenario(self) -> Scenario:
         return self.suite.scenario(self.controller, next(iter(self.suite.references)))
+
+    @cached_property
+    def _nominal(self) -> dict[str, NDArray[np.float64]]:
+        """Table of the nominal values; empty if they are not valid."""
+        table = dict(zip(self.space.names, self.space.nominal[:, None], strict=True))
+        return table if valid_rows(self._scenario, table).all() else {}
 
     _given: dict[str, Runs] = field(default_factory=dict, repr=False)
 
     def _training(self, engine: str) -> Runs:
         """The runs with the integration steps that the nominal values need, which all trials have."""
         if engine not in self._given:
-            self._given[engine] = self._with_steps(engine)
+            self._given[engine] = self.runs
+            if self.suite.substeps is None and self._nominal:
+                batch = _simulated_all(self.runs, self.controller, self._nominal, 1, ("angle_rmse",), engine)
+                suite = self.suite.model_copy(update={"substeps": int(batch["substeps"].max())})
+                self._given[engine] = replace(self.runs, suite=suite)
         return self._given[engine]
-
-    def _with_steps(self, engine: str) -> Runs:
-        table = dict(zip(self.space.names, self.space.nominal[:, None], strict=True))
-        if self.suite.substeps is not None or not valid_rows(self._scenario, table).all():
-            return self.runs
-        batch = _simulated_all(self.runs, self.controller, table, 1, ("angle_rmse",), engine)
-        return replace(self.runs, suite=self.suite.model_copy(update={"substeps": int(batch["substeps"].max())}))
 
     @property
     def _starts(self) -> int:
         return self.suite.tuning.starts_of.get(self.controller, self.suite.tuning.starts)
 
     def evaluate(self, values: Vector, engine: str = "auto") -> Evaluated:
-        """Mean cost and median metrics of rows of values [SI] over the training runs that can start.
-
-        With a delay margin the cost is the larger of two, without and with the longer delay of the commands.
-        """
+        """Mean cost and median metrics of rows of values [SI] over the training runs that can start."""
         table = dict(zip(self.space.names, values.T, strict=True))
         good = valid_rows(self._scenario, table)
         if not good.any():
@@ -295,14 +272,10 @@ class ControllerTuning:
 
     def _engines_used(self) -> set[str]:
         """Engines of the runs with the nominal values."""
-        table = dict(zip(self.space.names, self.space.nominal[:, None], strict=True))
-        if not valid_rows(self._scenario, table).all():
-            return set()
         used = set()
-        for group in self.runs.groups:
-            control = _controller(self.runs, group, self.controller, table, 1)
-            batch = _simulated(self.suite, group, control, 1, self._metrics, "auto")
-            used.add(batch.table.attrs["engine"])
+        for group in self.runs.groups if self._nominal else ():
+            control = _controller(self.runs, group, self.controller, self._nominal, 1)
+            used.add(_simulated(self.suite, group, control, 1, self._metrics, "auto").engine)
         return used
 
     @property
@@ -319,10 +292,7 @@ class ControllerTuning:
             "software": software(engine),
             "controller": self.controller,
             "runs": hashlib.sha256(content.encode()).hexdigest(),
-            "duration": self.suite.duration,
-            "control_period": self.suite.control_period,
-            "accuracy": self.suite.accuracy,
-            "substeps": self.suite.substeps,
+            **self.suite.timing,
             "parameters": [each.text for each in self.space.swept],
             "cost": tuning.cost,
             "population": tuning.population,
@@ -411,10 +381,7 @@ class ControllerTuning:
 
 
 def _error_at_air(trial: Trial, air: float, stiffness: float, failed: float) -> float:
-    """Angle error [rad] of a trial, penalised for exceeding an air [m^3] and a stiffness error [N*m/rad].
-
-    `FAILED_COST` if more training runs failed than in other trials.
-    """
+    """Angle error [rad] of a trial, with a penalty on more air [m^3], stiffness error [N*m/rad] or failed runs."""
     if trial.metrics is None or trial.metrics.get(FAILED_RUNS, 0.0) > failed:
         return FAILED_COST
     excess = max(trial.metrics["air"] / air - 1, 0) + max(trial.metrics["stiffness_rmse"] / stiffness - 1, 0)
@@ -475,15 +442,4 @@ def _simulated(
 ) -> Batch:
     """Simulate the runs of a group with a controller of sets of values."""
     plant, reference = (_tiled(part, sets) for part in (group.plant, group.reference))
-    return simulate_many(
-        plant,
-        controller,
-        reference,
-        duration=suite.duration,
-        control_period=suite.control_period,
-        accuracy=suite.accuracy,
-        substeps=suite.substeps,
-        metrics=metrics,
-        engine=engine,
-        progress=silent,
-    )
+    return simulate_many(plant, controller, reference, **suite.timing, metrics=metrics, engine=engine, progress=silent)

@@ -26,23 +26,13 @@ Column = NDArray[Any]
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Runs whose plants differ only in numbers and can be batched.
+    """Runs whose plants differ only in numbers and can be batched."""
 
-    Attributes
-    ----------
-    rows
-        Indices of these runs. Shape (count,).
-    joint, reference_name
-        Names of the joint and the reference of each run.
-    plant, reference
-        Batches with arrays of shape (count, ...) where runs differ, as for `simulate_many`; references are sampled.
-    """
-
-    rows: NDArray[np.int64]
-    joint: Sequence[str]
+    rows: NDArray[np.int64]  # indices of these runs, shape (count,)
+    joint: Sequence[str]  # names, of each run
     reference_name: Sequence[str]
-    plant: JointPlant
-    reference: Reference
+    plant: JointPlant  # with arrays of shape (count, ...) where runs differ, as for `simulate_many`
+    reference: Reference  # sampled
 
     @property
     def count(self) -> int:
@@ -52,28 +42,14 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Runs of a suite.
-
-    Attributes
-    ----------
-    suite
-        The suite.
-    joint, reference_name
-        Names of the joint and the reference of each run.
-    conditions
-        Values [SI] of varied plant parameters by name, one per run.
-    reference_values
-        Values [SI] of varied parameters by name for each reference, one per run in order.
-    groups
-        Plants and references, by groups of runs.
-    """
+    """Runs of a suite."""
 
     suite: Suite
-    joint: Sequence[str]
+    joint: Sequence[str]  # names, of each run
     reference_name: Sequence[str]
-    conditions: dict[str, Column]
-    reference_values: dict[str, dict[str, Column]]
-    groups: tuple[Group, ...]
+    conditions: dict[str, Column]  # values [SI] of varied plant parameters by name, one per run
+    reference_values: dict[str, dict[str, Column]]  # likewise, for each reference, one per run in order
+    groups: tuple[Group, ...]  # plants and references
 
     @property
     def count(self) -> int:
@@ -112,12 +88,8 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
     Joints and references occur in their shares, in random order; parameters are scrambled Sobol points of their ranges.
     If the suite has sensors, each run has its own noise seed.
 
-    Raises
-    ------
-    ParameterError
-        If the conditions of a run do not give a valid scenario.
-    SimulationError
-        If a frequency of a reference is at or above half the control rate, or a plant needs more substeps.
+    Raises `ParameterError` if the conditions of a run do not give a valid scenario; `SimulationError` if a frequency of
+    a reference is at or above half the control rate, or a plant needs more substeps.
     """
     shares = {name: plant.share for name, plant in suite.plants.items()}
     order = np.random.default_rng(seed).spawn(2)
@@ -138,10 +110,9 @@ def _references(suite: Suite, names: Sequence[str], seed: int) -> tuple[dict[str
     setpoints = np.empty((2, len(names), times.size))
     for number, name in enumerate(suite.references):
         rows = _rows(names, name)
-        values[name] = table = (
-            _reference_values(suite, name, rows.size, seed + 7919 * (number + 1)) if rows.size else {}
-        )
+        values[name] = {}
         if rows.size:
+            values[name] = table = _reference_values(suite, name, rows.size, seed + 7919 * (number + 1))
             scenario = suite.scenario(next(iter(suite.controllers)), name)
             reference = (batched(scenario, table) if table else scenario).reference()
             check_frequencies(reference, suite.control_period)

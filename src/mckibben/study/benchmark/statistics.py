@@ -130,12 +130,7 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
 
 
 def front(trials: Sequence[Trial]) -> list[tuple[Trial, dict[str, float]]]:
-    """Pareto front of the trials (air, angle error) with their metrics [SI], by rising air.
-
-    Includes only trials with the fewest failed runs of all (usually none), and with a stiffness error of at most 1.1
-    times that of the best trial. The metrics are medians in which the errors of failed runs are infinite; the air is
-    that of the other runs.
-    """
+    """Pareto front (air, angle error) of trials with fewest failed runs and at most 1.1 times the stiffness error."""
     limit = stiffness_limit(trials)
     known = [(trial, trial.metrics) for trial in _least_failing(trials) if trial.metrics]
     found: list[tuple[Trial, dict[str, float]]] = []

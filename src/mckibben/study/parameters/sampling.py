@@ -38,14 +38,8 @@ class SweptParameter:
         object.__setattr__(self, "distribution", distribution)
         for bound in distribution.bounds:
             if not parameter.holds(bound):
-                raise ParameterError(
-                    f"{parameter.name} reaches {parameter.show(bound)}, which is outside {parameter.range}",
-                    value=bound,
-                    lower=parameter.lower,
-                    upper=parameter.upper,
-                    unit=parameter.unit,
-                    remedy="choose values inside",
-                )
+                message = f"{parameter.name} reaches {parameter.show(bound)}, which is outside {parameter.range}"
+                raise parameter.outside(message, bound)
 
     @property
     def name(self) -> str:
@@ -81,10 +75,7 @@ class SweptParameter:
 def sweep_parameters(scenario: Scenario, distributions: Mapping[str, Distribution]) -> tuple[SweptParameter, ...]:
     """Swept parameters from distributions [SI] by name.
 
-    Raises
-    ------
-    ParameterError
-        If a name is unknown or repeated, or a distribution does not fit its parameter.
+    Raises `ParameterError` if a name is unknown or repeated, or a distribution does not fit its parameter.
 
     Examples
     --------
@@ -133,6 +124,8 @@ _FORMS = "a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 
 def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
     """Parse a parameter and its distribution.
 
+    Raises `ParameterError` if the text is not such a distribution of a parameter of the scenario.
+
     Parameters
     ----------
     text
@@ -150,11 +143,6 @@ def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
         ============================  ============================================================================
     scenario
         Scenario with the parameter and its nominal value.
-
-    Raises
-    ------
-    ParameterError
-        If the text is not such a distribution of a parameter of the scenario.
 
     Examples
     --------
@@ -311,6 +299,8 @@ def sample(
 ) -> Table:
     """Sample combinations of values.
 
+    Raises `ParameterError` if there is no parameter, one is repeated, or a grid has no number of points.
+
     Parameters
     ----------
     swept
@@ -322,11 +312,6 @@ def sample(
         Number of rows, and seed of the scrambling or the draws; not of a grid.
     rows
         Rows of the table to compute, start and end. Default: all.
-
-    Raises
-    ------
-    ParameterError
-        If there is no parameter, one is repeated, or a grid has no number of points.
 
     Examples
     --------

@@ -29,10 +29,7 @@ _APART = 1_000_003  # between the seeds of sessions
 
 
 class MountedMuscle(Component):
-    """Muscle under test; the boundaries of the test follow from its law, or are found without one.
-
-    Friction and creep are those of the simulated rig's muscle, unless it has its own.
-    """
+    """Muscle under test; its law gives the boundaries of the test, friction and creep are for the simulated rig."""
 
     specimen: Specimen
     law: ForceLaw | None = None

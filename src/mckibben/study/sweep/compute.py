@@ -28,6 +28,7 @@ from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, run_many
+from mckibben.simulation import Batch
 from mckibben.simulation.accuracy import STEP_COLUMNS
 from mckibben.simulation.problem import sample_reference, sampling_times
 from mckibben.simulation.simulate import attainable_band
@@ -123,27 +124,18 @@ class BatchTask:
         rows = len(next(iter(table.values())))
         padding = -rows % self.batch_size
         full = {name: np.concatenate([column, np.repeat(column[-1:], padding)]) for name, column in table.items()}
-        batch = run_many(
-            self.scenario,
-            full,
-            known=self.known,
-            metrics=self.metrics,
-            precision=self.precision,
-            chunk=self.batch_size,
-            workers=1,
-            engine=self.software["engine"],
-        )
+        batch = self._run(full, chunk=self.batch_size, engine=engine)
         results = {name: batch.table[name].to_numpy() for name in (*self.metrics, "outcome", *STEP_COLUMNS)}
         results |= feasibility(self.scenario, full, self.batch_size)
         return {name: column[:rows] for name, column in results.items()}
 
     def engines_used(self, table: Table) -> set[str]:
         """Engine chosen automatically for the first run of a table."""
-        first = {name: column[:1] for name, column in table.items()}
-        batch = run_many(
-            self.scenario, first, known=self.known, metrics=self.metrics, precision=self.precision, workers=1
-        )
-        return {batch.table.attrs["engine"]}
+        return {self._run({name: column[:1] for name, column in table.items()}).engine}
+
+    def _run(self, table: Table, **options: Any) -> Batch:
+        own = {"known": self.known, "metrics": self.metrics, "precision": self.precision, "workers": 1}
+        return run_many(self.scenario, table, **own, **options)
 
 
 def _listed(software: dict[str, str]) -> str:

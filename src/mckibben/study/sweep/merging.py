@@ -22,24 +22,11 @@ from mckibben.study.sweep.sweep import TABLE
 def merge(folders: Sequence[str | os.PathLike[str]], out: str | os.PathLike[str]) -> SweepResult:
     """Join the parts of a sweep, computed with `part`, in any order.
 
-    Parameters
-    ----------
-    folders
-        Folders of all parts, of one division.
-    out
-        Output folder. Its table is that of the undivided sweep, byte for byte. If it is there already, as after a
-        `mckibben merge` that was killed during its statistics, it is not written again.
+    Raises `FileError` if a part is missing, given twice, unfinished, damaged, or of another sweep or division; if `out`
+    contains another table; or if the disk is full.
 
-    Returns
-    -------
-    swept
-        The sweep; its columns are read from the file when they are used.
-
-    Raises
-    ------
-    FileError
-        If a part is missing, given twice, unfinished, damaged, or of another sweep or division; if `out` contains
-        another table; or if the disk is full.
+    The table in `out` is that of the undivided sweep, byte for byte. If it is there already, as after a `mckibben
+    merge` that was killed during its statistics, it is not written again. Columns of the result are read when used.
     """
     if not folders:
         raise ParameterError("there is nothing to merge", field="folders", remedy="give the folders of all parts")

@@ -71,11 +71,8 @@ class SweepOptions(NamedTuple):
     def completed(self, begun: Mapping[str, Any]) -> SweepOptions:
         """Options, with missing ones taken from a manifest."""
         kind = begun["design"] if self.design is None else self.design
-        own = self._replace(samples=self.samples if kind != "grid" or self.samples is not None else None)
-        values = {name: begun[name] for name in self._fields if name != "samples"}
-        if kind != "grid":
-            values["samples"] = begun["samples"]
-        return SweepOptions(**{**values, **{name: value for name, value in own._asdict().items() if value is not None}})
+        values = {name: begun[name] for name in self._fields if name != "samples" or kind != "grid"}
+        return SweepOptions(**values | {name: value for name, value in self._asdict().items() if value is not None})
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,11 +22,10 @@ _PIECE = 1 << 16  # ranks that are looked up at once
 
 
 class RankedColumn:
-    """Values without NaN, distributed by size over temporary files that are small enough to be sorted.
+    """Values without NaN, distributed by size over temporary files that are small enough to be sorted."""
 
-    Values that equal one of the `_bounds` between the buckets are only counted, so that repeated ones fill no bucket:
-    the buckets 1, 3, ... are those of equal values.
-    """
+    # Values that equal one of the `_bounds` between the buckets are only counted, so that repeated ones fill no bucket:
+    # the buckets 1, 3, ... are those of equal values.
 
     def __init__(self, pieces: Pieces, most: int) -> None:
         """Read a column of at most so many values."""

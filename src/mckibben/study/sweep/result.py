@@ -148,12 +148,8 @@ class SweepResult(RunTable):
         """
         source = str(path)
         table = load_netcdf(Path(path), lazy=lazy)
-        missing = [
-            name
-            for name in ("outcome", *STEP_COLUMNS, *FEASIBILITY)
-            if name not in table or table[name].dims != ("run",)
-        ]
-        if table.attrs.get("kind") != _KIND or missing:
+        known = (name in table and table[name].dims == ("run",) for name in ("outcome", *STEP_COLUMNS, *FEASIBILITY))
+        if table.attrs.get("kind") != _KIND or not all(known):
             raise FileError(source, [Problem("it is not a sweep", remedy="give the sweep.nc of `mckibben sweep`")])
         found = cls(table)
         for codes in _pieces(found, "outcome"):
@@ -163,10 +159,7 @@ class SweepResult(RunTable):
 
 
 def write_columns(target: BinaryIO, like: xr.Dataset, runs: int, columns: Mapping[str, Iterable[NDArray]]) -> None:
-    """Write a NetCDF file with the attributes and types of a table; each column in pieces, in the order of the runs.
-
-    The pieces do not determine the bytes.
-    """
+    """Write a NetCDF file with attributes and types of a table; the pieces of columns do not determine the bytes."""
     import h5netcdf
 
     with h5netcdf.File(target, "w") as file:
@@ -193,20 +186,12 @@ _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
 def summary(sweep: SweepResult) -> dict[str, Any]:
     """Statistics of a sweep, for JSON.
 
-    Parameters
-    ----------
-    sweep
-        Result of `sweep`.
-
-    Returns
-    -------
-    numbers
-        ``scenario``, ``runs``, ``failed``; ``outcomes``: counts. ``metrics``, under the names and in the units of
-        results, over the runs that did not fail: ``median``, ``percentile_5``, ``percentile_95``, ``worst``,
-        ``worst_run`` (from 0), and the number of ``runs`` with a value; None if there is none. ``correlations``:
-        Spearman's rank correlation of each input with each main metric and with failing, the strongest first.
-        ``feasibility``: numbers of runs with references that the joint cannot hold. ``integration``: largest number of
-        integration steps and largest estimated error, and the number of runs found to be chaotic.
+    ``scenario``, ``runs``, ``failed``; ``outcomes``: counts. ``metrics``, under the names and in the units of results,
+    over the runs that did not fail: ``median``, ``percentile_5``, ``percentile_95``, ``worst``, ``worst_run`` (from 0),
+    and the number of ``runs`` with a value; None if there is none. ``correlations``: Spearman's rank correlation of
+    each input with each main metric and with failing, the strongest first. ``feasibility``: numbers of runs with
+    references that the joint cannot hold. ``integration``: largest number of integration steps and largest estimated
+    error, and the number of runs found to be chaotic.
     """
     pieces = (np.bincount(codes, minlength=len(OUTCOMES)) for codes in _pieces(sweep, "outcome"))
     counts = sum(pieces, start=np.zeros(len(OUTCOMES), np.int64))

@@ -47,22 +47,6 @@ class Cost:
     parameters, and that with all tuned controller gains multiplied by the gain margin and the commands delayed by
     the delay margin.
 
-    Parameters
-    ----------
-    terms
-        Summands.
-    gain_margin
-        Factor by which the gains may increase; 1 for no margin.
-    delay_margin
-        Additional delay of the commands [s], unknown to the controllers; 0 for no margin.
-    worst
-        Whether to use the highest cost over several scenarios or conditions instead of the mean.
-    percentile
-        Use this percentile of the cost over several scenarios or conditions instead of the mean.
-    disk_margin
-        Minimum disk margin of the linearised loop (`mckibben.simulation.disk_margins`) in all scenarios and conditions;
-        0 for none. Parameters without it cost more than any that have it.
-
     Examples
     --------
     >>> from mckibben.units import deg
@@ -72,11 +56,11 @@ class Cost:
     """
 
     terms: tuple[Term, ...]
-    gain_margin: float = 1.0
-    worst: bool = False
-    percentile: float | None = None
-    delay_margin: float = 0.0
-    disk_margin: float = 0.0
+    gain_margin: float = 1.0  # factor by which the gains may increase; 1 for no margin
+    worst: bool = False  # take the highest cost over several scenarios or conditions instead of the mean
+    percentile: float | None = None  # take this percentile of them
+    delay_margin: float = 0.0  # additional delay of the commands, unknown to the controllers [s]
+    disk_margin: float = 0.0  # least of the linearised loop in all of them; parameters without it cost more
 
     def __post_init__(self) -> None:
         names = [term.metric for term in self.terms]
@@ -85,38 +69,22 @@ class Cost:
             raise ParameterError(
                 f"{twice[0]} appears twice" if twice else "the cost has no term", remedy="name each metric once"
             )
-        if not (np.isfinite(self.gain_margin) and self.gain_margin >= 1):
-            raise ParameterError(
-                f"the gain margin is {self.gain_margin:g}", value=self.gain_margin, remedy="give 1 (none) or more"
-            )
-        if not (np.isfinite(self.delay_margin) and self.delay_margin >= 0):
-            raise ParameterError(
-                f"the delay margin is {self.delay_margin:g} s", value=self.delay_margin, remedy="give 0 (none) or more"
-            )
-        if not 0 <= self.disk_margin < 2:
-            remedy = "give 0 (none) or more, below 2: no loop has more"
-            raise ParameterError(f"the disk margin is {self.disk_margin:g}", value=self.disk_margin, remedy=remedy)
-        if self.percentile is not None:
-            if not 0 < self.percentile <= 100:
-                remedy = "give a number above 0, up to 100"
-                raise ParameterError(f"the percentile is {self.percentile:g}", value=self.percentile, remedy=remedy)
-            if self.worst:
-                raise ParameterError("the worst case is the 100th percentile", remedy="give one of the two")
+        percentile = 100.0 if self.percentile is None else self.percentile
+        for what, value, holds, remedy in (
+            ("gain margin", self.gain_margin, 1 <= self.gain_margin < np.inf, "give 1 (none) or more"),
+            ("delay margin [s]", self.delay_margin, 0 <= self.delay_margin < np.inf, "give 0 (none) or more"),
+            ("disk margin", self.disk_margin, 0 <= self.disk_margin < 2, "give 0 (none) to 2, which no loop has"),
+            ("percentile", percentile, 0 < percentile <= 100, "give a number above 0, up to 100"),
+        ):
+            if not holds:
+                raise ParameterError(f"the {what} is {value:g}", value=value, remedy=remedy)
+        if self.percentile is not None and self.worst:
+            raise ParameterError("the worst case is the 100th percentile", remedy="give one of the two")
 
     @classmethod
-    def of(
-        cls,
-        scales: Mapping[str, float],
-        *,
-        gain_margin: float = 1.0,
-        worst: bool = False,
-        percentile: float | None = None,
-        delay_margin: float = 0.0,
-        disk_margin: float = 0.0,
-    ) -> Self:
-        """Cost from metrics and their scales [SI]."""
-        terms = tuple(Term(name, scale) for name, scale in scales.items())
-        return cls(terms, gain_margin, worst, percentile, delay_margin, disk_margin)
+    def of(cls, scales: Mapping[str, float], **options: Any) -> Self:
+        """Cost from metrics and their scales [SI], with options as for `Cost`."""
+        return cls(tuple(Term(name, scale) for name, scale in scales.items()), **options)
 
     @property
     def has_margin(self) -> bool:
@@ -138,23 +106,12 @@ class Cost:
         return " + ".join(_written(term) for term in self.terms)
 
 
-def parse_cost(
-    text: str,
-    *,
-    gain_margin: float = 1.0,
-    worst: bool = False,
-    percentile: float | None = None,
-    delay_margin: float = 0.0,
-    disk_margin: float = 0.0,
-) -> Cost:
-    """Parse a cost such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``.
+def parse_cost(text: str, **options: Any) -> Cost:
+    """Parse a cost such as ``angle_rmse/0.1 deg + 2*stiffness_rmse/0.5 N*m/rad``, with options as for `Cost`.
 
     A single metric needs no scale; each of several metrics needs one, since their units differ.
 
-    Raises
-    ------
-    ParameterError
-        If a term is invalid, or its unit does not fit its metric.
+    Raises `ParameterError` if a term is invalid, or its unit does not fit its metric.
 
     Examples
     --------
@@ -186,7 +143,7 @@ def parse_cost(
         except ValueError:
             raise ParameterError(f"{found['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
         terms.append(Term(metric, size, weight))
-    return Cost(tuple(terms), gain_margin, worst, percentile, delay_margin, disk_margin)
+    return Cost(tuple(terms), **options)
 
 
 def _written(term: Term) -> str:

@@ -48,6 +48,9 @@ def stability_margin(
     limit cycle, which can be distinguished from slow tracking only with a small reference motion, as in
     `on_small_step`.
 
+    Raises `ParameterError` if a parameter is unknown, zero or has no value, or a factor takes it outside its range; if
+    the nominal run fails; or if a number is not above 1.
+
     Parameters
     ----------
     names
@@ -65,12 +68,6 @@ def stability_margin(
     float
         Largest factor below the first unstable one, to a step of the factors (3.7 % for 10); infinite if all are
         stable.
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is unknown, zero or has no value, or a factor takes it outside its range; if the nominal run
-        fails; or if a number is not above 1.
     """
     for what, number in (("largest", largest), ("growth", growth)):
         if not (np.isfinite(number) and number > 1):
@@ -97,15 +94,11 @@ def lost_margin(before: float, after: float) -> str:
 
 
 class Robustness(NamedTuple):
-    """A scenario under conditions: RMS angle errors [rad], infinite if diverged, and stability on a small step.
+    """A scenario under conditions, and its stability on a small step."""
 
-    `unstable` counts the conditions in which the error exceeds the step; the gain margin is then 0. It is None if there
-    are no gains.
-    """
-
-    angle_rmse: NDArray[np.float64]
-    unstable: int
-    gain_margin: float | None
+    angle_rmse: NDArray[np.float64]  # [rad], infinite if diverged
+    unstable: int  # conditions in which the error exceeds the step
+    gain_margin: float | None  # 0 if there are such; None if there are no gains
 
 
 def in_conditions(
@@ -122,10 +115,8 @@ def in_conditions(
         return Robustness(moved, 0, None)
     tuned = find_parameters(scenario, gains)
     same = {tuned[0].name: np.full(moved.size, tuned[0].nominal)}  # conditions may concern only the reference
-    small, rows = (
-        on_small_step(scenario),
-        same | {n: x for n, x in conditions.items() if n.split(".")[0] not in _OF_STEP},
-    )
+    small = on_small_step(scenario)
+    rows = same | {n: x for n, x in conditions.items() if n.split(".")[0] not in _OF_STEP}
     if unstable := int((errors(small, rows) > SMALL_STEP).sum()):
         return Robustness(moved, unstable, 0.0)
     most = min(largest, *(float(each.upper) / float(each.nominal or 1.0) for each in tuned))
@@ -134,10 +125,7 @@ def in_conditions(
 
 
 def metrics_and_margins(scenario: Scenario) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the metrics of a run and its least stability margins, by name and in shown units.
-
-    They are NaN if the scenario cannot be run, as an untuned one may not.
-    """
+    """Metrics of a run and its least stability margins, by name and in shown units; NaN if it cannot be run."""
     margins: dict[str, float] = dict.fromkeys(("gain", "phase_deg", "delay_ms", "disk"), np.nan)
     try:
         metrics = in_shown_units(run_scenario(scenario).result.metrics)

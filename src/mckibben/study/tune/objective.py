@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from mckibben.scenario import (
     run_many,
     valid_rows,
 )
-from mckibben.simulation import differentiate, disk_margins
+from mckibben.simulation import Batch, differentiate, disk_margins
 from mckibben.simulation.problem import SimulationProblem, check_frequencies, split_problem
 from mckibben.study.parameters import SweptParameter, Table
 from mckibben.study.tune.cost import Cost
@@ -166,11 +167,10 @@ class TuningProblem:
         """Engines of the runs at the nominal values."""
         used = set()
         for scenario in self.scenarios:
-            good, rows = self._valid(scenario, self._with_margin(self.space.nominal[None]))
+            good, table = self._valid(scenario, self._with_margin(self.space.nominal[None]))
             if good.any():
-                table = {name: column[np.argmax(good)][None] for name, column in self._table(scenario, rows).items()}
-                batch = run_many(scenario, table, known=self._known(scenario), metrics=self.cost.metrics)
-                used.add(batch.table.attrs["engine"])
+                first = {name: column[np.argmax(good)][None] for name, column in table.items()}
+                used.add(self._run(scenario, first).engine)
         return used
 
     def _given_steps(self, scenario: Scenario) -> Scenario:
@@ -178,11 +178,10 @@ class TuningProblem:
         if scenario.substeps is not None:
             return scenario
         if id(scenario) not in self._given:
-            good, rows = self._valid(scenario, self._with_margin(self.space.nominal[None]))
-            table, known = self._table(scenario, rows), self._known(scenario)
+            good, table = self._valid(scenario, self._with_margin(self.space.nominal[None]))
             steps = None
             if good.any():
-                batch = run_many(scenario, table, known=known, metrics=("angle_rmse",), engine=self.engine)
+                batch = self._run(scenario, table, metrics=("angle_rmse",), engine=self.engine)
                 steps = int(batch["substeps"][good].max())
             self._given[id(scenario)] = scenario.model_copy(update={"substeps": steps})
         return self._given[id(scenario)]
@@ -193,9 +192,8 @@ class TuningProblem:
             raise ParameterError("the disk margin has no gradient", remedy="use cma or evolution for it")
         rough = [name for name in self.cost.metrics if name not in SMOOTH]
         if rough:
-            raise ParameterError(
-                f"{', '.join(rough)} counts control periods and has no gradient", remedy="use cma or evolution for it"
-            )
+            message = f"{', '.join(rough)} counts control periods and has no gradient"
+            raise ParameterError(message, remedy="use cma or evolution for it")
         for scenario in self.scenarios:
             for each in self.space.swept:
                 self._leaves(scenario, each)
@@ -240,28 +238,31 @@ class TuningProblem:
             table[_DELAY] = own + self.cost.delay_margin * late
         return table
 
-    def _valid(self, scenario: Scenario, rows: Vector) -> tuple[NDArray[np.bool_], Vector]:
-        """Mask of the valid rows, and the rows with invalid ones replaced by a valid one."""
+    def _valid(self, scenario: Scenario, rows: Vector) -> tuple[NDArray[np.bool_], Table]:
+        """Mask of the valid rows, and the table of the rows with invalid ones replaced by a valid one."""
         good = valid_rows(scenario, self._table(scenario, rows))
-        return good, rows if good.all() else np.where(good[:, None], rows, rows[np.argmax(good)])
+        rows = rows if good.all() else np.where(good[:, None], rows, rows[np.argmax(good)])
+        return good, self._table(scenario, rows)
+
+    def _run(self, scenario: Scenario, table: Table, **options: Any) -> Batch:
+        return run_many(scenario, table, **{"known": self._known(scenario), "metrics": self.cost.metrics} | options)
 
     def _metrics(self, scenario: Scenario, rows: Vector, workers: int) -> dict[str, Vector]:
-        good, rows = self._valid(scenario, rows)
+        good, table = self._valid(scenario, rows)
         if not good.any():
             return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
-        table, known, stepped = self._table(scenario, rows), self._known(scenario), self._given_steps(scenario)
-        batch = run_many(stepped, table, known=known, metrics=self.cost.metrics, workers=workers, engine=self.engine)
+        batch = self._run(self._given_steps(scenario), table, workers=workers, engine=self.engine)
         good &= batch.usable
         return {name: np.where(good, values, np.nan) for name, values in batch.metrics.items()}
 
     def _derivatives(self, scenario: Scenario, rows: Vector) -> tuple[Vector, Vector]:
         """Cost of each row, and its derivatives of shape (rows, parameters)."""
-        good, rows = self._valid(scenario, rows)
+        good, table = self._valid(scenario, rows)
         if not good.any():
             return np.full(len(rows), np.nan), np.zeros_like(rows)
-        table, known, stepped = self._table(scenario, rows), self._known(scenario), self._given_steps(scenario)
-        good &= run_many(stepped, table, known=known, metrics=self.cost.metrics, engine=self.engine).usable
-        many = batched(scenario, table, known=known)
+        stepped = self._given_steps(scenario)
+        good &= self._run(stepped, table, engine=self.engine).usable
+        many = batched(scenario, table, known=self._known(scenario))
         leaves = [self._leaves(scenario, each) for each in self.space.swept]
         found = differentiate(
             many.plant(),
@@ -269,20 +270,11 @@ class TuningProblem:
             many.reference(),
             [leaf for some in leaves for leaf in some],
             metrics=self.cost.metrics,
-            duration=scenario.duration,
-            control_period=scenario.control_period,
-            accuracy=scenario.accuracy,
-            substeps=stepped.substeps,
+            **stepped.timing,
             initial=initial_state(many),
         )
-        slopes = [
-            sum(
-                term.weight / term.scale * found.gradients[term.metric][leaf]
-                for term in self.cost.terms
-                for leaf in some
-            )
-            for some in leaves
-        ]
+        weights = {term.metric: term.weight / term.scale for term in self.cost.terms}
+        slopes = [sum(weights[m] * found.gradients[m][leaf] for m in weights for leaf in some) for some in leaves]
         return np.where(good, self.cost(found.values), np.nan), np.stack(slopes, axis=1)
 
     def _leaves(self, scenario: Scenario, each: SweptParameter) -> list[str]:

@@ -113,10 +113,8 @@ def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParamet
 
     A name alone gets a range from 0.01 to 100 times its value; without texts, all gains are used.
 
-    Raises
-    ------
-    ParameterError
-        If a name is unknown or repeated, a range is invalid, or there is no nonzero value for a range around it.
+    Raises `ParameterError` if a name is unknown or repeated, a range is invalid, or there is no nonzero value for a
+    range around it.
 
     Examples
     --------

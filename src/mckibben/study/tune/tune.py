@@ -63,54 +63,44 @@ class Evaluated(NamedTuple):
 class TuningHistory:
     """Trials, stored on disk before the search continues; a repeated search reads them up to the first new point."""
 
-    def __init__(self, trials: Sequence[Trial] = (), journal: Journal | None = None) -> None:
-        self._by_point = {trial.point: trial for trial in trials}
-        self._journal = journal
+    def __init__(self) -> None:
+        self._by_point: dict[tuple[float, ...], Trial] = {}
+        self._journal: Journal | None = None
 
     @classmethod
     @contextmanager
     def open(cls, path: Path | None, about: Mapping[str, Any], *, resume: bool = False) -> Iterator[Self]:
         """Open the history of a search (None: in memory); `about` determines the trials. Warns of damaged trials."""
+        history = cls()
         if path is None:
-            yield cls()
+            yield history
             return
         if resume and not path.is_file():
             problem = Problem("there is no search to continue", remedy="start it without --resume")
             raise FileError(str(path), [problem])
         make_folder(path.parent)
-        begin = cls._resumed if resume else cls._created
-        opened: list[Self] = []
-
-        def kept() -> str:
-            return f"{len(opened[0].trials)} trials are kept" if opened else ""
-
+        kept = lambda: f"{len(history.trials)} trials are kept" if history._journal else ""  # noqa: E731
         lock = file_lock(path.with_name(f".{path.name}.lock"), "continuing this search")
         writing = explain_write_errors(path.parent, kept, "make room, and continue with --resume (resume=True)")
-        with lock, writing, begin(path, about) as history:
-            opened.append(history)
+        with lock, writing, history._begun(path, {"format": FORMAT, "version": VERSION, **about}, resume) as journal:
+            history._journal = journal
             yield history
 
-    @classmethod
-    @contextmanager
-    def _created(cls, path: Path, about: Mapping[str, Any]) -> Iterator[Self]:
-        if path.exists():
-            remedy = "continue it (--resume), or choose another folder"
-            raise FileError(str(path), [Problem("a search history already exists", remedy=remedy)])
-        with Journal.create(path, {"format": FORMAT, "version": VERSION, **about}) as journal:
-            yield cls((), journal)
-
-    @classmethod
-    @contextmanager
-    def _resumed(cls, path: Path, about: Mapping[str, Any]) -> Iterator[Self]:
-        wanted = json.loads(json.dumps({"format": FORMAT, "version": VERSION, **about}))
+    def _begun(self, path: Path, header: Mapping[str, Any], resume: bool) -> Journal:
+        """A new journal, or that of a search to continue, with its trials."""
+        if not resume:
+            if path.exists():
+                remedy = "continue it (--resume), or choose another folder"
+                raise FileError(str(path), [Problem("a search history already exists", remedy=remedy)])
+            return Journal.create(path, header)
+        wanted = json.loads(json.dumps(header))
         remedy = "give the same, or choose another folder; nothing was changed"
         if found := header_differences(read_header(path, FORMAT, VERSION), wanted, "the search", remedy=remedy):
             raise FileError(str(path), found)
         reader = JournalReader(path)
-        trials = _trials(reader)
+        self._by_point = {trial.point: trial for trial in _trials(reader)}
         reader.warn_of_damage("trials")
-        with Journal.resume(reader) as journal:
-            yield cls(trials, journal)
+        return Journal.resume(reader)
 
     @property
     def trials(self) -> list[Trial]:
@@ -156,29 +146,15 @@ def read_trials(path: str | os.PathLike[str]) -> list[Trial]:
 
 @dataclass(frozen=True, repr=False)
 class TuningResult:
-    """Result of a tuning.
+    """Result of a tuning."""
 
-    Attributes
-    ----------
-    values
-        Tuned values [SI] by name, rounded to six digits in the unit of files unless that increases the cost.
-    scenarios
-        Scenarios with these values.
-    cost, cost_before
-        Cost of these values, and cost of the first scenario's values in all scenarios (NaN if invalid).
-    evaluated, trials
-        Number of evaluated points, and all trials in order.
-    at_bound
-        Names of parameters within 1 % of an end of their range: a wider range may have better values.
-    """
-
-    values: dict[str, float]
-    scenarios: tuple[Scenario, ...]
+    values: dict[str, float]  # tuned [SI], by name; six digits in the unit of files unless that increases the cost
+    scenarios: tuple[Scenario, ...]  # with these values
     cost: float
-    cost_before: float
-    evaluated: int
-    at_bound: tuple[str, ...]
-    trials: tuple[Trial, ...]
+    cost_before: float  # of the first scenario's values in all scenarios; NaN if invalid
+    evaluated: int  # points
+    at_bound: tuple[str, ...]  # parameters within 1 % of an end of their range: a wider one may have better values
+    trials: tuple[Trial, ...]  # in order
 
     @property
     def remark(self) -> str:
