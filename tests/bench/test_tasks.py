@@ -175,7 +175,7 @@ def test_the_network_learns_a_recording(optimized):
 
 
 @pytest.mark.slow
-def test_the_joint_is_calibrated_from_its_commands():
+def test_the_joint_is_calibrated_from_its_commands(optimized):
     task = task_named("joint")
     assert task.score(predictions(BASELINES["eq2"], task)).nrmse.value < 0.4
 

@@ -13,6 +13,7 @@ from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.muscle import Specimen
 from mckibben.units import bar, cm, kPa
 
+pytestmark = pytest.mark.usefixtures("optimized")  # one program runs a thousand times
 ATMOSPHERE, GAS, ROOM, DENSITY, KAPPA = 101325.0, 288.0, 293.15, 1.185, 1.4
 SPECIMEN = catalog.specimen("MAS-10-180N-AA-MC-O")
 WALL, LEAK, DEAD, NOISE, PERIOD = 0.12, 2e-12, 3 * cm**3, 0.5 * kPa, 1e-3

@@ -84,7 +84,7 @@ def test_no_better_commands_are_found_by_a_quasi_newton_method(plant):
 
     def cost(flat):
         control = OpenLoopControl(*(Samples(times, column) for column in flat.reshape(2, -1) * bar), plant.joint)
-        at = differentiate(plant, control, reference, names, initial=start, **settings)
+        at = differentiate(plant, control, reference, names, initial=start, substeps=4, **settings)
         angle, stiffness = at.values["angle_rmse"] / (0.2 * deg), at.values["stiffness_rmse"] / 0.5
         slopes = [
             2 * angle / (0.2 * deg) * at.gradients["angle_rmse"][name]
