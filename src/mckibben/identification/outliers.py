@@ -1,8 +1,9 @@
 """Outliers among measured points: points that contradict the smooth surface through all others.
 
 The surface is Eq. 2 with a Gaussian process (`GaussianProcessLaw`), so that the misfit of a force law does not count.
-Each point is tested by its externally studentised residual, that of the fit without it, one point after the other; the
-last significant one is the last outlier, because outliers may mask each other.
+Each point is tested by its externally studentised residual, that of the fit without it, one point after the other (of
+thousands, one in a thousand at once); the last significant one is the last outlier, because outliers may mask each
+other.
 
 References
 ----------
@@ -28,6 +29,7 @@ _LEVEL = 0.01  # probability of any outlier among good points
 _SMALLEST = 0.005  # of the largest force: a smaller error is that of a load cell
 _MOST = 0.05  # share of the points: more are not isolated errors
 _AHEAD = 2  # further points that are tested after the last significant one
+_TOGETHER = 1000  # points for each that is tested at once
 _FEWEST = 12  # points
 _SURFACE = 28  # points that a surface needs; fewer are compared with Eq. 2 alone
 
@@ -38,7 +40,7 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     rows = np.flatnonzero(~means.slack)
     forces = points.force
     kept, found, pending = np.ones(len(points), bool), [], []
-    most = max(1, int(_MOST * len(points)))
+    most, together = max(1, int(_MOST * len(points))), max(1, len(points) // _TOGETHER)
     hyperparameters: Sequence[Floats] = ()
     smallest = np.maximum(_SMALLEST * float(forces.max(initial=0.0)), _loop_widths(points))
     while np.count_nonzero(kept) >= _FEWEST and len(found) + len(pending) < most + _AHEAD:
@@ -47,11 +49,14 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
         if tested is None:
             break
         errors, statistics, freedom, hyperparameters = tested
-        worst = int(np.argmax(np.where(np.abs(errors) > least, np.abs(statistics), 0.0)))
+        sizes = np.where(np.abs(errors) > least, np.abs(statistics), 0.0)
+        order = np.argsort(-sizes, kind="stable")[:together]
+        significant = order[sizes[order] > _limit(len(errors), freedom)]
+        worst = significant if significant.size else order[:1]
         at = np.flatnonzero(kept)[worst]
-        pending.append((int(at), float(errors[worst])))
+        pending += zip(at.tolist(), errors[worst].tolist(), strict=True)
         kept[at] = False
-        if abs(errors[worst]) > least[worst] and abs(statistics[worst]) > _limit(len(errors), freedom):
+        if significant.size:
             found, pending = [*found, *pending], []
         elif len(pending) == _AHEAD:
             break
