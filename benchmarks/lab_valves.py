@@ -3,8 +3,8 @@
     python benchmarks/lab_valves.py [--runs 64] [--setup NAME]
 
 The gains of examples/valves/ on evaluation runs of examples/comparison/valves.yaml, and of lab.yaml with two models:
-that of the plant's own valves with a tube, and that of valves with a dead volume in its place. Median angle RMSE [deg],
-in which failed runs count as infinite, and the numbers of diverged runs and of limit cycles.
+that of the plant's own valves with a tube, and that of valves with a dead volume in its place. Median angle RMSE,
+in which failed runs count as infinite, the numbers of diverged runs and of limit cycles, and the median use of air.
 """
 
 import argparse
@@ -16,7 +16,7 @@ import numpy as np
 from mckibben.component.schema import replaced
 from mckibben.scenario import Scenario
 from mckibben.study.benchmark import Suite, compare
-from mckibben.units import deg
+from mckibben.units import deg, litre
 
 ROOT = Path(__file__).parent.parent / "examples"
 FILES = {
@@ -29,7 +29,7 @@ FILES = {
 
 
 def evaluated(suite, controllers, runs):
-    """Median angle RMSE [deg], and diverged runs and limit cycles of each controller."""
+    """Median angle RMSE, diverged runs and limit cycles, and median air of each controller."""
     tuning = suite.tuning.model_copy(update={"untuned": tuple(controllers), "starts_of": {}, "over": {}})
     evaluation = suite.evaluation.model_copy(update={"runs": runs})
     changed = {"controllers": controllers, "true_model": (), "tuning": tuning, "evaluation": evaluation}
@@ -38,7 +38,9 @@ def evaluated(suite, controllers, runs):
     for name in controllers:
         errors = result.metric(name, "angle_rmse")
         median = np.median(np.where(np.isfinite(errors), errors, np.inf)) / deg
-        found[name] = f"{median:.2f} ({result.diverged(name).sum()} + {result.oscillates(name).sum()})"
+        air = np.nanmedian(result.metric(name, "air")) / litre
+        failed = f"{result.diverged(name).sum()} + {result.oscillates(name).sum()}"
+        found[name] = f"{median:.2f} deg ({failed}), {air:.2f} L"
     return found
 
 
