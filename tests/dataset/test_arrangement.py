@@ -44,6 +44,7 @@ def test_columns_of_both_directions(put):
         "Contraction [%];Force at 1 bar [N];Force at 3 bar [kN]",
         "Contraction [%];Force at 1 bar abs [N];Force at 3 bar abs [N]",
         "Contraction [%];Force at 1 bar [N];Force [N]",
+        "Time [s];Contraction [%];Force at 1 bar [N];Force at 3 bar [N]",
         "Contraction [%];Force -0.5 bar [N];Force -0.9 bar [N]",
     ],
 )

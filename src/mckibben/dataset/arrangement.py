@@ -113,7 +113,7 @@ def _stack_columns(sheet: RawTable, mapping: Mapping[str, str]) -> None:
         or (None in pressures) != ("pressure" in given)
         or (None in pressures and pressures.count(None) < len(forces))
         or ("" in ways and any(ways))
-        or {"force", *(["direction"] if any(ways) else [])} & given
+        or {"force", "time", *(["direction"] if any(ways) else [])} & given
     ):
         return
     columns = [sheet.channels[at] for at in forces]
