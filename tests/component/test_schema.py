@@ -132,6 +132,8 @@ def test_a_users_controller_gets_the_model_of_the_plant_as_ours_does():
     slower = with_values(scenario, {"valve.time_constant": 0.1})
     assert slower.control().valve.time_constant == 0.1
     assert with_values(scenario, {"valve.time_constant": 0.1}, known=()).control().valve.time_constant == 0.08
+    assert with_values(scenario, {"command_delay": 4e-3}).control().command_delay == 4e-3
+    assert with_values(scenario, {"command_delay": 4e-3}, known=()).control().command_delay is None
     assert end > start
 
 

@@ -44,6 +44,8 @@ def test_columns_of_both_directions(put):
         "Contraction [%];Force at 1 bar [N];Force at 3 bar [kN]",
         "Contraction [%];Force at 1 bar abs [N];Force at 3 bar abs [N]",
         "Contraction [%];Force at 1 bar [N];Force [N]",
+        "Time [s];Contraction [%];Force at 1 bar [N];Force at 3 bar [N]",
+        "Contraction [%];Force -0.5 bar [N];Force -0.9 bar [N]",
     ],
 )
 def test_columns_that_contradict_each_other_are_asked_about(put, header):
@@ -100,6 +102,19 @@ def test_titles_of_blocks(put, text):
 def test_a_pressure_above_the_table_alone_is_not_taken_for_that_of_the_muscle(put):
     with pytest.raises(DatasetError):
         read_dataset(put("Pressure: 6 bar\nContraction [%];Force [N]\n0;200\n5;150\n10;100\n"))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Pressure [bar];Contraction [%];Force [N]\n1;0;200\n1;5;150\np = 3 bar\n1;10;100\n",
+        "Contraction [%];Force [N]\nPressure: 1 bar\n0;200\n5;150\nPressure: 3 bar (again)\n0;600\n5;480\n",
+    ],
+)
+def test_a_line_that_may_be_a_title_is_asked_about(put, text):
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(put(text))
+    assert caught.value.problems[0].message.startswith("has 1 cell")
 
 
 def workbook(titles, header, blocks):

@@ -14,7 +14,10 @@ from mckibben.dataset.headers import ACCEPTED, LONGEST_NAME, Header, parse_heade
 from mckibben.dataset.sheet import RawColumn, RawTable
 
 _NUMBER = r"(?P<value>[0-9]+(?:[.,][0-9]+)?)[ _]?(?P<unit>[A-Za-z]+)"
-_AT = re.compile(rf"[\s_,@]*(?<![A-Za-z])(?:(?:at|for|bei|à)[\s_]+)?\(?{_NUMBER}\)?(?=\s*(?:[\[(]|$))", re.IGNORECASE)
+_AT = re.compile(
+    rf"[\s_,@]*(?<![A-Za-z])(?:(?:at|for|bei|à)[\s_]+)?\(?(?<![\d+-])(?<!\d[.,]){_NUMBER}\)?(?=\s*(?:[\[(]|$))",
+    re.IGNORECASE,
+)
 _DIRECTION = re.compile(r"[\s_(]*(?<![a-z])((?:un)?loading)\)?(?=\s*(?:[\[(]|$))", re.IGNORECASE)
 _TITLE = re.compile(rf"[^\w]*(?P<name>[A-Za-z]+)\s*[=:]\s*{_NUMBER}[^\w]*")
 _LABEL = re.compile(
@@ -110,7 +113,7 @@ def _stack_columns(sheet: RawTable, mapping: Mapping[str, str]) -> None:
         or (None in pressures) != ("pressure" in given)
         or (None in pressures and pressures.count(None) < len(forces))
         or ("" in ways and any(ways))
-        or {"force", *(["direction"] if any(ways) else [])} & given
+        or {"force", "time", *(["direction"] if any(ways) else [])} & given
     ):
         return
     columns = [sheet.channels[at] for at in forces]
@@ -213,14 +216,15 @@ def _join_sheets(sheet: RawTable) -> None:
 
 
 def titles(above: Sequence[_Row], rows: Sequence[_Row], known: Callable[[str, str], bool]) -> dict[int, _Title]:
-    """Titles of blocks, such as "p = 2 bar", by line: above the header, and under it, where there is at least one."""
-    found = {}
+    """Titles of blocks, such as "p = 2 bar", by line: at least one under the header, and one before the first point."""
+    found, first = {}, next((row.line for row in rows if len(row.cells) > 1), 0)
     for row in [*above, *rows]:
         match = _TITLE.fullmatch(row.cells[0][:LONGEST_NAME]) if len(row.cells) == 1 else None
         if match and known(match["name"], match["unit"]):
             found[row.line] = _Title(*match.group("name", "unit", "value"))
     under = {row.line for row in rows}
-    return found if under & {*found} and len({one[:2] for one in found.values()}) == 1 else {}
+    begins = bool(under & {*found}) and min(found) < first
+    return found if begins and len({one[:2] for one in found.values()}) == 1 else {}
 
 
 def labelled(text: str) -> str:

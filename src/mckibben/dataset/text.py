@@ -264,7 +264,7 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     if not rows:
         return set()
     header = [cell.strip() for cell in rows[0].cells]
-    sheet.header_line = rows[0].line
+    sheet.header_line = rows[0].line or None
     skipped = 1 + (len(rows) > 1 and _is_units(rows[1].cells))
     if skipped > 1 and len(rows) > 2 and _has_no_number(rows[2]):  # the comments of Origin, under names and units
         sheet.suspect.append(f"line {rows[2].line} has no number; it is left out")
@@ -277,11 +277,8 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     above = [_Row([line.strip()], at) for at, line in enumerate(islice(_Lines(stream.text), max(0, first - 1)), 1)]
     preamble = {row.cells[0] for row in above}
     headed = titles(above, rows[skipped:], known) if len(header) > 1 else {}
-    words = [
-        row
-        for row in rows[skipped:]
-        if len(row.cells) == 1 < len(header) and _WORD.match(row.cells[0].lstrip()) and row.line not in headed
-    ]
+    lonely = [row for row in rows[skipped:] if len(row.cells) == 1 < len(header)]
+    words = [] if headed else [row for row in lonely if _WORD.match(row.cells[0].lstrip())]
     sheet.suspect += _remarks(sorted([*comments, *words], key=lambda row: row.line), rows[1:], sheet.delimiter)
     left_out = {row.line for row in words} | {*headed}
     rows = [
@@ -330,10 +327,11 @@ def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known:
     sheet.channels = [
         RawColumn(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
     ]
-    if headed and numbers and min(headed) < numbers[0]:
-        at = [max(line for line in headed if line < number) for number in numbers]
-        (name, unit), *_ = (one[:2] for one in headed.values())
-        sheet.channels.append(RawColumn(name, [headed[line][2] for line in at], numbers, unit=unit))
+    if headed:
+        starts = sorted(headed)
+        values = [headed[starts[at]].value for at in np.searchsorted(starts, numbers) - 1]
+        name, unit, _ = headed[starts[0]]
+        sheet.channels.append(RawColumn(name, values, numbers, unit=unit))
     return {*headed}
 
 

@@ -26,7 +26,7 @@ from mckibben.muscle.friction import MIN_HALF_WIDTH
 
 
 class FrictionForm(enum.Enum):
-    """Form of the friction between loading and unloading; docs/hysteresis.md tells them and the data that they need."""
+    """Form of the friction between loading and unloading; docs/hysteresis.md lists them and the data that they need."""
 
     COULOMB = "coulomb"
     CONSTANT = "constant"

@@ -218,7 +218,9 @@ class Leg(Component):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        check_count("joints", len(self.joints), max(len(self.links), 1), "link, the joint above it")
+        if not self.links:
+            raise RangeError("a leg of no links", field="links", remedy="give at least one, and a joint for each")
+        check_count("joints", len(self.joints), len(self.links), "link, the joint above it")
         if isinstance(self.links[-1].mass, Real) and self.links[-1].mass == 0:
             raise RangeError(
                 "the last link has no mass", field="links", value=0.0, remedy="give mass and inertia of the last link"

@@ -129,7 +129,7 @@ def _ends(column: NDArray) -> list[Any]:
 Known = Collection[str] | Literal["all"]
 """Plant parameters that the controller's model follows when they vary."""
 
-_PLANT = ("joint", "load", "valve")
+_PLANT = ("joint", "load", "valve", "command_delay")
 
 
 def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known: Known = "all") -> Scenario:
