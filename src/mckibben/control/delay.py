@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, ArrayLike, Float
 
+from mckibben.component.base import Inherited
 from mckibben.control.actuator_adaptation import ActuatorAdaptationState
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.control.model_based import Estimates, ModelBasedControl, with_valves
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
 from mckibben.errors import RangeError
 from mckibben.joint.geometry import Pair
+from mckibben.units import CommandDelay
 
 Scalar = Float[Array, ""]
+
+
+def _plant_delay(scope: Mapping[str, Any]) -> Any:
+    """Delay of the plant's commands [s]."""
+    found = scope.get("command_delay")
+    return 0.0 if found is None else found
 
 
 class DelayState(NamedTuple):
@@ -46,6 +55,7 @@ class DelayCompensation(ModelBasedControl):
     short_name = "delay_compensation"
 
     controller: Controller = eqx.field(kw_only=True)
+    command_delay: Annotated[CommandDelay, Inherited(_plant_delay)] = eqx.field(kw_only=True)
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
 

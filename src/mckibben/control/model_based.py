@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import functools
 import operator
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
@@ -42,11 +42,6 @@ from mckibben.units import AngleScale, CommandDelay, Force
 Scalar = Float[Array, ""]
 
 _MOST_STEPS = 4  # of the prediction
-
-
-def _plant_delay(scope: Mapping[str, Any]) -> Any:
-    """Delay of the plant's commands [s]."""
-    return scope.get("command_delay")
 
 
 class Valves(NamedTuple):
@@ -147,7 +142,9 @@ class ModelBasedControl(Controller):
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
     valve_adaptation: ValveAdaptation | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
-    command_delay: Annotated[CommandDelay | None, Inherited(_plant_delay)] = eqx.field(kw_only=True, default=None)
+    command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
+        kw_only=True, default=None
+    )
     actuator_adaptation: ActuatorAdaptation | None = eqx.field(kw_only=True, default=None)
     periods: int | None = eqx.field(kw_only=True, default=None, static=True)
 
