@@ -92,12 +92,12 @@ def fits(points: IsobaricDataset, measured: np.ndarray):
         solution = solve(this, start)
         at_bound = np.zeros(7, bool)
         regression = Regression(points, this, solution, at_bound)
-        spread = uncertainty(solution.jacobian, solution.residuals, at_bound)
+        errors, correlations = uncertainty(solution.jacobian, solution.residuals, at_bound)
         by = regression.default_grouping[0]
         yield Fit(
             law=this.law(solution.values),
-            standard_errors=dict(zip(this.names, spread.standard_errors, strict=True)),
-            correlations=spread.correlations,
+            standard_errors=dict(zip(this.names, errors, strict=True)),
+            correlations=correlations,
             rmse=0.0,
             max_error=0.0,
             points_used=len(points),

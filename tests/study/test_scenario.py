@@ -295,7 +295,7 @@ def test_one_mistake_is_told_with_its_place(old, new, field, words):
         ("{class: samples, times: [0 s], values: [1 deg], file: pyproject.csv}", "not a known key"),
         ("{class: samples_file, file: nowhere.csv}", "there is no file 'nowhere.csv'"),
         ("{class: samples_file, file: 3}", "there is no file"),
-        ("{class: multisine, amplitudes: [1 deg], frequencies: [1 Hz, 2 Hz]}", "1 amplitudes, 2 frequencies"),
+        ("{class: multisine, amplitudes: [1 deg], frequencies: [1 Hz, 2 Hz]}", "2 frequencies for 1"),
         ("{class: multisine, amplitudes: [], frequencies: []}", "at least one"),
         ("{class: multisine, amplitudes: [1 deg, 2], frequencies: [1 Hz, 2 Hz]}", "'2' has no unit"),
         ("fast", "known are"),

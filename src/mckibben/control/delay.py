@@ -55,7 +55,7 @@ class DelayCompensation(ModelBasedControl):
     short_name = "delay_compensation"
 
     controller: Controller = eqx.field(kw_only=True)
-    command_delay: Annotated[CommandDelay, Inherited(_plant_delay)] = eqx.field(kw_only=True)
+    command_delay: Annotated[CommandDelay, Inherited(_plant_delay)] = eqx.field(kw_only=True)  # type: ignore[override]
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
 
