@@ -96,7 +96,7 @@ class Estimates(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What the next commands meet when they arrive: setpoint, angle [rad], estimates, and models for them."""
+    """Predicted setpoint, angle [rad] and estimates at the arrival of the next commands, and the models there."""
 
     setpoint: Setpoint
     angle: Scalar  # measured, or predicted over the delay
@@ -205,8 +205,7 @@ class ModelBasedControl(Controller):
     def init_estimates(self, measurement: Measurement) -> Estimates:
         """Estimates before the first step, at rest."""
         angle, pressures = measurement
-        torque, isobaric = self.model.evaluate(angle, pressures)
-        stiffness, added = self._stiffness(self.model, angle, pressures, isobaric)
+        torque, stiffness, added = self._torque_and_stiffness(self.model, angle, pressures)
         zero = jnp.zeros_like(angle)
         actuation = self.actuator_adaptation
         return Estimates(
@@ -230,7 +229,7 @@ class ModelBasedControl(Controller):
     def update(
         self, last: Estimates, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[Estimates, Expected]:
-        """Estimates after a further sample, and what the next commands meet."""
+        """Estimates after a further sample, and their prediction at the arrival of the next commands."""
         actuation = self._adapt_actuator(last, measurement, period)
         return self._with_speed(actuation)._update(last._replace(actuation=actuation), setpoint, measurement, period)
 
@@ -246,8 +245,7 @@ class ModelBasedControl(Controller):
         predicted, actuators = valves.predict(arrived, period)
         pressures = pressure_observer.step(predicted, measurement.pressures, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
-        torque, isobaric = model.evaluate(angle, pressures)
-        stiffness, added = self._stiffness(model, angle, pressures, isobaric)
+        torque, stiffness, added = self._torque_and_stiffness(model, angle, pressures)
         reference = last.reference.update(setpoint.angle, period)
         ahead = reference.after(self._delay) if self._periods else reference
         muscles, friction_torque = self._friction(last.muscles, ahead.angle, pressures)
@@ -294,8 +292,7 @@ class ModelBasedControl(Controller):
 
         start = motion.angle, motion.velocity, estimates.pressures, estimates.actuators
         (angle, velocity, pressures, actuators), _ = lax.scan(advance, start, commands)
-        torque, isobaric = model.evaluate(angle, pressures)
-        stiffness, added = self._stiffness(model, angle, pressures, isobaric)
+        torque, stiffness, added = self._torque_and_stiffness(model, angle, pressures)
         return estimates._replace(
             motion=motion._replace(angle=angle, velocity=velocity),
             pressures=pressures,
@@ -344,12 +341,15 @@ class ModelBasedControl(Controller):
             air = air_volumes(self.model, angle, velocity, pressures, dead_volumes=(dead1, dead2))
         return Valves(valve, pressures, states, air, command_limits(self.model, valve))
 
-    def _stiffness(self, model: AntagonisticJoint, angle: ArrayLike, pressures: Pair, isobaric: Scalar) -> Pair:
-        """Controlled stiffness by a model, and its difference from the isobaric one [N*m/rad]."""
+    def _torque_and_stiffness(
+        self, model: AntagonisticJoint, angle: ArrayLike, pressures: Pair
+    ) -> tuple[Scalar, Scalar, Scalar]:
+        """Torque [N*m] and controlled stiffness by a model, and its difference from the isobaric one [N*m/rad]."""
+        torque, isobaric = model.evaluate(angle, pressures)
         if self.stiffness_amplitude is None:
-            return isobaric, jnp.zeros_like(isobaric)
+            return torque, isobaric, jnp.zeros_like(isobaric)
         stiffness = model.stiffness_for(angle, pressures, self.stiffness_amplitude)
-        return stiffness, stiffness - isobaric
+        return torque, stiffness, stiffness - isobaric
 
     def _adapt(
         self, state: AdaptationState | tuple[()], measurement: Measurement, period: ArrayLike

@@ -158,7 +158,7 @@ class TuningResult:
 
     @property
     def remark(self) -> str:
-        """What to try next if the gradients led nowhere, as those of stiff friction may; otherwise empty."""
+        """Advice if the gradient method found no improvement, as with stiff friction; otherwise empty."""
         if not self.cost >= _PROGRESS * self.cost_before or not any(trial.gradient for trial in self.trials):
             return ""
         return "the gradient method found nothing better, as with stiff friction or at an optimum: try the method cma"
