@@ -4,5 +4,6 @@
 #include <cstring>
 using namespace std;
 #define __global__
+#define __constant__
 #define __launch_bounds__(threads, blocks)
 static thread_local struct { unsigned x; } gridDim, blockDim, blockIdx, threadIdx;

@@ -44,8 +44,15 @@ int cuModuleLoadData(void **module, const void *image)
 
 int cuModuleGetFunction(void **function, void *module, const char *name)
 {
-    *function = strcmp(name, "run") ? nullptr : dlsym(module, "launch");
+    *function = dlsym(module, strcmp(name, "run") ? "launch_prepare" : "launch_run");
     return *function ? 0 : 500;
+}
+
+int cuModuleGetGlobal_v2(int64_t *place, size_t *size, void *module, const char *name)
+{
+    *place = (int64_t)dlsym(module, name);
+    *size = *(size_t *)dlsym(module, "known_size");
+    return *place ? 0 : 500;
 }
 
 int cuMemAlloc_v2(int64_t *place, size_t size)
@@ -64,6 +71,7 @@ int cuMemFree_v2(int64_t place)
 }
 
 int cuMemcpyHtoD_v2(int64_t to, const void *from, size_t size) { memcpy((void *)to, from, size); return 0; }
+int cuMemcpyDtoD_v2(int64_t to, int64_t from, size_t size) { memcpy((void *)to, (void *)from, size); return 0; }
 int cuMemcpyDtoH_v2(void *to, int64_t from, size_t size) { memcpy(to, (void *)from, size); return 0; }
 
 int cuLaunchKernel(void *function, unsigned x, unsigned, unsigned, unsigned threads, unsigned, unsigned, unsigned, void *,

@@ -1,4 +1,4 @@
-"""Muscles as an actuator of mjlab, on the CPU, against the plant in 64 bits. mjlab needs another environment."""
+"""Muscles as an actuator of mjlab, on a GPU if there is one, against the plant in 64 bits (another environment)."""
 
 import dataclasses
 import re
@@ -47,11 +47,13 @@ def simulated(entity, commands, again=(), **others):
     from mjlab.scene import Scene, SceneCfg
     from mjlab.sim import MujocoCfg, Simulation, SimulationCfg
 
-    scene = Scene(SceneCfg(num_envs=WORLDS, entities={"knee": entity, **others}), device="cpu")
+    device = "cuda:0" if torch.cuda.is_available() else "cpu"
+    scene = Scene(SceneCfg(num_envs=WORLDS, entities={"knee": entity, **others}), device=device)
     config = SimulationCfg(mujoco=MujocoCfg(timestep=PERIOD))
-    sim = Simulation(num_envs=WORLDS, cfg=config, model=scene.compile(), device="cpu")
+    sim = Simulation(num_envs=WORLDS, cfg=config, model=scene.compile(), device=device)
     sim.wp_model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
     scene.initialize(sim.mj_model, sim.model, sim.data)
+    sim.create_graph()
     knee, found = scene["knee"], []
 
     def reset(worlds):
@@ -61,18 +63,18 @@ def simulated(entity, commands, again=(), **others):
         knee.write_joint_state_to_sim(*(one if worlds is None else one[worlds] for one in start), env_ids=worlds)
 
     reset(None)
-    period = torch.zeros(WORLDS, dtype=torch.long)
+    period = torch.zeros(WORLDS, dtype=torch.long, device=device)
     for now in range(len(commands)):
         if now == 20 and again:
-            reset(torch.tensor(again))
+            reset(torch.tensor(again, device=device))
             period[list(again)] = 0
         sim.forward()  # as the environment does for its observations
-        knee.set_tendon_effort_target(torch.tensor(commands, dtype=torch.float)[period])
+        knee.set_tendon_effort_target(torch.tensor(commands, dtype=torch.float, device=device)[period])
         scene.write_data_to_sim()
         sim.step()
         scene.update(PERIOD)
         period += 1
-        found.append(knee.data.joint_pos[:, 0].numpy().copy())
+        found.append(knee.data.joint_pos[:, 0].cpu().numpy().copy())
     return np.array(found)
 
 

@@ -45,7 +45,7 @@ class Simulated:
         one.add_articulation([self.joint.add_to(one)])
         one.joint_armature[0] = float(self.joint.plant.load.damping) * STEP / 2  # the solver's velocity is that late
         builder.replicate(one, WORLDS)
-        self.model = builder.finalize(device="cpu")
+        self.model = builder.finalize()  # on a GPU if there is one
         self.solver = newton.solvers.SolverFeatherstone(self.model)
         self.states = [self.model.state(), self.model.state()]
         self.control, (self.actuator,) = self.model.control(), self.model.actuators

@@ -49,6 +49,15 @@ class Kernel(NamedTuple):
     spilled: int
 
 
+class DeviceProgram(NamedTuple):
+    """A loaded kernel of runs, the one that computes its constants, and their memory."""
+
+    run: c_void_p
+    prepare: c_void_p
+    constants: c_int64
+    size: c_size_t
+
+
 class Nvrtc:
     """NVIDIA's runtime compiler."""
 
@@ -87,8 +96,9 @@ class Nvrtc:
             image = self._text(program, "CUBIN") if known else ptx
         finally:
             self._call("nvrtcDestroyProgram", byref(program))
-        registers, spilled = (re.findall(rf"(\d+) {what}", log) for what in ("registers", "bytes spill stores"))
-        return Kernel(image, ptx.decode(), max(map(int, registers), default=0), sum(map(int, spilled)))
+        log = log.partition("'run'")[2]  # without the kernel that computes the constants
+        registers, spilled = (re.search(rf"(\d+) {what}", log) for what in ("registers", "bytes spill stores"))
+        return Kernel(image, ptx.decode(), *(int(one[1]) if one else 0 for one in (registers, spilled)))
 
     @property
     def name(self) -> str:
@@ -161,26 +171,33 @@ class Device:
         self._context = c_void_p()
         self._call("cuDevicePrimaryCtxRetain", byref(self._context), device)
 
-    def load(self, image: bytes) -> c_void_p:
-        """The function of a compiled kernel."""
-        module, function = c_void_p(), c_void_p()
+    def load(self, image: bytes) -> DeviceProgram:
+        """A compiled program."""
+        module, program = c_void_p(), DeviceProgram(c_void_p(), c_void_p(), c_int64(), c_size_t())
         with self._used():
             self._call("cuModuleLoadData", byref(module), image)
-            self._call("cuModuleGetFunction", byref(function), module, b"run")
-        return function
+            for function, name in (program.run, b"run"), (program.prepare, b"prepare"):
+                self._call("cuModuleGetFunction", byref(function), module, name)
+            self._call("cuModuleGetGlobal_v2", byref(program.constants), byref(program.size), module, b"known")
+        return program
 
-    def run(self, function: c_void_p, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
+    def run(self, program: DeviceProgram, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
         """Compute all runs; `results`, an array in memory, is overwritten."""
         with self._used(), ExitStack() as memory:
-            places = [self._allocated(memory, one.nbytes) for one in (words, results)]
+            sizes = words.nbytes, max(results.nbytes, program.size.value)
+            places = [self._allocated(memory, size) for size in sizes]
             self._call("cuMemcpyHtoD_v2", places[0], c_void_p(words.ctypes.data), c_size_t(words.nbytes))
             arguments = [ctypes.create_string_buffer(scalars), *places, c_int64(lanes)]
-            pointers = (c_void_p * len(arguments))(*(ctypes.addressof(one) for one in arguments))
-            blocks = c_uint(-(-lanes // THREADS)), c_uint(1), c_uint(1)
-            threads = c_uint(THREADS), c_uint(1), c_uint(1)
-            self._call("cuLaunchKernel", function, *blocks, *threads, c_uint(0), None, pointers, None)
+            self._launch(program.prepare, 1, 1, arguments)
+            self._call("cuMemcpyDtoD_v2", program.constants, places[1], program.size)
+            self._launch(program.run, -(-lanes // THREADS), THREADS, arguments)
             self._call("cuCtxSynchronize")
-            self._call("cuMemcpyDtoH_v2", c_void_p(results.ctypes.data), places[-1], c_size_t(results.nbytes))
+            self._call("cuMemcpyDtoH_v2", c_void_p(results.ctypes.data), places[1], c_size_t(results.nbytes))
+
+    def _launch(self, function: c_void_p, blocks: int, threads: int, arguments: Sequence[Any]) -> None:
+        pointers = (c_void_p * len(arguments))(*(ctypes.addressof(one) for one in arguments))
+        sizes = map(c_uint, (blocks, 1, 1, threads, 1, 1, 0))
+        self._call("cuLaunchKernel", function, *sizes, None, pointers, None)
 
     @contextmanager
     def _used(self) -> Iterator[None]:

@@ -1,6 +1,8 @@
 """Writer of CUDA kernels: C with one thread per run.
 
 In 32 bits, values that differ between runs are `float`; values equal in all runs, such as the reference, are `double`.
+A kernel of one thread computes those that are also the same in all periods; they are constants of the kernel of the
+runs, and take no registers.
 """
 
 from __future__ import annotations
@@ -15,9 +17,10 @@ from mckibben.codegen.writer import Language, Text, Writer
 THREADS = 128
 """Threads per block."""
 
-FIRST, STEP = "blockIdx.x * (int64_t)blockDim.x + threadIdx.x", "(int64_t)gridDim.x * blockDim.x"
-"""First run of a thread, and step to its next one."""
-_BLOCKS = 2, 4  # per multiprocessor, in 64 and 32 bits: they limit the registers per thread to 255 and 128
+_BLOCKS = {
+    "double": 4,
+    "float": 2,
+}  # per multiprocessor: threads have up to 128 and 255 registers (the fastest on an H100)
 _ATOM = 8
 _OF_INTEGERS = {
     "abs": "{0} < 0 ? -{0} : {0}",
@@ -36,11 +39,33 @@ def _language(real: str) -> Language:
     return replace(language, helpers={**language.helpers, "bits": bits})
 
 
-def head(scalars: int, *, single: bool) -> str:
-    """Declaration of a kernel; numbers of all runs are its parameters, which take no registers."""
+def kernels(
+    scalars: int,
+    places: Sequence[str],
+    prepared: Sequence[str],
+    constants: Sequence[str],
+    body: Sequence[str],
+    real: str,
+) -> list[str]:
+    """Both kernels; numbers of all runs are their parameters, which take no registers."""
     pointers = "const double *__restrict__ arrays, double *__restrict__ results, int64_t lanes"
-    return f"""struct Scalars {{ double x[{max(scalars, 1)}]; }};
-extern "C" __global__ void __launch_bounds__({THREADS}, {_BLOCKS[single]}) run(const Scalars given, {pointers})"""
+    first, step = "blockIdx.x * (int64_t)blockDim.x + threadIdx.x", "(int64_t)gridDim.x * blockDim.x"
+    begun = f"(const Scalars given, {pointers})", "{", "    const double *scalars = given.x;", *places
+    return [
+        f"struct Scalars {{ double x[{max(scalars, 1)}]; }};",
+        f"__constant__ {real} known[{max(len(constants), 1)}];",
+        'extern "C" __global__ void prepare',
+        *begun,
+        *prepared,
+        *(f"        (({real} *)results)[{place}] = {text};" for place, text in enumerate(constants)),
+        "}",
+        f'extern "C" __global__ void __launch_bounds__({THREADS}, {_BLOCKS[real]}) run',
+        *begun,
+        f"    for (int64_t b = {first}; b < lanes; b += {step}) {{",
+        *body,
+        "    }",
+        "}",
+    ]
 
 
 class KernelWriter(Writer):
@@ -48,6 +73,9 @@ class KernelWriter(Writer):
 
     def __init__(self, scopes: Sequence[Scope], results: Sequence[Value | StoredArray], *, single: bool) -> None:
         super().__init__(scopes, _language("float" if single else "double"), results, wide_language=_language("double"))
+        self._first = scopes[0]
+        self.constants: list[Value] = []
+        self._known: dict[int, int] = {}  # their places, by identity
 
     def _is_wide(self, value: Value) -> bool:
         return value.uniform
@@ -75,6 +103,15 @@ class KernelWriter(Writer):
         name = self._arrays[id(array)] = self._new("a")
         language = self._wide_language if array.uniform else self.language
         return [f"{indent}{language.array(name, array.kind, array.size, texts, array.constant)}"]
+
+    def _argument(self, value: Value, argument: Value) -> Text:
+        known = argument.uniform and argument.scope is self._first and argument.operation != "constant"
+        if not known or argument.kind is not Kind.REAL or all(one.uniform for one in value.arguments):
+            return super()._argument(value, argument)
+        if id(argument) not in self._known:
+            self._known[id(argument)] = len(self.constants)
+            self.constants.append(argument)
+        return f"known[{self._known[id(argument)]}]", _ATOM
 
     def _operation(self, value: Value) -> Text:
         if value.kind is Kind.INTEGER and value.operation in _OF_INTEGERS:

@@ -262,27 +262,25 @@ def write_native(
     inputs = [_input_value(graph, f"in{n}", x, n < len(given)) for n, x in enumerate([*given, *varying])]
     results, shape = Lowering(graph).function(function, (given, varying), inputs)
     values: list[Any] = [value for one in results for value in ([one.array] if isinstance(one, Stored) else one.flat)]
+    before, head, step = "", _HEAD, "1"
     if threads:
-        writer, before = KernelWriter([graph.scope], values, single=single), ""
-        head, first, step = kernels.head(sum(not x.ndim for x in given), single=single), kernels.FIRST, kernels.STEP
+        writer = KernelWriter([graph.scope], values, single=single)
     elif varying:
-        writer, before = VectorWriter([graph.scope], values, single=single), prelude(single)
-        head, first, step = _HEAD, "0", "W"
+        writer, before, step = VectorWriter([graph.scope], values, single=single), prelude(single), "W"
     else:
         writer = Writer([graph.scope], native_language(), values)
         before = f"{HEADERS}const int64_t width = 1;\n{definitions()}"
-        head, first, step = _HEAD, "0", "1"
     leaves = [(one.shape, one.dtype.str) for one in jax.tree.leaves(shape)]
-    lines = [
-        head,
-        "{",
-        *(["    const double *scalars = given.x;"] if threads else []),
-        *_places(given, varying, leaves),
-        f"    for (int64_t b = {first}; b < lanes; b += {step}) {{",
-        *_body(graph, writer, inputs, results),
-        "    }",
-        "}",
-    ]
+    places, body = _places(given, varying, leaves), _body(graph, writer, inputs, results)
+    if isinstance(writer, KernelWriter):
+        preparing = KernelWriter([graph.scope], writer.constants, single=single)
+        prepared = _body(graph, preparing, inputs, ())
+        constants = [preparing.text(one) for one in writer.constants]
+        real = writer.language.types[Kind.REAL]
+        lines = kernels.kernels(sum(not x.ndim for x in given), places, prepared, constants, body, real)
+        writer.helpers |= preparing.helpers
+    else:
+        lines = [head, "{", *places, f"    for (int64_t b = 0; b < lanes; b += {step}) {{", *body, "    }", "}"]
     source = "\n".join([before, *sorted(writer.helpers), *lines, ""])
     if len(source) > _LONGEST:
         raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)
