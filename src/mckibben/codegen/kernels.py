@@ -17,10 +17,7 @@ from mckibben.codegen.writer import Language, Text, Writer
 THREADS = 128
 """Threads per block."""
 
-_BLOCKS = {
-    "double": 4,
-    "float": 2,
-}  # per multiprocessor: threads have up to 128 and 255 registers (the fastest on an H100)
+_BLOCKS = {"double": 4, "float": 2}  # per multiprocessor, as is fastest on an H100: 128 and 255 registers per thread
 _ATOM = 8
 _OF_INTEGERS = {
     "abs": "{0} < 0 ? -{0} : {0}",
