@@ -156,6 +156,18 @@ def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device, nvrtc):
         assert all(0 < nvrtc.compile(one, 90).registers <= 255 for one in cuda_device.sources)
 
 
+def test_in_32_bits_a_network_has_the_weights_of_its_seed():
+    scenario = Scenario.read("examples/pre-contracted-step-backprop.yaml")
+    plant = scenario.plant()
+    near, right = (
+        mk.simulate_many(
+            plant, scenario.control(), scenario.reference(), over={"load.mass2": np.linspace(0.4, 0.6, 4)}, duration=0.5,
+            initial=scenario.initial(plant), metrics=["angle_rmse"], engine="native", precision=precision,
+        ).metrics["angle_rmse"] for precision in (32, 64)
+    )  # fmt: skip
+    np.testing.assert_allclose(near, right, rtol=1e-4)
+
+
 @pytest.mark.slow
 def test_without_a_compiler_xla_does_it(monkeypatch):
     scenario = Scenario.parse(SCENARIOS["as in the paper"])

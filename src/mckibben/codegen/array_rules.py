@@ -100,8 +100,8 @@ class ArrayRules:
         reals, words = {"f8": "from_bits", "f4": "from_bits_32"}, {"i8": "bits"}
         if self._graph.single:
             words = {} if x.flat[0].uniform else {"i4": "bits"}
-            if not self._graph.threads:  # which have integers of 64 bits
-                reals = {} if x.flat[0].uniform else {"f4": "from_bits_32"}
+            if not self._graph.threads and not x.flat[0].uniform:  # whose integers have 32 bits
+                reals = {"f4": "from_bits_32"}
         name = (reals | words).get(np.dtype(parameters["new_dtype"]).str[1:])
         if name is None:
             return None
