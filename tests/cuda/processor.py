@@ -12,7 +12,7 @@ from mckibben.codegen.cuda import Kernel
 
 HERE = Path(__file__).parent
 COMPILER = shutil.which("c++")
-OPTIONS = ("-std=c++17", "-O1", "-w", "-shared", "-fPIC", f"-I{HERE}")
+OPTIONS = ("-std=c++17", "-O0", "-w", "-shared", "-fPIC", f"-I{HERE}")
 
 
 def build(source: str, *options: str) -> bytes:
