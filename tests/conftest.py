@@ -286,7 +286,7 @@ class CudaOnProcessor:
         assert spec is not None and spec.loader is not None
         self.module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(self.module)
-        self.driver, self.compiler = self.module.driver(folder), self.module.Compiler()
+        self.driver, self.compiler = self.module.driver(folder), self.module.Compiler(folder)
 
     def get(self, name: str) -> int:
         return ctypes.c_int64.in_dll(self.driver, name).value
