@@ -47,6 +47,8 @@ QUICK = "MCKIBBEN_FULL_COMPILATION" not in os.environ
 if QUICK and jax.__version_info__ >= (0, 10):
     passes = "while-loop-invariant-code-motion,tuple-simplifier"  # they take a third of the time to compile
     flags = f"--xla_disable_hlo_passes={passes}"
+    for data in ("alias_scope", "noalias"):  # lists for optimization that grow with the square of a program
+        flags += f" --xla_llvm_enable_{data}_metadata=false"
     if jax.__version_info__ < (0, 11):
         flags += " --xla_cpu_use_fusion_emitters=false"  # an older code generator, which newer versions do not have
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
@@ -284,7 +286,7 @@ class CudaOnProcessor:
         assert spec is not None and spec.loader is not None
         self.module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(self.module)
-        self.driver, self.compiler = self.module.driver(folder), self.module.Compiler()
+        self.driver, self.compiler = self.module.driver(folder), self.module.Compiler(folder)
 
     def get(self, name: str) -> int:
         return ctypes.c_int64.in_dll(self.driver, name).value

@@ -12,7 +12,7 @@ from mckibben.codegen.cuda import Kernel
 
 HERE = Path(__file__).parent
 COMPILER = shutil.which("c++")
-OPTIONS = ("-std=c++17", "-O1", "-w", "-shared", "-fPIC", f"-I{HERE}")
+OPTIONS = ("-std=c++17", "-O0", "-w", "-shared", "-fPIC", f"-I{HERE}")
 
 
 def build(source: str, *options: str) -> bytes:
@@ -20,7 +20,7 @@ def build(source: str, *options: str) -> bytes:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "source.cpp")
         path.write_text(source)
-        subprocess.run([COMPILER, *OPTIONS, *options, path, "-o", f"{folder}/library.so"], check=True)
+        subprocess.run([COMPILER, *options, *OPTIONS, path, "-o", f"{folder}/library.so"], check=True)
         return Path(folder, "library.so").read_bytes()
 
 
@@ -29,14 +29,17 @@ class Compiler:
 
     version = 12, 8
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path) -> None:
         known = hashlib.sha256(b"".join((HERE / name).read_bytes() for name in ("before.h", "after.h")))
         self.name = f"of the tests {known.hexdigest()}"
         self.sources: list[str] = []
+        self.folder = folder  # with the headers of the standard library, precompiled
+        header = [*OPTIONS, "-x", "c++-header", HERE / "before.h", "-o", folder / "before.h.gch"]
+        subprocess.run([COMPILER, *header], check=True)
 
     def compile(self, source: str, architecture: int) -> Kernel:
         self.sources.append(source)
-        library = build(f'#include "before.h"\n{source}\n#include "after.h"\n')
+        library = build(f'#include "before.h"\n{source}\n#include "after.h"\n', f"-I{self.folder}")
         return Kernel(struct.pack("q", len(library)) + library, "", 0, 0)
 
 

@@ -110,6 +110,8 @@ class Lowering(ArrayRules):
         known.update(zip(jaxpr.constvars, constants, strict=True))
         known.update(zip(jaxpr.invars, arguments, strict=True))
         for equation in jaxpr.eqns:
+            if not (equation.outvars or equation.effects):  # reverse derivatives leave calls without results
+                continue
             given = [read(one) for one in equation.invars]
             if equation.primitive.name not in _TAKE_STORED:
                 given = [self.expanded(one) if isinstance(one, Stored) else one for one in given]
