@@ -244,6 +244,30 @@ def test_merged_cells_percent_formats_and_white_text_of_a_workbook(put):
     assert any("coloured" in text and "5" in text for text in read(put(book_of(white), "c.xlsx"))[1])
 
 
+@pytest.mark.parametrize(
+    ("names", "units", "factor", "refused"),
+    [(NAMES, (), 1, True), (("p", "eps", "F"), ("bar", "%", "N", "kN"), 1e-3, False)],
+    ids=["two sensors", "two units"],
+)
+def test_a_name_merged_over_two_columns_is_that_of_both(put, names, units, factor, refused):
+    book = openpyxl.Workbook()
+    for row in [
+        names,
+        *([units] if units else []),
+        *((*row, factor * row[2] if units else row[2] / 2) for row in ROWS),
+    ]:
+        book.active.append(row)
+    book.active.merge_cells("C1:D1")
+    book.active.merge_cells("A9:B9")  # its pressure is not a contraction
+    stream = io.BytesIO()
+    book.save(stream)
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(put(stream.getvalue(), "a.xlsx"))
+    empty = [problem.field for problem in caught.value.problems if problem.line == 9]
+    assert empty == [names[1]]
+    assert [problem.field for problem in caught.value.problems if problem.line is None] == [names[2]] * refused
+
+
 def test_a_name_that_begins_like_another_format_is_read(put):
     names = ("Par1", "Par2", "Par3")
     text = "\n".join(",".join(map(str, row)) for row in [names, *ROWS])

@@ -187,11 +187,24 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
 
 
 def _continuous(values: Floats, marks: NDArray[np.bool_], usual: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """True for marks close to the nearest other values before and after, such as times and steady pressures."""
+    """True for marks close to the other values next to them, such as times and steady pressures.
+
+    One neighbor is enough at the edge of a level: where several values, at least half as many as marks, are as close.
+    """
     rows, known = np.flatnonzero(marks), np.flatnonzero(usual)
     after = np.searchsorted(known, rows)
     ends = values[known[[np.clip(after - 1, 0, None), np.clip(after, None, len(known) - 1)]]]
-    return np.all(np.abs(ends - values[rows]) <= _STEADY * np.abs(values[rows]), axis=0)
+    reach = _STEADY * np.abs(values[rows])
+    beside = np.abs(ends - values[rows]) <= reach
+    sorted_values, sorted_marks = np.sort(values[usual]), np.sort(values[rows])
+
+    def count(among: Floats) -> NDArray[np.intp]:
+        """Number of values within reach of each mark."""
+        low, high = values[rows] - reach, values[rows] + reach
+        return np.searchsorted(among, high, side="right") - np.searchsorted(among, low)
+
+    at_level = count(sorted_values) >= np.maximum(count(sorted_marks) / 2, _REPEATED)
+    return np.all(beside, axis=0) | (np.any(beside, axis=0) & at_level)
 
 
 def _clipped(
