@@ -259,6 +259,15 @@ def test_usual_values_do_not_mark_missing_ones(heard):
     assert missing_marks(changed(np.linspace(0, 700, 100), [60], 999.0))[0].sum() == 1
 
 
+@pytest.mark.parametrize(("highest", "reported"), [(5.98, True), (7.0, False)])
+def test_pressures_cut_off_at_their_highest_level_are_reported(highest, reported, heard):
+    noise = 0.01 * np.array([0, 1, -2, 1, 2, 0, 0, 0, -1, 2, 1, -1, 0, 2, -1])
+    pressure = np.minimum(np.repeat([1.5, 4.0, 6.0], 5) + noise, highest)
+    contraction = np.tile([0.0, 3.0, 6.0, 9.0, 12.0], 3)
+    told = heard(pressure, contraction, 250 * pressure * (1 - contraction / 30) ** 2)[1]
+    assert ["saturated" in one for one in told] == [True] * reported
+
+
 @pytest.mark.parametrize(
     ("tails", "offset", "reported"),
     [

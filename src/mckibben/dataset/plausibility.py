@@ -37,6 +37,7 @@ _SAME_PRESSURE = 0.05  # largest relative difference of pressures at one level
 _EVEN = 1.5  # distance of a point from its neighbor, over the distance between that and the next, at most
 _LINE = 0.1  # of the force at the closer point: least value of a line through two points
 _REPEATED = 3  # equal largest values that may be saturated
+_MOST, _RARE = 0.6, 0.25  # of the rows of a level: repetitions of its largest value, cut off and by chance
 _APART = 0.05  # of the range of pressures or contractions
 _FINE = 1000  # steps of the resolution up to the largest force, where even two equal ones are rare
 _STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
@@ -217,9 +218,20 @@ def _clipped(
     at = values == levels[-1]
     twice = others == 1 < counts[-1] and any(np.ptp(one[at]) > _APART * np.ptp(one) for one in conditions)
     twice = twice and resolution(values) * _FINE < levels[-1]
-    if len(levels) > 2 and ((counts[-1] >= _REPEATED and counts[-1] > 2 * others) or twice):
+    often = counts[-1] >= _REPEATED and counts[-1] > 2 * others
+    if len(levels) > 2 and (often or twice or (name == "pressure" and _is_cut_off(values))):
         text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
         yield Problem(text, field=name, remedy="check the range of the sensor"), False
+
+
+def _is_cut_off(values: Floats) -> bool:
+    """True if the largest value repeats in most rows of its level, and the largest of no other, noisy level does."""
+    ordered = np.sort(values)
+    *others, top = np.split(ordered, np.flatnonzero(np.diff(ordered) > _SAME_PRESSURE * ordered[-1]) + 1)
+    noisy = [
+        len(np.unique(level)) > 2 and np.mean(level == level[-1]) <= _RARE for level in others if len(level) >= _COPIED
+    ]
+    return all(noisy) and bool(noisy) and np.count_nonzero(top == top[-1]) >= max(_COPIED, _MOST * len(top))
 
 
 def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> Iterator[tuple[Problem, bool]]:
