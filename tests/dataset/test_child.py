@@ -75,6 +75,12 @@ def test_netcdf_never_leads_to_another_file(netcdf, make):
     assert refused(netcdf).field == "force"
 
 
+def test_units_that_are_an_array_are_an_error(netcdf):
+    with h5py.File(netcdf, "r+") as file:
+        file["force"].attrs["units"] = np.zeros(9)
+    assert refused(netcdf).field == "force"
+
+
 def test_values_that_the_file_does_not_hold_are_not_allocated(netcdf):
     replace_force(netcdf, lambda file: file.create_dataset("force", (150_000_000,), "f8", chunks=(1024,)))
     assert netcdf.stat().st_size < 1e5

@@ -255,6 +255,9 @@ def test_usual_values_do_not_mark_missing_ones(heard):
         assert not missing_marks(np.round(values, 1).astype(float))[0].any()
     ramp = np.repeat([500.0, 1000.0, 2000.0], 10) + np.tile(np.arange(-1.0, 1.0), 15)  # 999 next to another level
     assert not missing_marks(ramp)[0].any()
+    decimals = np.linspace(100.5, 3000.5, 40)
+    assert missing_marks(changed(decimals, [5], 1023.0))[0].nonzero()[0].tolist() == [5]
+    assert not missing_marks(np.round(changed(decimals, [5], 1023.0)))[0].any()
     assert missing_marks(changed(ramp, [3], 999.0))[0].nonzero()[0].tolist() == [3]
     assert missing_marks(changed(np.linspace(0, 700, 100), [60], 999.0))[0].sum() == 1
 

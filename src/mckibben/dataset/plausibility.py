@@ -165,6 +165,7 @@ _MARKS = np.array(
         *(limit / 10**m for limit in (32767, 32768, 65535) for m in range(3)),  # ends of 16 bits
     ]
 )
+_ENDS, _WHOLE = (1023, 4095), 0.2  # single ends of 10 and 12 bits, and share of whole numbers: usual among more
 
 
 def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
@@ -174,6 +175,9 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
         return np.zeros(len(values), bool), False
     close = np.isclose(size[:, None], _MARKS, rtol=1e-12, atol=0) if len(values) < _MANY else None
     marks = (np.isin(size, _MARKS) if close is None else np.asarray(close.any(axis=1))) | (size >= _OVERLOAD)
+    ends = np.isin(size, _ENDS)
+    if np.count_nonzero(ends) == 1 and np.mean(np.modf(values)[0] != 0) > 1 - _WHOLE:
+        marks |= ends
     usual = ~marks & np.isfinite(values)
     others = values[usual] if marks.any() else values[:0]
     if not others.size:
