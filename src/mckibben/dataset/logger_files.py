@@ -214,6 +214,9 @@ def _table(
         return []
     units = (under if has_units else [shown_units.get(i, "") for i in range(len(header))]) + [""] * len(header)
     lines = [number for number, _ in body]
+    for i in range(len(header) - 1, 0, -1):  # a name over an empty column too
+        if header[i] == header[i - 1] and all(len(row) <= i or row[i] is None for _, row in body):
+            header[i] = ""
     columns = [
         RawColumn(name, as_column([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
         for i, name in enumerate(header)
