@@ -229,13 +229,17 @@ def _clipped(
 
 
 def _is_cut_off(values: Floats) -> bool:
-    """True if the largest value repeats in most rows of its level, and the largest of no other, noisy level does."""
+    """True if all values of the highest level are equal, or most where the largest of no other level repeats as often.
+
+    The other levels have to vary by noise.
+    """
     ordered = np.sort(values)
     *others, top = np.split(ordered, np.flatnonzero(np.diff(ordered) > _SAME_PRESSURE * ordered[-1]) + 1)
-    noisy = [
-        len(np.unique(level)) > 2 and np.mean(level == level[-1]) <= _RARE for level in others if len(level) >= _COPIED
-    ]
-    return all(noisy) and bool(noisy) and np.count_nonzero(top == top[-1]) >= max(_COPIED, _MOST * len(top))
+    others = [level for level in others if len(level) >= _COPIED]
+    equal = top[0] == top[-1] and len(top) > _COPIED
+    rare = all(np.mean(level == level[-1]) <= _RARE for level in others)
+    often = np.count_nonzero(top == top[-1]) >= max(_COPIED, _MOST * len(top))
+    return bool(others) and all(len(np.unique(level)) > 2 for level in others) and often and (rare or equal)
 
 
 def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> Iterator[tuple[Problem, bool]]:
