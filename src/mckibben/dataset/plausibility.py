@@ -222,7 +222,7 @@ def _clipped(
     at = values == levels[-1]
     twice = others == 1 < counts[-1] and any(np.ptp(one[at]) > _APART * np.ptp(one) for one in conditions)
     twice = twice and resolution(values) * _FINE < levels[-1]
-    often = counts[-1] >= _REPEATED and counts[-1] > 2 * others
+    often = counts[-1] > max(2 * others, _REPEATED - 1) or counts[-1] >= 2 * max(others, _REPEATED)
     if len(levels) > 2 and (often or twice or (name == "pressure" and _is_cut_off(values))):
         text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
         yield Problem(text, field=name, remedy="check the range of the sensor"), False
@@ -239,7 +239,8 @@ def _is_cut_off(values: Floats) -> bool:
     equal = top[0] == top[-1] and len(top) > _COPIED
     rare = all(np.mean(level == level[-1]) <= _RARE for level in others)
     often = np.count_nonzero(top == top[-1]) >= max(_COPIED, _MOST * len(top))
-    return bool(others) and all(len(np.unique(level)) > 2 for level in others) and often and (rare or equal)
+    varied = all(len(np.unique(level)) > 2 for level in others)
+    return bool(others and varied and often and (rare or equal))
 
 
 def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> Iterator[tuple[Problem, bool]]:
