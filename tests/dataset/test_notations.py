@@ -210,6 +210,14 @@ def test_exchanged_columns_and_a_pressure_that_a_spreadsheet_counted_up_are_repo
     assert not any("counted" in text for text in read(put(table(rows=rows)))[1])
 
 
+@pytest.mark.parametrize(("first", "reported"), [("0", True), ("0.5", False)])
+def test_a_decimal_sign_that_only_an_unread_column_has_is_reported(put, first, reported):
+    rows = [f"{p};{e};{6 - p - float(e) / 10:.3f};21.5" for p in (1, 2, 3) for e in (first, "4", "8")]
+    found, told = read(put("\n".join(["Pressure [bar];Contraction [%];Force [N];Temp [C]", *rows])))
+    assert any("'5.000'" in one or "'4.950'" in one for one in told) == reported
+    assert found.force.max() < 6
+
+
 def book_of(change):
     book = openpyxl.Workbook()
     for row in [NAMES, *ROWS]:
