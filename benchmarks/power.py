@@ -59,6 +59,7 @@ class Case:
     results: tuple[str, ...]
     before: tuple[tuple[str, ...], ...] = ()  # commands that make what this one reads
     repeated_with: str = "--force"  # if there are results; empty: not repeated once all are there
+    records: tuple[str, ...] = ()  # of an experiment: used if all are there, else it is repeated in another folder
 
 
 SWEEP = ("sweep", "scenario.yaml", "--over", "load.mass2=0.4..0.6 kg", "--samples", "96")
@@ -95,6 +96,7 @@ CASES = {
         ("calibrate", "valves.yaml", "--valves", "--duration", "20 s"),
         "",
         ("results.json", "valve.yaml", "scenario.yaml"),
+        records=("steps/result.nc", "multisine/result.nc"),
     ),
     "rig": Case(("rig", "run", "protocol.yaml"), "protocol.yaml", ()),
 }
@@ -301,6 +303,7 @@ class Disk:
 
 def verify(case: Case, told: list[dict], was: Path, left: Path, worker: Worker, reference: Path) -> None:
     """Hold what a cut left of a folder against what was said by then, and resume or repeat the command."""
+    from mckibben.rig.record import segments
     from mckibben.storage.journal import JournalReader
 
     def here(path: str) -> Path:
@@ -332,6 +335,12 @@ def verify(case: Case, told: list[dict], was: Path, left: Path, worker: Worker, 
         assert not journals, "nothing is left to resume from, and records were kept"
     elif left.is_dir() and case.repeated_with and any(name in listing(left) for name in case.results):
         arguments += (case.repeated_with,)
+    if any(segments((left / name).parent) for name in case.records):
+        if all((left / name).is_file() for name in case.records):
+            arguments += tuple(word for name in case.records for word in ("--recording", str(left / name)))
+        else:
+            left /= "again"
+            arguments = case.arguments
     if case.repeated_with or not left.is_dir() or not set(case.results) <= set(listing(left)):
         done = worker.run(arguments, left)
         assert done["end"] == 0, f"it ended with {done['end']}: {worker.log.read_text()[-1500:]}"

@@ -1,6 +1,7 @@
 """Files that lead elsewhere, claim what they do not hold, make a library loop, or exceed the limits of a reader."""
 
 import os
+import runpy
 import struct
 import time
 from pathlib import Path
@@ -74,6 +75,12 @@ def test_netcdf_never_leads_to_another_file(netcdf, make):
     assert refused(netcdf).field == "force"
 
 
+def test_units_that_are_an_array_are_an_error(netcdf):
+    with h5py.File(netcdf, "r+") as file:
+        file["force"].attrs["units"] = np.zeros(9)
+    assert refused(netcdf).field == "force"
+
+
 def test_values_that_the_file_does_not_hold_are_not_allocated(netcdf):
     replace_force(netcdf, lambda file: file.create_dataset("force", (150_000_000,), "f8", chunks=(1024,)))
     assert netcdf.stat().st_size < 1e5
@@ -102,8 +109,19 @@ def test_a_heap_in_which_the_library_loops_is_an_error_and_the_next_file_is_read
     path.write_bytes(damaged)
     with monkeypatch.context() as patch:
         patch.setattr("mckibben.dataset.child.SECONDS", 1.0)
-        assert "more than 1 s" in refused(path).message
+        patch.setattr("mckibben.dataset.child._WALL", 60.0)  # however busy the machine is
+        assert "more than 1 s of processor time" in refused(path).message
     assert read_dataset(netcdf).table.identical(dataset.table)
+
+
+def test_a_reader_that_waits_reaches_the_wall_clock_limit_and_the_message_has_that_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr("mckibben.dataset.child.SECONDS", 0.5)
+    path = tmp_path / "waits.py"
+    path.write_text("import time; time.sleep(60)")
+    with pytest.raises(DatasetError) as caught:
+        call_in_child(path, runpy.run_path)
+    limit = "3 s" if os.name == "posix" else "0.65 s"
+    assert caught.value.problems[0].message.endswith(f"more than {limit}")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs pipes and devices")

@@ -8,6 +8,7 @@ import pytest
 from mckibben.cli.options import parse_columns
 from mckibben.dataset import Recording, read_dataset, read_recording
 from mckibben.dataset.plausibility import missing_marks
+from mckibben.dataset.points import stuck_or_jumping
 from mckibben.dataset.recipe import Recipe
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError, UnitError
 
@@ -252,7 +253,22 @@ def test_usual_values_do_not_mark_missing_ones(heard):
     assert heard(pressure / 1000, contraction, force, {"time_ms": time})[1] == []
     for values in (pressure, time):
         assert not missing_marks(np.round(values, 1).astype(float))[0].any()
+    ramp = np.repeat([500.0, 1000.0, 2000.0], 10) + np.tile(np.arange(-1.0, 1.0), 15)  # 999 next to another level
+    assert not missing_marks(ramp)[0].any()
+    decimals = np.linspace(100.5, 3000.5, 40)
+    assert missing_marks(changed(decimals, [5], 1023.0))[0].nonzero()[0].tolist() == [5]
+    assert not missing_marks(np.round(changed(decimals, [5], 1023.0)))[0].any()
+    assert missing_marks(changed(ramp, [3], 999.0))[0].nonzero()[0].tolist() == [3]
     assert missing_marks(changed(np.linspace(0, 700, 100), [60], 999.0))[0].sum() == 1
+
+
+@pytest.mark.parametrize(("highest", "reported"), [(5.98, True), (7.0, False)])
+def test_pressures_cut_off_at_their_highest_level_are_reported(highest, reported, heard):
+    noise = 0.01 * np.array([0, 1, -2, 1, 2, 0, 0, 0, -1, 2, 1, -1, 0, 2, -1])
+    pressure = np.minimum(np.repeat([1.5, 4.0, 6.0], 5) + noise, highest)
+    contraction = np.tile([0.0, 3.0, 6.0, 9.0, 12.0], 3)
+    told = heard(pressure, contraction, 250 * pressure * (1 - contraction / 30) ** 2)[1]
+    assert ["saturated" in one for one in told] == [True] * reported
 
 
 @pytest.mark.parametrize(
@@ -326,6 +342,17 @@ def test_samples_of_sensors_that_jump_or_stand_still_are_noted(channel, change, 
     found = sampled(**{channel: change}).strokes(pressure_tolerance=3e3)
     assert [said in note for note in found.notes].count(True) == 1
     assert not sampled().strokes(pressure_tolerance=3e3).notes
+
+
+@pytest.mark.parametrize(("friction", "noted"), [(45.0, False), (-45.0, True)])
+def test_a_force_that_steps_by_friction_where_the_muscle_reverses_fast_is_no_jump(friction, noted):
+    phase = 20 * np.arange(0, 12, 0.01)
+    contraction = 0.05 + 0.04 * np.sin(phase)
+    force = 600 * (1 - contraction / 0.3) - friction * np.sign(np.cos(phase))
+    noise = np.random.default_rng(3).normal(0, 0.3, len(phase))
+    found = sampled(contraction=lambda _: contraction, force=lambda _: force + noise)
+    notes = list(stuck_or_jumping(found.table, np.zeros(len(phase), bool)))
+    assert [note.startswith("force alone jumps") for note in notes] == [True] * noted
 
 
 def test_a_recording_with_the_newest_sample_first_is_refused():

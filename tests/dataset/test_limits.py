@@ -3,9 +3,12 @@
 import io
 import os
 import time
+import warnings
 
+import numpy as np
 import openpyxl
 import pytest
+from nptdms import ChannelObject, TdmsWriter
 
 from mckibben.dataset import read_dataset, read_recording
 from mckibben.dataset.formats import read_table
@@ -118,3 +121,17 @@ def test_the_problems_of_a_column_without_numbers_are_few(put, wrong, how):
     assert {one.field for one in problems} <= {"force_N", ""}
     assert any(one.line is None and one.field == "force_N" for one in problems)
     assert [one.line for one in problems if one.line][:3] == [3, 4, 6]
+
+
+def test_a_unit_as_long_as_a_file_is_no_unit(tmp_path):
+    path = tmp_path / "rig.tdms"
+    columns = {"pressure_bar": [1.0, 2.0], "contraction_percent": [0.0, 1.0], "force_N": [30.0, 50.0]}
+    with TdmsWriter(str(path)) as writer:
+        for name, values in columns.items():
+            properties = {"unit_string": "y" * 10_000_000} if name == "force_N" else {}
+            writer.write_segment([ChannelObject("rig", name, np.array(values), properties=properties)])
+    start = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", McKibbenWarning)
+        assert len(read_dataset(path)) == 2
+    assert time.process_time() - start < SECONDS / 5

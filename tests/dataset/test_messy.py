@@ -2,6 +2,7 @@
 
 import importlib
 import io
+import warnings
 from pathlib import Path
 
 import h5py
@@ -157,6 +158,26 @@ def test_scales_that_are_not_applied_are_reported(put):
         with pytest.warns(McKibbenWarning, match="not applied"):
             read_dataset(hdf5(change))
     read_dataset(hdf5(lambda file: file["force_N"].attrs.update(channel=3, date="2024-03-01")))
+
+
+@pytest.mark.parametrize(
+    ("line", "reported"),
+    [
+        ("# Hint: force in N, pressure in bar", False),
+        ("Units: bar, %, N", False),
+        ("# Hint: force in kN, pressure in bar", True),
+        ("# Hint: force in N, pressure in bar abs", True),
+        ("# force in N / 2", True),
+        ("# force in -N", True),
+    ],
+)
+def test_a_line_that_repeats_the_units_of_the_columns_is_not_reported(put, line, reported):
+    rows = [f"{p},{e},{300 * p * (1 - e / 26) ** 2:.1f}" for p in (1, 2, 3) for e in (0, 4, 8, 12)]
+    path = put("\n".join([line, "pressure_bar,contraction_percent,force_N", *rows]) + "\n")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", McKibbenWarning)
+        read_dataset(path)
+    assert [str(one.message).startswith(f"{path}: line 1 says") for one in caught] == [True] * reported
 
 
 def test_notes_at_cells_of_a_workbook_are_reported_and_shares_shown_in_percent_are_ratios(put):

@@ -210,6 +210,14 @@ def test_exchanged_columns_and_a_pressure_that_a_spreadsheet_counted_up_are_repo
     assert not any("counted" in text for text in read(put(table(rows=rows)))[1])
 
 
+@pytest.mark.parametrize(("first", "reported"), [("0", True), ("0.5", False)])
+def test_a_decimal_sign_that_only_an_unread_column_has_is_reported(put, first, reported):
+    rows = [f"{p};{e};{6 - p - float(e) / 10:.3f};21.5" for p in (1, 2, 3) for e in (first, "4", "8")]
+    found, told = read(put("\n".join(["Pressure [bar];Contraction [%];Force [N];Temp [C]", *rows])))
+    assert any("'5.000'" in one or "'4.950'" in one for one in told) == reported
+    assert found.force.max() < 6
+
+
 def book_of(change):
     book = openpyxl.Workbook()
     for row in [NAMES, *ROWS]:
@@ -242,6 +250,30 @@ def test_merged_cells_percent_formats_and_white_text_of_a_workbook(put):
         sheet["C5"].font = Font(color="FFFFFFFF")
 
     assert any("coloured" in text and "5" in text for text in read(put(book_of(white), "c.xlsx"))[1])
+
+
+@pytest.mark.parametrize(
+    ("names", "units", "factor", "refused"),
+    [(NAMES, (), 1, True), (("p", "eps", "F"), ("bar", "%", "N", "kN"), 1e-3, False)],
+    ids=["two sensors", "two units"],
+)
+def test_a_name_merged_over_two_columns_is_that_of_both(put, names, units, factor, refused):
+    book = openpyxl.Workbook()
+    for row in [
+        names,
+        *([units] if units else []),
+        *((*row, factor * row[2] if units else row[2] / 2) for row in ROWS),
+    ]:
+        book.active.append(row)
+    book.active.merge_cells("C1:D1")
+    book.active.merge_cells("A9:B9")  # its pressure is not a contraction
+    stream = io.BytesIO()
+    book.save(stream)
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(put(stream.getvalue(), "a.xlsx"))
+    empty = [problem.field for problem in caught.value.problems if problem.line == 9]
+    assert empty == [names[1]]
+    assert [problem.field for problem in caught.value.problems if problem.line is None] == [names[2]] * refused
 
 
 def test_a_name_that_begins_like_another_format_is_read(put):

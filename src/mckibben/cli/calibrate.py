@@ -173,7 +173,8 @@ def _running(out: Path, parts: Mapping[str, str], rig: JointRig | None, quiet: b
 
     if kept := [name for name in parts if (out / name).is_dir() and segments(out / name)]:
         results = [out / name / "result.nc" for name in kept if (out / name / "result.nc").is_file()]
-        remedy = f"use them with --recording {results[0]}, or choose" if results else "they are incomplete; choose"
+        use = " ".join(f"--recording {path}" for path in results)
+        remedy = f"use them with {use}, or choose" if results else "they are incomplete; choose"
         raise ParameterError(f"{out} already contains records", remedy=f"{remedy} another folder")
 
     def ready(name: str) -> None:

@@ -10,6 +10,7 @@ import contextlib
 import math
 import os
 import pickle
+import signal
 import subprocess
 import sys
 import threading
@@ -21,7 +22,7 @@ from typing import Any, TypeVar, cast
 from mckibben.errors import DatasetError, Problem
 
 SECONDS = 10.0
-"""Processor time of the child process for a file; where it is not limited (Windows), the wall-clock time."""
+"""Processor time of the child process for a file [s]; not limited on Windows."""
 MEMORY = 448 * 2**20
 """Memory [bytes] of the child process for a file, in excess of the idle process."""
 _VARIABLE = "MCKIBBEN_READ_LIMITS"
@@ -58,8 +59,8 @@ class _Child:
         seconds, size = SECONDS * factor, MEMORY * factor
         with self.lock:
             process = self._running()
-            start = time.monotonic()
-            timer = threading.Timer((_WALL if os.name == "posix" else 1.3) * seconds, process.kill)
+            start, wall = time.monotonic(), (_WALL if os.name == "posix" else 1.3) * seconds
+            timer = threading.Timer(wall, process.kill)
             timer.start()
             done, replace, answer = False, True, None
             try:
@@ -76,12 +77,19 @@ class _Child:
             return cast(Result, answer)
         if isinstance(answer, DatasetError):
             raise DatasetError(str(path), answer.problems)
+        limit, remedy = "", LIMIT_REMEDY
         if status == _OUT_OF_MEMORY:
-            problem = Problem(f"cannot be read: it takes more than {size / 1e6:.0f} MB of memory", remedy=LIMIT_REMEDY)
-        elif time.monotonic() - start >= seconds:
-            problem = Problem(f"cannot be read: it takes more than {seconds:g} s", remedy=LIMIT_REMEDY)
-        else:
-            problem = Problem("cannot be read: it crashes the library that reads it", remedy="save the file again")
+            limit = f"{size / 1e6:.0f} MB of memory"
+        elif status == -getattr(signal, "SIGXCPU", 0):
+            limit = f"{seconds:g} s of processor time"
+        elif time.monotonic() - start >= wall:
+            limit, remedy = (
+                f"{wall:g} s",
+                f"close programs that keep the processors or the disk busy, or {LIMIT_REMEDY}",
+            )
+        if limit:
+            raise DatasetError(str(path), [Problem(f"cannot be read: it takes more than {limit}", remedy=remedy)])
+        problem = Problem("cannot be read: it crashes the library that reads it", remedy="save the file again")
         raise DatasetError(str(path), [problem])
 
     def _running(self) -> subprocess.Popen[bytes]:

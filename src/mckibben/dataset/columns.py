@@ -68,7 +68,7 @@ def find_columns(
         **{v: k for k, v in mapping.items() if _swapped(k, v, header)},
     }
     asked: set[str] = set()
-    seen: set[str] = set()
+    units: dict[str, set[str]] = {}  # of the names before
     assigned: dict[int, str] = {}
     positions: set[int] = set()
     for given, name in mapping.items():
@@ -101,8 +101,8 @@ def find_columns(
     for index, (channel, column) in enumerate(zip(sheet.channels, columns, strict=True)):
         text = channel.name
         mapped = index in assigned
-        seen.add(header[index - 1] if index else "")
-        if text and text in seen and index not in positions:
+        before, units[text] = units.get(text), {*units.get(text, ()), channel.unit}
+        if text and before and index not in positions and (column is None or before & {channel.unit, ""}):
             if text in chosen or column is None or _is_copy(sheet, index):
                 layout.ignored.append(text)
             else:
@@ -154,6 +154,7 @@ def find_columns(
         if (name := channel.name) in layout.ignored
         and (quantity := _candidate(channel.label)) in layout.places
         and quantity not in asked
+        and name != header[layout.places[quantity][0]]
     ]
     layout.suspect += [
         f"{channel.name!r} has a unit of {quantity}; read is {header[layout.places[quantity][0]]!r}"

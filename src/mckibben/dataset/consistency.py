@@ -461,7 +461,8 @@ def _offsets(dataset: IsobaricDataset, *, known: bool) -> Iterator[str]:
     errors = np.sqrt(np.einsum("ie,ij,je->e", ends, covariance[1:3, 1:3], ends))
     low, high = _WITHOUT_PRESSURE
     above = np.all(pulls > np.maximum(low * force.max(), _CERTAIN * errors))
-    if not known and above and pulls.max() < min(high * force.max(), _ALIKE * pulls.min()):
+    alike = pulls.max() - errors.max() < _ALIKE * pulls.min()
+    if not known and above and alike and pulls.max() < high * force.max():
         yield (
             f"force: without pressure, a force of about {pulls.mean():.3g} N would remain at all contractions: "
             "this may be an offset of the load cell or the pressures, or friction if all points are of one direction"

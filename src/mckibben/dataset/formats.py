@@ -7,11 +7,12 @@ import os
 import re
 import stat
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from mckibben.dataset.child import LIMIT_REMEDY, call_in_child, limit_factor
 from mckibben.dataset.encodings import decode
-from mckibben.dataset.headers import parse_header
+from mckibben.dataset.headers import LONGEST_NAME, parse_header
 from mckibben.dataset.large_text import read_large_text
 from mckibben.dataset.lvm import SIGNATURE, read_lvm
 from mckibben.dataset.sheet import RawTable
@@ -82,6 +83,7 @@ def _is_binary(path: Path, start: bytes) -> bool:
 def _read_within_limits(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
     """Columns of a file, read in the child process."""
     table = _read(path, mapping, decimal)
+    table.channels = [replace(one, unit=one.unit[:LONGEST_NAME]) for one in table.channels]  # a text may have 30 MB
     cells, most = sum(len(channel.cells) for channel in table.channels), _CELLS * limit_factor()
     if cells > most:
         raise DatasetError(str(path), [Problem(f"has {cells} cells, more than {most:.0f}", remedy=LIMIT_REMEDY)])

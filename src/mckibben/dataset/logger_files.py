@@ -118,7 +118,7 @@ def _hidden(archive: zipfile.ZipFile, part: str) -> str:
 
 
 def _fill_merged(rows: list[tuple[int, tuple[Any, ...]]], archive: zipfile.ZipFile, part: str) -> None:
-    """Give the cells of a sheet that are merged with the one above its value."""
+    """Give merged cells of a sheet the value of the one above them, or the name of the one on their left."""
     with archive.open(part.lstrip("/")) as stream:
         tail = b""
         while block := stream.read(2**20):
@@ -126,17 +126,24 @@ def _fill_merged(rows: list[tuple[int, tuple[Any, ...]]], archive: zipfile.ZipFi
     at = {number: index for index, (number, _) in enumerate(rows)}
     for left, top, right, bottom in _MERGED.findall(tail):
         first = at.get(int(top))
-        if left != right or first is None:
+        if first is None:
             continue
-        column = functools.reduce(lambda value, letter: 26 * value + letter - 64, left, 0) - 1
-        value = rows[first][1][column] if column < len(rows[first][1]) else None
+        column, end = (
+            functools.reduce(lambda value, letter: 26 * value + letter - 64, one, 0) for one in (left, right)
+        )
+        number, row = rows[first]
+        value = row[column - 1] if column <= len(row) else None
+        if left != right:
+            if isinstance(value, str) and value[:1].isalpha() and end <= _MOST_COLUMNS:  # no number of another column
+                rows[first] = number, (*row[:column], *[value] * (end - column), *row[end:])
+            continue
         for index in range(first + 1, len(rows)):
             number, row = rows[index]
             if number > int(bottom):
                 break
-            row = (*row, *[None] * (column + 1 - len(row)))  # a row ends with its last value
-            if row[column] is None:
-                rows[index] = number, (*row[:column], value, *row[column + 1 :])
+            row = (*row, *[None] * (column - len(row)))  # a row ends with its last value
+            if row[column - 1] is None:
+                rows[index] = number, (*row[: column - 1], value, *row[column:])
 
 
 def _is_coloured(font: Any) -> bool:
@@ -207,6 +214,9 @@ def _table(
         return []
     units = (under if has_units else [shown_units.get(i, "") for i in range(len(header))]) + [""] * len(header)
     lines = [number for number, _ in body]
+    for i in range(len(header) - 1, 0, -1):  # a name over an empty column too
+        if header[i] == header[i - 1] and all(len(row) <= i or row[i] is None for _, row in body):
+            header[i] = ""
     columns = [
         RawColumn(name, as_column([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
         for i, name in enumerate(header)

@@ -37,6 +37,7 @@ _SAME_PRESSURE = 0.05  # largest relative difference of pressures at one level
 _EVEN = 1.5  # distance of a point from its neighbor, over the distance between that and the next, at most
 _LINE = 0.1  # of the force at the closer point: least value of a line through two points
 _REPEATED = 3  # equal largest values that may be saturated
+_MOST, _RARE = 0.6, 0.25  # of the rows of a level: repetitions of its largest value, cut off and by chance
 _APART = 0.05  # of the range of pressures or contractions
 _FINE = 1000  # steps of the resolution up to the largest force, where even two equal ones are rare
 _STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
@@ -164,6 +165,7 @@ _MARKS = np.array(
         *(limit / 10**m for limit in (32767, 32768, 65535) for m in range(3)),  # ends of 16 bits
     ]
 )
+_ENDS, _WHOLE = (1023, 4095), 0.2  # single ends of 10 and 12 bits, and share of whole numbers: usual among more
 
 
 def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
@@ -173,6 +175,9 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
         return np.zeros(len(values), bool), False
     close = np.isclose(size[:, None], _MARKS, rtol=1e-12, atol=0) if len(values) < _MANY else None
     marks = (np.isin(size, _MARKS) if close is None else np.asarray(close.any(axis=1))) | (size >= _OVERLOAD)
+    ends = np.isin(size, _ENDS)
+    if np.count_nonzero(ends) == 1 and np.mean(np.modf(values)[0] != 0) > 1 - _WHOLE:
+        marks |= ends
     usual = ~marks & np.isfinite(values)
     others = values[usual] if marks.any() else values[:0]
     if not others.size:
@@ -187,11 +192,24 @@ def missing_marks(values: Floats) -> tuple[NDArray[np.bool_], bool]:
 
 
 def _continuous(values: Floats, marks: NDArray[np.bool_], usual: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """True for marks close to the nearest other values before and after, such as times and steady pressures."""
+    """True for marks close to the other values next to them, such as times and steady pressures.
+
+    One neighbor is enough at the edge of a level: where several values, at least half as many as marks, are as close.
+    """
     rows, known = np.flatnonzero(marks), np.flatnonzero(usual)
     after = np.searchsorted(known, rows)
     ends = values[known[[np.clip(after - 1, 0, None), np.clip(after, None, len(known) - 1)]]]
-    return np.all(np.abs(ends - values[rows]) <= _STEADY * np.abs(values[rows]), axis=0)
+    reach = _STEADY * np.abs(values[rows])
+    beside = np.abs(ends - values[rows]) <= reach
+    sorted_values, sorted_marks = np.sort(values[usual]), np.sort(values[rows])
+
+    def count(among: Floats) -> NDArray[np.intp]:
+        """Number of values within reach of each mark."""
+        low, high = values[rows] - reach, values[rows] + reach
+        return np.searchsorted(among, high, side="right") - np.searchsorted(among, low)
+
+    at_level = count(sorted_values) >= np.maximum(count(sorted_marks) / 2, _REPEATED)
+    return np.all(beside, axis=0) | (np.any(beside, axis=0) & at_level)
 
 
 def _clipped(
@@ -204,9 +222,25 @@ def _clipped(
     at = values == levels[-1]
     twice = others == 1 < counts[-1] and any(np.ptp(one[at]) > _APART * np.ptp(one) for one in conditions)
     twice = twice and resolution(values) * _FINE < levels[-1]
-    if len(levels) > 2 and ((counts[-1] >= _REPEATED and counts[-1] > 2 * others) or twice):
+    often = counts[-1] > max(2 * others, _REPEATED - 1) or counts[-1] >= 2 * max(others, _REPEATED)
+    if len(levels) > 2 and (often or twice or (name == "pressure" and _is_cut_off(values))):
         text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
         yield Problem(text, field=name, remedy="check the range of the sensor"), False
+
+
+def _is_cut_off(values: Floats) -> bool:
+    """True if all values of the highest level are equal, or most where the largest of no other level repeats as often.
+
+    The other levels have to vary by noise.
+    """
+    ordered = np.sort(values)
+    *others, top = np.split(ordered, np.flatnonzero(np.diff(ordered) > _SAME_PRESSURE * ordered[-1]) + 1)
+    others = [level for level in others if len(level) >= _COPIED]
+    equal = top[0] == top[-1] and len(top) > _COPIED
+    rare = all(np.mean(level == level[-1]) <= _RARE for level in others)
+    often = np.count_nonzero(top == top[-1]) >= max(_COPIED, _MOST * len(top))
+    varied = all(len(np.unique(level)) > 2 for level in others)
+    return bool(others and varied and often and (rare or equal))
 
 
 def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> Iterator[tuple[Problem, bool]]:

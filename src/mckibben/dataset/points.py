@@ -104,9 +104,21 @@ def stuck_or_jumping(table: xr.Dataset, broken: NDArray[np.bool_]) -> Iterator[s
     for name in channels:
         rest = [steps[other] < _REST for other in channels if other != name]
         alone = np.flatnonzero((steps[name] > _JUMP) & rest[0] & rest[1] & taut & ~broken[1:])
+        if name == "force" and len(alone):
+            alone = alone[~_reversals(channels["contraction"], channels["force"], alone, scales["contraction"])]
         if len(alone):
             shown = _listed([f"{time[at + 1]:.6g} s" for at in alone])
             yield f"{name} alone jumps, at {shown}: a sensor that was zeroed, slipped or lost counts?"
+
+
+def _reversals(
+    contraction: NDArray[np.float64], force: NDArray[np.float64], at: NDArray[np.intp], scale: float
+) -> NDArray[np.bool_]:
+    """True for steps of the force, after these samples, that are of friction, as the muscle reverses fast there."""
+    before = contraction[at] - contraction[np.clip(at - _LEAST, 0, None)]
+    after = contraction[np.clip(at + 1 + _LEAST, None, len(contraction) - 1)] - contraction[at + 1]
+    moved = np.minimum(np.abs(before), np.abs(after)) > _REST * scale
+    return moved & (before * after < 0) & (before * (force[at + 1] - force[at]) > 0)  # a stretched muscle pulls more
 
 
 _GAP = 10  # usual intervals

@@ -145,6 +145,9 @@ class ColumnConverter:
         self.decimal, question = decimal_sign(numeric, measured, sheet.delimiter, decimal)
         if question is not None:
             self.problems.append(sheet.kind(question.message, question.line, question.field, question.remedy))
+        elif (alone := decimal_sign(numeric, (), sheet.delimiter, decimal)[1]) is not None:
+            both = alone.message.partition(";")[0]
+            self.suspect.append(f"{alone.field}: {both}, and only a column that is not read decides; {alone.remedy}")
 
     def line_numbers(self) -> NDArray[np.int64]:
         """Line number of each row."""

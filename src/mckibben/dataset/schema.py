@@ -150,8 +150,9 @@ def _structure(table: xr.Dataset, schema: Mapping[str, Variable]) -> Iterator[Pr
         elif array.size and array.dtype.kind not in ("UOT" if name in WORDS else "fiu"):
             what = " and ".join(WORDS.get(name, ("numbers",)))
             yield Problem(f"contains values other than {what}", field=name)
-        if (unit := array.attrs.get("units", variable.unit)) != variable.unit:
-            yield Problem(f"is in {unit!r}", field=name, remedy=f"give it in {variable.unit!r}")
+        unit = array.attrs.get("units", variable.unit)
+        if not (isinstance(unit, str) and unit == variable.unit):  # an array is possible in a damaged file
+            yield Problem(f"is in {str(unit)!r:.60}", field=name, remedy=f"give it in {variable.unit!r}")
 
 
 def _settled(name: str, values: np.ndarray, dims: tuple[str, ...]) -> np.ndarray:
@@ -323,7 +324,7 @@ class MeasuredTable:
         return self.pressure.size
 
     def _repr_html_(self) -> str:
-        read = self.table.attrs.get("columns_read", "")
+        read = str(self.table.attrs.get("columns_read", ""))
         return f"<p>{escape(repr(self))}</p>{f'<pre>{escape(read)}</pre>' if read else ''}{self.table._repr_html_()}"
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mckibben.dataset.arrangement import labelled, titles
 from mckibben.dataset.columns import SUBTRACT
-from mckibben.dataset.headers import ABSOLUTE, is_unit
+from mckibben.dataset.headers import ABSOLUTE, is_unit, parse_header, same_unit
 from mckibben.dataset.sheet import (
     COMMENTS,
     MENTIONED,
@@ -41,6 +41,8 @@ _ROW_NUMBER = re.compile(r"\s*[0-9]{1,15}\s*")
 _TIME_STAMP = re.compile(r"^[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{3} -> ", re.MULTILINE)  # of the Arduino IDE
 _QUOTED = re.compile(r"""(?<![^;,\t|\n])(?:'([^'"\n]*)'|="([^"\n]*)"|""\"([^"\n]*)""\")(?=[;,\t|\r\n]|$)""")
 _APOSTROPHE = re.compile(r"(?<![^;,\t|\n])'(?=[-+]?[.,]?[0-9][^';\t|\n]*(?:[;\t|\n]|$))")  # a number as text in Excel
+_WORDS = re.compile(r"[^\W\d_]+|[^\s#:;,.()\[\]]")
+_PLAIN = frozenset("hint note units unit in is are and all values hinweis einheit einheiten und".split())
 _SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+")
 
 _Known = Callable[[str, str], bool]
@@ -96,7 +98,7 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
             sheet.suspect.append(f"line {at} says {words}: pressures are read as gauge pressures; {SUBTRACT}")
         elif NOT_APPLIED.search(line) and at not in used:
             sheet.suspect.append(f"line {at} says {line.strip()[:_SHOWN]!r}, which is not applied to the numbers")
-        elif MENTIONED.search(line) and at not in used:
+        elif MENTIONED.search(line) and at not in used and not _repeats_units(line, sheet):
             mentioned.append(f"{at} says {line.strip()[:_SHOWN]!r}")
     if mentioned:  # such as a load cell: in one warning, as most are harmless
         more = f" and {len(mentioned) - _FIRST} more lines" if len(mentioned) > _FIRST else ""
@@ -107,6 +109,16 @@ def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal:
     if not any(len(channel.cells) for channel in sheet.channels) and not sheet.problems and not sheet.corrupt:
         raise DatasetError(source, [Problem("has a header and no rows", line=sheet.header_line)])
     return sheet
+
+
+def _repeats_units(line: str, sheet: RawTable) -> bool:
+    """True for a line of quantities and units of the columns alone, such as: Hint: force in N, pressure in bar."""
+    columns = [parse_header(each.label, each.unit) for each in sheet.channels]
+    units = {column.unit for column in columns if column}
+    words = [word for word in _WORDS.findall(line[:_SHOWN]) if word.lower() not in _PLAIN]
+    stated = [word for word in words if not MENTIONED.fullmatch(word)]
+    agree = all(any(same_unit(word, unit, "pressure") for unit in units) for word in stated)
+    return len(line) <= _SHOWN and bool(stated) and agree
 
 
 class _Lines:
