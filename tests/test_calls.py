@@ -55,7 +55,13 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.size("knee.yaml"), "Requirement"),  # type: ignore[arg-type]
         (lambda: mk.validate(DATA, LAW), "swapped"),  # type: ignore[arg-type]
         (lambda: mk.check_reference(SCENARIO), "check_reference(plant, reference"),  # type: ignore[arg-type, call-arg]
-        (lambda: mk.catalog.specimen(3), "str"),  # type: ignore[arg-type]
+        (lambda: mk.sweep(SCENARIO, ["load.mass2=+-5 %", 3]), "string"),  # type: ignore[list-item]
+        (lambda: mk.tune(SCENARIO, {"load.mass2": (1, 2)}), "Distribution"),  # type: ignore[dict-item]
+        (lambda: mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), LAW).force(0.1, "3 bar"), "SI units"),  # type: ignore[arg-type]
+        (lambda: mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), LAW).pressure_for(100.0), "contraction"),  # type: ignore[call-arg]
+        (lambda: mk.Scenario("joint.yaml"), "Scenario.read"),  # type: ignore[call-arg]
+        (lambda: SCENARIO.compare({"a": SCENARIO.controller}, conditions=()), "conditions"),
+        (lambda: mk.catalog.specimen(3), "string"),  # type: ignore[arg-type]
         (lambda: mk.identify(mk.ExponentialLaw, DATA).predict("10 %", "3 bar"), "SI units"),  # type: ignore[arg-type]
         (lambda: mk.tune(3), "Scenario"),  # type: ignore[arg-type]
         (lambda: SCENARIO.tune(3), "list"),
@@ -150,11 +156,6 @@ def test_lists_stand_for_arrays_in_direct_calls():
             LAW.force(wrong, 2e5)
 
 
-def test_an_argument_of_any_kind_is_not_blamed():
-    with pytest.raises(AttributeError):
-        mk.sweep(SCENARIO, [3])  # type: ignore[list-item]
-
-
 def test_an_error_inside_a_right_call_is_not_blamed_on_its_arguments():
     class Broken(mk.ExponentialLaw):
         def force(self, contraction, pressure):
@@ -207,6 +208,15 @@ def test_a_scenario_forwards(tmp_path):
     }
     assert "bar/rad" in tuned._repr_html_() and isinstance(tuned.plot(), NotebookFigure)
     assert "controller.c" in SCENARIO.export("c", tmp_path).files
+
+
+def test_the_suite_of_a_scenario_has_other_controllers_and_conditions():
+    suite = Suite.of(SCENARIO)
+    assert list(suite.controllers) == ["scenario", "decoupling"]
+    assert suite.conditions[:2] == ("joint.muscle1.strength=+-10 %", "joint.muscle2.strength=+-10 %")
+    assert suite.conditions[2:] == ("load.mass1=+-20 %", "load.mass2=+-20 %")
+    other = SCENARIO.replace(controller=suite.scenario("decoupling", "reference").controller)
+    assert list(Suite.of(other).controllers) == ["scenario", "PID"]
 
 
 @pytest.mark.slow

@@ -171,6 +171,13 @@ def test_a_mistake_leaves_nothing_behind(cli, written, tmp_path, arguments, said
     assert [path.name for path in tmp_path.iterdir()] == ["suite.yaml"]
 
 
+def test_a_scenario_has_a_suite_of_its_own(cli, tmp_path):
+    scenario = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
+    found = cli("compare", str(scenario), "--out", "kept", "--repeat", "PID 3")
+    assert (found.code, found.out) == (2, "") and "kept does not contain a comparison" in found.err
+    assert "scenario, decoupling" in found.err and "load.mass2=+-20 %" in found.err
+
+
 def test_a_mistake_in_the_suite_names_its_line(cli, tmp_path):
     (tmp_path / "suite.yaml").write_text(TEXT.replace("untuned: [as it is]", "untuned: [as it iss]"), encoding="utf-8")
     found = cli("compare", "suite.yaml", "--out", "kept")

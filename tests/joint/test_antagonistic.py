@@ -143,7 +143,7 @@ def test_outside_a_muscles_domain_a_direct_call_warns_once(as_printed, method):
 
 def test_a_joint_prints_in_one_line(knee):
     muscle = "Muscle(MAS-10-180N-AA-MC-O, ExponentialLaw)"
-    assert repr(knee) == f"AntagonisticJoint({muscle}, {muscle}, RigidTendon)"
+    assert repr(knee) == f"AntagonisticJoint(KneeGeometry, {muscle}, {muscle}, RigidTendon)"
     assert repr(knee.muscle1.specimen) == "Specimen(MAS-10-180N-AA-MC-O)"
 
 

@@ -108,8 +108,11 @@ def test_small_motion_stiffness_stands_next_to_the_isobaric_one(tmp_path):
     result.to_netcdf(tmp_path / "run.nc")
     (edge,) = [one for one in draw_envelope(found).axes[1].lines if str(one.get_label()).startswith("small motion")]
     assert np.nanmax(edge.get_ydata()) == pytest.approx(np.nanmax(small.lowest[static.inside]))
-    (line,) = [one for one in tracking({"PID": result}).axes[2].lines if "small motion" in str(one.get_label())]
+    assert draw_envelope(found).axes[1].get_yscale() == "log"
+    _, _, isobaric, small_motion, _ = tracking({"PID": result}).axes
+    (line,) = small_motion.lines
     np.testing.assert_array_equal(line.get_ydata(), result["small_motion_stiffness"])
+    assert isobaric.get_ylim()[1] < small_motion.get_ylim()[0]
     plain = envelope(scenario())
     assert plain.static.small_motion is None and "small-motion stiffness" not in plain.headers
 

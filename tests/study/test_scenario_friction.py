@@ -144,3 +144,15 @@ def test_a_sweep_takes_it_into_the_attainable_stiffness():
     table = {"controller.stiffness_amplitude": np.array([0.3, 30.0]) * deg}
     short = feasibility(scenario, table, 2)["shortfall_max"]
     assert short[0] > short[1] + 20  # 13 to 17 N*m/rad are out of reach for small motion
+
+
+@pytest.mark.slow
+def test_a_loop_that_is_unstable_while_the_joint_sticks_oscillates_after_a_push():
+    text = BASE[: BASE.index("reference:")] + "reference: {angle: 5 deg, stiffness: 15 N*m/rad}\n"
+    text += "start: {angle: 0 deg, stiffness: 12 N*m/rad}\nduration: 30 s\ncontrol_period: 1 ms\n"
+    text += "friction: {torque: 1.5 N*m}\n"
+    push = "disturbance: {height: 0.02 N*m, width: 50 ms, interval: 200 s, start: 10 s}\n"
+    assert Scenario.parse(text).margins(2).radius[0] > 1
+    quiet, pushed = (Scenario.parse(one).simulate() for one in (text, text + push))
+    assert np.ptp(quiet["angle"][-2000:]) < 1e-6 * deg
+    assert 0.1 * deg < np.ptp(pushed["angle"][-2000:]) < 0.5 * deg

@@ -28,7 +28,13 @@ _KEPT = ("results.json", "runs.nc", "suite.yaml", "comparison.html")
 
 
 def compare(
-    suite: Annotated[Path, Argument(metavar="SUITE.yaml", help="Suite file; see examples/comparison.")],
+    suite: Annotated[
+        Path,
+        Argument(
+            metavar="SUITE.yaml",
+            help="Suite file, see examples/comparison; or a scenario, compared with PID loops and decoupling.",
+        ),
+    ],
     out: Annotated[
         Path | None, Option(metavar="DIR", help="Output folder: searches, all runs, tuned scenarios, report.")
     ] = None,
@@ -47,9 +53,7 @@ def compare(
 ) -> None:
     """Tune controllers with the same budget, and compare them on the same unseen runs."""
     out = required_folder(out, "comparison")
-    from mckibben.study.benchmark import Suite
-
-    read = _smaller(with_accuracy(Suite.read(suite), accuracy), runs, quick)
+    read = _smaller(with_accuracy(_read(suite), accuracy), runs, quick)
     if repeat is not None:
         echo(_alone(out, repeat), nl=False)
         return
@@ -75,6 +79,24 @@ def compare(
         _show_pooled({"setups": shown, "pooled": pooled(results)}, out, json)
     elif json:
         echo(to_json(shown[""]))
+
+
+def _read(file: Path) -> Suite:
+    """Read a suite, or the default one of a scenario."""
+    from mckibben.config.document import read_document
+    from mckibben.config.model import read_text
+    from mckibben.scenario import Scenario
+    from mckibben.study.benchmark import Suite
+
+    if "controller" not in (read_document(read_text(file)).data or ()):
+        return Suite.read(file)
+    made = Suite.of(Scenario.read(file))
+    echo(
+        f"suite of the scenario: {', '.join(made.controllers)}; varied: {', '.join(made.conditions)}. For other "
+        "controllers and conditions, edit the suite.yaml that is kept in DIR, and compare that",
+        err=True,
+    )
+    return made
 
 
 def _prepare(out: Path, resume: bool) -> None:

@@ -278,6 +278,12 @@ def margins(
         unstable = found.time[found.radius >= 1]
         if unstable.size:
             echo(f"unstable at {unstable.size} of {found.time.size} points, first at {unstable[0]:.3g} s")
+            plant = read.plant()
+            if plant.friction is not None or plant.joint.has_friction:
+                echo(
+                    "where friction sticks it counts as a spring: oscillations grow there after a small push, until "
+                    "friction slips; simulate with a `disturbance` to see their amplitude"
+                )
         else:
             echo(f"stable at all {found.time.size} points; largest pole {found.radius.max():.4f} in discrete time")
 

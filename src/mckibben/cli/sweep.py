@@ -185,6 +185,8 @@ def tune(
     parameters: Annotated[
         list[str] | None,
         Option(
+            "--parameters",
+            "--over",
             metavar="'NAME=RANGE'",
             help="Parameter and its range, such as 'controller.position.kp=0.2..20 bar/rad log' or "
             "'load.damping=+-50 %'; a name alone spans 0.01 to 100 times its value. Repeatable (default: all gains). "

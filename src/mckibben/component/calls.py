@@ -6,21 +6,21 @@ import inspect
 import os
 import sys
 from abc import ABCMeta
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import wraps
 from numbers import Number
 from types import NoneType, SimpleNamespace, UnionType
 from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from mckibben.errors import CallError, closest, described, with_article
+from mckibben.errors import CallError, McKibbenError, closest, described, with_article
 
 P = ParamSpec("P")
 R = TypeVar("R")
 _EXPLAINED = TypeError, AttributeError, ValueError
 _CERTAIN = NoneType, str, Mapping, os.PathLike
 _READERS = "read", "from_yaml"  # class methods that read a file
-_NAMES = {Sequence: "list", Mapping: "mapping"}
+_NAMES = {Sequence: "list", Mapping: "mapping", str: "string"}
 _BY_NAME = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
 
 
@@ -57,7 +57,7 @@ class CheckedCalls(ABCMeta):
 
 def _explain(of: Callable[..., Any], args: tuple[Any, ...], named: Mapping[str, Any], error: Exception) -> None:
     """Raise a `CallError` if the arguments explain an error that is none of ours."""
-    if type(error) not in _EXPLAINED:
+    if isinstance(error, McKibbenError):
         return
     signature = inspect.signature(of)
     bound = next(iter(signature.parameters), "") in ("self", "cls")
@@ -70,12 +70,20 @@ def _explain(of: Callable[..., Any], args: tuple[Any, ...], named: Mapping[str, 
             failed.remedy = f"to read a file, write {remedy}"
         raise failed from None
     for name, value in given.items():
-        kinds = _kinds(of, name)
-        if kinds and _is_wrong(value, kinds):
-            others = [other for key, other in given.items() if key != name]
-            remedy = _remedy(value, [one for one in kinds if one is not NoneType], others)
-            text = f"{of.__name__}: {name} is {described(value)}"
-            raise CallError(text, field=name, value=value, remedy=remedy) from error
+        hints = list(_flat(_hint(of, name)))
+        checked = [(name, value, hints)]
+        if isinstance(value, list | tuple | dict):
+            several = Mapping if isinstance(value, dict) else Sequence
+            items = [kind for hint in hints if get_origin(hint) is several for kind in _flat(get_args(hint)[-1])]
+            each = value.items() if isinstance(value, dict) else enumerate(value)
+            checked += [(f"{name}[{place!r}]", one, items) for place, one in each]
+        for field, wrong, allowed in checked:
+            kinds = _classes(allowed)
+            if kinds and _is_wrong(wrong, kinds):
+                others = [other for key, other in given.items() if key != name]
+                remedy = _remedy(wrong, [one for one in kinds if one is not NoneType], others)
+                text = f"{of.__name__}: {field} is {described(wrong)}"
+                raise CallError(text, field=field, value=wrong, remedy=remedy) from error
 
 
 def _unbound(
@@ -121,27 +129,30 @@ def _reading(kind: Any, value: object) -> str:
     )
 
 
-def _kinds(of: Callable[..., Any], name: str) -> list[type]:
-    """Classes that an argument may have, None included; empty if its type does not say."""
+def _hint(of: Callable[..., Any], name: str) -> Any:
+    """Type of an argument; `Any` if unknown."""
     hint = {} if isinstance(of, type) else of.__annotations__
     with suppress(Exception):  # a name that only type checkers import
         one = SimpleNamespace(__annotations__={name: hint[name]})
-        found = list(dict.fromkeys(_flat(get_type_hints(one, vars(sys.modules[of.__module__]))[name])))
-        if all(
-            isinstance(kind, type) and kind is not Any and not getattr(kind, "_is_protocol", False) for kind in found
-        ):
-            return found
-    return []
+        return get_type_hints(one, vars(sys.modules[of.__module__]))[name]
+    return Any
 
 
 def _flat(hint: Any) -> Iterator[Any]:
-    """Classes of a type; others, such as a type variable, as they are."""
+    """Alternatives of a type."""
     origin = get_origin(hint)
     if origin in (Union, UnionType, Annotated):
         for one in get_args(hint)[: 1 if origin is Annotated else None]:
             yield from _flat(one)
     else:
-        yield hint if origin is type else origin or hint
+        yield type if origin is type else hint
+
+
+def _classes(hints: Iterable[Any]) -> list[type]:
+    """Classes of alternatives, None included; empty if one of them is not a class."""
+    found = list(dict.fromkeys(get_origin(hint) or hint for hint in hints))
+    certain = all(isinstance(one, type) and one is not Any and not getattr(one, "_is_protocol", False) for one in found)
+    return found if certain else []
 
 
 def _is_ours(kind: type) -> bool:

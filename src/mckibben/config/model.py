@@ -12,6 +12,7 @@ from pydantic_core import ErrorDetails
 
 from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document, to_text
 from mckibben.errors import (
+    CallError,
     FileError,
     McKibbenError,
     ParameterError,
@@ -48,7 +49,8 @@ class DocumentModel(ConfigModel):
     def __init__(self, /, *given: object, **fields: Any) -> None:
         if given:
             name = type(self).__name__
-            raise TypeError(f"{name} takes its fields by name; to read a file, write {name}.read({given[0]!r:.60})")
+            remedy = f"to read a file, write {name}.read({given[0]!r:.60})"
+            raise CallError(f"{name} takes its fields by name", remedy=remedy)
         try:
             super().__init__(**fields)
         except ValidationError as error:

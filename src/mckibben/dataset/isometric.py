@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.component.calls import user_level
 from mckibben.dataset.points import SampleAccount
 from mckibben.dataset.segmentation import steady_segments
 from mckibben.errors import McKibbenWarning, RangeError
@@ -192,7 +193,7 @@ def warn_of_lengths(force: NDArray[np.float64], held: NDArray[np.float64], risin
                     f"{what} differ by {show(apart, 'N')} on average: the length may have changed; if file names give "
                     "it, read it with from_name (command line: --from-name 'L{length_mm}')",
                     McKibbenWarning,
-                    stacklevel=3,
+                    stacklevel=user_level(),
                 )
                 return
 

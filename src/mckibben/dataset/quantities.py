@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.component.calls import user_level
 from mckibben.dataset.columns import find_columns
 from mckibben.dataset.headers import LONGEST_NAME, name_and_unit, parse_header, with_units_beside, without_units
 from mckibben.dataset.plausibility import implied_diameter, missing_marks
@@ -62,8 +63,8 @@ _ROWS = 3  # of impossible lengths that are listed
 
 _MEANINGS: Mapping[str, Mapping[str, str]] = {
     "direction": {
-        **dict.fromkeys(("loading", "load", "stretching", "lengthening"), "loading"),
-        **dict.fromkeys(("unloading", "unload", "shortening"), "unloading"),
+        **dict.fromkeys(("loading", "load", "stretching", "lengthening", "dehnen", "strecken", "belasten"), "loading"),
+        **dict.fromkeys(("unloading", "unload", "shortening", "verkürzen", "entlasten"), "unloading"),
         "unknown": "",
     },
     "phase": {
@@ -216,7 +217,7 @@ class ColumnConverter:
             more = [Problem(f"and {len(found) - _LISTED} more problems")] if len(found) > _LISTED else []
             raise DatasetError(str(path), found[:_LISTED] + more)
         for text in self.suspect:
-            warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=4)
+            warnings.warn(f"{path}: {text}", McKibbenWarning, stacklevel=user_level())
         attrs = {"ignored_columns": printable(", ".join(self.ignored))} if self.ignored else {}
         ours = written_by_us(self.sheet.names, self.sheet.comments)
         if not ours:
@@ -230,7 +231,7 @@ class ColumnConverter:
             first = "; ".join(map(str, found[:_WARNED]))
             more = f" ... and {len(found) - _WARNED} more, all in the attribute repairs" if len(found) > _WARNED else ""
             text = f"{path}: {left_out} of {rows} rows are left out: {first}{more}"
-            warnings.warn(text, McKibbenWarning, stacklevel=4)
+            warnings.warn(text, McKibbenWarning, stacklevel=user_level())
             data = {name: values[kept] for name, values in data.items()}
         return data, attrs
 

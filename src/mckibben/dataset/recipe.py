@@ -8,6 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator
 
+from mckibben.component.calls import user_level
 from mckibben.config.fields import OneOf
 from mckibben.config.model import DocumentModel, fail_validation
 from mckibben.dataset.isobaric import IsobaricDataset
@@ -68,7 +69,7 @@ class Recipe(DocumentModel):
         """Read points, see `read_dataset`; warns of `contraction` and `sample_rate`, which have no effect."""
         if unused := [name for name in _OF_SAMPLES if getattr(self, name) is not None]:
             text = f"the recipe has settings that apply to recordings only, not to points: {', '.join(unused)}"
-            warnings.warn(text, McKibbenWarning, stacklevel=2)
+            warnings.warn(text, McKibbenWarning, stacklevel=user_level())
         return read_dataset(path, on_corrupt=on_corrupt, **self._arguments(*_OF_SAMPLES))
 
     def recording(self, path: FilePaths, *, on_corrupt: OnCorrupt = "raise") -> Recording:

@@ -143,7 +143,8 @@ class AntagonisticJoint(Component):
                     )
 
     def __repr__(self) -> str:
-        return f"AntagonisticJoint({self.muscle1!r}, {self.muscle2!r}, {type(self.tendon).__name__})"
+        parts = type(self.geometry).__name__, repr(self.muscle1), repr(self.muscle2), type(self.tendon).__name__
+        return f"AntagonisticJoint({', '.join(parts)})"
 
     @property
     def has_friction(self) -> bool:

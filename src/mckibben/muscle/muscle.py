@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.component.base import Component
-from mckibben.component.calls import user_level
+from mckibben.component.calls import checked_call, user_level
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
 from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw, scaled_law
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
@@ -142,6 +142,7 @@ class Muscle(Component):
         length = self.specimen.length_at(contraction)
         return MuscleState(self.friction.initial(length), self.creep.initial(length, pressure))
 
+    @checked_call
     def force(self, contraction: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE) -> Float[Array, "..."]:
         """Return the force [N] at a contraction [-] and a gauge pressure [Pa], never below 0; the arguments broadcast.
 
@@ -194,14 +195,18 @@ class Muscle(Component):
             friction = self.friction.project(friction, self.specimen.length_at(contraction), tension, pressure)
         return MuscleState(friction, self.creep.project(creep, tension) if creep else ())
 
+    @checked_call
     def slope(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         """Return the derivative of `force` with respect to the contraction [N], 0 where slack; warns as `force`."""
         warn_outside((self, contraction, pressure))
         return derivative(lambda c: self.tension(c, pressure), contraction)
 
+    @checked_call
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-        """Return the gauge pressure [Pa] that gives a force [N] at a contraction [-], possibly outside the domain."""
-        return self.force_law.pressure_for(force, contraction)
+        """Return the gauge pressure [Pa] that gives a force [N] at a contraction [-]; warns outside the domain."""
+        pressure = self.force_law.pressure_for(force, contraction)
+        warn_outside((self, contraction, pressure))
+        return pressure
 
 
 def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:

@@ -37,6 +37,7 @@ from mckibben.report.style import (
     draw_band,
     legend_above,
     letter,
+    log_ticks,
     minus,
     part_of,
     plain_numbers,
@@ -229,8 +230,11 @@ def _over_angle(axes: Axes, found: Envelope) -> None:
         moved, kind = near.trackability.trajectory, near.preserved
         axes.plot(moved.angle / deg, moved.stiffness, label=_NAMES[kind], zorder=4, **_LOOKS[kind])
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    ends = [edge[inside] for band in (holds.stiffness, holds.small_motion) if band is not None for edge in band]
-    _limits(axes, *ends, motion.stiffness)
+    if holds.small_motion is None:
+        _limits(axes, *(edge[inside] for edge in holds.stiffness), motion.stiffness)
+    else:  # often many times the isobaric stiffness
+        axes.set_yscale("log")
+        log_ticks(axes.yaxis, 1, 2, 5)
 
 
 def _band(axes: Axes, holds: StaticEnvelope, *, color: str, label: str) -> None:

@@ -50,12 +50,16 @@ _SMALL = "small_motion_stiffness"
 def tracking(results: Mapping[str, Result]) -> Figure:
     """Time traces of runs on one reference: angle, angle error, stiffness with the attainable range, pressures.
 
+    Where muscles have friction, the stiffness of small motion, often many times larger, has a panel of its own.
+
     Runs are given by name, such as ``{"PID": result}``. Raises `RangeError` if their references differ.
     """
     _same_reference(results)
     alone = len(results) == 1
-    figure = blank(DOUBLE, 7.0 if alone else 5.8)
-    grid = figure.subplots(4 if alone else 3, 1, sharex=True)
+    small = {name: result[_SMALL] for name, result in results.items() if _SMALL in result.columns}
+    rows = 3 + alone + bool(small)
+    figure = blank(DOUBLE, 1.8 + 1.3 * rows)
+    grid = figure.subplots(rows, 1, sharex=True)
     looks = looks_of(results)
     first = next(iter(results.values()))
     times = first.times
@@ -74,12 +78,17 @@ def tracking(results: Mapping[str, Result]) -> Figure:
     _stiffness(grid[2], results, looks)
     grid[2].set_ylim(*_stiffness_limits(list(results.values())))
     note_off_scale(grid[2], times, {name: result["stiffness"] for name, result in results.items()}, "N·m/rad")
+    for name, values in small.items():
+        grid[3].plot(times, values, **looks[name])
+    if small:
+        grid[3].set(ylabel="small-motion\n" + STIFFNESS)
+        grid[3].set_ylim(*robust_limits(list(small.values()), floor=_LEAST_RANGE * max(map(np.nanmax, small.values()))))
     if alone:
         for muscle, colour, style in (("1", BLUE, "-"), ("2", SKY, (0, (5, 1.5)))):
             pressure = first[f"pressure{muscle}"] / bar
-            grid[3].plot(times, pressure, color=colour, linestyle=style, label=f"muscle {muscle}")
-        grid[3].set(ylabel="pressure [bar]")
-        grid[3].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
+            grid[-1].plot(times, pressure, color=colour, linestyle=style, label=f"muscle {muscle}")
+        grid[-1].set(ylabel="pressure [bar]")
+        grid[-1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
     grid[-1].set(xlabel=TIME)
     figure.align_ylabels(list(grid))
     legend_above(figure, grid[0], grid[2])
@@ -127,11 +136,6 @@ def _stiffness(axes: Axes, runs: Mapping[str, Result], looks: Mapping[str, dict[
     draw_band(axes, first.times, first["lowest_stiffness"], first["highest_stiffness"], label=_BAND)
     for name, result in runs.items():
         axes.plot(first.times, result["stiffness"], label=name, **looks[name])
-        if _SMALL in result.columns:
-            look = {**looks[name], "linestyle": (0, (1, 1.2)), "linewidth": 1.0}
-            small = result[_SMALL]  # often far above the other curves, so that the label has its range
-            span = f"{np.nanmin(small):.3g} to {np.nanmax(small):.3g} N·m/rad"
-            axes.plot(first.times, small, label=f"{name}, small motion: {span}", **look)
     axes.plot(first.times, first["desired_stiffness"], label="desired", **DESIRED)
     axes.set(ylabel=STIFFNESS)
 

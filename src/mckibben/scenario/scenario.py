@@ -266,10 +266,13 @@ class Scenario(RunSettings):
         return _above("study.tune").tune(self, over, cost, **options)
 
     @checked_call
-    def compare(self, controllers: Mapping[str, Controller], *, folder: Path | None = None, **settings: Any) -> Any:
+    def compare(
+        self, controllers: Mapping[str, Controller] | None = None, *, folder: Path | None = None, **settings: Any
+    ) -> Any:
         """Tune and compare controllers by name with that of the scenario, on its reference and in `conditions`.
 
-        `settings` are attributes of a `mckibben.study.benchmark.Suite`; see `mckibben.study.benchmark.compare`.
+        Defaults: as for `mckibben.study.benchmark.Suite.of`. `settings` are attributes of a `Suite`; see
+        `mckibben.study.benchmark.compare`.
         """
         benchmark = _above("study.benchmark")
         return benchmark.compare(benchmark.Suite.of(self, controllers, **settings), folder=folder)

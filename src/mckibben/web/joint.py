@@ -98,6 +98,8 @@ class _Page:
                     degrees = {"min": -POSE, "max": POSE}
                     self.stiffness = chart("joint angle [°]", "stiffness [N·m/rad]", height=350, xAxis=degrees)
                     self.note = ui.label("computing the first curves").classes("quiet number")
+            with panel("Stiffness of small motion, with friction") as self.small_panel:
+                self.small = chart("joint angle [°]", "stiffness [N·m/rad]", height=230, xAxis=degrees)
             with panel("Attainable torque"):
                 self.torque = chart("joint angle [°]", "torque [N·m]", height=230, xAxis=degrees)
             with panel("At this angle"), ui.element("div").classes("facts"):
@@ -167,9 +169,11 @@ class _Page:
         angles = ANGLES / deg
         low, high = found.stiffness
         lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
-        small = [line("small motion", angles, edge, GREEN, dash=True, width=1.5) for edge in found.small_motion or ()]
-        curves = [*band("attainable", angles, low, high, "#9aa7b3"), lowest | self.mark(), highest, *small]
-        draw(self.stiffness, curves)
+        draw(self.stiffness, [*band("attainable", angles, low, high, "#9aa7b3"), lowest | self.mark(), highest])
+        self.small_panel.visible = found.small_motion is not None
+        if found.small_motion is not None:  # in its own chart, as it can be many times the isobaric stiffness
+            ends = zip(("at the lowest", "at the highest"), found.small_motion, (BLUE, VERMILLION), strict=True)
+            draw(self.small, [line(name, angles, edge, color) for name, edge, color in ends])
         self.found = found
 
     def mark(self) -> dict[str, Any]:

@@ -125,6 +125,8 @@ class _Page(JobPage[Workbench]):
             with ui.column().classes("w-full").style("gap: 16px") as self.results:
                 with panel("Stiffness"):
                     self.stiffness = chart("time [s]", "stiffness [N·m/rad]", height=270)
+                with panel("Stiffness of small motion, with friction") as self.small_panel:
+                    self.small = chart("time [s]", "stiffness [N·m/rad]", height=200)
                 with ui.element("div").classes("pair"):
                     with panel("Pressures"):
                         self.pressure = chart("time [s]", "pressure [bar]", height=290)
@@ -331,9 +333,16 @@ class _Page(JobPage[Workbench]):
         desired = line("reference", time, columns["desired_stiffness"], BLACK, dash=True, width=1.5)
         older = [line(one.name, one.columns["time"], one.columns["stiffness"], c, width=1.5) for one, c in pairs]
         bounds = band("attainable at rest", time, *now.band, "#9aa7b3")
+        draw(self.stiffness, [*bounds, *older, line("now", time, columns["stiffness"], BLUE), desired])
         small = columns.get(SMALL_MOTION)
-        tiny = [] if small is None else [line("now, small motion", time, small, GREEN, dash=True, width=1.5)]
-        draw(self.stiffness, [*bounds, *older, *tiny, line("now", time, columns["stiffness"], BLUE), desired])
+        self.small_panel.visible = small is not None
+        if small is not None:  # in its own chart, as it can be many times the isobaric stiffness
+            older = [
+                line(one.name, one.columns["time"], one.columns[SMALL_MOTION], c, width=1.5)
+                for one, c in pairs
+                if SMALL_MOTION in one.columns
+            ]
+            draw(self.small, [*older, line("now", time, small, BLUE)])
         colors = (("antagonist", "pressure1", GREEN), ("agonist", "pressure2", VERMILLION))
         draw(self.pressure, [line(name, time, columns[key] / bar, color) for name, key, color in colors])
         self.scene.show(now)

@@ -14,7 +14,7 @@ from mckibben.component.schema import independent, inherit
 from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model
-from mckibben.control import Controller, Reference, Step
+from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference, Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.plant import IdealValve, NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario, list_parameters
@@ -184,6 +184,25 @@ _Share = Annotated[int, BoundedInt(1, 1000)]
 _Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 _MOST = 1_000_000
 
+_OTHERS: Mapping[str, tuple[type[Controller], Any]] = {
+    "PID": (
+        PositionStiffnessControl,
+        {
+            "position": {"kp": "2 bar/rad", "ki": "60 bar/(rad*s)", "kd": "0.4 bar*s/rad"},
+            "stiffness": {"kp": "0.08 bar/(N*m/rad)", "ki": "5 bar/(N*m*s/rad)", "kd": "0 bar*s/(N*m/rad)"},
+        },
+    ),
+    "decoupling": (
+        DecouplingControl,
+        {
+            "class": "decoupling",
+            "feedback": {"bandwidth": "60 rad/s", "damping": 2.5},
+            "observer": {"bandwidth": "200 rad/s", "damping": 2.0},
+        },
+    ),
+}
+"""Controllers that the suite of a scenario has by default, with the gains at which their tuning starts."""
+
 NOMINAL_JOINT = "nominal"
 """Plant name of the suite's own joint, which the controllers' models use."""
 
@@ -316,17 +335,28 @@ class Suite(RunSettings):
     substeps: Substeps | None = None
 
     @classmethod
-    def of(cls, scenario: Scenario, controllers: Mapping[str, Controller], **settings: Any) -> Suite:
+    def of(cls, scenario: Scenario, controllers: Mapping[str, Controller] | None = None, **settings: Any) -> Suite:
         """Return the suite of a scenario: its controller, named "scenario", and others by name on its reference.
 
-        `settings` are other attributes, such as `conditions`, `tuning` and `evaluation`.
+        Default controllers: PID loops and decoupling, unless the scenario's is of that class. `settings` are other
+        attributes, such as `tuning` and `evaluation`; default `conditions`: both muscles' strengths differ by up to
+        10 %, and the masses of the load by up to 20 %. Raises `ParameterError` if all runs are identical.
         """
+        if controllers is None:
+            own = type(scenario.controller)
+            controllers = {name: section for name, (kind, section) in _OTHERS.items() if kind is not own}
+        if "conditions" not in settings:
+            masses = [each for each in list_parameters(scenario) if each.part == "load" and each.unit == "kg"]
+            strengths = [f"joint.muscle{number}.strength=+-10 %" for number in (1, 2)]
+            settings["conditions"] = (*strengths, *(f"{each.name}=+-20 %" for each in masses if each.nominal))
         shared = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
         given = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
         steps = {"substeps": scenario.substeps} if scenario.substeps is not None else {"accuracy": scenario.accuracy}
         references = {"reference": ReferenceCase(reference=scenario.signals)}
         together = {"scenario": scenario.controller, **controllers}
-        return cls(**given, **steps, references=references, controllers=together, **settings)
+        suite = cls(**given, **steps, references=references, controllers=together, **settings)
+        _check_differs(suite)
+        return suite
 
     @field_validator("evaluation", mode="after")
     @classmethod
