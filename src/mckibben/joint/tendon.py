@@ -47,7 +47,7 @@ class Tendon(Component):
     def pressure_for(self, muscle: Muscle, path: ArrayLike, tension: ArrayLike) -> Float[Array, "..."]:
         """Return the gauge pressure [Pa] for a tension [N] and a path length [m], possibly outside the domain."""
         length = jnp.asarray(path) - self.extension(tension)
-        return muscle.pressure_for(tension, muscle.specimen.contraction_at(length))
+        return muscle.force_law.pressure_for(tension, muscle.specimen.contraction_at(length))
 
 
 class RigidTendon(Tendon):

@@ -147,8 +147,8 @@ def constraint_margins(
     def stiffness_at(tension1: Array) -> Array:
         tension2 = (torque + tension1 * arm1) / arm2
         pressures = (
-            muscles[0].pressure_for(tension1, contractions[0]),
-            muscles[1].pressure_for(tension2, contractions[1]),
+            muscles[0].force_law.pressure_for(tension1, contractions[0]),
+            muscles[1].force_law.pressure_for(tension2, contractions[1]),
         )
         return _unclipped_stiffness(joint.geometry, muscles, angle, pressures)
 
