@@ -187,6 +187,13 @@ def test_in_single_precision_what_depends_on_the_reference_alone_is_double(tmp_p
     subprocess.run([compiler(), *PLAIN, "filter.c"], cwd=tmp_path, check=True)
 
 
+def test_a_short_loop_may_pass_on_an_array_in_memory():
+    given = np.arange(4.0)
+    found = NativeFunction(lambda x, _: jax.lax.scan(lambda carry, _: (x, carry + x), x * 0, length=2))(given)
+    np.testing.assert_array_equal(found[0], given)
+    np.testing.assert_array_equal(found[1], [given, 2 * given])
+
+
 def test_remainders_of_integers_in_lanes():
     numbers = np.arange(-9, 23)
     found = NativeFunction(lambda _, x: (x % 4, jnp.asarray(x) * 1.5 % 1.0))(None, numbers)

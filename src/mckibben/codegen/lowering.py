@@ -353,7 +353,7 @@ class Lowering(ArrayRules):
         rows = []
         for number in reversed(range(length)) if reverse else range(length):
             here = [np.asarray(column[number], object) for column in columns]
-            results = self._closed(body, [*constants, *carry, *here])
+            results = list(map(self.plain, self._closed(body, [*constants, *carry, *here])))
             carry = results[: len(carry)]
             rows.append(results[len(carry) :])
         rows = rows[::-1] if reverse else rows
