@@ -46,7 +46,8 @@ def described(value: object) -> str:
     if isinstance(value, str | Number | None):
         return quoted(value)
     names: dict[type, str] = {tuple: "list", list: "list", dict: "mapping"}
-    return with_article(names.get(type(value), type(value).__name__))
+    name = names.get(type(value), type(value).__name__)
+    return with_article("array" if name == "ndarray" else name)
 
 
 def closest(name: str, known: Sequence[str]) -> str:

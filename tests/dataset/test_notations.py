@@ -276,6 +276,17 @@ def test_a_name_merged_over_two_columns_is_that_of_both(put, names, units, facto
     assert [problem.field for problem in caught.value.problems if problem.line is None] == [names[2]] * refused
 
 
+@pytest.mark.parametrize("beside", ["N", "ok", None])
+def test_a_name_merged_over_a_column_of_units_or_remarks_is_that_of_the_numbers(put, beside):
+    book = openpyxl.Workbook()
+    for row in [(*NAMES, None), *((*row, beside) for row in ROWS)]:
+        book.active.append(row)
+    book.active.merge_cells("C1:D1")
+    stream = io.BytesIO()
+    book.save(stream)
+    assert len(read_dataset(put(stream.getvalue(), "a.xlsx"))) == len(ROWS)
+
+
 def test_a_name_that_begins_like_another_format_is_read(put):
     names = ("Par1", "Par2", "Par3")
     text = "\n".join(",".join(map(str, row)) for row in [names, *ROWS])

@@ -18,6 +18,7 @@ THREADS = 128
 """Threads per block."""
 
 _BLOCKS = {"double": 4, "float": 2}  # per multiprocessor, as is fastest on an H100: 128 and 255 registers per thread
+_MOST = 8192  # constants: the device has 64 KiB for them
 _ATOM = 8
 _OF_INTEGERS = {
     "abs": "{0} < 0 ? -{0} : {0}",
@@ -106,6 +107,8 @@ class KernelWriter(Writer):
         if not known or argument.kind is not Kind.REAL or all(one.uniform for one in value.arguments):
             return super()._argument(value, argument)
         if id(argument) not in self._known:
+            if len(self.constants) == _MOST:
+                return super()._argument(value, argument)
             self._known[id(argument)] = len(self.constants)
             self.constants.append(argument)
         return f"known[{self._known[id(argument)]}]", _ATOM

@@ -10,7 +10,6 @@ import contextlib
 import math
 import os
 import pickle
-import signal
 import subprocess
 import sys
 import threading
@@ -32,6 +31,7 @@ _WALL = 6.0  # times the processor time: other programs may use the processors, 
 _STARTED = 60.0  # s: until the child process has imported its modules
 _ENDED = 5.0  # s: until the child process has ended by itself
 _OUT_OF_MEMORY = 99  # exit status
+_SIGXCPU = 24  # signal of the limit of processor time
 
 Result = TypeVar("Result")
 
@@ -80,7 +80,7 @@ class _Child:
         limit, remedy = "", LIMIT_REMEDY
         if status == _OUT_OF_MEMORY:
             limit = f"{size / 1e6:.0f} MB of memory"
-        elif status == -getattr(signal, "SIGXCPU", 0):
+        elif status == -_SIGXCPU:
             limit = f"{seconds:g} s of processor time"
         elif time.monotonic() - start >= wall:
             limit, remedy = (

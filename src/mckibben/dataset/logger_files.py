@@ -146,6 +146,10 @@ def _fill_merged(rows: list[tuple[int, tuple[Any, ...]]], archive: zipfile.ZipFi
                 rows[index] = number, (*row[: column - 1], value, *row[column:])
 
 
+def _is_without_number(cell: object) -> bool:
+    return cell is None or (isinstance(cell, str) and not any(map(str.isdigit, cell)))
+
+
 def _is_coloured(font: Any) -> bool:
     """True for a font with a colour other than black or that of the theme, such as red, or white on white."""
     return font.color is not None and font.color.type == "rgb" and not str(font.color.rgb).endswith("000000")
@@ -214,8 +218,8 @@ def _table(
         return []
     units = (under if has_units else [shown_units.get(i, "") for i in range(len(header))]) + [""] * len(header)
     lines = [number for number, _ in body]
-    for i in range(len(header) - 1, 0, -1):  # a name over an empty column too
-        if header[i] == header[i - 1] and all(len(row) <= i or row[i] is None for _, row in body):
+    for i in range(len(header) - 1, 0, -1):  # a name over an empty column too, or over one of units or remarks
+        if header[i] == header[i - 1] and all(len(row) <= i or _is_without_number(row[i]) for _, row in body):
             header[i] = ""
     columns = [
         RawColumn(name, as_column([row[i] if i < len(row) else None for _, row in body]), lines, unit=units[i])
