@@ -262,7 +262,7 @@ def write_native(
     inputs = [_input_value(graph, f"in{n}", x, n < len(given)) for n, x in enumerate([*given, *varying])]
     results, shape = Lowering(graph).function(function, (given, varying), inputs)
     values: list[Any] = [value for one in results for value in ([one.array] if isinstance(one, Stored) else one.flat)]
-    before, head, step = "", _HEAD, "1"
+    before, step = "", "1"
     if threads:
         writer = KernelWriter([graph.scope], values, single=single)
     elif varying:
@@ -280,7 +280,7 @@ def write_native(
         lines = kernels.kernels(sum(not x.ndim for x in given), places, prepared, constants, body, real)
         writer.helpers |= preparing.helpers
     else:
-        lines = [head, "{", *places, f"    for (int64_t b = 0; b < lanes; b += {step}) {{", *body, "    }", "}"]
+        lines = [_HEAD, "{", *places, f"    for (int64_t b = 0; b < lanes; b += {step}) {{", *body, "    }", "}"]
     source = "\n".join([before, *sorted(writer.helpers), *lines, ""])
     if len(source) > _LONGEST:
         raise ExportError(f"a program of {len(source)} characters", value=len(source), upper=_LONGEST)

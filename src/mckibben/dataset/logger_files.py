@@ -147,6 +147,7 @@ def _fill_merged(rows: list[tuple[int, tuple[Any, ...]]], archive: zipfile.ZipFi
 
 
 def _is_without_number(cell: object) -> bool:
+    """True for an empty cell, and for a text without digits."""
     return cell is None or (isinstance(cell, str) and not any(map(str.isdigit, cell)))
 
 
