@@ -357,8 +357,10 @@ def test_a_complete_sweep_is_looked_up_though_someone_is_at_it(kept, scenario):
 
 
 def test_there_must_be_something_to_go_on_with(scenario, tmp_path):
-    with pytest.raises(FileError, match=r"no sweep to continue \(sweep.journal\); leave --resume"):
-        sweep(scenario, OVER, out=tmp_path, resume=True)
+    for make in (Path.mkdir, lambda folder: os.mkfifo(folder / "sweep.journal")):  # opening a FIFO would wait
+        make(tmp_path / "out")
+        with pytest.raises(FileError, match=r"no sweep to continue \(sweep.journal\); leave --resume"):
+            sweep(scenario, OVER, out=tmp_path / "out", resume=True)
     with pytest.raises(ParameterError, match="give its folder"):
         sweep(scenario, OVER, resume=True)
 

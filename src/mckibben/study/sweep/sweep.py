@@ -131,7 +131,7 @@ def check_unused(folder: Path) -> None:
 
 def read_manifest(folder: Path) -> dict[str, Any]:
     """Manifest of the sweep in a folder."""
-    if not (folder / JOURNAL).exists():
+    if not (folder / JOURNAL).is_file():
         problem = Problem(f"there is no sweep to continue ({JOURNAL})", remedy="leave --resume (resume=True) out")
         raise FileError(str(folder), [problem])
     return read_header(folder / JOURNAL, FORMAT, VERSION)
