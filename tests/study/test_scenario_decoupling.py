@@ -109,6 +109,18 @@ def test_the_supply_may_be_estimated_around_any_controller():
         assert find_parameter(read, "controller.recovery").nominal == 0.2 * bar
 
 
+def test_commands_on_their_way_are_no_lack_of_supply():
+    """A step to the limit of the pressures, with enough supply, must not lower the estimate during the delay."""
+    steps = "  angle: {class: step, before: 0 deg, after: 14 deg, at: 0.3 s}\n"
+    steps += "  stiffness: {class: step, before: 10 N*m/rad, after: 18.5 N*m/rad, at: 0.2 s}\n"
+    controller = "  class: supply_limit\n  controller:\n    class: decoupling\n    feedback: {bandwidth: 25 rad/s}\n"
+    text = f"{BEFORE}command_delay: 12 ms\ncontroller:\n{controller}reference:\n{steps}"
+    text += "duration: 0.6 s\ncontrol_period: 1 ms\n"
+    result = Scenario.parse(text).simulate()
+    assert np.max(result["command1"]) == pytest.approx(6 * bar)
+    assert np.min(result["supply_estimate"]) == pytest.approx(6 * bar)  # 5.7 bar without the delay
+
+
 def test_bandwidths_count_as_gains():
     assert "controller.feedback.bandwidth" in gain_ranges(scenario())
     assert "controller.feedback.reach" in gain_ranges(scenario(FULL))

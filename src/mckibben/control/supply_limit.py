@@ -14,6 +14,7 @@ from mckibben.actuator import FirstOrderValve
 from mckibben.actuator.base import lag_fraction
 from mckibben.component.checks import check_kind
 from mckibben.component.columns import Label
+from mckibben.control.actuator_adaptation import arriving
 from mckibben.control.base import Controller, Measurement, Setpoint, ValveModel, check_valve_model
 from mckibben.control.observer import lagged
 from mckibben.joint import AntagonisticJoint
@@ -29,11 +30,11 @@ _SLOWER = 4.0  # lag of a valve beyond that of the model, relative to it, that i
 
 
 class SupplyLimitState(NamedTuple):
-    """State of the inner controller, estimated supply and last commands [Pa], and first-order lags of both pairs."""
+    """State of the inner controller, estimated supply and commands on their way [Pa], and first-order lags of pairs."""
 
     inner: Any
     supply: Scalar
-    commands: Pair
+    sent: tuple[Pair, ...]  # the last first
     expected: Pair  # pressures [Pa] by the commands
     filtered: Pair  # measured pressures [Pa]
 
@@ -47,7 +48,8 @@ class SupplyLimit(Controller):
     .. math:: \dot{\hat p}_s = r - \frac1T \max\big(\hat p_i - p_i - 4 \max(p_i - \bar p_i, 0), 0\big), \quad
               \tau_v \dot{\hat p}_i = u_i - \hat p_i, \quad \tau_v \dot{\bar p}_i = p_i - \bar p_i
 
-    with the larger shortfall of the muscles whose command is at the limit.
+    with the larger shortfall of the muscles whose command is at the limit. The commands :math:`u_i` are those that have
+    arrived after the `command_delay` of the controller, if it has one.
 
     Parameters
     ----------
@@ -76,8 +78,9 @@ class SupplyLimit(Controller):
         check_valve_model("SupplyLimit", self.valve, self._model)
 
     def init(self, measurement: Measurement) -> SupplyLimitState:
-        pressures = measurement.pressures
-        return SupplyLimitState(self.controller.init(measurement), self._rated, pressures, pressures, pressures)
+        pressures, periods = measurement.pressures, getattr(self.controller, "periods", None) or 0
+        sent = (pressures,) * (periods + 1)
+        return SupplyLimitState(self.controller.init(measurement), self._rated, sent, pressures, pressures)
 
     def step(
         self, state: SupplyLimitState, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
@@ -87,18 +90,27 @@ class SupplyLimit(Controller):
         def shortfall(i: int) -> Scalar:
             pressure = measurement.pressures[i]
             short = expected[i] - pressure - _SLOWER * jnp.maximum(pressure - filtered[i], 0.0)
-            return jnp.where(state.commands[i] >= _AT_LIMIT * state.supply, jnp.maximum(short, 0.0), 0.0)
+            return jnp.where(arrived[i] >= _AT_LIMIT * state.supply, jnp.maximum(short, 0.0), 0.0)
 
-        expected = lagged(state.expected, state.commands, fraction)
+        arrived = self._arrived(state.sent, period)
+        expected = lagged(state.expected, arrived, fraction)
         filtered = lagged(state.filtered, measurement.pressures, fraction)
         short = jnp.maximum(shortfall(0), shortfall(1))
         supply = state.supply + period * (self.recovery - short / self.time_constant)
         supply = jnp.clip(supply, jnp.minimum(jnp.maximum(*measurement.pressures), self._rated), self._rated)
         inner, commands = self._limited(supply).step(state.inner, setpoint, measurement, period)
-        return SupplyLimitState(inner, supply, commands, expected, filtered), commands
+        return SupplyLimitState(inner, supply, (commands, *state.sent[:-1]), expected, filtered), commands
 
     def telemetry(self, state: SupplyLimitState) -> dict[str, Scalar]:
         return {**self.controller.telemetry(state.inner), "supply_estimate": state.supply}
+
+    def _arrived(self, sent: tuple[Pair, ...], period: ArrayLike) -> Pair:
+        """Commands [Pa] that arrived over the last period [s]."""
+        delay = getattr(self.controller, "command_delay", None)
+        if delay is None:
+            return sent[0]
+        first, second = (arriving([pair[i] for pair in sent], delay, period) for i in (0, 1))
+        return first, second
 
     @property
     def _model(self) -> Any:
