@@ -81,7 +81,7 @@ for file, angle, velocity in zip(*[iter(sys.argv[1:])] * 3):
 
 
 @pytest.mark.parametrize("known", WRITTEN, indirect=True)
-@pytest.mark.skipif(find_spec("opensim") is None, reason="OpenSim has 72 MB, and is not needed to write a model")
+@pytest.mark.skipif(find_spec("opensim") is None, reason="OpenSim has no wheel for this platform")
 def test_opensim_gives_the_same_acceleration(known, tmp_path):
     """In a process of its own: it brings a CasADi that does not go with another one."""
     plant = mk.JointPlant(known.joint, LOAD, mk.IdealValve())
