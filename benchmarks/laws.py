@@ -6,7 +6,7 @@ A muscle has a law that is neither of the two, fitted to the measured map or the
 sizes, with and without a deviation that is smooth in contraction and bends over pressure, with noise of three sizes.
 It is measured at 16 to 96 points, and both laws are cross-validated as `mk.rank` does: over pressures and inner
 contractions. The highest pressure is predicted by `mk.identify` from all others, which repeats the choice of the law.
-`--cases` takes a random part of the cases. Prints the table of docs/laws.md; takes half an hour.
+`--cases` takes a random part of the cases. Prints the table of docs/laws.md; all cases take 20 min of one core.
 """
 
 import argparse
