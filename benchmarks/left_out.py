@@ -6,7 +6,8 @@ The data sets of the catalog, and data files. Each pressure and each inner contr
 Eq. 2, Chou's law, the laws with smooth deviations, and a plain Gaussian process: a constant mean, a squared exponential
 kernel of two lengths, and noise, by maximum likelihood. Blocks without which Eq. 2 is not determined are left out for
 all. Outliers that `mckibben.identification.find_outliers` names are left out of the data. Prints the table of
-docs/laws.md: RMSE, that relative to Eq. 2, and the share of left-out points inside of nominal 95 % intervals.
+docs/laws.md: RMSE, that relative to Eq. 2, the share of left-out points inside of nominal 95 % intervals, and the
+shares that are expected of as many independent points (the central 95 % of the binomial distribution).
 """
 
 import argparse
@@ -14,6 +15,7 @@ import warnings
 
 import numpy as np
 from scipy.optimize import minimize
+from scipy.stats import binom
 
 import mckibben as mk
 from mckibben import catalog
@@ -104,16 +106,17 @@ def main():
 
 def print_table(sets: dict[str, IsobaricDataset], laws: list[str]) -> None:
     """Print errors and coverage by data set, kind of block and law; the first law is the reference."""
-    print(
-        "| data | left out | points | law | RMSE | relative to Eq. 2 | inside of 95 % |\n|---|---|---|---|---|---|---|"
-    )
+    header = ("data", "left out", "points", "law", "RMSE", "relative to Eq. 2", "inside of 95 %", "expected")
+    print(f"| {' | '.join(header)} |\n{'|---' * len(header)}|")
     for name, data in sets.items():
         for kind, by_law in left_out(data, laws).items():
             reference = np.sqrt(np.mean(by_law[laws[0]][0] ** 2))
             for law, (errors, inside) in by_law.items():
                 rmse = np.sqrt(np.mean(errors**2))
-                share = f"{rmse:.2f} N | {rmse / reference:.2f} | {100 * np.mean(inside):.0f} %"
-                print(f"| {name} | {kind} | {len(errors)} | {law} | {share} |", flush=True)
+                low, high = 100 * np.divide(binom.interval(0.95, len(errors), 0.95), len(errors))
+                share = f"{100 * np.mean(inside):.0f} % | {low:.0f}..{high:.0f} %"
+                row = f"{rmse:.2f} N | {rmse / reference:.2f} | {share}"
+                print(f"| {name} | {kind} | {len(errors)} | {law} | {row} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from mckibben.identification import find_outliers, identify, least_squares, read
 from mckibben.identification.fit import unphysical
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.uncertainty import uncertainty
-from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, SarosiLaw
+from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, HuntLaw, Parameter, PressureAffineLaw, SarosiLaw
 from mckibben.units import bar, deg, mm, percent
 
 EQ_3 = catalog.law("lei-mas-10-180n")
@@ -74,6 +74,17 @@ def test_a_wrong_number_changes_no_coefficient_by_more_than_its_standard_error(w
     for name, error in clean.standard_errors.items():
         assert abs(robust.estimates[name] - clean.estimates[name]) < error
     assert plain.rmse > 2 * clean.rmse
+
+
+@pytest.mark.parametrize("row", [40, 70, 80])
+def test_a_wrong_number_is_named_where_the_law_differs_from_a_smooth_surface(row):
+    """Hunt's law does by more than this noise, at more than 5 % of the points."""
+    law = identify(HuntLaw, catalog.dataset("dmsp-10-250-martens2017")).law
+    data = grid(law, np.linspace(0, 6, 8) * bar, np.linspace(0, 24, 13) * percent, noise=0.05, slack_force=2.5)
+    force = data.force.copy()
+    force[row] *= 1.12
+    found = find_outliers(IsobaricDataset(data.table.assign(force=("point", force))))
+    assert [one.row for one in found] == [row + 1]
 
 
 @pytest.mark.slow

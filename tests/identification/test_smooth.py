@@ -16,9 +16,10 @@ from mckibben.muscle import (
     PressureAffineLaw,
     SmoothAffineLaw,
     SmoothLaw,
+    TonduLopezVariableLaw,
     forces,
 )
-from mckibben.units import bar
+from mckibben.units import bar, percent
 
 EQ_2 = catalog.law("lei-mas-10-180n")
 CONTRACTION, PRESSURE = (a.ravel() for a in np.meshgrid(np.linspace(-0.02, 0.14, 9), np.arange(2, 7) * bar))
@@ -61,6 +62,19 @@ def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():
     assert names and not names & set(found.report().split())  # 36 coefficients without a meaning of their own
     assert min(found.robust.degrees_of_freedom.values()) >= 1  # also of coefficients that the prior holds at 0
     assert found.leave_one_pressure_out.rmse < 0.2 * eq_2.leave_one_pressure_out.rmse
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_deviation_at_low_pressure_does_not_spoil_the_extrapolation(seed):
+    """The end effect decays within a bar: deviations independent over pressure err 1.2 and 1.5 times."""
+    law = identify(TonduLopezVariableLaw, catalog.dataset("festo-tool-10mm")).law
+    p, eps = (axis.ravel() for axis in np.meshgrid(np.arange(1, 7) * bar, np.arange(0, 25, 3) * percent))
+    force = forces(law, eps, p) + np.random.default_rng(seed).normal(0, 0.3, p.size)
+    data = IsobaricDataset.of(pressure=p, contraction=eps, force=force, slack_force=10.0)
+    new = data.taut.select(data.taut.pressure == 6 * bar)
+    fits = [identify(kind, data.select(data.pressure < 6 * bar)) for kind in (SmoothLaw, ExponentialLaw)]
+    ours, theirs = (np.linalg.norm(forces(fit.law, new.contraction, new.pressure) - new.force) for fit in fits)
+    assert ours < 1.05 * theirs
 
 
 def test_asked_for_a_gaussian_process_the_result_is_as_simple_as_the_points_allow():

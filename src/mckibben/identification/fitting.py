@@ -178,7 +178,7 @@ def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools,
     values = np.array([float(getattr(law, p.name)) for p in kind.parameters()])
     position = problem.cube.position(values[problem.linear :].tolist())
     if scales is not None:
-        prior = prior_of(kind, float(points.levels.max()))
+        prior = prior_of(kind, points.levels)
         problem = dataclasses.replace(problem, prior=prior_rows(prior, scales))
         refit = _smooth_refit(_laws_from(kind), points, position)
     found = project(problem, position, values[: problem.linear])

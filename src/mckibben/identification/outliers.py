@@ -39,7 +39,7 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     points = means.taut
     rows = np.flatnonzero(~means.slack)
     forces = points.force
-    kept, found, pending = np.ones(len(points), bool), [], []
+    kept, found, pending, first, masked = np.ones(len(points), bool), [], [], [], False
     most, together = max(1, int(_MOST * len(points))), max(1, len(points) // _TOGETHER)
     hyperparameters: Sequence[Floats] = ()
     smallest = np.maximum(_SMALLEST * float(forces.max(initial=0.0)), _loop_widths(points))
@@ -58,8 +58,13 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
         kept[at] = False
         if significant.size:
             found, pending = [*found, *pending], []
+            first = first if masked else found
         elif len(pending) == _AHEAD:
             break
+        else:
+            masked = True
+    if len(found) > most:  # those behind a point that is none are no isolated errors
+        found = first
     if len(found) > most:
         return ()
     return tuple(

@@ -49,6 +49,8 @@ _GAIN = 1.0  # in the logarithm of the restricted likelihood, by hyperparameter
 _WORSE = {"pressure": 1.0, "contraction": 1.05}  # largest error at left-out blocks, relative to Eq. 2
 _BETTER = 0.95  # largest error over both kinds, relative to Eq. 2: a smaller gain may be chance
 _NEGLIGIBLE = -20.0  # logarithm of a scale relative to the noise
+_SHORTEST = -1.5  # logarithm of a length in half ranges of the points
+_SPACINGS = 2.0  # shortest length over pressure: the distance between the neighbours of a level that is left out
 _FOLDS = 5  # largest number of blocks of each kind
 _CONTRACTIONS = 4  # that Eq. 2 needs; with as many, it is compared only over pressures
 _LEAST = 4  # points per parameter of Eq. 2
@@ -81,9 +83,10 @@ class OrderPrior(Prior):
     """Smoothing spline over contraction for each order in pressure."""
 
     @classmethod
-    def of(cls, orders: int, highest: float) -> OrderPrior:
-        """Prior for orders 0 to orders - 1 in pressure, up to the highest pressure [Pa]."""
-        root = np.asarray(np.kron(np.diag(highest ** np.arange(orders)), _roughness_root()), np.float64)
+    def of(cls, orders: int, levels: Floats) -> OrderPrior:
+        """Prior for orders 0 to orders - 1 in pressure, up to the highest of the levels [Pa]."""
+        scale = np.diag(float(levels.max()) ** np.arange(orders))
+        root = np.asarray(np.kron(scale, _roughness_root()), np.float64)
         return cls(root, tuple(np.full(orders, start) for start in (0.0, 5.0)), ((-4.0, 14.0),) * orders)
 
     def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
@@ -106,10 +109,12 @@ class SurfacePrior(Prior):
     """Squared exponential kernel, by its spectral density at the frequencies of the basis (Solin and Sarkka)."""
 
     @classmethod
-    def of(cls) -> SurfacePrior:
+    def of(cls, levels: Floats) -> SurfacePrior:
         """Hyperparameters: logarithms of the amplitude and of both lengths, in half ranges of the points."""
+        spacing = 2 / max(len(np.unique(levels)) - 1, 1)
+        shortest = max(_SHORTEST, float(np.log(_SPACINGS * spacing)))
         starts = ((3.0, 0.0, 0.0), (3.0, 1.0, 0.0), (0.0, 0.0, 0.0), (6.0, 1.0, 1.0))
-        return cls(np.eye(ORDER**2), tuple(map(np.array, starts)), ((-6.0, 14.0), (-1.5, 3.0), (-1.5, 3.0)))
+        return cls(np.eye(ORDER**2), tuple(map(np.array, starts)), ((-6.0, 14.0), (_SHORTEST, 3.0), (shortest, 3.0)))
 
     def scales(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
         orders = np.stack(np.meshgrid(np.arange(ORDER), np.arange(ORDER), indexing="ij"), axis=-1).reshape(-1, 2)
@@ -138,11 +143,11 @@ def _roughness_root() -> NDArray[Any]:
     return np.linalg.cholesky((np.array(curvature) * weights) @ np.array(curvature).T).T
 
 
-def prior_of(kind: type[ForceLaw], highest: float) -> Prior:
-    """Prior of a law with deviations, for a highest pressure level [Pa]."""
+def prior_of(kind: type[ForceLaw], levels: Floats) -> Prior:
+    """Prior of a law with deviations, for pressure levels [Pa]."""
     if kind is GaussianProcessLaw:
-        return SurfacePrior.of()
-    return OrderPrior.of((len(kind.parameters()) - len(ExponentialLaw.parameters())) // (DEGREE + 1), highest)
+        return SurfacePrior.of(levels)
+    return OrderPrior.of((len(kind.parameters()) - len(ExponentialLaw.parameters())) // (DEGREE + 1), levels)
 
 
 def prior_rows(prior: Prior, scales: Floats) -> Floats:
@@ -173,7 +178,7 @@ class Deviations:
         if kind is GaussianProcessLaw:
             centre, half_width = _window(used.pressure)
             constants |= {"pressure_centre": centre, "pressure_half_width": half_width}
-        prior = prior_of(kind, float(used.levels.max()))
+        prior = prior_of(kind, used.levels)
         return cls(replace(base.problem, law_type=kind, constants=constants), base, prior, domain_of(used))
 
     @property

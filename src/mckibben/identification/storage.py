@@ -109,7 +109,7 @@ def _data(regression: Regression | None) -> dict[str, Any]:
     columns = {name: table[name].to_numpy().tolist() for name in _COLUMNS if name in table}
     data: dict[str, Any] = {**_UNITS, "slack_force": float(table.attrs["slack_force"]), **columns}
     if problem.prior is not None:
-        prior = prior_of(problem.law_type, float(points.levels.max()))
+        prior = prior_of(problem.law_type, points.levels)
         data["prior_scales"] = _floats(prior_scales(prior, problem.prior))
     return {"data": data}
 
