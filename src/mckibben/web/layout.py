@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 import re
+import time
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -100,7 +101,8 @@ def progress_row(jobs: Jobs) -> Callable[[], None]:
     def refresh() -> None:
         shown.visible = jobs.busy
         if jobs.busy:
-            bar.value, step.text = jobs.part, jobs.step
+            bar.props(**{"remove" if jobs.part else "add": "indeterminate"})
+            bar.value, step.text = jobs.part, f"{jobs.step or 'starting'}, {time.monotonic() - jobs.began:.0f} s"
 
     return refresh
 
