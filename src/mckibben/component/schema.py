@@ -38,16 +38,8 @@ from mckibben.component.classes import (
 from mckibben.component.extensions import load_installed
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, Number, OneOf, Title, read_path, relative_path
-from mckibben.config.model import (
-    ConfigModel,
-    fail_validation,
-    fields_by_key,
-    kind_of,
-    located_below,
-    parse_text,
-    read_text,
-)
-from mckibben.errors import FileError, McKibbenError, Problem, ScenarioError, described, quoted, suggest, with_article
+from mckibben.config.model import ConfigModel, fail_validation, located_below, parse_text, read_text
+from mckibben.errors import FileError, McKibbenError, described, quoted, suggest, with_article
 from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
 C = TypeVar("C")
@@ -498,9 +490,5 @@ def parse_component(
     model = part.model_for(read_document(text).data) or Section
     adapter: Any = TypeAdapter(Annotated[Any, part])
     inner = {**(context or {}), "folder": folder}
-    try:
-        return parse_text(adapter.validate_python, model, text, source=source, key=key, context=inner)[0]
-    except ScenarioError:
-        if key or not (other := kind_of(read_document(text).data, fields_by_key(model))):
-            raise
-        raise ScenarioError(source, [Problem(f"is {other}", remedy=f"give a {base.__name__.lower()}")]) from None
+    found, _ = parse_text(adapter.validate_python, model, text, source=source, key=key, context=inner)
+    return found
