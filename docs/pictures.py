@@ -1,4 +1,4 @@
-"""Drawings and the animation of the documentation, to docs/images.
+"""Drawings and the animation of the documentation, to docs/images, with figures of the gallery that `make docs` drew.
 
 python docs/pictures.py
 """
@@ -6,6 +6,8 @@ python docs/pictures.py
 from __future__ import annotations
 
 from pathlib import Path
+
+from PIL import Image
 
 import mckibben as mk
 from mckibben.leg.foot_pressures import solve_foot_stiffness
@@ -35,6 +37,14 @@ GEOMETRIES = {
     ),
 }
 
+OF_GALLERY = {
+    "uncertainty": "03_uncertainty",
+    "friction": "04_friction",
+    "sweep": "11_sweep",
+    "batch": "12_batch",
+    "plan": "16_plan",
+}
+
 
 def main() -> None:
     """Write all pictures."""
@@ -51,6 +61,14 @@ def main() -> None:
     mk.report.animate(run_scenario(scenario).result, IMAGES / "knee.webp", overwrite=True)
     _size()
     _leg()
+    _gallery()
+
+
+def _gallery() -> None:
+    """Figures of the gallery that are the first of a page, in 256 colors."""
+    for name, example in OF_GALLERY.items():
+        with Image.open(ROOT / "docs" / "gallery" / "images" / f"sphx_glr_plot_{example}_001.png") as drawn:
+            drawn.convert("RGB").quantize(256).save(IMAGES / f"{name}.png", optimize=True)
 
 
 def _size() -> None:

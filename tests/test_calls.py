@@ -57,7 +57,7 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.check_reference(SCENARIO), "check_reference(plant, reference"),  # type: ignore[arg-type, call-arg]
         (lambda: mk.sweep(SCENARIO, ["load.mass2=+-5 %", 3]), "string"),  # type: ignore[list-item]
         (lambda: mk.tune(SCENARIO, {"load.mass2": (1, 2)}), "Distribution"),  # type: ignore[dict-item]
-        (lambda: mk.sweep(SCENARIO, {"load.mass2": np.ones(2)}), "Distribution"),  # type: ignore[dict-item]
+        (lambda: mk.sweep(SCENARIO, {"load.mass2": np.ones(2)}), "simulate_many"),  # type: ignore[dict-item]
         (lambda: mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), LAW).force(0.1, "3 bar"), "SI units"),  # type: ignore[arg-type]
         (lambda: mk.Muscle(mk.catalog.specimen("MAS-10-180N-AA-MC-O"), LAW).pressure_for(100.0), "contraction"),  # type: ignore[call-arg]
         (lambda: mk.Scenario("joint.yaml"), "Scenario.read"),  # type: ignore[call-arg]

@@ -54,3 +54,10 @@ def test_a_mistake_names_its_option(cli, options, named):
     refused = cli("size", *options)
     assert refused.code == 2
     assert named in refused.err
+
+
+def test_a_scenario_in_place_of_a_muscle_is_named(cli, tmp_path):
+    (tmp_path / "joint.yaml").write_text("joint: x\ncontroller: y\nreference: z\n", encoding="utf-8")
+    found = cli("size", "joint.yaml", *LOAD, *MOTION)
+    assert found.code == 2
+    assert "1 problem" in found.err and "`mckibben simulate` reads" in found.err

@@ -228,7 +228,7 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
             "'controller.position.kp' and 'controller.position.kp' are about the same parameter; keep one of them",
         ),
         ((*SMALL, "--parameters", "load.mass2=10 %"), "give a range (0.2 kg..1.0 kg), values"),
-        ((*SMALL, "--cost", "stiffness_settling"), "has no gradient; use cma or evolution"),
+        ((*SMALL, "--cost", "stiffness_settling", "--method", "gradient"), "has no gradient; use cma or evolution"),
         ((*SMALL, "--cost", "coupling", "--method", "cma"), "coupling is not defined"),
         ((*SMALL, "--cost", "angle_rmse/1 N"), "does not have the dimensions of"),
         ((*SMALL, "--margin", "0.5"), "the gain margin is 0.5"),

@@ -123,14 +123,17 @@ def test_the_cost_covers_a_longer_delay_that_the_controller_does_not_know():
         )  # fmt: skip
 
 
+def disk(scenario):
+    plant, settings = scenario.plant(), {"duration": 0.1, "control_period": 2e-3, "points": 4}
+    return margins(plant, scenario.control(), scenario.reference(), scenario.initial(plant), **settings).disk.min()
+
+
 @pytest.mark.slow
 def test_parameters_without_the_disk_margin_cost_more_the_less_they_have():
     name, rows, masses = "controller.position.kp", np.array([[2 * bar], [6 * bar], [12 * bar]]), np.array([0.4, 0.9])
 
     def margin(gain, mass):
-        one = with_values(LIGHT.with_fixed_model(), {name: gain, "load.mass2": mass})
-        plant, settings = one.plant(), {"duration": 0.1, "control_period": 2e-3, "points": 4}
-        return margins(plant, one.control(), one.reference(), one.initial(plant), **settings).disk.min()
+        return disk(with_values(LIGHT.with_fixed_model(), {name: gain, "load.mass2": mass}))
 
     def costs(cost, **conditions):
         return TuningProblem.of((LIGHT,), sweep_parameters(LIGHT, {name: RANGES[name]}), cost, (), conditions).costs(
@@ -149,6 +152,22 @@ def test_parameters_without_the_disk_margin_cost_more_the_less_they_have():
         few = {"method": Method.EVOLUTION, "iterations": 1, "population": 8}
         tune(LIGHT, {name: Uniform(2 * bar, 6 * bar)}, Cost(TERMS, disk_margin=1.9), **few)
     assert caught.value.field == "disk_margin"
+
+
+@pytest.mark.slow
+def test_a_search_keeps_the_disk_margin_of_the_first_gains_unless_asked():
+    name, rates = "controller.position.kp", Cost(TERMS, disk_margin=None)
+    given = with_values(LIGHT, {name: 6 * bar})
+    before = disk(given)
+    for most in (before / 2, 2.0):
+        task = TuningProblem.of((given,), sweep_parameters(given, {name: RANGES[name]}), rates)
+        assert task.kept_margin(most) == pytest.approx(min(most, before), rel=0.06)  # at fewer frequencies
+    start = TuningProblem.of((given,), sweep_parameters(given, {"start.stiffness": RANGES["start.stiffness"]}), rates)
+    assert start.kept_margin(2.0) == 0.0
+    few = {"iterations": 2, "population": 8, "starts": 1}
+    free, kept = (tune(given, {name: RANGES[name]}, Cost(TERMS, disk_margin=each), **few) for each in (0.0, None))
+    assert disk(free.scenarios[0]) < 0.19 <= disk(kept.scenarios[0])
+    assert free.cost < kept.cost <= kept.cost_before
 
 
 @pytest.mark.slow

@@ -173,7 +173,6 @@ def test_a_study_is_computed_shown_and_cancelled(page):
             "![...document.querySelectorAll('button')].some(b => b.innerText.trim() === 'Cancel' && b.offsetParent)"
         )
         tab.evaluate(SET_NUMBER % ("iterations", 2))
-        tab.evaluate(SET_NUMBER % ("starts", 1))
         time.sleep(0.5)
         chrome.click(tab, "Tune")
         tab.wait(shows("points evaluated"), 240)

@@ -63,8 +63,10 @@ def compare(
 
     suites = {name: read.of_setup(name) for name in read.setups} or {"": read}
     folders = {name: out / filename(name) if name else out for name in suites}
-    for folder in folders.values():
+    for name, folder in folders.items():
         _prepare(folder, resume)
+        if not (made := folder / "suite.yaml").exists():  # before the search, which may be interrupted
+            suites[name].to_yaml(made)
     results = {}
     with long_job(quiet=json, kept=f"the evaluated points are in {out}; continue with --resume") as bar:
         for number, (name, own) in enumerate(suites.items()):
@@ -93,7 +95,7 @@ def _read(file: Path) -> Suite:
     made = Suite.of(Scenario.read(file))
     echo(
         f"suite of the scenario: {', '.join(made.controllers)}; varied: {', '.join(made.conditions)}. For other "
-        "controllers and conditions, edit the suite.yaml that is kept in DIR, and compare that",
+        "controllers and conditions, edit suite.yaml in DIR, and compare that",
         err=True,
     )
     return made
@@ -155,7 +157,6 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> dict[str, Any]:
     with keeping(out, "make room, and continue with --resume"):
         write_json(out / "results.json", numbers)  # before anything is drawn
         write_table(result, out / "runs.nc")
-        result.suite.to_yaml(out / "suite.yaml")
         kept = _tuned_scenarios(result, out)
         page = report.write_benchmark(result, numbers, out)
     if not json:

@@ -197,7 +197,10 @@ def tune(
     cost: Annotated[
         str, Option(metavar="TERMS", help="Sum of metrics, each divided by its scale.")
     ] = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
-    method: Annotated[str, Option(metavar="|".join(_METHODS), help="Search method.")] = "gradient",
+    method: Annotated[
+        str | None,
+        Option(metavar="|".join(_METHODS), help="Search method. Default: cma, or evolution of a single parameter."),
+    ] = None,
     margin: Annotated[
         float, Option(metavar="FACTOR", help="Gain margin: the cost covers gains larger by this factor.")
     ] = 1.5,
@@ -208,12 +211,13 @@ def tune(
         ),
     ] = "0 ms",
     disk_margin: Annotated[
-        float,
+        float | None,
         Option(
             metavar="ALPHA",
-            help="Least disk margin of the linearised loop in all scenarios and conditions, such as 0.4; 0 for none.",
+            help="Least disk margin of the linearised loop in all scenarios and conditions, such as 0.4; 0 for none. "
+            "Default: that of the given gains, at most 0.2; none with the method gradient.",
         ),
-    ] = 0.0,
+    ] = None,
     worst: Annotated[bool, Option("--worst", help="Minimise the worst scenario or condition, not the mean.")] = False,
     conditions: Annotated[
         list[str] | None,
@@ -238,12 +242,13 @@ def tune(
 ) -> None:
     """Minimise a cost over gains or other parameters of scenarios; a search can be resumed."""
     out = required_folder(out, "search")
-    check_choice(method, _METHODS, "a method")
+    if method is not None:
+        check_choice(method, _METHODS, "a method")
     from mckibben.scenario import Scenario
 
     read = [with_accuracy(Scenario.read(path), accuracy) for path in scenarios]
     from mckibben.study.parameters import parse_sweeps, sample
-    from mckibben.study.tune import Method, parse_cost, parse_ranges
+    from mckibben.study.tune import parse_cost, parse_ranges
     from mckibben.study.tune import tune as run
 
     ranges = parse_ranges(parameters or [], read[0])
@@ -266,7 +271,7 @@ def tune(
             read,
             ranges,
             asked,
-            method=Method(method),
+            method=method,
             starts=starts,
             iterations=iterations,
             population=population,

@@ -235,8 +235,10 @@ def parse_text(
         found = validate(document.data, context=context)
     except ValidationError as error:
         problems = problems_of(error, document, model)
-        if issubclass(model, DocumentModel) and (other := kind_of(document.data, _keys_of(model))):
-            problems = [Problem(f"is {other}", remedy=f"give a {model.kind}, see {model.examples}")]
+        if not key and (other := kind_of(document.data, _keys_of(model))):
+            whole = issubclass(model, DocumentModel)
+            asked = f"a {model.kind}, see {model.examples}" if whole else f"a file with {', '.join(_keys_of(model))}"
+            problems = [Problem(f"is {other}", remedy=f"give {asked}")]
         raise ScenarioError(source, problems) from None
     if document.problems:
         raise ScenarioError(source, document.problems)

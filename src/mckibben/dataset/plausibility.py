@@ -38,6 +38,7 @@ _EVEN = 1.5  # distance of a point from its neighbor, over the distance between 
 _LINE = 0.1  # of the force at the closer point: least value of a line through two points
 _REPEATED = 3  # equal largest values that may be saturated
 _MOST, _RARE = 0.6, 0.25  # of the rows of a level: repetitions of its largest value, cut off and by chance
+_CHANCE = 0.03  # probability of a coincidence that is reported
 _APART = 0.05  # of the range of pressures or contractions
 _FINE = 1000  # steps of the resolution up to the largest force, where even two equal ones are rare
 _STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
@@ -240,7 +241,12 @@ def _is_cut_off(values: Floats) -> bool:
     rare = all(np.mean(level == level[-1]) <= _RARE for level in others)
     often = np.count_nonzero(top == top[-1]) >= max(_COPIED, _MOST * len(top))
     varied = all(len(np.unique(level)) > 2 for level in others)
-    return bool(others and varied and often and (rare or equal))
+    if not (others and varied and often and (rare or equal)):
+        return False
+    above = np.mean([np.mean(level > np.median(level)) for level in others])
+    pairs = np.mean([(np.sum(np.unique(x, return_counts=True)[1] ** 2) / len(x) - 1) / (len(x) - 1) for x in others])
+    none_above, all_equal = (1 - above) ** len(top), pairs ** (len(top) / 2)  # probabilities without a limit
+    return bool(none_above < _CHANCE or (equal and all_equal < _CHANCE))
 
 
 def _zeros(pressure: Floats, contraction: Floats, force: Floats, measured: Floats) -> Iterator[tuple[Problem, bool]]:

@@ -250,7 +250,8 @@ def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: Bool
     for p, value, bound in zip(law_type.parameters(), solution.values, at_bound, strict=True):
         low, high = show(p.lower, p.shown), show(p.upper, p.shown)
         if bound:
-            cause = "" if solution.problem.prior is not None else ", and the law is probably misspecified"
+            doubt = ", and the law is probably misspecified: see how others fit (mk.rank, or --law all)"
+            cause = "" if solution.problem.prior is not None else doubt
             warnings.append(f"{p.name} is at the bound of its range {low} .. {high}: it has no standard error{cause}")
         elif not p.lower <= value <= p.upper:
             warnings.append(f"{p.name} = {show(value, p.shown)} is outside its range {low} .. {high}")

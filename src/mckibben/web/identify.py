@@ -249,8 +249,12 @@ class _Page(JobPage[IdentificationState]):
 
     def paste(self) -> None:
         """Keep a pasted table."""
+        text = self.pasted.value or ""
+        if not text.strip():
+            ui.notify("paste a table first")
+            return
         path = self.new_file("pasted.csv")
-        path.write_text((self.pasted.value or "")[:_LONGEST_PASTE], encoding="utf-8")
+        path.write_text(text[:_LONGEST_PASTE], encoding="utf-8")
         self.take("pasted table", path)
 
     def example(self, event: events.ValueChangeEventArguments) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 import re
+import time
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -33,6 +34,7 @@ LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
+_ARGUMENTS = re.compile(r"\b(?:initial|zero)_length|slack_force|force_sign|from_name\b")
 _COLUMNS = re.compile(r"columns=\{'([^']*)': '([^']*)'\}")  # an argument, which the page has as a line of a field
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
@@ -100,7 +102,8 @@ def progress_row(jobs: Jobs) -> Callable[[], None]:
     def refresh() -> None:
         shown.visible = jobs.busy
         if jobs.busy:
-            bar.value, step.text = jobs.part, jobs.step
+            bar.props(**{"remove" if jobs.part else "add": "indeterminate"})
+            bar.value, step.text = jobs.part, f"{jobs.step or 'starting'}, {time.monotonic() - jobs.began:.0f} s"
 
     return refresh
 
@@ -128,7 +131,8 @@ def show_error(error: McKibbenError) -> None:
 
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
-    return _COLUMNS.sub(r"\1 = \2 (columns)", _ELSEWHERE.sub("", remedy))
+    text = _COLUMNS.sub(r"\1 = \2 (columns)", _ELSEWHERE.sub("", remedy))
+    return _ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text)
 
 
 def _message(message: str, remedy: str) -> None:

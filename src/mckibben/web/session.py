@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextvars
 import tempfile
+import time
 import warnings
 from collections import OrderedDict, deque
 from collections.abc import Callable
@@ -146,7 +147,7 @@ class Jobs:
 
     def __init__(self) -> None:
         self.version = 0
-        self.step, self.part = "", 0.0
+        self.step, self.part, self.began = "", 0.0, 0.0
         self._number = self._running = 0
         self._replaced: deque[int] = deque(maxlen=_MOST_SESSIONS)
 
@@ -178,7 +179,7 @@ class Jobs:
             self._replaced.append(self._number)
         self._number += 1
         number = self._running = self._number
-        self.step, self.part = "", 0.0
+        self.step, self.part, self.began = "", 0.0, time.monotonic()
         self.version += 1
 
         def check() -> None:

@@ -45,7 +45,7 @@ class TuningRequest:
     cost: str = DEFAULT_COST
     gain_margin: float = DEFAULT_MARGIN
     over: str = ""
-    method: str = Method.GRADIENT.value
+    method: str = Method.CMA.value
     starts: int = 2
     iterations: int = 20
 
@@ -106,7 +106,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     found = tune(
         scenario,
         ranges,
-        parse_cost(request.cost, gain_margin=request.gain_margin),
+        parse_cost(request.cost, gain_margin=request.gain_margin, disk_margin=None),
         method=method,
         starts=request.starts,
         iterations=request.iterations,

@@ -84,7 +84,7 @@ class _Page(JobPage[StudyState]):
                 select(methods, "method", "method").bind_value(tuning, "method")
                 with ui.element("div").classes("fields"):
                     _number("gain margin", tuning, "gain_margin", 1.0, 10.0)
-                    _number("starts", tuning, "starts", 1, MOST_STARTS)
+                    _number("starts (gradient)", tuning, "starts", 1, MOST_STARTS)
                     _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS)
                 _lines("NAME=RANGE per line, or all gains", tuning, "over")
                 button("Tune", self.tune, "tune", main=True)
@@ -103,8 +103,9 @@ class _Page(JobPage[StudyState]):
                 _lines("conditions, NAME=RANGE per line", comparison, "conditions")
                 button("Compare", self.compare, "compare", main=True)
             quiet(
-                f"At most {MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and `mckibben compare` "
-                "have no limit."
+                "With the first settings of the page, tuning takes about a minute and comparing one to two, half of it "
+                f"compiling. At most {MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and "
+                "`mckibben compare` have no limit."
             )
         with results_side():
             self.results = ui.column().classes("w-full").style("gap: 16px")

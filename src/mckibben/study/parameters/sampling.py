@@ -12,7 +12,7 @@ from typing import Any, Literal, NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import ParameterError, RangeError, UnitError, quoted
+from mckibben.errors import CallError, ParameterError, RangeError, UnitError, described, quoted
 from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, find_parameters
 from mckibben.study.parameters.distributions import (
     MAX_ROWS,
@@ -84,6 +84,15 @@ def sweep_parameters(scenario: Scenario, distributions: Mapping[str, Distributio
     ['load.mass2=0.2 kg..1 kg']
     """
     found = find_parameters(scenario, distributions)
+    for name, given in distributions.items():
+        if not isinstance(given, Distribution):
+            remedy = f"give a Distribution of mckibben.study.parameters, or texts, such as ['{name}=+-10 %']"
+            raise CallError(
+                f"over[{name!r}] is {described(given)}",
+                field=f"over[{name!r}]",
+                value=given,
+                remedy=f"{remedy}; `simulate_many` takes arrays",
+            )
     return tuple(SweptParameter(*pair) for pair in zip(found, distributions.values(), strict=True))
 
 

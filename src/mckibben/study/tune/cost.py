@@ -60,7 +60,7 @@ class Cost:
     worst: bool = False  # take the highest cost over several scenarios or conditions instead of the mean
     percentile: float | None = None  # take this percentile of them
     delay_margin: float = 0.0  # additional delay of the commands, unknown to the controllers [s]
-    disk_margin: float = 0.0  # least of the linearised loop in all of them; parameters without it cost more
+    disk_margin: float | None = 0.0  # least of the linearised loop in all of them; None for that of `tune`
 
     def __post_init__(self) -> None:
         names = [term.metric for term in self.terms]
@@ -69,11 +69,12 @@ class Cost:
             raise ParameterError(
                 f"{twice[0]} appears twice" if twice else "the cost has no term", remedy="name each metric once"
             )
+        disk = self.disk_margin or 0.0
         percentile = 100.0 if self.percentile is None else self.percentile
         for what, value, holds, remedy in (
             ("gain margin", self.gain_margin, 1 <= self.gain_margin < np.inf, "give 1 (none) or more"),
             ("delay margin [s]", self.delay_margin, 0 <= self.delay_margin < np.inf, "give 0 (none) or more"),
-            ("disk margin", self.disk_margin, 0 <= self.disk_margin < 2, "give 0 (none) to 2, which no loop has"),
+            ("disk margin", disk, 0 <= disk < 2, "give 0 (none) to 2, which no loop has"),
             ("percentile", percentile, 0 < percentile <= 100, "give a number above 0, up to 100"),
         ):
             if not holds:

@@ -130,6 +130,13 @@ class TuningProblem:
         # Feasible points first, then by their violation: K. Deb, Comput. Methods Appl. Mech. Eng. 186, 2000.
         return np.where((least < wanted) & (costs < FAILED_COST), UNSTABLE_COST * (2 - least / wanted), costs)
 
+    def kept_margin(self, most: float) -> float:
+        """Disk margin that tuned gains keep: that of the nominal ones, at most `most`, and 0 if there are no gains."""
+        if not any(map(is_gain, self.space.names)):
+            return 0.0
+        rows = self.space.nominal * [[1.0], [0.999]]  # a batch has rows that differ
+        return min(most, *(0.99 * float(self._disk_margins(scenario, rows)[0]) for scenario in self.scenarios))
+
     def _disk_margins(self, scenario: Scenario, values: Vector) -> Vector:
         """Least disk margin of each row of values [SI] over the conditions; 0 if a condition is invalid."""
         rows = np.tile(values, (self._draws, 1))
