@@ -53,7 +53,7 @@ BENT = [float(one.link_angle) for one in ARM.leg.joints]
 REST = [float(one) for one in joint_equations(ARM.leg, (0.0, 0.0), (0.0, 0.0), ARM.gravity).bias]  # N*m
 START = LegStart((0.0, 0.0), ARM.leg.pressures_for((0.0, 0.0), REST, (18.0, 18.0)), clearance=0.5)
 STRONGEST = 1.5 * bar  # of an action
-GAINS = list(product((0.5, 1.5, 4.5), (5.0, 20.0), (0.05, 0.2), (14.0, 20.0), (0.0, 1.0)))
+GAINS = list(product((0.15, 0.5, 1.5), (1.5, 5.0), (0.02, 0.06), (20.0, 24.0), (0.0, 1.0)))
 """Of the PID of both joints: kp [bar/rad], ki/kp [1/s], kd/kp [s], stiffness [N*m/rad], share of the feedforward."""
 
 
