@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 _FORMATS = (
     "c: the controller as C99, for microcontrollers. js: the controller as JavaScript, for pages. fmu, fmu-controller, "
     "fmu-muscle: FMUs, the joint with load and valves, the controller, or a muscle. mjcf, osim: joint and "
-    "muscles for MuJoCo and OpenSim. For a leg: mjcf, or urdf without its muscles."
+    "muscles for MuJoCo and OpenSim. For a leg: mjcf, warp, or urdf without its muscles."
 )
 
 
@@ -59,10 +59,10 @@ def export(
 
 
 def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, fmi: float | None, force: bool) -> Exported:
-    """Export a leg, as MJCF or URDF."""
-    if to not in ("mjcf", "urdf") or single:
+    """Export a leg, as MJCF, for MuJoCo Warp, or as URDF."""
+    if to not in ("mjcf", "warp", "urdf") or single:
         message = f"a leg cannot be written as {quoted(to)}{' in 32 bits' if single else ''}"
-        remedy = "give --to mjcf or --to urdf, or a scenario of a joint"
+        remedy = "give --to mjcf, --to warp or --to urdf, or a scenario of a joint"
         raise ParameterError(message, field="to", value=to, remedy=remedy)
     if fmi is not None:
         raise ParameterError("a leg cannot be an FMU", field="fmi", value=fmi, remedy="leave it out")
@@ -70,5 +70,11 @@ def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, fmi: fl
     from mckibben.export.leg_urdf import export_leg_urdf
     from mckibben.leg import LegScenario
 
-    write = export_leg if to == "mjcf" else export_leg_urdf
-    return write(LegScenario.read(file), out, name=name or "leg", overwrite=force)
+    options: dict[str, Any] = {"name": name or "leg", "overwrite": force}
+    if to == "urdf":
+        return export_leg_urdf(LegScenario.read(file), out, **options)
+    if to == "warp":
+        from mckibben.export.warp import warp_leg
+
+        options["files"] = warp_leg
+    return export_leg(LegScenario.read(file), out, **options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import os
 from collections.abc import Callable, Sequence
@@ -14,7 +15,11 @@ from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import (
+    COMMAND_DELAY,
+    MuscleModel,
     Transmission,
+    callback_actuators,
+    callback_states,
     cannot,
     check_tendon,
     check_valve,
@@ -26,7 +31,7 @@ from mckibben.export.mjcf import (
     plugin_actuator,
     transmissions,
 )
-from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, is_filter, plugin_files
+from mckibben.export.muscle_plugin import MuscleFunctions, is_filter, plugin_files
 from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported, check_name, write_exported
 from mckibben.joint import RigidTendon, Tendon
@@ -38,16 +43,6 @@ from mckibben.numerics.spatial import Vector, X, Z
 
 LIGHT = 1e-12
 """Mass [kg] and inertia [kg*m^2] of a massless body: MuJoCo does not move bodies without mass."""
-
-
-class LegModel(NamedTuple):
-    """MJCF, the module of the plugin's forces, its muscles and their names, and the omitted parts."""
-
-    xml: str
-    module: SourceModule
-    muscles: tuple[PluginMuscle, ...]
-    names: tuple[str, ...]
-    left_out: tuple[str, ...]
 
 
 class LegFrame:
@@ -101,11 +96,18 @@ class _Driven(NamedTuple):
     limits: Muscle
 
 
-def leg_model(plant: LegPlant, name: str = "leg", timestep: float = 2.5e-4, start: LegState | None = None) -> LegModel:
+def leg_model(
+    plant: LegPlant,
+    name: str = "leg",
+    timestep: float = 2.5e-4,
+    start: LegState | None = None,
+    *,
+    plugin: bool = True,
+) -> MuscleModel:
     """MJCF of a leg for steps [s], and the functions of its muscles; `ExportError` for what MuJoCo cannot express.
 
     `start` is the keyframe "start". Default: all angles as close to 0 as possible, without pressure, the foot on the
-    ground.
+    ground. The actuators are those of the plugin, or of callbacks.
     """
     leg = plant.leg
     check_valve(plant.valve)
@@ -116,7 +118,8 @@ def leg_model(plant: LegPlant, name: str = "leg", timestep: float = 2.5e-4, star
     found = compliance(plant, start)
     bodies = leg_bodies(plant)
     driven, left_out = add_muscles(plant, bodies)
-    module, functions = _functions(plant, name, driven, start)
+    alone = dataclasses.replace(plant, command_delay=None)
+    module, functions = _functions(alone, name, driven, start, filters=plugin)
     left_out += [
         f"ground: MuJoCo's contact has the stiffness, the friction, and the restitution at {TOUCH_SPEED:g} m/s; its "
         "damper acts from the first touch",
@@ -124,10 +127,10 @@ def leg_model(plant: LegPlant, name: str = "leg", timestep: float = 2.5e-4, star
     ]
     if any(joint.friction is not None for joint in leg.joints):
         left_out.append("friction of the joints")
-    if not plant.has_ideal_io or plant.command_delay is not None:
-        left_out.append("sensors, disturbances and command delay")
-    xml = _mjcf(plant, module.name, timestep, bodies, driven, functions, found, start)
-    return LegModel(xml, module, tuple(x.summary for x in functions), tuple(x.name for x in driven), tuple(left_out))
+    left_out += [] if plant.has_ideal_io else ["sensors and disturbances"]
+    left_out += [] if plant.command_delay is None else [COMMAND_DELAY]
+    xml = _mjcf(plant, module.name, timestep, bodies, driven, functions, found, start, plugin=plugin)
+    return MuscleModel(xml, module, tuple(x.summary for x in functions), tuple(x.name for x in driven), tuple(left_out))
 
 
 class LegScene(NamedTuple):
@@ -155,16 +158,21 @@ def leg_files(
 
 
 def export_leg(
-    scenario: LegScenario, out: str | os.PathLike[str], *, name: str = "leg", overwrite: bool = False
+    scenario: LegScenario,
+    out: str | os.PathLike[str],
+    *,
+    name: str = "leg",
+    overwrite: bool = False,
+    files: Callable[..., Exported] = leg_files,
 ) -> Exported:
-    """Write the leg of a scenario for MuJoCo to a folder, in its touchdown or squat posture."""
+    """Write the leg of a scenario for MuJoCo to a folder, in its touchdown or squat posture, as `files` makes it."""
     check_name(name)
     plant = scenario.plant()
     angles: dict[str, float] = {} if scenario.jump is None else scenario.jump.squat
     if scenario.landing is not None:
         angles = scenario.landing.touchdown
     start = plant.init_state(plant.leg.posture_angles(angles), [0.0] * len(plant.leg.muscles))
-    made = leg_files(plant, name, scenario.name, timestep=scenario.step, start=start)
+    made = files(plant, name, scenario.name, timestep=scenario.step, start=start)
     write_exported(made, out, overwrite=overwrite)
     return made
 
@@ -304,16 +312,16 @@ def _beyond(offset: float) -> Callable[[LegPlant, Any], Any]:
 
 
 def _functions(
-    plant: LegPlant, name: str, driven: list[_Driven], start: LegState
+    plant: LegPlant, name: str, driven: list[_Driven], start: LegState, *, filters: bool
 ) -> tuple[SourceModule, list[MuscleFunctions]]:
-    """The module of the plugin, and its functions of each muscle."""
+    """The functions of all muscles in a module; `filters`: with MuJoCo's own."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module = SourceModule(name, {"plant": numbers}, "plant.")
     valves = [state_of_muscle(start.air, i) for i in range(len(start.pressures))]
     known = dict(zip(plant.leg.muscle_names, zip(start.muscles, start.pressures, valves, strict=True), strict=True))
-    found = []
+    found, filtered = [], filters and is_filter(plant.valve)
     for number, one in enumerate(driven, 1):
-        found.append(MuscleFunctions(fixed, number, one.muscle, one.path, known[one.name], is_filter(plant.valve)))
+        found.append(MuscleFunctions(fixed, number, one.muscle, one.path, known[one.name], filtered))
         found[-1].add_to(module)
     return module, found
 
@@ -341,14 +349,27 @@ def _mjcf(
     functions: list[MuscleFunctions],
     found: dict[str, Compliance],
     start: LegState,
+    *,
+    plugin: bool = True,
 ) -> str:
     leg, contact, friction = plant.leg, found["ground"], found["friction"]
-    actuators, controls, acts = [], [], []
-    for number, (one, made) in enumerate(zip(driven, functions, strict=False), 1):  # a scene has no functions
-        dynamics, limits = made.summary.dynamics(plant.valve), command_range(plant.valve, one.limits)
-        actuators.append(plugin_actuator(name, number, one.name, one.target, dynamics, limits))
-        controls.append(0.0 if plant.valve.direct else made.pressure)
-        acts += list(made.activations)
+    tendons = [one.tendon for one in driven if one.tendon]
+    driven = driven if functions else []  # a scene has no functions
+    limits, kinds = [command_range(plant.valve, one.limits) for one in driven], [one.summary for one in functions]
+    acts = [list(one.activations) for one in functions]
+    if plugin:
+        each = enumerate(zip(driven, kinds, limits, strict=True), 1)
+        actuators = [
+            plugin_actuator(name, i, one.name, one.target, kind.dynamics(plant.valve), limited)
+            for i, (one, kind, limited) in each
+        ]
+        states = [one for each in acts for one in each]
+    else:
+        names, targets = [one.name for one in driven], [one.target for one in driven]
+        actuators = callback_actuators(names, kinds, targets, limits)
+        states = callback_states(acts)
+    controls = [0.0 if plant.valve.direct else one.pressure for one in functions]
+    controls += [0.0] * (len(actuators) - len(controls))
     posture, velocity = (coordinates(plant, of) for of in (start.posture, start.velocity))
     fixed = leg.trunk.freedom == "fixed"
     body = (
@@ -397,8 +418,8 @@ def _mjcf(
         timestep=timestep,
         gravity=float(plant.gravity),
         scene=scene,
-        tendons=[one.tendon for one in driven if one.tendon],
+        tendons=tendons,
         actuators=actuators,
         sensors=sensors,
-        start=keyframe(qpos=posture, qvel=velocity, act=acts, ctrl=controls),
+        start=keyframe(qpos=posture, qvel=velocity, act=states, ctrl=controls),
     )

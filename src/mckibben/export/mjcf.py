@@ -91,12 +91,13 @@ def _two_sites(number: int, fixed: tuple[Any, Any], moving: tuple[Any, Any], con
     return Transmission(first, last, tendon, -connector, points)
 
 
-class JointModel(NamedTuple):
-    """MJCF, the module of the plugin's forces, its muscles, and the omitted parts."""
+class MuscleModel(NamedTuple):
+    """MJCF, the module of the forces of its muscles, their kinds and names, and the omitted parts."""
 
     xml: str
     module: SourceModule
-    muscles: tuple[PluginMuscle, PluginMuscle]
+    muscles: tuple[PluginMuscle, ...]
+    names: tuple[str, ...]
     left_out: tuple[str, ...]
 
 
@@ -107,7 +108,7 @@ def joint_model(
     start: PlantState | None = None,
     *,
     plugin: bool = True,
-) -> JointModel:
+) -> MuscleModel:
     """MJCF of a plant with actuators of the plugin or of callbacks, and the functions of its muscles."""
     check_parts(plant)
     moved = transmissions(plant.joint.geometry)
@@ -122,7 +123,7 @@ def joint_model(
     module, muscles, acts = muscle_module(plant, moved, start, name, filters=plugin)
     point = mass_point(plant.load)
     xml = _mjcf(plant, name, timestep, moved, muscles, point, start, acts, plugin=plugin)
-    return JointModel(xml, module, muscles, (*left_out, *point.chosen))
+    return MuscleModel(xml, module, muscles, ("muscle1", "muscle2"), (*left_out, *point.chosen))
 
 
 def check_parts(plant: JointPlant) -> None:
@@ -243,21 +244,29 @@ def _limited(limits: tuple[float, float]) -> str:
 
 
 def callback_actuators(
-    muscles: Sequence[PluginMuscle], targets: Sequence[str], limits: Sequence[tuple[float, float]]
+    names: Sequence[str],
+    muscles: Sequence[PluginMuscle],
+    targets: Sequence[str],
+    limits: Sequence[tuple[float, float]],
 ) -> list[str]:
     """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation."""
     # They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
     dynamics = ['dyntype="integrator" ' if muscle.activations else "" for muscle in muscles]
     main = [
-        f'<general name="muscle{number}" {target} {kind}gaintype="user" biastype="user" {_limited(limited)}/>'
-        for number, (target, kind, limited) in enumerate(zip(targets, dynamics, limits, strict=True), 1)
+        f'<general name={quoteattr(name)} {target} {kind}gaintype="user" biastype="user" {_limited(limited)}/>'
+        for name, target, kind, limited in zip(names, targets, dynamics, limits, strict=True)
     ]
     rest = [
-        f'<general name="muscle{number}_state{place}" joint="joint" dyntype="integrator" gainprm="0"/>'
-        for number, muscle in enumerate(muscles, 1)
+        f'<general name={quoteattr(f"{name}_state{place}")} {target} dyntype="integrator" gainprm="0"/>'
+        for name, muscle, target in zip(names, muscles, targets, strict=True)
         for place in range(1, muscle.activations)
     ]
     return main + rest
+
+
+def callback_states(acts: Sequence[Sequence[float]]) -> list[float]:
+    """Activations of all muscles in the order of `callback_actuators`."""
+    return [one for part in (slice(1), slice(1, None)) for each in acts for one in each[part]]
 
 
 def keyframe(**numbers: Any) -> str:
@@ -326,8 +335,8 @@ def _mjcf(
         ]
         states = [*acts[0], *acts[1]]
     else:
-        actuators = callback_actuators(muscles, targets, limits)
-        states = [*acts[0][:1], *acts[1][:1], *acts[0][1:], *acts[1][1:]]
+        actuators = callback_actuators(("muscle1", "muscle2"), muscles, targets, limits)
+        states = callback_states(acts)
     fixed, moving = (
         "\n    ".join(filter(None, (getattr(one, part) for one in moved))) for part in ("fixed_sites", "moving_sites")
     )

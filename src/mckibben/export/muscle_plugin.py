@@ -30,12 +30,16 @@ class Activations(NamedTuple):
 
 
 class PluginMuscle(NamedTuple):
-    """Numbers of activations and anchors, whether they slip, and whether MuJoCo's own filter models the valve."""
+    """Numbers of activations and anchors, whether they slip, and whether MuJoCo's own filter models the valve.
+
+    With `pressurized`, the last activation is the pressure.
+    """
 
     activations: int
     anchors: int
     slips: bool
     filtered: bool
+    pressurized: bool = True
 
     def dynamics(self, valve: Any) -> str:
         """Attributes of the actuator in MJCF."""
@@ -71,13 +75,13 @@ class MuscleFunctions:
         self._start = jax.tree.map(np.asarray, Activations(state.creep, air, pressure))
         self._layout = FlatTree.like(self._start)
         slips = bool(state.friction or state.creep)
-        self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, filtered)
+        self.summary = PluginMuscle(self._layout.size, len(state.friction), slips, filtered, valve.holds_pressure)
         self.activations = self._layout.pack(self._start)
         """Activations at the start."""
 
     def add_to(self, module: SourceModule) -> None:
         """Add the functions to a module."""
-        number, (activations, anchors, slips, filtered) = self._number, self.summary
+        number, (activations, anchors, slips, filtered, _) = self._number, self.summary
         zero = np.zeros(())
         given = {"length": zero, "velocity": zero, "command": zero}
         given |= {"act": np.zeros(activations)} if activations else {}
@@ -160,7 +164,7 @@ def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
     """C code of the plugin around the functions of its muscles."""
     values = {"name": name, "plugin": f"mckibben.{name}", "count": str(len(muscles))}
     parts, rows = [], []
-    for number, (activations, anchors, slips, filtered) in enumerate(muscles, 1):
+    for number, (activations, anchors, slips, filtered, _) in enumerate(muscles, 1):
         load, rates = [], []
         if activations:
             load.append("memcpy(given.act, act, sizeof given.act);")

@@ -15,9 +15,9 @@ import numpy as np
 import warp as wp
 
 from mckibben.errors import ExportError
-from mckibben.export.episodes import example_of
+from mckibben.export.episodes import example_of, plants_of
 from mckibben.export.mjcf import Transmission, check_parts, command_range, gravity_of, mass_point, muscle_module
-from mckibben.export.warp import check_version, drawn_muscles, drawn_parameters, loaded, warp_muscles, with_strengths
+from mckibben.export.warp import check_version, drawn_muscles, loaded, split_parameters, warp_muscles, with_strengths
 from mckibben.plant import JointPlant, PlantState
 from mckibben.scenario import Scenario
 from mckibben.study.benchmark.suite import Suite
@@ -211,9 +211,10 @@ def muscle_joint(
     left_out += [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += [] if plant.friction is None else ["presliding of the joint's friction: the solver has its own"]
     delay = float(plant.command_delay or 0.0)
-    text = warp_muscles(module, muscles, scenario.name, delay, tuple(left_out))
+    text = warp_muscles(module, muscles, ("muscle1", "muscle2"), scenario.name, delay, tuple(left_out))
     made = loaded(text)
-    parameters, others = drawn_parameters(scenario, random_plant, plants, seed, made.PARAMETERS)
+    drawn = plants_of(scenario, random_plant, plants, seed).varying if random_plant else ()
+    parameters, others = split_parameters(drawn, made.PARAMETERS)
     left_out += [f"variation of {name}" for name in others]
     left_out += [f"gravity of the load: give the builder {gravity_of(plant.load):g} m/s^2"]
     return MuscleJoint(

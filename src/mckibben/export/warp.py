@@ -1,9 +1,10 @@
-"""A joint for MuJoCo Warp: MJCF, and its muscles as a module of Warp with parameters for each world."""
+"""A joint or a leg for MuJoCo Warp: MJCF, and its muscles as a module of Warp with parameters for each world."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache, partial
 from hashlib import sha256
 from importlib import metadata
 from importlib.util import module_from_spec, spec_from_file_location
@@ -12,7 +13,6 @@ from tempfile import TemporaryDirectory
 from types import ModuleType
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -21,11 +21,13 @@ from mckibben.codegen.source_module import Function, SourceModule
 from mckibben.codegen.warp import write_warp
 from mckibben.errors import ExportError
 from mckibben.export.controller_files import filled
-from mckibben.export.episodes import plants_of
-from mckibben.export.mjcf import COMMAND_DELAY, joint_model
+from mckibben.export.leg_mjcf import leg_model
+from mckibben.export.mjcf import COMMAND_DELAY, MuscleModel, joint_model
 from mckibben.export.muscle_plugin import PluginMuscle
 from mckibben.export.targets import Exported
-from mckibben.plant import JointPlant, PlantState
+from mckibben.leg import LegPlant, LegState
+from mckibben.muscle import Muscle
+from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.scenario import Scenario
 
 
@@ -41,25 +43,32 @@ def warp_files(scenario: Scenario, name: str, folder: Path) -> Exported:
 
 def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState, title: str = "") -> Exported:
     """MJCF and module of a plant, which starts in a state, for time steps [s]."""
-    model = joint_model(with_strengths(plant), name, timestep, start, plugin=False)
+    return _files(joint_model(with_strengths(plant), name, timestep, start, plugin=False), plant, title)
+
+
+def warp_leg(plant: LegPlant, name: str, title: str = "", *, timestep: float, start: LegState) -> Exported:
+    """MJCF and module of a leg, which starts in a state, for time steps [s]."""
+    made = _files(leg_model(with_strengths(plant), name, timestep, start, plugin=False), plant, title)
+    return made._replace(left_out=("controller: set data.ctrl yourself", *made.left_out))
+
+
+def _files(model: MuscleModel, plant: Plant, title: str) -> Exported:
+    name, delay = model.module.name, float(plant.command_delay or 0.0)
     left_out = tuple(each for each in model.left_out if each != COMMAND_DELAY)
-    text = warp_muscles(model.module, model.muscles, title or name, float(plant.command_delay or 0.0), left_out)
+    text = warp_muscles(model.module, model.muscles, model.names, title or name, delay, left_out)
     return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
 
 
-def with_strengths(plant: JointPlant) -> JointPlant:
+def with_strengths(plant: Any) -> Any:
     """A plant whose muscles have their strength as a number, a parameter."""
-    numbers = [1.0 if each.strength is None else each.strength for each in plant.muscles]
-    strengths = lambda plant: [each.strength for each in plant.muscles]  # noqa: E731
-    return eqx.tree_at(strengths, plant, numbers, is_leaf=lambda leaf: leaf is None)
+    known = lambda part: isinstance(part, Muscle)  # noqa: E731
+    numbered = lambda part: replace(part, strength=1.0) if known(part) and part.strength is None else part  # noqa: E731
+    return jax.tree.map(numbered, plant, is_leaf=known)
 
 
-def drawn_parameters(
-    scenario: Scenario, random_plant: Sequence[str], count: int, seed: int, known: Mapping[str, Any]
-) -> tuple[dict[str, Any], list[str]]:
-    """Varied parameters of a plant among the `PARAMETERS` of a module, one row per plant, and names of the others."""
-    drawn = plants_of(scenario, random_plant, count, seed).varying if random_plant else ()
-    leaves = jax.tree_util.tree_flatten_with_path(drawn)[0]
+def split_parameters(varying: Any, known: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Arrays of a plant among the `PARAMETERS` of a module, one row per plant, and names of the others."""
+    leaves = jax.tree_util.tree_flatten_with_path(varying)[0]
     table = {jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in leaves}
     table = {name.removeprefix("plant."): values for name, values in table.items()}
     carried = {name for name in table if name in known or name == "command_delay"}
@@ -78,15 +87,18 @@ def drawn_muscles(
 
 
 def warp_muscles(
-    module: SourceModule, muscles: tuple[PluginMuscle, ...], title: str, delay: float, left_out: tuple[str, ...]
+    module: SourceModule,
+    muscles: Sequence[PluginMuscle],
+    names: Sequence[str],
+    title: str,
+    delay: float,
+    left_out: tuple[str, ...],
 ) -> str:
     """Text of the module of Warp for the muscles of a model, with the delay [s] of their commands."""
     functions = {one.name: one for one in module.functions}
-    kernels, anchor = [], 0
-    for number, muscle in enumerate(muscles, 1):
-        kernels.append(_kernels(functions, muscle, number, anchor))
-        anchor += muscle.anchors
     numbers = range(1, len(muscles) + 1)
+    before = [sum(one.anchors for one in muscles[: number - 1]) for number in numbers]
+    kernels = map(partial(_kernels, functions), muscles, numbers, before)
     return filled(
         "warp-muscles.txt",
         {
@@ -97,10 +109,11 @@ def warp_muscles(
             "delay": repr(delay),
             "functions": write_warp(module),
             "kernels": "".join(kernels),
-            "actuators": _tuple(f'"muscle{number}"' for number in numbers),
-            "anchors": _tuple(str(muscle.anchors) for muscle in muscles),
-            "dynamics": _tuple(f"dynamics{number}" for number in numbers),
-            "forces": _tuple(f"forces{number}" for number in numbers),
+            "actuators": repr(tuple(names)),
+            "pressures": repr(tuple(one.activations - 1 if one.pressurized else -1 for one in muscles)),
+            "anchors": repr(tuple(muscle.anchors for muscle in muscles)),
+            "dynamics": ", ".join(f"dynamics{number}" for number in numbers),
+            "forces": ", ".join(f"forces{number}" for number in numbers),
         },
     )
 
@@ -151,10 +164,6 @@ def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: in
     return filled("warp-muscle.txt", values)
 
 
-def _tuple(items: Iterable[str]) -> str:
-    return f"({', '.join(items)},)"
-
-
 @cache
 def loaded(text: str) -> ModuleType:
     """Module of a text; Warp reads its source while it is executed, and replaces a module of the same name."""
@@ -172,10 +181,7 @@ def loaded(text: str) -> ModuleType:
 def check_version(package: str, least: str, below: str) -> None:
     """Raise an error for an installed version of a package that does not fit."""
     version = metadata.version(package)
-    if not _numbers(least) <= _numbers(version) < _numbers(below):
+    first, given, second = (tuple(map(int, one.split(".")[:2])) for one in (least, version, below))
+    if not first <= given < second:
         remedy = f"install a version from {least} to below {below}"
         raise ExportError(f"{package} is {version}", field=package, value=version, remedy=remedy)
-
-
-def _numbers(version: str) -> tuple[int, ...]:
-    return tuple(map(int, version.split(".")[:2]))
