@@ -148,7 +148,7 @@ def test_draws_of_a_fit_have_its_covariance_and_are_those_of_both_muscles():
 
 
 @pytest.mark.parametrize(
-    ("package", "version"), [("newton", "1.6.1"), ("newton", "2.0.0"), ("mjlab", "1.5.2"), ("mjlab", "1.7.0")]
+    ("package", "version"), [("newton", "1.6.1"), ("newton", "2.0.0"), ("mjlab", "1.5.2"), ("mjlab", "1.7rc1")]
 )
 def test_other_versions_are_refused(package, version, monkeypatch):
     pytest.importorskip("warp", reason="the extra warp is not installed")

@@ -298,7 +298,7 @@ def test_mistakes_are_refused(knee, tmp_path, monkeypatch):
         muscles.set("valve.lag", 0.02)
     with pytest.raises(ValueError, match="command_delay"):
         muscles.set("command_delay", -1e-3)
-    for version in ("3.10.0", "5.0.0"):
+    for version in ("3.10.0", "3.10rc1", "5.0.0"):
         monkeypatch.setattr(metadata, "version", lambda name, version=version: version)
         with pytest.raises(ImportError, match=r"3\.11.*5\.0"):
             muscles.install(SimpleNamespace())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
@@ -95,10 +96,9 @@ def warp_muscles(
     left_out: tuple[str, ...],
 ) -> str:
     """Text of the module of Warp for the muscles of a model, with the delay [s] of their commands."""
-    functions = {one.name: one for one in module.functions}
     numbers = range(1, len(muscles) + 1)
     before = [sum(one.anchors for one in muscles[: number - 1]) for number in numbers]
-    kernels = map(partial(_kernels, functions), muscles, numbers, before)
+    kernels = map(partial(_kernels, {one.name: one for one in module.functions}), muscles, numbers, before)
     return filled(
         "warp-muscles.txt",
         {
@@ -120,7 +120,6 @@ def warp_muscles(
 
 def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: int, anchor: int) -> str:
     """Kernels of a muscle, whose anchors begin at a column of those of all muscles."""
-    index = number - 1
     columns = ["first", *(f"rest + {place}" for place in range(muscle.activations - 1))]
     places = {
         "act": [f"act[world, {column}]" for column in columns],
@@ -129,7 +128,7 @@ def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: in
     single = {
         "length": "length[world, actuator]",
         "velocity": "velocity[world, actuator]",
-        "command": f"command[world, {index}]",
+        "command": f"command[world, {number - 1}]",
     }
 
     def call(name: str) -> str:
@@ -155,7 +154,7 @@ def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: in
 
     values = {
         "k": str(number),
-        "index": str(index),
+        "index": str(number - 1),
         "settled": assigned(f"settled{number}", places, "later"),
         "unset": assigned(f"unset{number}", places, "begun"),
         "rates": assigned(f"rates{number}", {"act": [f"act_dot[world, {column}]" for column in columns]}),
@@ -181,7 +180,7 @@ def loaded(text: str) -> ModuleType:
 def check_version(package: str, least: str, below: str) -> None:
     """Raise an error for an installed version of a package that does not fit."""
     version = metadata.version(package)
-    first, given, second = (tuple(map(int, one.split(".")[:2])) for one in (least, version, below))
+    first, given, second = (tuple(map(int, re.findall(r"\d+", one)[:2])) for one in (least, version, below))
     if not first <= given < second:
         remedy = f"install a version from {least} to below {below}"
         raise ExportError(f"{package} is {version}", field=package, value=version, remedy=remedy)
