@@ -71,8 +71,8 @@ def joints(lanes, seed, repeat=REPEAT, history=HISTORY + 1):
 
 def seen(env):
     """Observation of all worlds in mjlab, with the noise of the sensors, and the last action."""
-    data, noise = env.scene["joint"].data, torch.randn(env.num_envs, 4)
-    measured = torch.cat([data.joint_pos, data.joint_vel, env.sim.data.act[:, :2] / bar], 1)
+    joint, noise = env.scene["joint"], torch.randn(env.num_envs, 4)
+    measured = torch.cat([joint.data.joint_pos, joint.data.joint_vel, joint.actuators[0].pressures() / bar], 1)
     measured += noise * torch.tensor([0.01 * deg, 0.15, 0.04, 0.04])
     goal = getattr(env, "goal", torch.zeros(env.num_envs, 2))
     return torch.cat([torch.stack(features(*measured.T, *goal.T), 1), env.action_manager.action.clip(-1, 1)], 1)
@@ -90,16 +90,19 @@ class Closeness:
 
     def __init__(self, cfg, env):
         plants = plants_of(REAL, IN_MJLAB, LANES, TRAINING)
-        plants, rows = (
-            plants._replace(varying=jax.tree.map(jnp.asarray, plants.varying)),
-            np.arange(WORLDS) % plants.rows,
-        )
-        stiffness = lambda row, angle, pressures: plants.at(row).plant.joint.evaluate(angle, pressures)[1]  # noqa: E731
+        rows = np.arange(WORLDS) % plants.rows
+        varying, starts = jax.tree.map(jnp.asarray, (plants.varying, plants.starts))
+        plants = plants._replace(varying=varying, starts=starts)
+
+        def stiffness(row, angle, pressures):
+            return plants.row(row)[0].plant.joint.evaluate(angle, pressures)[1]
+
         self.stiffness = jax.jit(lambda *state: jax.vmap(stiffness)(rows, *state))
 
     def __call__(self, env):
-        angle, act = env.scene["joint"].data.joint_pos[:, 0], env.sim.data.act.numpy().astype(float)
-        stiffness = self.stiffness(angle.numpy().astype(float), (act[:, 0], act[:, 1]))
+        joint = env.scene["joint"]
+        angle, pressures = joint.data.joint_pos[:, 0], joint.actuators[0].pressures().numpy().astype(float)
+        stiffness = self.stiffness(angle.numpy().astype(float), (pressures[:, 0], pressures[:, 1]))
         errors = (angle - env.goal[:, 0]) / deg, torch.as_tensor(np.array(stiffness)) - env.goal[:, 1]
         return (1 / (1 + errors[0].abs() + errors[1].abs())).float()
 

@@ -149,6 +149,25 @@ def test_a_second_of_an_arm_with_two_joints_agrees_in_every_world():
 
 
 @pytest.mark.slow
+def test_the_joint_of_the_example_observes_its_pressures_and_is_rewarded_at_its_goal(monkeypatch):
+    torch = pytest.importorskip("torch")
+    pytest.importorskip("mjlab", reason="mjlab is not installed")
+    monkeypatch.syspath_prepend("examples/reinforcement")  # for judge.py
+    example = run_path("examples/reinforcement/in_mjlab.py")
+    env = example["environment"](0)
+    env.reset()
+    for _ in range(60):
+        seen = env.step(torch.tensor([[-0.2, 0.1]]).repeat(env.num_envs, 1))[0]["actor"]
+    joint, closeness = env.scene["joint"], env.reward_manager.get_term_cfg("closeness").func
+    pressures = joint.actuators[0].pressures()
+    assert torch.allclose(seen[:, -6:-4] * 2 + 3, pressures / 1e5, atol=0.3)
+    angle = joint.data.joint_pos[:, 0].numpy().astype(float)
+    stiffness = closeness.stiffness(angle, tuple(pressures.numpy().astype(float).T))
+    env.goal[:] = torch.stack([joint.data.joint_pos[:, 0], torch.as_tensor(np.array(stiffness))], 1)
+    assert torch.allclose(closeness(env), torch.ones(env.num_envs))
+
+
+@pytest.mark.slow
 def test_the_arm_of_the_example_observes_its_pressures_and_moves_towards_its_goal():
     torch = pytest.importorskip("torch")
     pytest.importorskip("mjlab", reason="mjlab is not installed")
