@@ -112,6 +112,8 @@ def test_what_is_kept_is_gone_on_with_or_left_alone(cli, written, tmp_path):
     assert (tmp_path / "kept" / "results.json").read_bytes() == first
     assert cli("compare", "suite.yaml", "--out", "kept", "--resume").code == 0
     assert (tmp_path / "kept" / "results.json").read_bytes() == first
+    assert cli("compare", "suite.yaml", "--out", "kept", "--resume", "--runs", "20").code == 0
+    assert Suite.read(tmp_path / "kept" / "suite.yaml").evaluation.runs == results(tmp_path / "kept")["runs"] == 20
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "runs.nc").touch()
     found = cli("compare", "suite.yaml", "--out", "taken")

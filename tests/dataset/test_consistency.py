@@ -271,6 +271,13 @@ def test_pressures_cut_off_at_their_highest_level_are_reported(highest, reported
     assert ["saturated" in one for one in told] == [True] * reported
 
 
+def test_equal_pressures_of_a_coarse_sensor_are_not_reported_as_cut_off(heard):
+    noise = np.array([0.0, -0.01, 0.0, 0.01, 0.0])  # one of five above the others: a level without one is likely
+    pressure = np.concatenate([1.5 + noise, 4.0 + noise, 6.0 + np.minimum(noise, 0.0)])
+    contraction = np.tile([0.0, 3.0, 6.0, 9.0, 12.0], 3)
+    assert heard(pressure, contraction, 250 * pressure * (1 - contraction / 30) ** 2)[1] == []
+
+
 @pytest.mark.parametrize(
     ("tails", "offset", "reported"),
     [

@@ -188,10 +188,18 @@ def test_a_sensor_that_fails_is_reported(put, change, field):
     assert any(f": {field}: " in one for one in told(put, change))
 
 
-@pytest.mark.parametrize("line", ["# amplifier gain: 10", "# multiply the forces by 2", "% uncalibrated"])
+@pytest.mark.parametrize("line", ["# amplifier gain: 10", "# multiply the forces by 2", "% uncalibrated", "# U/10*500"])
 def test_a_comment_on_a_scale_is_reported(put, line):
     with pytest.warns(McKibbenWarning, match="line 1"):
         read_dataset(put(f"{line}\npressure_bar,force_N,contraction_percent\n{ROWS}"))
+
+
+@pytest.mark.parametrize("line", ["# hose 12x2", "# hose 12 mm x 2 mm", "# muscle 10 × 180 mm"])
+def test_a_size_in_a_comment_is_no_scale(put, line):
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        read_dataset(put(f"{line}\npressure_bar,force_N,contraction_percent\n{ROWS}"))
+    assert not any("line 1" in str(one.message) for one in said)
 
 
 @pytest.mark.parametrize(

@@ -64,15 +64,22 @@ def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():
     assert found.leave_one_pressure_out.rmse < 0.2 * eq_2.leave_one_pressure_out.rmse
 
 
+@pytest.mark.parametrize("scatter", [0.0, 0.003])
 @pytest.mark.parametrize("seed", [1, 2])
-def test_a_deviation_at_low_pressure_does_not_spoil_the_extrapolation(seed):
-    """The end effect decays within a bar: deviations independent over pressure err 1.2 and 1.5 times."""
+def test_a_deviation_at_low_pressure_does_not_spoil_the_extrapolation(seed, scatter):
+    """The end effect decays within a bar: deviations independent over pressure err 1.2 and 1.5 times.
+
+    Measured pressures without a set pressure are as many levels as they form groups.
+    """
     law = identify(TonduLopezVariableLaw, catalog.dataset("festo-tool-10mm")).law
     p, eps = (axis.ravel() for axis in np.meshgrid(np.arange(1, 7) * bar, np.arange(0, 25, 3) * percent))
-    force = forces(law, eps, p) + np.random.default_rng(seed).normal(0, 0.3, p.size)
+    rng = np.random.default_rng(seed)
+    noise = rng.normal(0, 0.3, p.size)
+    p = p + scatter * bar * rng.normal(size=p.size)
+    force = forces(law, eps, p) + noise
     data = IsobaricDataset.of(pressure=p, contraction=eps, force=force, slack_force=10.0)
-    new = data.taut.select(data.taut.pressure == 6 * bar)
-    fits = [identify(kind, data.select(data.pressure < 6 * bar)) for kind in (SmoothLaw, ExponentialLaw)]
+    new = data.taut.select(data.taut.pressure > 5.5 * bar)
+    fits = [identify(kind, data.select(data.pressure < 5.5 * bar)) for kind in (SmoothLaw, ExponentialLaw)]
     ours, theirs = (np.linalg.norm(forces(fit.law, new.contraction, new.pressure) - new.force) for fit in fits)
     assert ours < 1.05 * theirs
 

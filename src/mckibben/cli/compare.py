@@ -157,6 +157,7 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> dict[str, Any]:
     with keeping(out, "make room, and continue with --resume"):
         write_json(out / "results.json", numbers)  # before anything is drawn
         write_table(result, out / "runs.nc")
+        result.suite.to_yaml(out / "suite.yaml")  # again: a resumed comparison may have other runs
         kept = _tuned_scenarios(result, out)
         page = report.write_benchmark(result, numbers, out)
     if not json:

@@ -16,6 +16,7 @@ from mckibben.component.checks import check_kind
 from mckibben.component.columns import Label
 from mckibben.control.actuator_adaptation import arriving
 from mckibben.control.base import Controller, Measurement, Setpoint, ValveModel, check_valve_model
+from mckibben.control.model_based import ModelBasedControl
 from mckibben.control.observer import lagged
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
@@ -49,7 +50,7 @@ class SupplyLimit(Controller):
               \tau_v \dot{\hat p}_i = u_i - \hat p_i, \quad \tau_v \dot{\bar p}_i = p_i - \bar p_i
 
     with the larger shortfall of the muscles whose command is at the limit. The commands :math:`u_i` are those that have
-    arrived after the `command_delay` of the controller, if it has one.
+    arrived after the `command_delay` of the controller, or of the one that it wraps, if it has one.
 
     Parameters
     ----------
@@ -78,8 +79,8 @@ class SupplyLimit(Controller):
         check_valve_model("SupplyLimit", self.valve, self._model)
 
     def init(self, measurement: Measurement) -> SupplyLimitState:
-        pressures, periods = measurement.pressures, getattr(self.controller, "periods", None) or 0
-        sent = (pressures,) * (periods + 1)
+        pressures = measurement.pressures
+        sent = (pressures,) * (1 + (getattr(self._predicting, "periods", None) or 0))
         return SupplyLimitState(self.controller.init(measurement), self._rated, sent, pressures, pressures)
 
     def step(
@@ -106,7 +107,7 @@ class SupplyLimit(Controller):
 
     def _arrived(self, sent: tuple[Pair, ...], period: ArrayLike) -> Pair:
         """Commands [Pa] that arrived over the last period [s]."""
-        delay = getattr(self.controller, "command_delay", None)
+        delay = getattr(self._predicting, "command_delay", None)
         if delay is None:
             return sent[0]
         first, second = (arriving([pair[i] for pair in sent], delay, period) for i in (0, 1))
@@ -115,8 +116,17 @@ class SupplyLimit(Controller):
     @property
     def _model(self) -> Any:
         """First model of a joint within the controller; None without one."""
-        parts = jax.tree.leaves(self.controller, is_leaf=_is_joint)
-        return next(filter(_is_joint, parts), None)
+        return self._first(AntagonisticJoint)
+
+    @property
+    def _predicting(self) -> Any:
+        """The controller, or the one that it wraps, that predicts over the delay; None without one."""
+        return self._first(ModelBasedControl)
+
+    def _first(self, kind: type) -> Any:
+        """First part of a kind within the controller."""
+        wanted = lambda part: isinstance(part, kind)  # noqa: E731
+        return next(filter(wanted, jax.tree.leaves(self.controller, is_leaf=wanted)), None)
 
     @property
     def _rated(self) -> Scalar:
@@ -132,7 +142,3 @@ class SupplyLimit(Controller):
             return dataclasses.replace(part, pressure_max=jnp.minimum(part.pressure_max, supply))
 
         return jax.tree.map(limited, self.controller, is_leaf=lambda part: isinstance(part, Domain))
-
-
-def _is_joint(part: Any) -> bool:
-    return isinstance(part, AntagonisticJoint)

@@ -89,7 +89,7 @@ _NOT_APPLIED = re.compile(
 NOT_APPLIED = re.compile(
     r"(?<![a-z])(?:gain\b|multipl(?:y|ied|ier)\b|divided? by|uncalibrat|not calibrat|(?:scale|calibration) factor"
     r"|offset|(?:not|un)[- ]?tared|tare\b|tara\b|subtract|lever|hebel|raw (?:counts|data|values)|raw\b.{0,40}\btimes"
-    r"|(?:times|(?<![0-9])(?<![0-9] )(?<!mm )[x*×]) ?[0-9]|(?:per|/) ?(?:digit|count|bit|lsb|fib)"
+    r"|(?:times|\*|(?<![0-9])(?<![0-9] )(?<!mm )[x×]) ?[0-9]|(?:per|/) ?(?:digit|count|bit|lsb|fib)"
     r"|(?:two|three|four|[2-9]) (?:muscles|muskeln|actuators)|(?:in|muscles) parallel)",
     re.I,
 )

@@ -63,7 +63,7 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
             break
         else:
             masked = True
-    if len(found) > most:  # those behind a point that is none are no isolated errors
+    if len(found) > most:  # those found after a point that is not an outlier are not isolated errors
         found = first
     if len(found) > most:
         return ()

@@ -31,6 +31,7 @@ from numpy.polynomial import legendre, polynomial
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import group_pressures
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import domain_of, unphysical
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
@@ -111,7 +112,8 @@ class SurfacePrior(Prior):
     @classmethod
     def of(cls, levels: Floats) -> SurfacePrior:
         """Hyperparameters: logarithms of the amplitude and of both lengths, in half ranges of the points."""
-        spacing = 2 / max(len(np.unique(levels)) - 1, 1)
+        groups = group_pressures(levels)  # measured pressures scatter about a level
+        spacing = 2 / max(len(np.unique(levels if groups is None else groups)) - 1, 1)
         shortest = max(_SHORTEST, float(np.log(_SPACINGS * spacing)))
         starts = ((3.0, 0.0, 0.0), (3.0, 1.0, 0.0), (0.0, 0.0, 0.0), (6.0, 1.0, 1.0))
         return cls(np.eye(ORDER**2), tuple(map(np.array, starts)), ((-6.0, 14.0), (_SHORTEST, 3.0), (shortest, 3.0)))

@@ -34,7 +34,7 @@ LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
-_ARGUMENTS = re.compile(r"\b(?:initial|zero)_length|slack_force|force_sign|from_name\b")
+_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|force_sign|from_name)\b")
 _COLUMNS = re.compile(r"columns=\{'([^']*)': '([^']*)'\}")  # an argument, which the page has as a line of a field
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 

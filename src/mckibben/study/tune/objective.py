@@ -134,8 +134,8 @@ class TuningProblem:
         """Disk margin that tuned gains keep: that of the nominal ones, at most `most`, and 0 if there are no gains."""
         if not any(map(is_gain, self.space.names)):
             return 0.0
-        rows = self.space.nominal * [[1.0], [0.999]]  # a batch has rows that differ
-        return min(most, *(0.99 * float(self._disk_margins(scenario, rows)[0]) for scenario in self.scenarios))
+        found = (float(self._disk_margins(scenario, self.space.nominal[None])[0]) for scenario in self.scenarios)
+        return min(most, *(float(f"{0.99 * one:.3g}") for one in found))  # the same on all machines
 
     def _disk_margins(self, scenario: Scenario, values: Vector) -> Vector:
         """Least disk margin of each row of values [SI] over the conditions; 0 if a condition is invalid."""

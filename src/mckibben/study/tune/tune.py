@@ -209,8 +209,8 @@ def tune(
     over
         Parameters and their ranges, `Uniform` or `LogUniform`, or texts (or one) as for `mckibben tune`.
     cost
-        Cost of the runs, or its text. Default: that of `mckibben tune`, with its margins. A disk margin of None is that
-        of the first gains, at most 0.2, and 0 with the gradient method.
+        Cost of the runs, or its text, which has no margins. Default: that of `mckibben tune`, with its margins. A disk
+        margin of None is 99 % of that of the first gains, at most 0.2, and 0 with the gradient method.
     method
         Search method, or its name. Default: CMA-ES, or evolution of a single parameter.
     starts
@@ -255,9 +255,11 @@ def tune(
         swept = parse_ranges(swept, several[0])
     if not isinstance(cost, Cost):
         margins: Any = {"gain_margin": DEFAULT_MARGIN, "disk_margin": None} if cost is None else {}
-        cost = parse_cost(cost or DEFAULT_COST, **margins)
+        cost = parse_cost(DEFAULT_COST if cost is None else cost, **margins)
     problem = TuningProblem.of(several, swept, cost, known, conditions)  # type: ignore[arg-type]
-    method = Method(method or (Method.CMA if len(problem.space) > 1 else Method.EVOLUTION))
+    if method is None:
+        method = Method.CMA if len(problem.space) > 1 else Method.EVOLUTION
+    method = Method(method)
     check_method(method, numbers=len(problem.space), population=population)
     if cost.disk_margin is None:
         cost = replace(cost, disk_margin=0.0 if method is Method.GRADIENT else problem.kept_margin(KEPT_MARGIN))
