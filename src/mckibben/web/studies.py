@@ -37,6 +37,9 @@ _TITLES = {
 
 Progress = Callable[[str, float], None]
 
+AUTOMATIC = "automatic"
+"""The default method of `tune`."""
+
 
 @dataclass
 class TuningRequest:
@@ -45,7 +48,7 @@ class TuningRequest:
     cost: str = DEFAULT_COST
     gain_margin: float = DEFAULT_MARGIN
     over: str = ""
-    method: str = Method.CMA.value
+    method: str = AUTOMATIC
     starts: int = 2
     iterations: int = 20
 
@@ -100,7 +103,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     """Tune a scenario as `mckibben tune` does."""
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
-    method = Method(request.method)
+    method = None if request.method == AUTOMATIC else Method(request.method)
     runs = request.starts * (1 + len(ranges)) if method is Method.GRADIENT else _POPULATION
     _check_budget(scenario, 2 * request.iterations * runs)
     found = tune(

@@ -33,6 +33,7 @@ from mckibben.web.layout import (
 )
 from mckibben.web.session import JobState, session
 from mckibben.web.studies import (
+    AUTOMATIC,
     MOST_GENERATIONS,
     MOST_ITERATIONS,
     MOST_RUNS,
@@ -80,7 +81,7 @@ class _Page(JobPage[StudyState]):
                 self.progress = progress_row(state.jobs)
             with panel("Tune"):
                 _text("cost", tuning, "cost")
-                methods = [one.value for one in Method]
+                methods = [AUTOMATIC, *(one.value for one in Method)]
                 select(methods, "method", "method").bind_value(tuning, "method")
                 with ui.element("div").classes("fields"):
                     _number("gain margin", tuning, "gain_margin", 1.0, 10.0)
