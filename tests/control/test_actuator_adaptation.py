@@ -156,6 +156,7 @@ def test_a_model_without_a_speed_is_refused(knee, load):
     assert caught.value.field == "actuator_adaptation"
 
 
+@pytest.mark.slow
 def test_a_pair_is_estimated_as_its_valves_are(knee, load):
     """The speed multiplies both valves; two equal valves of a pair give the estimates of one."""
     measured = Measurement(jnp.asarray(0.05), (jnp.asarray(2.9 * bar), jnp.asarray(3.2 * bar)))

@@ -270,6 +270,7 @@ def test_a_sweep_is_not_continued_by_another_engine_or_compiler(scenario, tmp_pa
     assert (tmp_path / JOURNAL).read_bytes() == before
 
 
+@pytest.mark.slow
 def test_a_sweep_by_xla_goes_on_by_xla(scenario, tmp_path):
     sweep(scenario, OVER, out=tmp_path / "whole", engine="xla", **SOME)
     stopped(scenario, tmp_path / "stopped", engine="xla")

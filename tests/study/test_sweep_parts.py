@@ -144,6 +144,7 @@ def test_rows_of_a_design_are_computed_alone(scenario, method):
             np.testing.assert_array_equal(part[name], column[start:stop])
 
 
+@pytest.mark.slow
 def test_the_limit_is_that_of_a_part(scenario):
     many = SweepOptions(OVER, samples=10**9, metrics=["angle_rmse"])
     plan = SweepPlan.of(scenario, many, part=(1000, 1000))

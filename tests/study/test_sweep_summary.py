@@ -106,6 +106,7 @@ def test_numbers_of_lost_runs_count_for_nothing():
     assert summary(SweepResult(lively)) == summary(swept)
 
 
+@pytest.mark.slow
 def test_the_statistics_need_the_same_memory_for_more_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(ranks, "_BUCKET", 1 << 14)
     monkeypatch.setattr(ranks, "_IN_MEMORY", 1 << 10)

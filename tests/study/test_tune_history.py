@@ -175,6 +175,7 @@ def test_what_is_no_history_is_refused_and_left_alone(tmp_path, content):
     assert path.read_bytes() == content
 
 
+@pytest.mark.slow
 def test_a_search_is_not_continued_by_another_engine(tmp_path, monkeypatch):
     path = tmp_path / "history.journal"
     run(path, iterations=1)
