@@ -138,28 +138,34 @@ def environment(seed):
     )
 
 
+def trained(env, updates, steps, gamma, seed):
+    """Runner after updates by PPO, each from some steps in every world."""
+    torch.set_num_threads(1)  # the network is small
+    env = RslRlVecEnvWrapper(env, clip_actions=1.0)
+    network = {"hidden_dims": (64, 64), "activation": "elu"}
+    spread = {"class_name": "GaussianDistribution", "init_std": 0.2, "std_type": "scalar"}
+    settings = RslRlOnPolicyRunnerCfg(
+        actor=RslRlModelCfg(**network, distribution_cfg=spread),
+        critic=RslRlModelCfg(**network),
+        num_steps_per_env=steps,
+        seed=seed,
+        logger="tensorboard",
+        upload_model=False,
+    )
+    settings.algorithm.gamma, settings.algorithm.entropy_coef, settings.algorithm.num_mini_batches = gamma, 0.0, 8
+    runner = MjlabOnPolicyRunner(env, asdict(settings), None, "cpu")
+    runner.learn(updates, init_at_random_ep_len=True)
+    return runner
+
+
 def main():
     """Train, and print the table."""
     options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     options.add_argument("--steps", type=float, default=3e6, help="of training, over all worlds")
     options.add_argument("--seed", type=int, default=0, help="of training")
     asked = options.parse_args()
-    torch.set_num_threads(1)  # the network is small
-    env = RslRlVecEnvWrapper(environment(asked.seed), clip_actions=1.0)
-    network = {"hidden_dims": (64, 64), "activation": "elu"}
-    spread = {"class_name": "GaussianDistribution", "init_std": 0.2, "std_type": "scalar"}
-    settings = RslRlOnPolicyRunnerCfg(
-        actor=RslRlModelCfg(**network, distribution_cfg=spread),
-        critic=RslRlModelCfg(**network),
-        num_steps_per_env=STEPS,
-        seed=asked.seed,
-        logger="tensorboard",
-        upload_model=False,
-    )
-    settings.algorithm.gamma, settings.algorithm.entropy_coef, settings.algorithm.num_mini_batches = 0.98, 0.0, 8
-    runner = MjlabOnPolicyRunner(env, asdict(settings), None, "cpu")
     updates = math.ceil(asked.steps / (WORLDS * STEPS))
-    runner.learn(updates, init_at_random_ep_len=True)
+    runner = trained(environment(asked.seed), updates, STEPS, 0.98, asked.seed)
     act = runner.get_inference_policy("cpu")
 
     def policy(observation):

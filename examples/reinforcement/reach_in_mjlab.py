@@ -13,7 +13,6 @@ as feedforward; its gains and its stiffness are the best on other plants of this
 
 import argparse
 import math
-from dataclasses import asdict
 from itertools import product
 from types import SimpleNamespace
 
@@ -22,13 +21,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import torch
+from in_mjlab import trained as ppo
 from jax import lax
 from mjlab.envs import ManagerBasedRlEnv, ManagerBasedRlEnvCfg, mdp
 from mjlab.managers.event_manager import EventTermCfg
 from mjlab.managers.observation_manager import ObservationGroupCfg, ObservationTermCfg
 from mjlab.managers.reward_manager import RewardTermCfg
 from mjlab.managers.termination_manager import TerminationTermCfg
-from mjlab.rl import MjlabOnPolicyRunner, RslRlModelCfg, RslRlOnPolicyRunnerCfg, RslRlVecEnvWrapper
 from mjlab.scene import SceneCfg
 from mjlab.sim import MujocoCfg, SimulationCfg
 
@@ -178,21 +177,7 @@ def environment(seed, worlds=WORLDS):
 
 def trained(steps, seed):
     """Weights and biases of the layers of a policy."""
-    torch.set_num_threads(1)  # the network is small
-    env = RslRlVecEnvWrapper(environment(seed), clip_actions=1.0)
-    network = {"hidden_dims": (64, 64), "activation": "elu"}
-    spread = {"class_name": "GaussianDistribution", "init_std": 0.2, "std_type": "scalar"}
-    settings = RslRlOnPolicyRunnerCfg(
-        actor=RslRlModelCfg(**network, distribution_cfg=spread),
-        critic=RslRlModelCfg(**network),
-        num_steps_per_env=STEPS,
-        seed=seed,
-        logger="tensorboard",
-        upload_model=False,
-    )
-    settings.algorithm.gamma, settings.algorithm.entropy_coef, settings.algorithm.num_mini_batches = 0.99, 0.0, 8
-    runner = MjlabOnPolicyRunner(env, asdict(settings), None, "cpu")
-    runner.learn(math.ceil(steps / (WORLDS * STEPS)), init_at_random_ep_len=True)
+    runner = ppo(environment(seed), math.ceil(steps / (WORLDS * STEPS)), STEPS, 0.99, seed)
     layers = [one for one in runner.alg.get_policy().modules() if isinstance(one, torch.nn.Linear)]
     return [(one.weight.detach().double().numpy(), one.bias.detach().double().numpy()) for one in layers]
 

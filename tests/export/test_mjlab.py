@@ -168,9 +168,10 @@ def test_the_joint_of_the_example_observes_its_pressures_and_is_rewarded_at_its_
 
 
 @pytest.mark.slow
-def test_the_arm_of_the_example_observes_its_pressures_and_moves_towards_its_goal():
+def test_the_arm_of_the_example_observes_its_pressures_and_moves_towards_its_goal(monkeypatch):
     torch = pytest.importorskip("torch")
     pytest.importorskip("mjlab", reason="mjlab is not installed")
+    monkeypatch.syspath_prepend("examples/reinforcement")
     example = run_path("examples/reinforcement/reach_in_mjlab.py")
     env = example["environment"](seed=0, worlds=2)
     env.reset()
