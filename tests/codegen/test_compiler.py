@@ -1,10 +1,12 @@
 """Compilers, folders and libraries that do not work: XLA computes, and nothing broken is stored."""
 
+import gc
 import os
 import pickle
 import signal
 import time
 import warnings
+import weakref
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -12,8 +14,8 @@ import numpy as np
 import pytest
 
 from mckibben.codegen import native
-from mckibben.codegen.native import compiler
-from mckibben.errors import CompilerError, McKibbenWarning
+from mckibben.codegen.native import NativeFunction, compiler
+from mckibben.errors import CompilerError, ExportError, McKibbenWarning
 from mckibben.realtime.compiled_step import compile_flat
 from mckibben.simulation.engine import BatchFunction, compute_with
 from mckibben.storage import private
@@ -262,3 +264,26 @@ def test_only_failures_of_the_compiler_are_passed_over():
 
     with pytest.raises(ZeroDivisionError):
         compute_with("auto", broken, lambda: 1)
+
+
+def unsupported(_, lane):
+    return jnp.interp(lane, LANES, LANES)
+
+
+class Seen(np.ndarray):
+    """An array with weak references."""
+
+
+@pytest.mark.parametrize(("function", "fault"), [(unsupported, ""), (double, "crash when called")])
+def test_what_cannot_be_compiled_keeps_no_arguments(use, programs, function, fault):
+    """Each failure raised the same exception, whose traceback grew by the frames of every call, with their arrays."""
+    if fault:
+        use(FAULTS[fault])
+    batch = NativeFunction(function)
+    given = [LANES.copy().view(Seen) for _ in range(3)]
+    known = [weakref.ref(one) for one in given]
+    while given:
+        with pytest.raises(ExportError):
+            batch(None, given.pop())
+    gc.collect()
+    assert [one() for one in known] == [None] * 3

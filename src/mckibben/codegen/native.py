@@ -18,6 +18,7 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -80,7 +81,7 @@ _WARNED: list[CompilerError] = []
 def warn_of_fallback(error: ExportError) -> None:
     """Warn that XLA computes in place of compiled C, once per process and only if the compiler is the reason."""
     if isinstance(error, CompilerError) and not _WARNED:
-        _WARNED.append(error)
+        _WARNED.append(copy(error))
         warnings.warn(f"XLA computes in place of compiled C: {error}", McKibbenWarning, stacklevel=3)
 
 
@@ -105,11 +106,11 @@ class NativeFunction:
                 try:
                     written = lambda: self.written(given, varying, single=single)  # noqa: E731
                     found = self.cached(key, written, many=bool(varying.arrays))
-                except ExportError as error:  # it will fail next time too
-                    found = error
+                except ExportError as error:  # it will fail next time too; the copy holds no frames with their arrays
+                    found = copy(error)
                 self._known[key] = found
         if isinstance(found, ExportError):
-            raise found
+            raise copy(found)
         return found.bound(given.arrays, varying.arrays)
 
     def cached(self, key: Any, written: Callable[[], Written], *, many: bool = False) -> Compiled:
@@ -347,7 +348,7 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
 def compile_library(source: str, flags: Sequence[str]) -> bytes:
     """Compile a source to a shared library that loads and can be called; raises `CompilerError` if that fails."""
     if _FAILED:
-        raise _FAILED[0]
+        raise copy(_FAILED[0])
     name = compiler() or "cc"
     options = [*compiler_words()[1:], "-std=gnu11", *_FLAGS, *flags, *own_flags()]
     command = [name, *options, "source.c", "-o", "library.so", "-lm"]
@@ -398,7 +399,7 @@ def _call(command: Sequence[str], folder: str, seconds: float, failure: str, rem
         reason = f"it ends by signal {-status}"
     error = CompilerError(f"{failure}: {reason}", value=command[0], remedy=remedy)
     if status is None or command[0] == sys.executable:  # the next program would fail, too
-        _FAILED.append(error)
+        _FAILED.append(copy(error))
     raise error
 
 
