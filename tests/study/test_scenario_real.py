@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.control import DecouplingControl, LawAdaptation, ValveAdaptation
+from mckibben.control import ActuatorAdaptation, DecouplingControl, LawAdaptation
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.muscle import PressureAffineLaw
 from mckibben.plant import NoDisturbance, PerfectSensors, SampledSensors, TorquePulses
@@ -23,7 +23,7 @@ DECOUPLING = """\
   class: decoupling
   feedback: {{bandwidth: 50 rad/s}}
   adaptation: {}
-  valve_adaptation: {{}}
+  actuator_adaptation: {{}}
 
 """
 FULL = "{strength_spread: 0.08, mass_spread: 0.1 kg, friction_spread: 0.4, torque_error: 0.03 N*m, bandwidth: 25 rad/s}"
@@ -54,7 +54,7 @@ def test_it_builds_what_it_says(real):
     assert plant.disturbance == TorquePulses(0.5, 100 * ms, 1.0, 250 * ms)
     assert isinstance(control, DecouplingControl)
     assert control.adaptation == LawAdaptation(0.08, 0.1, 0.4, 0.03, 25.0)
-    assert control.valve_adaptation == ValveAdaptation()
+    assert control.actuator_adaptation == ActuatorAdaptation()
     plain = Scenario.parse(BASE).plant().joint
     for muscle in (plant.joint.muscle1, plant.joint.muscle2, control.model.muscle1):
         assert isinstance(muscle.law, PressureAffineLaw)
@@ -121,8 +121,8 @@ def test_what_is_left_out_is_that_of_the_classes():
     assert [nominal[f"sensors.{key}"] for key in ("encoder", "pressure_noise", "delay", "seed")] == [0.0, 0.0, 0.0, 0]
     for key in ("strength_spread", "mass_spread", "friction_spread", "torque_error", "bandwidth"):
         assert nominal[f"controller.adaptation.{key}"] == getattr(LawAdaptation(), key)
-    for key in ("time_constant_spread", "pressure_error", "memory"):
-        assert nominal[f"controller.valve_adaptation.{key}"] == getattr(ValveAdaptation(), key)
+    for key in ("speed_spread", "delay_spread", "pressure_error", "memory"):
+        assert nominal[f"controller.actuator_adaptation.{key}"] == getattr(ActuatorAdaptation(), key)
 
 
 def test_they_can_be_varied(real):

@@ -86,7 +86,7 @@ class Sweeps:
             Multisine(amplitudes, frequencies, offset=float(middle)),
             Sine(_BAND * (high - low) / 2, _COCONTRACTIONS / self.duration, offset=(low + high) / 2),
         )
-        control = with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "valve_adaptation")))
+        control = with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "actuator_adaptation")))
         parts = {}
         for mass in self.weights:
             load = field_of(control, "load")

@@ -175,7 +175,7 @@ def scenario_with_valves(scenario: Scenario, found: ValveCalibration) -> Scenari
 
 def valve_for(scenario: Scenario, found: ValveCalibration) -> Actuator:
     """Return the valve of the controller model: a pair if the valves differ, unless the controller adapts one lag."""
-    adapts = any(field_of(scenario.control(), name) for name in ("valve_adaptation", "actuator_adaptation"))
+    adapts = field_of(scenario.control(), "actuator_adaptation") is not None
     valve = found.valve
     return found.mean_valve if adapts and valve.muscle_count and not valve.holds_air else valve
 

@@ -27,7 +27,6 @@ from mckibben.control.reference import (
     Sum,
 )
 from mckibben.control.supply_limit import SupplyLimit
-from mckibben.control.valve_adaptation import ValveAdaptation
 
 __all__ = [
     "PID",
@@ -66,7 +65,6 @@ __all__ = [
     "Step",
     "Sum",
     "SupplyLimit",
-    "ValveAdaptation",
     "ValveModel",
     "VelocityObserver",
 ]

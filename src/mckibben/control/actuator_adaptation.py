@@ -62,8 +62,8 @@ class ActuatorAdaptation(Component):
         \hat x = \arg\min_x \sum_k w_k e^{-(t - t_k)/T} (e_k + \psi_k^T (\hat x_k - x))^2
         + \frac{\ln^2 v}{\sigma_v^2} + \frac{(d - d_0)^2}{\sigma_d^2},
 
-    within three prior standard deviations of the model, and with a delay from 0 up. The weights fall for errors above
-    three standard deviations, as for `ValveAdaptation`. Both valves are assumed to differ by the same factor.
+    within three prior standard deviations of the model, and with a delay from 0 up. The weights w make errors above
+    three standard deviations count as three. Both valves are assumed to differ by the same factor.
 
     Parameters
     ----------
@@ -108,7 +108,8 @@ class ActuatorAdaptation(Component):
             return Prediction(pressure, state, none, jax.tree.map(lambda _: none, state), zero, none)
 
         predictions = begun(valve.for_muscle(0), pressures[0]), begun(valve.for_muscle(1), pressures[1])
-        return ActuatorAdaptationState(zero + 1, zero + delay, predictions, jnp.zeros((2, 2)) + zero, none, zero)
+        information = jnp.zeros((2, 2), zero.dtype) + zero
+        return ActuatorAdaptationState(zero + 1, zero + delay, predictions, information, none, zero)
 
     def step(
         self,
@@ -141,7 +142,8 @@ class ActuatorAdaptation(Component):
             information = information + weight * jnp.outer(slopes, slopes)
             evidence = evidence + weight * slopes * (error + slopes @ (now - prior))
             predictions.append(predicted._replace(slow_error=slow_error, slow_slopes=slow_slopes))
-        moved = spreads * _solved(information * jnp.outer(spreads, spreads) + jnp.eye(2), evidence * spreads)
+        scaled = information * jnp.outer(spreads, spreads)
+        moved = spreads * _solved(scaled + jnp.eye(2, dtype=now.dtype), evidence * spreads)
         found = prior + jnp.clip(moved, -_DEVIATIONS * spreads, _DEVIATIONS * spreads)
         return ActuatorAdaptationState(
             exp(found[0]),
@@ -181,7 +183,8 @@ def _predicted(
         return jax.jvp(follow, (last.pressure, last.state, now), (slope, state_slope, direction))
 
     each = jax.vmap(along, out_axes=(None, 0))
-    (pressure, state), (slopes, state_slopes) = each(last.pressure_slopes, last.state_slopes, jnp.eye(2))
+    directions = jnp.eye(2, dtype=now.dtype)
+    (pressure, state), (slopes, state_slopes) = each(last.pressure_slopes, last.state_slopes, directions)
     return last._replace(pressure=pressure, state=state, pressure_slopes=slopes, state_slopes=state_slopes)
 
 

@@ -73,8 +73,6 @@ class DecouplingControl(ModelBasedControl):
         `FrictionCompensation`.
     adaptation
         On-line correction of the strength of the model's muscles. Default: none.
-    valve_adaptation
-        On-line estimate of the time constant of a `FirstOrderValve`. Default: none.
     command_delay
         Delay of the commands [s], over which the model predicts (`ModelBasedControl`); in a file, by default, that of
         the plant.
@@ -91,13 +89,7 @@ class DecouplingControl(ModelBasedControl):
     """
 
     short_name = "decoupling"
-    renamed: ClassVar = {
-        "poles": "feedback",
-        "sliding": "feedback",
-        "velocity_observer": "observer",
-        "disturbance_observer": "observer",
-        "valve_time_constant": "valve: {time_constant: ...}",
-    }
+    renamed: ClassVar = {**ModelBasedControl.renamed, "poles": "feedback", "sliding": "feedback"}
 
     feedback: Feedback
     observer: Observer = ExtendedStateObserver()

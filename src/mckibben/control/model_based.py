@@ -32,7 +32,6 @@ from mckibben.control.base import (
 )
 from mckibben.control.observer import MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
-from mckibben.control.valve_adaptation import ValveAdaptation, ValveAdaptationState
 from mckibben.errors import ParameterError, RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
@@ -83,7 +82,6 @@ class Estimates(NamedTuple):
     reference: ReferenceDerivatives
     muscles: MuscleStates  # of the model, along the reference
     adaptation: AdaptationState | tuple[()]
-    valves: ValveAdaptationState | tuple[()]
     actuation: ActuatorAdaptationState | tuple[()]
     torque: Scalar  # of the model's muscles at the estimated pressures, without friction [N*m]
     stiffness: Scalar  # of the model, for the amplitude of the controller [N*m/rad]
@@ -124,12 +122,17 @@ class ModelBasedControl(Controller):
     systems with delays, IEEE Trans. Automatic Control 24, 1979.
     """
 
+    renamed: ClassVar = {
+        "velocity_observer": "observer",
+        "disturbance_observer": "observer",
+        "valve_time_constant": "valve: {time_constant: ...}",
+        "valve_adaptation": "actuator_adaptation",
+    }
     telemetry_labels: ClassVar = {
         "velocity_estimate": Label("rad/s", "controller's estimate of the angular velocity"),
         "disturbance_estimate": Label("N*m", "controller's estimate of the disturbance torque"),
         "strength1_estimate": Label("1", "controller's estimate of the strength of muscle 1 relative to its law"),
         "strength2_estimate": Label("1", "controller's estimate of the strength of muscle 2 relative to its law"),
-        "valve_time_constant_estimate": Label("s", "controller's estimate of the time constant of the valves"),
         "command_delay_estimate": Label("s", "controller's estimate of the delay of the commands"),
         "valve_speed_estimate": Label("1", "controller's estimate of the speed of the valves, relative to its model"),
     }
@@ -140,7 +143,6 @@ class ModelBasedControl(Controller):
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
-    valve_adaptation: ValveAdaptation | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
     command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
         kw_only=True, default=None
@@ -154,13 +156,6 @@ class ModelBasedControl(Controller):
         if self.adaptation is not None:
             self.adaptation.check_load(self.load)
         check_valve_model(name, self.valve, self.model)
-        if self.valve_adaptation is not None and not self.valve.is_first_order:
-            raise RangeError(
-                f"{name}: valve_adaptation estimates the lag of a first-order valve, and the model is a "
-                f"{type(self.valve).__name__}",
-                field="valve_adaptation",
-                remedy="give the controller a `valve` with a time_constant, or leave valve_adaptation out",
-            )
         if self.friction_compensation and not self.model.has_friction:
             raise RangeError(
                 f"{name}: no muscle of its model has friction to compensate",
@@ -168,12 +163,6 @@ class ModelBasedControl(Controller):
             )
         if self.actuator_adaptation is not None:
             self.actuator_adaptation.check_valve(self.valve)
-            if self.valve_adaptation is not None:
-                raise RangeError(
-                    f"{name}: actuator_adaptation and valve_adaptation estimate the same valves",
-                    field="actuator_adaptation",
-                    remedy="leave one of them out",
-                )
 
     @property
     @abc.abstractmethod
@@ -214,7 +203,6 @@ class ModelBasedControl(Controller):
             reference=ReferenceDerivatives.init(angle),
             muscles=self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES,
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
-            valves=() if self.valve_adaptation is None else self.valve_adaptation.init(self.valve.lag, pressures),
             actuation=() if actuation is None else actuation.init(self.valve, self._delay, pressures),
             torque=torque,
             stiffness=stiffness,
@@ -240,8 +228,7 @@ class ModelBasedControl(Controller):
         observer, pressure_observer = self.observers
         delay = self._delay / jnp.asarray(period)
         arrived = _means(last.sent, delay, delay + 1) if self._periods else last.sent[0]
-        adapted = self._adapt_valves(last, arrived, measurement.pressures, period)
-        valves = self._valves(adapted, angle, last.motion.velocity, last.pressures, last.actuators)
+        valves = self._valves(angle, last.motion.velocity, last.pressures, last.actuators)
         predicted, actuators = valves.predict(arrived, period)
         pressures = pressure_observer.step(predicted, measurement.pressures, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
@@ -256,7 +243,6 @@ class ModelBasedControl(Controller):
             reference=reference,
             muscles=muscles,
             adaptation=adaptation,
-            valves=adapted,
             actuators=actuators,
             torque=torque,
             stiffness=stiffness,
@@ -268,7 +254,7 @@ class ModelBasedControl(Controller):
         if self._periods:
             expected = self._predicted(model, estimates, period)._replace(reference=ahead)
             angle, setpoint = expected.motion.angle, setpoint._replace(angle=ahead.angle)
-        now = self._valves(adapted, angle, expected.motion.velocity, expected.pressures, expected.actuators)
+        now = self._valves(angle, expected.motion.velocity, expected.pressures, expected.actuators)
         return estimates, Expected(setpoint, angle, expected, model, now)
 
     def _predicted(self, model: AntagonisticJoint, estimates: Estimates, period: ArrayLike) -> Estimates:
@@ -282,7 +268,7 @@ class ModelBasedControl(Controller):
         def advance(state: tuple[Scalar, Scalar, Pair, Any], commands: Pair) -> tuple[Any, None]:
             angle, velocity, pressures, actuators = state
             midway = angle + step / 2 * velocity  # one evaluation of the geometry
-            valves = self._valves(estimates.valves, midway, velocity, pressures, actuators)
+            valves = self._valves(midway, velocity, pressures, actuators)
             following, actuators = valves.predict(commands, step)
             middle = tuple((one + other) / 2 for one, other in zip(pressures, following, strict=True))
             torque = model.torque(midway, (middle[0], middle[1])) + estimates.friction
@@ -314,8 +300,6 @@ class ModelBasedControl(Controller):
         if isinstance(estimates.adaptation, AdaptationState):
             strength1, strength2 = estimates.adaptation.strengths
             signals |= {"strength1_estimate": strength1, "strength2_estimate": strength2}
-        if isinstance(estimates.valves, ValveAdaptationState):
-            signals |= {"valve_time_constant_estimate": estimates.valves.time_constant}
         if isinstance(estimates.actuation, ActuatorAdaptationState):
             signals |= {
                 "command_delay_estimate": estimates.actuation.delay,
@@ -323,18 +307,9 @@ class ModelBasedControl(Controller):
             }
         return signals
 
-    def _valves(
-        self,
-        adapted: ValveAdaptationState | tuple[()],
-        angle: ArrayLike,
-        velocity: ArrayLike,
-        pressures: Pair,
-        states: tuple[Any, Any],
-    ) -> Valves:
-        """Model of the valves, with the estimated time constant, at a motion of the joint."""
+    def _valves(self, angle: ArrayLike, velocity: ArrayLike, pressures: Pair, states: tuple[Any, Any]) -> Valves:
+        """Model of the valves at a motion of the joint."""
         valve: Any = self.valve
-        if isinstance(adapted, ValveAdaptationState):
-            valve = dataclasses.replace(valve, time_constant=adapted.time_constant)
         air: Any = (None, None)
         if valve.holds_air:
             dead1, dead2 = (valve.for_muscle(i).attached_volume for i in (0, 1))
@@ -359,14 +334,6 @@ class ModelBasedControl(Controller):
             return state, self.model
         state = self.adaptation.step(state, self.model, self.load, *measurement, period)
         return state, with_strengths(self.model, state.strengths)
-
-    def _adapt_valves(
-        self, last: Estimates, arrived: Pair, measured: Pair, period: ArrayLike
-    ) -> ValveAdaptationState | tuple[()]:
-        """Estimate of the valves' time constant after measured pressures [Pa]."""
-        if self.valve_adaptation is None or not isinstance(last.valves, ValveAdaptationState):
-            return last.valves
-        return self.valve_adaptation.step(last.valves, self.valve.lag, arrived, measured, period)
 
     def _adapt_actuator(
         self, last: Estimates, measurement: Measurement, period: ArrayLike

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax
@@ -69,8 +69,7 @@ class PredictiveControl(ModelBasedControl):
     Parameters
     ----------
     model, load, pressure_observer, valve, minimum_tension, friction_compensation, adaptation
-        As for `DecouplingControl`, and so are `valve_adaptation`, `command_delay`, `actuator_adaptation` and
-        `stiffness_amplitude`.
+        As for `DecouplingControl`, and so are `command_delay`, `actuator_adaptation` and `stiffness_amplitude`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
     bandwidth, stiffness_bandwidth
@@ -95,11 +94,6 @@ class PredictiveControl(ModelBasedControl):
     """
 
     short_name = "predictive"
-    renamed: ClassVar = {
-        "velocity_observer": "observer",
-        "disturbance_observer": "observer",
-        "valve_time_constant": "valve: {time_constant: ...}",
-    }
 
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
