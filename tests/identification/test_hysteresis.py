@@ -9,6 +9,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
+from mckibben.identification.friction_forms import FrictionForm
 from mckibben.identification.hysteresis import identify_hysteresis
 from mckibben.identification.loading_path import FRICTION, DriftBasis, LoadingPaths, PathDependentModel, loop_half_width
 from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellSlip, Muscle, ReynoldsLaw, forces
@@ -328,6 +329,46 @@ def test_noise_of_the_length_larger_than_its_steps_is_no_reversal_of_the_frictio
     found = identify_hysteresis(LAW, noisy)
     assert found.friction.presliding_length == pytest.approx(0.5 * mm, rel=0.15)
     assert found.friction.half_width == pytest.approx(12.0, rel=0.02)
+
+
+@pytest.mark.slow
+def test_estimates_scatter_by_their_standard_errors_under_noise_of_the_length():
+    """A wrong length at a reversal shifts all points of the next stroke."""
+    protocol = dataclasses.replace(PROTOCOL, pressures=np.array([3.0, 4.0, 5.0]) * bar, step=0.2 * mm, samples=4)
+    rig = SimulatedIsobaricTest(MUSCLE, presliding_length=0.8 * mm, regulator_offset=0.0)
+    scores = []
+    for seed in range(20):
+        data = rig.run(protocol, seed=seed).plateau_means()
+        noise = np.random.default_rng(seed).normal(0, 20e-6 / SPECIMEN.initial_length, len(data))
+        noisy = IsobaricDataset(data.table.assign(contraction=data.table["contraction"] + noise))
+        found = identify_hysteresis(LAW, noisy, drift=False, form=FrictionForm.CONSTANT)
+        scores.append((found.friction.presliding_length - 0.8 * mm) / found.standard_errors["presliding_length"])
+    assert abs(np.mean(scores)) < 0.7
+    assert np.std(scores) < 1.4
+
+
+def test_the_side_of_the_first_branch_does_not_depend_on_the_first_fit_of_the_law():
+    """Few contractions and noise of the length: the law without friction fits badly."""
+    rng, friction, columns = np.random.default_rng(3), MaxwellSlip(12.0, 0.8 * mm), []
+    out = [SPECIMEN.initial_length - 2 * mm - np.arange(amplitude + 1) * mm for amplitude in (4, 8, 16)]
+    length = np.concatenate([out[0][:1], *(np.concatenate([one[1:], one[-2::-1]]) for one in out)])
+    direction = np.where(np.diff(length, prepend=length[0] + 1) < 0, "unloading", "loading")
+    contraction = 1 - length / SPECIMEN.initial_length
+    for pressure in (3 * bar, 4 * bar, 5 * bar):
+        tension = forces(LAW, contraction, pressure)
+        force = tension + friction.path_response(length, tension, pressure, side=1.0)
+        columns.append((np.full(len(length), pressure), contraction, force, direction))
+    pressure, contraction, force, direction = (np.concatenate(one) for one in zip(*columns, strict=True))
+    data = IsobaricDataset.of(
+        pressure=pressure,
+        contraction=contraction + rng.normal(0, 50e-6 / SPECIMEN.initial_length, len(force)),
+        force=force + rng.normal(0, 0.1, len(force)),
+        direction=direction,
+        initial_length=SPECIMEN.initial_length,
+    )
+    found = identify_hysteresis(ExponentialLaw, data, drift=False, form=FrictionForm.CONSTANT)
+    assert found.friction.half_width == pytest.approx(12.0, rel=0.03)
+    assert found.rmse < 1.5
 
 
 def test_rows_out_of_order_are_refused_whatever_their_directions_say():

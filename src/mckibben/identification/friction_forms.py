@@ -138,10 +138,10 @@ def solve(model: PathDependentModel, start: Mapping[str, float], free: tuple[str
             remedy="look for outliers, wrong units and rows that are not in the order of the test",
         )
     errors, correlations = uncertainty(found.jacobian, found.residuals, found.active)
-    if not _OF_RATE.isdisjoint(free):  # fast strokes have errors of timing in common
-        robust = _errors(found.jacobian[:, ~found.active], found.residuals, model.paths.stroke(model.means)[model.used])
-        variance = robust.variance(np.eye(int(np.count_nonzero(~found.active))))[0]
-        errors[~found.active] = np.maximum(errors[~found.active], np.sqrt(variance))
+    # Points of a stroke have errors in common: those of the length at its reversal, and of timing.
+    robust = _errors(found.jacobian[:, ~found.active], found.residuals, model.paths.stroke(model.means)[model.used])
+    variance = robust.variance(np.eye(int(np.count_nonzero(~found.active))))[0]
+    errors[~found.active] = np.maximum(errors[~found.active], np.sqrt(variance))
     return dataclasses.replace(found, errors=errors, correlations=correlations)
 
 

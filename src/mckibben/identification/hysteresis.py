@@ -265,13 +265,13 @@ def identify_hysteresis(
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap, "log_presliding": float(np.log(paths.step))}
     model, start = _started(model, start)
     for _ in range(0 if known else _ROUNDS):  # a better start: alternate friction and law
-        start = least_squares(model, start, ("half_width", "log_presliding"), max_nfev=20).values
         friction = model.components(start)[1]
         corrected = IsobaricDataset(means.table.assign(force=("point", means.force - friction)))
         try:
             model = dataclasses.replace(model, template=identify(law_type, corrected).law)
         except (IdentificationError, np.linalg.LinAlgError):
             break  # the start is good enough
+        model, start = _started(model, start)
     warnings = left_out(outliers)
     for name in _shapes_at_bound(model.template) & set(of_law):
         of_law = _without(of_law, name)

@@ -9,8 +9,8 @@ The deviations have a Gaussian prior about zero, of scales that are estimated (`
 
 With the scales fixed, the prior adds rows to the least-squares problem, in which the decay is refined.
 
-Docs/laws.md gives the conditions on which a law is accepted. Of the accepted laws, the one with the smallest errors is
-the result, and Eq. 2 itself if there is none.
+Docs/laws.md gives the conditions on which a law is accepted. Of the accepted laws whose errors are within a twentieth
+of the smallest, the one with the lowest Akaike criterion is the result, and Eq. 2 itself if there is none.
 
 References
 ----------
@@ -48,7 +48,7 @@ SMOOTH_LAWS = (GaussianProcessLaw, SmoothLaw, SmoothAffineLaw)
 _MARGIN = 1.0  # window beyond the points, in half ranges of them
 _GAIN = 1.0  # in the logarithm of the restricted likelihood, by hyperparameter
 _WORSE = {"pressure": 1.0, "contraction": 1.05}  # largest error at left-out blocks, relative to Eq. 2
-_BETTER = 0.95  # largest error over both kinds, relative to Eq. 2: a smaller gain may be chance
+_BETTER = 0.95  # largest error over both kinds, relative to Eq. 2 or another law: a smaller gain may be chance
 _NEGLIGIBLE = -20.0  # logarithm of a scale relative to the noise
 _SHORTEST = -1.5  # logarithm of a length in half ranges of the points
 _SPACINGS = 2.0  # shortest length over pressure: the distance between the neighbours of a level that is left out
@@ -257,7 +257,8 @@ def fit_smooth(
         return base, "Eq. 2 is exact, or the points are too few"
     folds = _folds(base, points, used) if kinds and compare else {}
     theirs = {kind: _left_out(base, some) for kind, some in folds.items()}
-    best, best_score, reason = base, _BETTER, "the points support no deviation"
+    accepted: list[tuple[Solution, float]] = []
+    reason = "the points support no deviation"
     for kind in kinds:
         if kind is GaussianProcessLaw and not np.ptp(used.pressure):
             continue
@@ -274,11 +275,14 @@ def fit_smooth(
             ratios = {one: _ratio(ours[one], theirs[one]) for one in folds}
             worse = [one for one, ratio in ratios.items() if ratio > _WORSE[one]]
             score = float(np.exp(np.mean(np.log(list(ratios.values()))))) if ratios else 0.0
-            if not worse and score < best_score:
-                best, best_score = found, score
+            if not worse and score < _BETTER:
+                accepted.append((found, score))
             objection = f"with deviations the errors at left-out {' and '.join(worse or folds)}s are hardly smaller"
         reason = objection
-    return best, reason if best is base else ""
+    if not accepted:
+        return base, reason
+    least = min(score for _, score in accepted)
+    return min((found for found, score in accepted if _BETTER * score <= least), key=lambda found: found.aicc), ""
 
 
 def _objection(found: Solution, base: Solution, used: IsobaricDataset) -> str:
