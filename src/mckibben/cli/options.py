@@ -326,10 +326,13 @@ def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
         yield lambda what, part: bar.update(task, description=what, completed=part)
 
 
+_ROUNDING = 1e-12  # of metrics, in shown units
+
+
 def metric(name: str, value: float) -> str:
     """Format a metric; NaN is "never" for a settling time, else "-"."""
     if value == value:
-        return f"{value:.4g}"
+        return f"{value if abs(value) > _ROUNDING else 0.0:.4g}"
     return "never" if name == "stiffness_settling_s" else "-"
 
 

@@ -309,6 +309,8 @@ class Part:
         keys = ", ".join(forms(kind, self.units)) if kind else "`class` and the fields of the class"
         if value == "":
             return "has no value", "write one, or leave the key out"
+        if isinstance(value, Component | Checked):  # in Python
+            return f"is {described(value)}", f"give {with_article(self.base.__name__)}"
         return f"{described(value)} is given where keys and values are expected", f"give a mapping of {keys}"
 
 

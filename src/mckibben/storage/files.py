@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from mckibben.errors import FileError, McKibbenWarning, Problem
+from mckibben.errors import FileError, McKibbenWarning, Problem, printable
 
 _SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 SIGNALS = tuple(getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name))
@@ -67,7 +67,11 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> It
     """Yield a temporary file that replaces the target, complete and synced, at the end of the block, or not at all."""
     path = Path(path)
     temporary = path.with_name(f".{uuid.uuid4().hex}.part")
-    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _NO_FOLLOW, 0o666))
+    try:
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _NO_FOLLOW, 0o666))
+    except FileNotFoundError:
+        missing = Problem(f"there is no folder {printable(str(path.parent))}", remedy="make it, or choose another")
+        raise FileError(str(path), [missing]) from None
     try:
         yield temporary
         _sync(temporary, os.O_RDWR | _NO_FOLLOW)
