@@ -303,7 +303,12 @@ def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> 
     table = Table(*(escape(printable(header, _LONGEST_CELL)) for header in headers), box=box.SIMPLE_HEAD)
     for row in rows:
         table.add_row(*(Text(printable(cell, _LONGEST_CELL)) for cell in row))
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else _PIPED_WIDTH)
+
+    class Printed(Console):
+        def on_broken_pipe(self) -> None:
+            raise
+
+    console = Printed(highlight=False, width=None if sys.stdout.isatty() else _PIPED_WIDTH)
     console.print(Text(printable(title)))
     console.print(table)
 

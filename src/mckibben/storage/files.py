@@ -14,11 +14,11 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from mckibben.errors import FileError, McKibbenWarning, Problem, printable
+from mckibben.errors import FileError, McKibbenWarning, Problem, closest, printable, quoted
 
 _SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 SIGNALS = tuple(getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name))
@@ -200,6 +200,14 @@ def make_subfolder(folder: Path, name: str) -> Path:
 
 
 _ELSEWHERE = "choose another folder, or move the existing file"
+
+
+def similar_file(path: Path) -> str:
+    """Return the remedy for a file that does not exist: that of its folder with the closest name; empty if none is."""
+    with suppress(OSError):
+        if found := closest(path.name, sorted(one.name for one in path.parent.iterdir())):
+            return f"did you mean {quoted(str(path.parent / found))}?"
+    return ""
 
 
 def check_free(folder: Path, names: Iterable[str], remedy: str = _ELSEWHERE) -> None:
