@@ -9,7 +9,7 @@ import pytest
 import mckibben as mk
 from mckibben.control import PolePlacement
 from mckibben.dataset import Recording
-from mckibben.errors import DomainWarning, McKibbenError, McKibbenWarning, ScenarioError, closest
+from mckibben.errors import DomainWarning, FileError, McKibbenError, McKibbenWarning, ScenarioError, closest
 from mckibben.report.style import NotebookFigure
 from mckibben.study.benchmark import Suite
 from mckibben.study.tune import Method
@@ -74,6 +74,8 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.Fit("fit.yaml"), "Fit.from_yaml('fit.yaml')"),  # type: ignore[arg-type, call-arg]
         (lambda: mk.catalog.specimen(["x"]), "str"),  # type: ignore[arg-type]
         (lambda: mk.scenario("joint.yaml"), "Scenario.read"),  # type: ignore[operator]
+        (lambda: mk.rank(DATA, "all"), "ExponentialLaw"),  # type: ignore[arg-type]
+        (lambda: mk.Reference(0.0, "13"), "SI units"),
     ],
 )
 def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
@@ -97,6 +99,7 @@ def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
         (LAW, "decai", "decay"),
         (mk.catalog, "laws", "law"),
         (mk.identify(mk.ExponentialLaw, DATA), "force", "predict(contraction, pressure)"),
+        (mk.identify(mk.ExponentialLaw, DATA), "muscle", "identify_with_friction"),
         (SCENARIO.simulate(), "rmse", 'metrics["angle_rmse"]'),
         (SCENARIO.simulate(), "angle", 'result["angle"]'),
     ],
@@ -134,6 +137,19 @@ def test_a_scenario_of_a_path_names_the_reader():
     assert "no keys" in caught.value.problems[0].message
     with pytest.raises(McKibbenError, match="'gains'"):
         SCENARIO.tune("gains")
+
+
+@pytest.mark.parametrize(
+    ("call", "meant"),
+    [
+        (lambda: SCENARIO.simulate(mk.PID(1e5, 2.0, 3.0)), "a Controller"),  # type: ignore[arg-type]
+        (lambda: DATA.to_csv("missing/points.csv"), "make it"),
+    ],
+)
+def test_a_wrong_part_or_folder_has_a_remedy(call, meant):
+    with pytest.raises(FileError) as caught:
+        call()
+    assert meant in caught.value.problems[0].remedy
 
 
 def test_the_catalog_completes_its_entries():

@@ -51,7 +51,7 @@ def described(value: object) -> str:
 
 
 def closest(name: str, known: Sequence[str]) -> str:
-    """Closest known name to an unknown one, or one of which it is the beginning; empty if none is close.
+    """Closest known name to an unknown one, or one of which it is the beginning or end; empty if none is close.
 
     >>> closest("MAS10", ["DMSP-10-250", "MAS-10-180N-AA-MC-O"])
     'MAS-10-180N-AA-MC-O'
@@ -59,7 +59,7 @@ def closest(name: str, known: Sequence[str]) -> str:
     close = difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
     plain = _plain(name)
     same = [one for one in known if _plain(one) == plain]
-    begun = [one for one in known if len(plain) > 2 and _plain(one).startswith(plain)]
+    begun = [one for one in known if len(plain) > 2 and (_plain(one).startswith(plain) or _plain(one).endswith(plain))]
     return next(iter([*same, *close, *begun]), "")
 
 

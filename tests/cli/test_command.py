@@ -173,11 +173,12 @@ def test_a_full_disk_while_printing_is_one_line_and_exit_1():
     assert found.stderr == f"failed: the output is incomplete: {os.strerror(errno.ENOSPC)}\n"
 
 
-def test_a_closed_pipe_is_not_a_failure():
+@pytest.mark.parametrize("argument", ["--version", "laws"])
+def test_a_closed_pipe_is_not_a_failure(argument):
     reading, writing = os.pipe()
     os.close(reading)
     found = subprocess.run(
-        [sys.executable, "-m", "mckibben", "--version"], stdout=writing, stderr=subprocess.PIPE, text=True, timeout=60
+        [sys.executable, "-m", "mckibben", argument], stdout=writing, stderr=subprocess.PIPE, text=True, timeout=60
     )
     os.close(writing)
     assert (found.returncode, found.stderr) == (0, "")

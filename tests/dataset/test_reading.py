@@ -308,6 +308,8 @@ def test_files_that_are_no_tables(file, content, expected):
 
 def test_no_file_and_a_directory(tmp_path):
     assert problems(tmp_path / "none.csv") == ["there is no such file"]
+    (tmp_path / "noon.csv").touch()
+    assert "noon.csv" in problems(tmp_path / "none.csv")[0]
     assert problems(tmp_path) == [f"is a directory; {formats.FILES_REMEDY}"]
     assert "cannot be read" in problems(tmp_path / "a\0b.csv")[0]
 

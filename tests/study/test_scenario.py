@@ -222,6 +222,13 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("load: knee-table-2 ", "load: {class: pendulum, mass: 1 kg} ", "load.length", "is missing"),
         ("load: knee-table-2 ", "load: {from: knee-table-2, mass1: -1 kg} ", "load.mass1", "outside 0 to 10000 kg"),
         ("load: knee-table-2 ", "load: [] ", "load", "a list"),
+        (
+            "{from: knee-table-2, connector_length: 208 mm}",
+            "{radius: 3 cm}",
+            "joint.geometry",
+            "paired_paths`, with radius",
+        ),
+        ("start: {angle", "disturbance: {amplitude: 1 N*m}\nstart: {angle", "disturbance", "other classes are none"),
         (VALVE, "valve: perfect", "valve", "known are"),
         (VALVE, "valve: {}", "valve.time_constant", "is missing"),
         (VALVE, "valve: {time_constant: 0 ms}", "valve.time_constant", "outside above 0"),

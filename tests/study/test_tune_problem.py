@@ -168,6 +168,7 @@ def test_a_search_keeps_the_disk_margin_of_the_first_gains_unless_asked():
     free, kept = (tune(given, {name: RANGES[name]}, Cost(TERMS, disk_margin=each), **few) for each in (0.0, None))
     assert disk(free.scenarios[0]) < 0.19 <= disk(kept.scenarios[0])
     assert free.cost < kept.cost <= kept.cost_before
+    assert free.disk_margin == 0.0 < 0.19 <= kept.disk_margin <= 0.2
 
 
 @pytest.mark.slow

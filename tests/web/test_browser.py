@@ -49,6 +49,13 @@ FAINT = """(() => {
   return found;
 })()"""
 
+# Counts what 3-D scenes draw.
+DRAWS = """(() => {
+  const drawing = WebGL2RenderingContext.prototype, draw = drawing.drawElements;
+  window.draws = 0;
+  drawing.drawElements = function () { window.draws += 1; return draw.apply(this, arguments); };
+})()"""
+
 
 @pytest.fixture(scope="module")
 def opened():
@@ -132,9 +139,14 @@ def test_a_run_is_computed_changed_kept_and_played(page):
         tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
         chrome.click(tab, "Keep this run")
         tab.wait(shows("run 1"))
-        assert tab.evaluate("!!document.querySelector('canvas[data-engine^=\"three\"]')")
+        tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
+        time.sleep(2.0)
+        tab.evaluate(DRAWS)
+        time.sleep(1.0)
+        assert tab.evaluate("window.draws") == 0  # nothing moves
         tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
         tab.wait(shows("0.50 s"))
+        assert tab.evaluate("window.draws") > 0
 
     page("/run", act, shows("run 1"))
 

@@ -158,7 +158,12 @@ def simulate(
             ranges = [f"{values.min():.3g}..{values.max():.3g} N*m/rad" for values in (small, isobaric)]
             echo(f"small-motion stiffness {ranges[0]}, isobaric stiffness {ranges[1]}")
         if math.isnan(result.metrics["air"]) and not result.outcome.failed:
-            echo("air is unknown: a specimen has no volume; give its initial_diameter and braid_angle, or volume_terms")
+            specimens = read.joint.muscle1.specimen, read.joint.muscle2.specimen
+            names = " and ".join(dict.fromkeys(one.name for one in specimens if not one.has_volume))
+            echo(
+                f"air is unknown: {names} has no volume; give its specimen initial_diameter and braid_angle, or "
+                "volume_terms, or identify it with --diameter"
+            )
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if animate:

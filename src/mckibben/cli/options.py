@@ -303,7 +303,12 @@ def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> 
     table = Table(*(escape(printable(header, _LONGEST_CELL)) for header in headers), box=box.SIMPLE_HEAD)
     for row in rows:
         table.add_row(*(Text(printable(cell, _LONGEST_CELL)) for cell in row))
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else _PIPED_WIDTH)
+
+    class Printed(Console):
+        def on_broken_pipe(self) -> None:
+            raise
+
+    console = Printed(highlight=False, width=None if sys.stdout.isatty() else _PIPED_WIDTH)
     console.print(Text(printable(title)))
     console.print(table)
 
@@ -326,10 +331,13 @@ def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
         yield lambda what, part: bar.update(task, description=what, completed=part)
 
 
+_ROUNDING = 1e-12  # of metrics, in shown units
+
+
 def metric(name: str, value: float) -> str:
     """Format a metric; NaN is "never" for a settling time, else "-"."""
     if value == value:
-        return f"{value:.4g}"
+        return f"{value if abs(value) > _ROUNDING else 0.0:.4g}"
     return "never" if name == "stiffness_settling_s" else "-"
 
 

@@ -312,6 +312,7 @@ def _show_tuned(
         "cost_before": tuned.cost_before,
         "cost": tuned.cost,
         "evaluated": tuned.evaluated,
+        "disk_margin": tuned.disk_margin,
         "at_bound": list(tuned.at_bound),
         "values": {name: {"si": tuned.values[name], "shown": text} for name, text in shown_values.items()},
         "runs": runs,
@@ -329,7 +330,9 @@ def _show_tuned(
         named = [(each.parameter, each.parameter.nominal) for each in ranges]
         old = ["-" if nominal is None else parameter.show(nominal) for parameter, nominal in named]
         rows = list(zip(shown_values, old, shown_values.values(), strict=True))
-        title = f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {tuned.evaluated} points evaluated"
+        kept_margin = f", disk margin of at least {tuned.disk_margin:g} kept" if tuned.disk_margin else ""
+        points = f"{tuned.evaluated} points evaluated{kept_margin}"
+        title = f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {points}"
         table(title, ("parameter", "before", "tuned"), rows)
         for run in runs:
             pairs = zip(format_metrics(run["before"]), format_metrics(run["tuned"]), strict=True)

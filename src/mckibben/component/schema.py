@@ -21,7 +21,6 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
-import numpy as np
 from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, TypeAdapter, create_model
 from pydantic_core import PydanticSerializationError, ValidationError, core_schema
 
@@ -36,10 +35,11 @@ from mckibben.component.classes import (
     short_key,
 )
 from mckibben.component.extensions import load_installed
+from mckibben.component.values import member_of, plain, same
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, Number, OneOf, Title, read_path, relative_path
 from mckibben.config.model import ConfigModel, fail_validation, located_below, parse_text, read_text
-from mckibben.errors import FileError, McKibbenError, described, quoted, suggest, with_article
+from mckibben.errors import FileError, McKibbenError, closest, described, quoted, suggest, with_article
 from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
 C = TypeVar("C")
@@ -230,7 +230,7 @@ class Part:
                 remedy = f"give {alias}, or {' and '.join(names)}"
                 fail_validation(f"has {alias} in addition to {' and '.join(both)}", remedy)
             fields |= dict.fromkeys(names, fields.pop(alias))
-        fields = {name: _member(kind, name, one) for name, one in fields.items()}
+        fields = {name: member_of(kind, name, one) for name, one in fields.items()}
         return build(kind, fields, scope) if around is None else replaced(around, fields)
 
     def _from_source(self, name: str, context: dict[str, Any], scope: Scope, info: Any) -> Any:
@@ -273,6 +273,8 @@ class Part:
             if most > (0 if kind is None else len(_keys(kind) & set(section))):
                 fitting = " or ".join(name for name, count in shared.items() if count == most)
                 fail_validation("lacks the key `class`", f"write `class: {fitting}`")
+            if section and not most and (remedy := _remedy_without_class(kind, known, set(section))):
+                fail_validation("lacks the key `class`", remedy)
             if kind is None:
                 fail_validation("lacks the key `class`", f"give one of {', '.join(known)}")
             return kind
@@ -307,15 +309,22 @@ class Part:
         keys = ", ".join(forms(kind, self.units)) if kind else "`class` and the fields of the class"
         if value == "":
             return "has no value", "write one, or leave the key out"
+        if isinstance(value, Component | Checked):  # in Python
+            return f"is {described(value)}", f"give {with_article(self.base.__name__)}"
         return f"{described(value)} is given where keys and values are expected", f"give a mapping of {keys}"
 
 
-def _member(kind: type, name: str, value: Any) -> Any:
-    """Value of a field; the member of an enumeration that a file names."""
-    hint = field_hints(kind)[name]
-    choices = [hint, *get_args(hint)]
-    members = next((one for one in choices if isinstance(one, type) and issubclass(one, enum.Enum)), None)
-    return members[value.upper()] if members and isinstance(value, str) else value
+def _remedy_without_class(default: type | None, known: Mapping[str, type], keys: set[str]) -> str:
+    """Remedy for keys of which no class has one; empty if they may be misspelt ones of the default class."""
+    for name, kind in known.items():
+        marks = ((field, part_of(form)) for field, form in forms(kind).items())
+        fields = [one for one, mark in marks if mark and any(keys <= _keys(k) for k in classes_of(mark.base).values())]
+        if fields and kind is not default:
+            return f"write `class: {name}`, with {' and '.join(sorted(keys))} in {' and '.join(fields)}"
+    if default is None or len(known) < 2 or any(closest(key, [*_keys(default)]) for key in keys):
+        return ""
+    others = [name for name, kind in known.items() if kind is not default]
+    return f"without it, known are {', '.join(forms(default))}; other classes are {', '.join(others)}"
 
 
 def build(kind: type, fields: Mapping[str, Any], scope: Scope) -> Any:
@@ -412,14 +421,14 @@ def write(component: Any, part: Part | None = None, *, folder: Path = Path()) ->
     explicit_none = []
     for name in forms(kind, part.units):
         field, value = declared_fields(kind)[name], getattr(component, name)
-        implied = name in inherited_fields(component) if inherited_from(kind, name) else _same(value, field.default)
+        implied = name in inherited_fields(component) if inherited_from(kind, name) else same(value, field.default)
         if implied:
             continue
         if value is None:
             explicit_none.append(name)
-        given[name] = _plain(value)
+        given[name] = plain(value)
     for alias, (first, *others) in getattr(kind, "aliases", {}).items():
-        if first in given and all(_same(given.get(other), given[first]) for other in others):
+        if first in given and all(same(given.get(other), given[first]) for other in others):
             given[alias] = given.pop(first)
             given = {name: one for name, one in given.items() if name not in others}
     model = section_of(kind, part.units)
@@ -434,26 +443,6 @@ def write(component: Any, part: Part | None = None, *, folder: Path = Path()) ->
     short = getattr(part.base, "to_file", None)
     section = section if short is None else short(section)
     return named if list(section) == ["class"] else section
-
-
-def _plain(value: Any) -> Any:
-    """Value of a field as the model of its class has it: a word, a number or a tuple of numbers."""
-    if isinstance(value, enum.Enum):
-        return value.name.lower()
-    if hasattr(value, "ndim"):
-        return tuple(np.asarray(value, float).tolist()) if value.ndim else value.item()
-    return value
-
-
-def _same(value: Any, default: Any) -> bool:
-    if value is default:
-        return True
-    if type(value) is not type(default) and not (isinstance(value, int | float) and isinstance(default, int | float)):
-        return False
-    try:
-        return bool(value == default)
-    except (ValueError, TypeError):  # arrays
-        return False
 
 
 def write_text(component: Any, *, folder: Path = Path(), base: type | None = None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -23,7 +24,7 @@ from mckibben.errors import (
     quoted,
     suggest,
 )
-from mckibben.storage.files import atomic_write, check_seal
+from mckibben.storage.files import atomic_write, check_seal, similar_file
 
 
 class ConfigModel(BaseModel):
@@ -192,7 +193,9 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
         raise ScenarioError(source, error.problems) from None
     except ValueError as error:  # such as a null character in the path
         reason = str(error)
-    problem = Problem(f"cannot be read: {reason}", remedy=f"give the path of {what}, see {example}")
+    similar = similar_file(Path(path)) if reason == os.strerror(errno.ENOENT) else ""
+    remedy = similar or f"give the path of {what}, see {example}"
+    problem = Problem(f"cannot be read: {reason}", remedy=remedy)
     raise ScenarioError(source, [problem]) from None
 
 

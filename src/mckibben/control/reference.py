@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component, Inherited
-from mckibben.component.checks import check_count, check_within
+from mckibben.component.checks import check_count, check_number, check_within
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import RANK
 from mckibben.numerics.elementary import floating, sin
@@ -267,6 +267,8 @@ def time_range_mismatch(signal: Any, duration: float) -> str:
 
 def as_signal(value: Signal | ArrayLike) -> Signal:
     """Signal of a number (or one per run), or the signal itself."""
+    if isinstance(value, str):
+        check_number("Reference", signal=value)
     return Constant(value) if isinstance(value, Real | np.ndarray | Array) else value  # type: ignore[arg-type]
 
 

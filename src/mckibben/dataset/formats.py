@@ -18,6 +18,7 @@ from mckibben.dataset.lvm import SIGNATURE, read_lvm
 from mckibben.dataset.sheet import RawTable
 from mckibben.dataset.text import read_text
 from mckibben.errors import DatasetError, Problem
+from mckibben.storage.files import similar_file
 
 _SMALL = 2**20  # bytes: smaller texts are read in this process
 _LARGEST = 2**28  # bytes of a file
@@ -66,7 +67,7 @@ def probe(path: Path) -> tuple[int, bytes]:
             with path.open("rb") as file:
                 return found.st_size, file.read(520)
     except FileNotFoundError:
-        remedy = FILES_REMEDY if "*" in path.name else ""
+        remedy = FILES_REMEDY if "*" in path.name else similar_file(path)
         raise DatasetError(str(path), [Problem("there is no such file", remedy=remedy)]) from None
     except (OSError, ValueError) as error:
         raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None

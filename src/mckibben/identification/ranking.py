@@ -12,7 +12,7 @@ import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError
+from mckibben.errors import IdentificationError, described
 from mckibben.identification.fit import Fit, Outlier, unphysical
 from mckibben.identification.fitting import ResidualCorrelation, identify, residual_correlation, without_direction_means
 from mckibben.identification.outliers import find_outliers, without_outliers
@@ -214,6 +214,10 @@ def rank(
         given = getattr(dataset, "__name__", type(dataset).__name__)
         remedy = "write rank(read_dataset('rig.csv'), [ExponentialLaw, SmoothLaw])"
         raise IdentificationError(f"rank takes a dataset first, not {given}", remedy=remedy)
+    kinds = list(laws)
+    if wrong := [one for one in kinds if not isinstance(one, type)]:
+        remedy = "give classes, such as [ExponentialLaw, SmoothLaw]; without them, all laws are ranked"
+        raise IdentificationError(f"{described(wrong[0])} is not a class of laws", remedy=remedy)
     means = dataset.plateau_means()
     outliers = find_outliers(means)
     means = without_outliers(means, outliers)
@@ -221,7 +225,7 @@ def rank(
     if not len(points):
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
     blocks, missing = _blocks(points)
-    progress, kinds, entries = progress or notebook_progress(), list(laws), []
+    progress, entries = progress or notebook_progress(), []
     found: dict[type[ForceLaw], RankedLaw] = {}
     for i, kind in enumerate(kinds):
         if progress:

@@ -157,10 +157,11 @@ class AntagonisticJoint(Component):
         muscles = self.muscle1, self.muscle2
         found = list(dict.fromkeys(muscle.extrapolation for muscle in muscles if muscle.extrapolation))
         if self.has_friction:
-            names = " and ".join(dict.fromkeys(one.specimen.name for one in muscles if one.has_friction))
+            names = [*dict.fromkeys(one.specimen.name for one in muscles if one.has_friction)]
+            have = "have" if len(names) > 1 else "has"
             found.append(
-                f"{names} has friction, which the isobaric stiffness leaves out; the small-motion stiffness, of motion "
-                f"by {SMALL_MOTION / deg:g} deg, includes it"
+                f"{' and '.join(names)} {have} friction, which the isobaric stiffness leaves out; the small-motion "
+                f"stiffness, of motion by {SMALL_MOTION / deg:g} deg, includes it"
             )
         return found
 

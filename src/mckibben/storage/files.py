@@ -14,11 +14,11 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from mckibben.errors import FileError, McKibbenWarning, Problem
+from mckibben.errors import FileError, McKibbenWarning, Problem, closest, printable, quoted
 
 _SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 SIGNALS = tuple(getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name))
@@ -67,7 +67,11 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> It
     """Yield a temporary file that replaces the target, complete and synced, at the end of the block, or not at all."""
     path = Path(path)
     temporary = path.with_name(f".{uuid.uuid4().hex}.part")
-    os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _NO_FOLLOW, 0o666))
+    try:
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _NO_FOLLOW, 0o666))
+    except FileNotFoundError:
+        missing = Problem(f"there is no folder {printable(str(path.parent))}", remedy="make it, or choose another")
+        raise FileError(str(path), [missing]) from None
     try:
         yield temporary
         _sync(temporary, os.O_RDWR | _NO_FOLLOW)
@@ -196,6 +200,14 @@ def make_subfolder(folder: Path, name: str) -> Path:
 
 
 _ELSEWHERE = "choose another folder, or move the existing file"
+
+
+def similar_file(path: Path) -> str:
+    """Return the remedy for a file that does not exist: that of its folder with the closest name; empty if none is."""
+    with suppress(OSError):
+        if found := closest(path.name, sorted(one.name for one in path.parent.iterdir())):
+            return f"did you mean {quoted(str(path.parent / found))}?"
+    return ""
 
 
 def check_free(folder: Path, names: Iterable[str], remedy: str = _ELSEWHERE) -> None:

@@ -83,7 +83,7 @@ def select(options: Any, label: str, mark: str = "", **others: Any) -> ui.select
 
 def quiet(text: str) -> ui.label:
     """A remark in small grey letters."""
-    return ui.label(text).classes("quiet")
+    return ui.label(_quotes(text)).classes("quiet")
 
 
 def results_side() -> ui.column:
@@ -119,7 +119,7 @@ def show_error(error: McKibbenError) -> None:
         (
             "" if one.line is None else one.line,
             printable(one.field, 80),
-            printable(one.message, 400),
+            printable(_quotes(one.message), 400),
             printable(_on_page(one.remedy), 400),
         )
         for one in error.problems[:100]
@@ -132,12 +132,17 @@ def show_error(error: McKibbenError) -> None:
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
     text = _COLUMNS.sub(r"\1 = \2 (columns)", _ELSEWHERE.sub("", remedy))
-    return _ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text)
+    return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
+
+
+def _quotes(text: str) -> str:
+    """A text with quotation marks around what is code."""
+    return re.sub("`([^`]*)`", r"“\1”", text)
 
 
 def _message(message: str, remedy: str) -> None:
     with ui.column().style("gap: 2px; border-left: 3px solid #b3261e; padding-left: 10px").mark("error"):
-        for line in printable(message, 4000).splitlines():
+        for line in printable(_quotes(message), 4000).splitlines():
             ui.label(line)
         if remedy:
             ui.label(printable(_on_page(remedy), 1000)).classes("quiet")
@@ -181,7 +186,7 @@ def show_warnings(texts: Iterable[str]) -> None:
     for text in texts:
         with ui.row().classes("no-wrap items-start").style("gap: 8px"):
             ui.icon("warning_amber", color=ORANGE).style("font-size: 18px")
-            ui.label(printable(text, 1000)).classes("quiet")
+            quiet(printable(text, 1000))
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int = 1) -> ui.table:

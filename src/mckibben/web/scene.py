@@ -19,6 +19,20 @@ HEIGHT = 10.0  # of the fixed limb or the leg, in the units of the scene
 _RATE = 12  # frames per second
 _SLACK, _FULL = np.array([0xCC, 0xD9, 0xE6]), np.array([0xD5, 0x5E, 0x00])
 BONE, CABLE = "#b9c2cb", "#555f69"
+# The library draws every frame: draw only if the camera, the size or an object differs from the last drawn frame.
+_ON_DEMAND = """() => {
+  const { renderer } = getElement(ID), draw = renderer.render.bind(renderer), size = renderer.setSize.bind(renderer);
+  let drawn = "";
+  renderer.setSize = (...sides) => { drawn = ""; size(...sides); };
+  renderer.render = (scene, camera) => {
+    camera.updateMatrixWorld();
+    scene.updateMatrixWorld();
+    const shown = [camera.matrixWorld.elements];
+    scene.traverse((one) => shown.push(one.uuid, one.matrixWorld.elements, one.material?.color.getHex() ?? 0));
+    const now = JSON.stringify(shown, (_, value) => value.toFixed ? Math.round(1e4 * value) : value);  // it drifts
+    if (now !== drawn) { drawn = now; draw(scene, camera); }
+  };
+}"""
 
 
 def pressure_color(part: float) -> str:
@@ -39,6 +53,7 @@ class Film(abc.ABC):
             self._time = ui.label().classes("quiet number").style("min-width: 60px; text-align: right")
         self.scene = ui.scene(grid=False, background_color="#ffffff", fps=30).classes("w-full")
         self.scene.style(f"height: {height}px")
+        self.scene.on("init", js_handler=_ON_DEMAND.replace("ID", str(self.scene.id)))
         self._timer = ui.timer(1 / _RATE, self._step, active=False)
 
     @abc.abstractmethod

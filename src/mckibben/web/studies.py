@@ -65,7 +65,7 @@ class ComparisonRequest:
 
 @dataclass(frozen=True)
 class Tuned:
-    """Result of a tuning: parameters, metrics before and after, costs of the trials in order, and the scenario."""
+    """Result of a tuning: parameters, metrics before and after, costs of the trials in order, and the kept margin."""
 
     cost_before: float
     cost: float
@@ -73,6 +73,7 @@ class Tuned:
     parameters: list[tuple[str, str, str]]
     metrics: list[tuple[str, str, str]]
     scenario: Scenario
+    disk_margin: float
     remarks: list[str]
 
 
@@ -134,7 +135,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
         remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
     if lost := lost_margin(old["disk"], new["disk"]):
         remarks.append(f"{lost}; raise the gain margin, or use `mckibben tune --disk-margin {DISK_MARGIN}`")
-    return Tuned(found.cost_before, found.cost, costs, parameters, metrics, after, remarks)
+    return Tuned(found.cost_before, found.cost, costs, parameters, metrics, after, found.disk_margin, remarks)
 
 
 def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Compared:

@@ -181,6 +181,8 @@ class _Page(JobPage[StudyState]):
     def show_tuned(self, found: Tuned) -> None:
         """Costs of the search, gains and metrics."""
         with panel(f"Tuned: cost {found.cost_before:.4g} to {found.cost:.4g}, {len(found.costs)} points evaluated"):
+            if found.disk_margin:
+                quiet(f"The search kept a disk margin of at least {found.disk_margin:g}.")
             costs = chart("evaluated point", "cost", height=220, yAxis={"type": "log"})
             number = np.arange(1, len(found.costs) + 1)
             draw(costs, [line("lowest so far", number, best_so_far(found.costs), BLUE)])

@@ -157,6 +157,7 @@ class TuningResult:
     evaluated: int  # points
     at_bound: tuple[str, ...]  # parameters within 1 % of an end of their range: a wider one may have better values
     trials: tuple[Trial, ...]  # in order
+    disk_margin: float = 0.0  # least that the search kept in all scenarios and conditions; 0 for none
 
     @property
     def remark(self) -> str:
@@ -358,6 +359,7 @@ def _result(problem: TuningProblem, past: TuningHistory, cost: Callable[[Vector]
         evaluated=len(past.trials),
         at_bound=space.at_bound(point),
         trials=tuple(past.trials),
+        disk_margin=problem.cost.disk_margin or 0.0,
     )
 
 
