@@ -30,6 +30,7 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.identify(DATA), "identify(ExponentialLaw"),  # type: ignore[arg-type]
         (lambda: mk.identify(DATA, mk.ExponentialLaw), "identify(ExponentialLaw"),  # type: ignore[arg-type]
         (lambda: mk.rank(mk.ExponentialLaw, DATA), "rank(read_dataset"),  # type: ignore[arg-type]
+        (lambda: mk.identify(mk.ExponentialLaw, DATA, robust="no"), "True or False"),  # type: ignore[arg-type]
         (lambda: mk.read_dataset(3), "path"),  # type: ignore[arg-type]
         (lambda: mk.report.tracking(SCENARIO), "result.plot()"),  # type: ignore[arg-type]
         (lambda: mk.report.isobaric(LAW), "fit.plot()"),  # type: ignore[arg-type]

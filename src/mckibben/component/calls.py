@@ -25,10 +25,14 @@ _BY_NAME = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ON
 
 
 def checked_call(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a call that fails for a wrong argument raise a `CallError`; other errors and right calls are untouched."""
+    """Let a call that fails for a wrong argument, or with a text in place of a flag, raise a `CallError`."""
 
     @wraps(function)
     def called(*args: P.args, **named: P.kwargs) -> R:
+        for name, value in named.items():
+            if isinstance(value, str) and _hint(function, name) is bool:  # "no" would count as True
+                text = f"{function.__name__}: {name} is {described(value)}"
+                raise CallError(text, field=name, value=value, remedy="give True or False")
         try:
             return function(*args, **named)
         except _EXPLAINED as error:
