@@ -45,7 +45,7 @@ def test_every_example_runs_and_its_numbers_are_those_of_the_run(cli, tmp_path, 
     for metric, value in result.metrics.items():
         _, unit, factor = next(m for m in METRICS.values() if m[0] == metric)
         none = "never" if metric == "stiffness_settling" else "-"
-        shown = none if value != value else f"{value / factor:.4g}"
+        shown = none if value != value else f"{value / factor if abs(value / factor) > 1e-12 else 0.0:.4g}"
         assert re.search(rf"{metric.replace('_', ' ')} +{re.escape(shown)} +{re.escape(unit)}", found.out), metric
     assert found.out.rstrip().endswith(result.describe())
 

@@ -14,7 +14,7 @@ from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.storage.files import to_json
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
-from mckibben.study.benchmark.statistics import air_of, front, statistics, trial_at_air
+from mckibben.study.benchmark.statistics import air_of, front, pooled, statistics, trial_at_air
 from mckibben.study.benchmark.table import write_table
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.tune import Trial
@@ -144,6 +144,18 @@ def test_at_equal_air_ratios_are_to_the_first_as_tuned(contest, numbers):
     for key in ("metrics", "diverged", "ratio_to_first", "by_reference"):
         assert found["controllers"][FIRST][key] == numbers["controllers"][SECOND][key]
     assert numbers["at_air_of_first"] is None
+
+
+def test_setups_are_pooled_and_a_controller_that_one_lacks_at_equal_air_is_left_out(contest, numbers):
+    """In the second setup no trial of one controller takes as little air."""
+    others = {FIRST: contest.batches[FIRST]}
+    setups = {"a": replace(contest, at_air=contest), "b": replace(contest, at_air=replace(contest, batches=others))}
+    found = pooled(setups)
+    assert list(found["as_tuned"]) == list(contest.batches)
+    assert list(found["at_air_of_first"]) == [FIRST]
+    both, alone = found["as_tuned"][SECOND], numbers["controllers"][SECOND]
+    assert both["diverged"] == 2 * alone["diverged"]
+    assert both["metrics"]["angle_rmse_deg"]["median"] == alone["metrics"]["angle_rmse_deg"]["median"]
 
 
 def test_the_air_of_a_controller_that_fails_in_every_trial_is_that_of_the_runs_that_it_survives():

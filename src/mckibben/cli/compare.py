@@ -194,6 +194,8 @@ def _show_pooled(numbers: dict[str, Any], out: Path, json: bool) -> None:
                 for name, each in numbers["pooled"][key].items()
             ],
         )
+        if left_out := [name for name in numbers["pooled"]["as_tuned"] if name not in numbers["pooled"][key]]:
+            echo(f"without {' and '.join(left_out)}, which some setups lack")
 
 
 def _tables(numbers: dict[str, Any]) -> None:
@@ -234,6 +236,8 @@ def _tables(numbers: dict[str, Any]) -> None:
                 for name, each in at_air["controllers"].items()
             ],
         )
+        if left_out := [name for name in found if found[name]["tuned"] and name not in at_air["controllers"]]:
+            echo(f"without {' and '.join(left_out)}, of which no trial takes as little air")
     if numbers["no_start"]:
         echo(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     for name, each in found.items():

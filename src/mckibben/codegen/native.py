@@ -21,7 +21,7 @@ from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
@@ -36,6 +36,8 @@ from mckibben.codegen.writer import Writer, inputs_of
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning, quoted
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, program_path, read_program, write_program
 from mckibben.numerics.runtime import programs_folder
+
+E = TypeVar("E", bound=ExportError)
 
 _FLAGS = tuple("-march=native -fno-math-errno -fno-trapping-math -fwrapv -frename-registers -w -shared -fPIC".split())
 _ALONE = ("-O2", "-fno-tree-vectorize")
@@ -78,10 +80,17 @@ _FAILED: list[CompilerError] = []  # the failure after which nothing is compiled
 _WARNED: list[CompilerError] = []
 
 
+def _without_frames(error: E) -> E:
+    """Copy of an error that keeps none of the arrays in the frames of its traceback."""
+    found = copy(error).with_traceback(None)  # tblib, which Dask installs, copies the traceback, too
+    found.__cause__ = found.__context__ = None
+    return found
+
+
 def warn_of_fallback(error: ExportError) -> None:
     """Warn that XLA computes in place of compiled C, once per process and only if the compiler is the reason."""
     if isinstance(error, CompilerError) and not _WARNED:
-        _WARNED.append(copy(error))
+        _WARNED.append(_without_frames(error))
         warnings.warn(f"XLA computes in place of compiled C: {error}", McKibbenWarning, stacklevel=3)
 
 
@@ -106,11 +115,11 @@ class NativeFunction:
                 try:
                     written = lambda: self.written(given, varying, single=single)  # noqa: E731
                     found = self.cached(key, written, many=bool(varying.arrays))
-                except ExportError as error:  # it will fail next time too; the copy holds no frames with their arrays
-                    found = copy(error)
+                except ExportError as error:  # it will fail next time too
+                    found = _without_frames(error)
                 self._known[key] = found
         if isinstance(found, ExportError):
-            raise copy(found)
+            raise _without_frames(found)
         return found.bound(given.arrays, varying.arrays)
 
     def cached(self, key: Any, written: Callable[[], Written], *, many: bool = False) -> Compiled:
@@ -348,7 +357,7 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
 def compile_library(source: str, flags: Sequence[str]) -> bytes:
     """Compile a source to a shared library that loads and can be called; raises `CompilerError` if that fails."""
     if _FAILED:
-        raise copy(_FAILED[0])
+        raise _without_frames(_FAILED[0])
     name = compiler() or "cc"
     options = [*compiler_words()[1:], "-std=gnu11", *_FLAGS, *flags, *own_flags()]
     command = [name, *options, "source.c", "-o", "library.so", "-lm"]
@@ -399,7 +408,7 @@ def _call(command: Sequence[str], folder: str, seconds: float, failure: str, rem
         reason = f"it ends by signal {-status}"
     error = CompilerError(f"{failure}: {reason}", value=command[0], remedy=remedy)
     if status is None or command[0] == sys.executable:  # the next program would fail, too
-        _FAILED.append(copy(error))
+        _FAILED.append(_without_frames(error))
     raise error
 
 

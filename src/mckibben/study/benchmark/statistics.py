@@ -63,7 +63,7 @@ def pooled(results: Mapping[str, BenchmarkResult]) -> dict[str, Any]:
 
 
 def _pooled(results: Sequence[tuple[BenchmarkResult, BenchmarkResult]]) -> dict[str, Any]:
-    """Errors of each controller over the runs of several results, and their ratio to the first as tuned in others."""
+    """Errors of each controller of all results over their runs, and their ratio to the first as tuned in others."""
     first = next(iter(results[0][1].batches))
 
     def all_runs(name: str, metric: str) -> NDArray[np.float64]:
@@ -78,6 +78,7 @@ def _pooled(results: Sequence[tuple[BenchmarkResult, BenchmarkResult]]) -> dict[
             "ratio_to_first": {SHOWN[metric]: _ratio(all_runs(name, metric), tuned[metric]) for metric in MAIN},
         }
         for name in results[0][0].batches
+        if all(name in result.batches for result, _ in results)
     }
 
 
