@@ -206,7 +206,7 @@ def similar_file(path: Path) -> str:
     """Return the remedy for a file that does not exist: that of its folder with the closest name; empty if none is."""
     with suppress(OSError):
         if found := closest(path.name, sorted(one.name for one in path.parent.iterdir())):
-            return f"did you mean {quoted(str(path.parent / found))}?"
+            return f"did you mean {quoted(found)}?"
     return ""
 
 
