@@ -167,6 +167,14 @@ def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
     assert edit_scenario(changed, values, folder=EXAMPLES) == changed
 
 
+def test_a_default_among_the_values_is_in_a_text_that_is_written_anew():
+    text = (EXAMPLES / "linear-axis.yaml").read_text(encoding="utf-8")
+    values = {"joint.muscle1.specimen.initial_length": 0.12, "reference.angle.offset": 0.0}
+    changed = edit_scenario(text, values, folder=EXAMPLES)
+    assert "offset: 0 deg" in changed
+    assert edit_scenario(changed, values, folder=EXAMPLES) == changed
+
+
 def test_what_is_no_scenario_or_no_value_is_refused():
     with pytest.raises(ScenarioError):
         edit_scenario("name: x", {"load.mass2": 1.0})

@@ -313,7 +313,8 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
                 return edited
         except ScenarioError:
             pass
-    return wanted.dumps(folder=folder)
+    anew = wanted.dumps(folder=folder)
+    return anew if anew == text else edit_scenario(anew, values, folder=folder)  # which adds defaults among the values
 
 
 def _place_in(spans: Mapping[tuple[str | int, ...], Span], parameter: ScenarioParameter) -> tuple[str | int, ...]:
