@@ -48,7 +48,8 @@ def noisy(noise, seed):
 
 def print_noisy(count):
     """Print the table of the friction found from loops with noise of the length."""
-    print("| noise of the length | presliding length | inside | half width | inside |\n|---|---|---|---|---|")
+    share = "within two standard errors"
+    print(f"| noise of the length | presliding length | {share} | half width | {share} |\n|---|---|---|---|---|")
     for noise in NOISES:
         cells = []
         found = [identify_hysteresis(ExponentialLaw, noisy(noise, seed), drift=False) for seed in range(count)]

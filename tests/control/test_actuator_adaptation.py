@@ -122,6 +122,13 @@ def test_without_any_the_model_is_kept(estimated):
 
 
 @pytest.mark.slow
+def test_long_after_the_commands_moved_the_model_is_back(estimated):
+    found = estimated("first order", 0.7, 6.5 * ms, seconds=3.5, still=2.0, adaptation=ActuatorAdaptation(memory=0.1))
+    assert found[1500, 0] < 0.85
+    assert found[-1, 0] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.slow
 def test_the_estimates_are_bounded(estimated):
     adaptation = ActuatorAdaptation(speed_spread=0.1, delay_spread=0.5 * ms)
     found = estimated("air", 0.4, 9 * ms, adaptation=adaptation)

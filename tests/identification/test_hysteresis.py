@@ -344,7 +344,7 @@ def test_estimates_scatter_by_their_standard_errors_under_noise_of_the_length():
         found = identify_hysteresis(LAW, noisy, drift=False, form=FrictionForm.CONSTANT)
         scores.append((found.friction.presliding_length - 0.8 * mm) / found.standard_errors["presliding_length"])
     assert abs(np.mean(scores)) < 0.7
-    assert np.std(scores) < 1.4
+    assert 0.5 < np.std(scores) < 1.4
 
 
 def test_the_side_of_the_first_branch_does_not_depend_on_the_first_fit_of_the_law():

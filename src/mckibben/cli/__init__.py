@@ -159,10 +159,10 @@ def simulate(
             echo(f"small-motion stiffness {ranges[0]}, isobaric stiffness {ranges[1]}")
         if math.isnan(result.metrics["air"]) and not result.outcome.failed:
             specimens = read.joint.muscle1.specimen, read.joint.muscle2.specimen
-            names = " and ".join(dict.fromkeys(one.name for one in specimens if not one.has_volume))
+            names = [*dict.fromkeys(one.name for one in specimens if not one.has_volume)]
             echo(
-                f"air is unknown: {names} has no volume; give its specimen initial_diameter and braid_angle, or "
-                "volume_terms, or identify it with --diameter"
+                f"air is unknown: {' and '.join(names)} {'have' if len(names) > 1 else 'has'} no volume; give the "
+                "specimen initial_diameter and braid_angle, or volume_terms, or identify the muscle with --diameter"
             )
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)

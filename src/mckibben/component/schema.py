@@ -315,7 +315,7 @@ class Part:
 
 
 def _remedy_without_class(default: type | None, known: Mapping[str, type], keys: set[str]) -> str:
-    """Remedy for keys of which no class has one; empty if they may be misspelt ones of the default class."""
+    """Remedy for keys that no class has: a class with parts that have them, or all keys; none if they are misspelt."""
     for name, kind in known.items():
         marks = ((field, part_of(form)) for field, form in forms(kind).items())
         fields = [one for one, mark in marks if mark and any(keys <= _keys(k) for k in classes_of(mark.base).values())]
@@ -324,7 +324,7 @@ def _remedy_without_class(default: type | None, known: Mapping[str, type], keys:
     if default is None or len(known) < 2 or any(closest(key, [*_keys(default)]) for key in keys):
         return ""
     others = [name for name, kind in known.items() if kind is not default]
-    return f"without it, known are {', '.join(forms(default))}; other classes are {', '.join(others)}"
+    return f"without `class`, the keys are {', '.join(forms(default))}; other classes are {', '.join(others)}"
 
 
 def build(kind: type, fields: Mapping[str, Any], scope: Scope) -> Any:

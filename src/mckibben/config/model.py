@@ -194,7 +194,7 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
     except ValueError as error:  # such as a null character in the path
         reason = str(error)
     similar = similar_file(Path(path)) if reason == os.strerror(errno.ENOENT) else ""
-    remedy = similar or f"give the path of {what}, see {example}"
+    remedy = f"{similar + ' if not, ' if similar else ''}give the path of {what}, see {example}"
     problem = Problem(f"cannot be read: {reason}", remedy=remedy)
     raise ScenarioError(source, [problem]) from None
 

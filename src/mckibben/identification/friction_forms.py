@@ -201,7 +201,7 @@ def drift_rate(model: PathDependentModel, found: PathSolution) -> tuple[float, f
 
 
 def _errors(jacobian: Floats, residuals: Floats, labels: Ints) -> ClusterRobustErrors | IndependentErrors:
-    """Standard errors robust to errors common to a path, unless one path alone determines a parameter."""
+    """Standard errors robust to errors common to a stroke, unless one stroke alone determines a parameter."""
     robust = ClusterRobustErrors.of(jacobian, residuals, labels)
     return IndependentErrors.of(jacobian, residuals) if robust.decisive else robust
 

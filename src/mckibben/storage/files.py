@@ -18,7 +18,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from mckibben.errors import FileError, McKibbenWarning, Problem, closest, printable, quoted
+from mckibben.errors import FileError, McKibbenWarning, Problem, closest, quoted
 
 _SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 SIGNALS = tuple(getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name))
@@ -69,9 +69,8 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> It
     temporary = path.with_name(f".{uuid.uuid4().hex}.part")
     try:
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY | _NO_FOLLOW, 0o666))
-    except FileNotFoundError:
-        missing = Problem(f"there is no folder {printable(str(path.parent))}", remedy="make it, or choose another")
-        raise FileError(str(path), [missing]) from None
+    except FileNotFoundError as error:  # which does not name the temporary file
+        raise FileNotFoundError(error.errno, error.strerror, str(path.parent)) from None
     try:
         yield temporary
         _sync(temporary, os.O_RDWR | _NO_FOLLOW)
@@ -203,10 +202,11 @@ _ELSEWHERE = "choose another folder, or move the existing file"
 
 
 def similar_file(path: Path) -> str:
-    """Return the remedy for a file that does not exist: that of its folder with the closest name; empty if none is."""
+    """Return the remedy for a missing file: the file of its folder whose name without suffix is close; or nothing."""
     with suppress(OSError):
-        if found := closest(path.name, sorted(one.name for one in path.parent.iterdir())):
-            return f"did you mean {quoted(found)}?"
+        names = {one.stem: one.name for one in sorted(path.parent.iterdir()) if one.is_file()}
+        if found := closest(path.stem, list(names)):
+            return f"did you mean {quoted(names[found])}?"
     return ""
 
 

@@ -28,7 +28,8 @@ _ON_DEMAND = """() => {
     camera.updateMatrixWorld();
     scene.updateMatrixWorld();
     const shown = [camera.matrixWorld.elements];
-    scene.traverse((one) => shown.push(one.uuid, one.matrixWorld.elements, one.material?.color.getHex() ?? 0));
+    scene.traverse((one) =>
+      shown.push(one.uuid, one.visible, one.matrixWorld.elements, one.material?.color?.getHex() ?? 0));
     const now = JSON.stringify(shown, (_, value) => value.toFixed ? Math.round(1e4 * value) : value);  // it drifts
     if (now !== drawn) { drawn = now; draw(scene, camera); }
   };

@@ -65,7 +65,7 @@ class ComparisonRequest:
 
 @dataclass(frozen=True)
 class Tuned:
-    """Result of a tuning: parameters, metrics before and after, costs of the trials in order, and the kept margin."""
+    """Result of a tuning: parameters, metrics before and after, costs of the trials, scenario, and the kept margin."""
 
     cost_before: float
     cost: float
