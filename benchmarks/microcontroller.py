@@ -1,4 +1,4 @@
-"""Controllers of the comparison on a Cortex-M7: code size, stack, memory, and instructions a step in QEMU.
+"""Controllers of the comparison on a Cortex-M7: code size, stack, memory, and instructions per step in QEMU.
 
     python benchmarks/microcontroller.py
 
@@ -49,7 +49,7 @@ class Footprint(NamedTuple):
 
 
 class Replayed(NamedTuple):
-    """A replay in QEMU: largest deviation of a command, relative to the largest; instructions a step; memory [B]."""
+    """A replay in QEMU: largest deviation of a command, relative to the largest; instructions per step; memory [B]."""
 
     deviation: float
     instructions: int
@@ -83,8 +83,8 @@ def replayed(folder: Path, name: str = "controller", steps: int = 200_000) -> Re
         cwd=folder, check=True, capture_output=True, text=True, timeout=300,
     )  # fmt: skip
     deviation, *_ = re.findall(r"([0-9.e+-]+) of the largest", done.stdout)
-    timed = re.findall(r"(\d+) ns a step .* (\d+) bytes", done.stdout)
-    return Replayed(float(deviation), *map(int, timed[0] if timed else (0, 0)))
+    ((instructions, memory),) = re.findall(r"(\d+) ns per step .* (\d+) bytes", done.stdout)
+    return Replayed(float(deviation), int(instructions), int(memory))
 
 
 def scenarios(duration: float = 1.0) -> dict[str, Scenario]:
@@ -103,7 +103,7 @@ def main() -> int:
     if shutil.which(COMPILER) is None:
         print(f"there is no {COMPILER}", file=sys.stderr)
         return 1
-    print("| controller | numbers | code [kB] | stack [B] | memory [B] | instructions a step | deviation |")
+    print("| controller | numbers | code [kB] | stack [B] | memory [B] | instructions per step | deviation |")
     print("|---|---|---:|---:|---:|---:|---:|")
     for name, scenario in scenarios().items():
         for single in (False, True):
