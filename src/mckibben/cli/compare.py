@@ -194,9 +194,8 @@ def _show_pooled(numbers: dict[str, Any], out: Path, json: bool) -> None:
                 for name, each in numbers["pooled"][key].items()
             ],
         )
-        missing = [name for name in numbers["pooled"]["as_tuned"] if name not in numbers["pooled"][key]]
-        if missing:
-            echo(f"without {' and '.join(missing)}: in some setup no trial takes as little air, or there was none")
+        if left_out := [name for name in numbers["pooled"]["as_tuned"] if name not in numbers["pooled"][key]]:
+            echo(f"without {' and '.join(left_out)}, which this table of some setup lacks")
 
 
 def _tables(numbers: dict[str, Any]) -> None:

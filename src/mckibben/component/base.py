@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import enum
 import functools
 import operator
 import sys
@@ -15,6 +16,7 @@ from types import NoneType, SimpleNamespace, UnionType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
 import equinox as eqx
+import numpy as np
 
 from mckibben.component.calls import CheckedCalls
 from mckibben.component.checks import check_kind, known_numbers
@@ -255,3 +257,32 @@ def _rows(component: Any) -> Iterator[tuple[str, str]]:
         except TypeError:  # an array, a tracer or None
             text = repr(value)
         yield field.name, printable(" ".join(text.split()), _LONGEST)
+
+
+def member_of(kind: type, name: str, value: Any) -> Any:
+    """Value of a field; the member of an enumeration that a file names."""
+    hint = field_hints(kind)[name]
+    choices = [hint, *get_args(hint)]
+    members = next((one for one in choices if isinstance(one, type) and issubclass(one, enum.Enum)), None)
+    return members[value.upper()] if members and isinstance(value, str) else value
+
+
+def plain(value: Any) -> Any:
+    """Value of a field as the model of its class has it: a word, a number or a tuple of numbers."""
+    if isinstance(value, enum.Enum):
+        return value.name.lower()
+    if hasattr(value, "ndim"):
+        return tuple(np.asarray(value, float).tolist()) if value.ndim else value.item()
+    return value
+
+
+def same(value: Any, default: Any) -> bool:
+    """Return whether a value is that of the default; arrays never are."""
+    if value is default:
+        return True
+    if type(value) is not type(default) and not (isinstance(value, int | float) and isinstance(default, int | float)):
+        return False
+    try:
+        return bool(value == default)
+    except (ValueError, TypeError):  # arrays
+        return False

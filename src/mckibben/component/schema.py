@@ -24,7 +24,17 @@ from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_
 from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, TypeAdapter, create_model
 from pydantic_core import PydanticSerializationError, ValidationError, core_schema
 
-from mckibben.component.base import Checked, Component, Inherited, Units, field_hints, field_quantities
+from mckibben.component.base import (
+    Checked,
+    Component,
+    Inherited,
+    Units,
+    field_hints,
+    field_quantities,
+    member_of,
+    plain,
+    same,
+)
 from mckibben.component.classes import (
     catalog_of,
     classes_of,
@@ -35,7 +45,6 @@ from mckibben.component.classes import (
     short_key,
 )
 from mckibben.component.extensions import load_installed
-from mckibben.component.values import member_of, plain, same
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, Number, OneOf, Title, read_path, relative_path
 from mckibben.config.model import ConfigModel, fail_validation, located_below, parse_text, read_text

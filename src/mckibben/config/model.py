@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
@@ -177,7 +176,7 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
     """Text of a configuration file; ScenarioError (`what`, see `example`) if it is unreadable or its seal is broken."""
     if not isinstance(path, str | os.PathLike):
         raise ScenarioError(what, [Problem(f"{path!r:.60} is not a path", remedy=f"give one, see {example}")])
-    source, longest = os.fspath(path), 4 * LONGEST_TEXT
+    source, longest, similar = os.fspath(path), 4 * LONGEST_TEXT, ""
     try:
         with Path(path).open("rb") as file:
             content = file.read(longest + 1)
@@ -189,11 +188,12 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
         raise ScenarioError(source, [Problem("is not text in UTF-8", remedy="give a YAML file")]) from None
     except OSError as error:
         reason = error.strerror or str(error)
+        if isinstance(error, FileNotFoundError):
+            similar = similar_file(Path(path))
     except FileError as error:
         raise ScenarioError(source, error.problems) from None
     except ValueError as error:  # such as a null character in the path
         reason = str(error)
-    similar = similar_file(Path(path)) if reason == os.strerror(errno.ENOENT) else ""
     remedy = f"{similar + ' if not, ' if similar else ''}give the path of {what}, see {example}"
     problem = Problem(f"cannot be read: {reason}", remedy=remedy)
     raise ScenarioError(source, [problem]) from None
