@@ -131,7 +131,11 @@ def suite_of(kind, folder):
     control = yaml.safe_load((folder / "valves" / "scenario.yaml").read_text(encoding="utf-8"))["controller"]
     valve, delay, known = control["valve"], float(control["command_delay"].split()[0]), VALVES[kind]
     first, second = ("valve.muscle1", "valve.muscle2") if valve["class"] == "unequal" else ("valve", "valve")
-    conditions = {f"{one}.{name}=+-25 %": None for name in ("conductance", known.lag) for one in (first, second)}
+    conditions = [f"{one}.conductance=+-25 %" for one in dict.fromkeys((first, second))]
+    for one in dict.fromkeys((first, second)):
+        part = valve[one.removeprefix("valve.")] if "." in one else valve
+        lag, longest = (float(part.get(name, "inf ms").split()[0]) for name in (known.lag, "period"))
+        conditions.append(f"{one}.{known.lag}={0.75 * lag}..{min(1.25 * lag, longest)} ms")
     suite |= {
         "name": f"a foreign joint, {kind}",
         "joint": "joint/model.yaml",

@@ -11,6 +11,7 @@ import argparse
 from pathlib import Path
 
 import numpy as np
+from lab_valves import FILES
 
 from mckibben.errors import McKibbenError
 from mckibben.plant import NoDisturbance, PerfectSensors
@@ -20,13 +21,6 @@ from mckibben.study.oracle import oracle
 from mckibben.units import deg
 
 SUITE, GAINS = Path("examples/comparison/valves.yaml"), Path("examples/valves")
-FILES = {
-    "SMC ITV0050": "itv0050",
-    "regulator of 0.05 L/(s*bar)": "regulator",
-    "Festo VPPE-6": "vppe-6",
-    "Festo MPYE-5-M5": "mpye-5-m5",
-    "Festo MH1, switching at 100 Hz": "mh1",
-}
 QUIET = {"sensors": PerfectSensors()}
 STILL = {"disturbance": NoDisturbance()}
 

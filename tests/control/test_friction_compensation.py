@@ -1,6 +1,7 @@
 """Feed-forward of friction in closed loop: what it takes off the error, and that it does not chatter."""
 
 import dataclasses
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,8 +11,10 @@ import pytest
 from mckibben.control import (
     PID,
     Constant,
+    DecouplingControl,
     FrictionCompensation,
     Measurement,
+    PolePlacement,
     PositionStiffnessControl,
     Reference,
     Setpoint,
@@ -21,9 +24,11 @@ from mckibben.errors import RangeError
 from mckibben.muscle import MaxwellSlip, NoFriction
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
-from mckibben.simulation import AtRest, sampled, simulate_many
+from mckibben.scenario import Scenario, with_values
+from mckibben.simulation import AtRest, Outcome, sampled, simulate_many
 from mckibben.units import deg, mm
 
+EXAMPLE = Path(__file__).parents[2] / "examples" / "valves" / "regulator-decoupling.yaml"
 SLIP = MaxwellSlip(12.0, 0.5 * mm, elements=1)
 SLOW = Reference(angle=Sine(10 * deg, 0.25), stiffness=Constant(15.0))
 
@@ -166,3 +171,32 @@ def test_a_model_without_friction_is_refused(inner, knee):
         FrictionCompensation(inner, model=knee)
     with pytest.raises(RangeError, match="model is a NoFriction"):
         FrictionCompensation(inner, model=NoFriction())
+
+
+@pytest.mark.slow
+def test_presliding_in_the_observer_ends_a_limit_cycle():
+    """Stuck muscles are several times stiffer than sliding ones, here by more than the model says."""
+    given = Scenario.read(EXAMPLE).with_fixed_model()
+    changes = {
+        "joint.muscle1.friction.half_width": 13.0,
+        "joint.muscle2.friction.half_width": 13.0,
+        "controller.feedback.bandwidth": 60.0,
+        "controller.observer.bandwidth": 60.0,
+        "controller.pressure_observer.bandwidth": 60.0,
+        "reference.angle.amplitude": 0.002,
+        "reference.angle.frequency": 0.25,
+    }
+    given = with_values(given, changes)
+
+    def run(observed):
+        return given.simulate(dataclasses.replace(given.control(), friction_in_observer=observed))
+
+    outside, inside = run(False), run(True)
+    assert outside.outcome is Outcome.LIMIT_CYCLE and inside.outcome is not Outcome.LIMIT_CYCLE
+    assert inside.metrics["air"] < 0.5 * outside.metrics["air"]
+    assert inside.metrics["angle_rmse"] < outside.metrics["angle_rmse"]
+
+
+def test_friction_in_the_observer_is_compensated(rubbing):
+    with pytest.raises(RangeError, match="not compensated"):
+        DecouplingControl(rubbing.joint, rubbing.load, PolePlacement(60.0), friction_in_observer=True)

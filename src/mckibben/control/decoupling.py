@@ -71,6 +71,9 @@ class DecouplingControl(ModelBasedControl):
     friction_compensation
         Whether to compensate the friction of the model's muscles along the reference, in place of a
         `FrictionCompensation`.
+    friction_in_observer
+        Whether the observer predicts with the friction along the estimated motion, not along the reference: then the
+        stiffness of presliding is no disturbance that it has to follow.
     adaptation
         On-line correction of the strength of the model's muscles. Default: none.
     command_delay

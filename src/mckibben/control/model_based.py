@@ -81,12 +81,14 @@ class Estimates(NamedTuple):
     pressures: Pair
     reference: ReferenceDerivatives
     muscles: MuscleStates  # of the model, along the reference
+    moved: MuscleStates  # of the model, along the estimated motion
     adaptation: AdaptationState | tuple[()]
     actuation: ActuatorAdaptationState | tuple[()]
     torque: Scalar  # of the model's muscles at the estimated pressures, without friction [N*m]
     stiffness: Scalar  # of the model, for the amplitude of the controller [N*m/rad]
     added_stiffness: Scalar  # minus the isobaric one [N*m/rad]
     friction: Scalar  # compensated torque [N*m]
+    resistance: Scalar  # torque of the friction with which the motion is predicted [N*m]
     sent: tuple[Pair, ...]  # commands on their way [Pa], the last first
     reading: Scalar  # last measured angle [rad]
     actuators: tuple[Any, Any]  # states of the model of the valves
@@ -142,6 +144,7 @@ class ModelBasedControl(Controller):
     valve: ValveModel = eqx.field(kw_only=True, default=FirstOrderValve(0.02))
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
+    friction_in_observer: bool = eqx.field(kw_only=True, static=True, default=False)
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
     command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
@@ -160,6 +163,11 @@ class ModelBasedControl(Controller):
             raise RangeError(
                 f"{name}: no muscle of its model has friction to compensate",
                 remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
+            )
+        if self.friction_in_observer and not self.friction_compensation:
+            raise RangeError(
+                f"{name}: the observer's friction is not compensated, and no estimated disturbance holds it",
+                remedy="set friction_compensation too",
             )
         if self.actuator_adaptation is not None:
             self.actuator_adaptation.check_valve(self.valve)
@@ -196,18 +204,20 @@ class ModelBasedControl(Controller):
         angle, pressures = measurement
         torque, stiffness, added = self._torque_and_stiffness(self.model, angle, pressures)
         zero = jnp.zeros_like(angle)
-        actuation = self.actuator_adaptation
+        actuation, muscles = self.actuator_adaptation, self.model.init_state(angle, pressures)
         return Estimates(
             motion=self.observers[0].init(angle, self.load.acceleration(angle, zero, torque)),
             pressures=pressures,
             reference=ReferenceDerivatives.init(angle),
-            muscles=self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES,
+            muscles=muscles if self.friction_compensation else NO_STATES,
+            moved=muscles if self.friction_in_observer else NO_STATES,
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
             actuation=() if actuation is None else actuation.init(self.valve, self._delay, pressures),
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
             friction=zero,
+            resistance=zero,
             sent=(pressures,) * (self._periods + 1),
             reading=angle,
             actuators=tuple(self.valve.for_muscle(i).init_model(pressures[i]) for i in (0, 1)),  # type: ignore
@@ -236,18 +246,23 @@ class ModelBasedControl(Controller):
         reference = last.reference.update(setpoint.angle, period)
         ahead = reference.after(self._delay) if self._periods else reference
         muscles, friction_torque = self._friction(last.muscles, ahead.angle, pressures)
-        known = self.load.acceleration(angle, last.motion.velocity, torque + friction_torque)
+        moved, resistance = last.moved, friction_torque
+        if self.friction_in_observer:
+            moved, resistance = self._friction(moved, last.motion.angle + period * last.motion.velocity, pressures)
+        known = self.load.acceleration(angle, last.motion.velocity, torque + resistance)
         estimates = last._replace(
             motion=observer.step(last.motion, angle, known, period),
             pressures=pressures,
             reference=reference,
             muscles=muscles,
+            moved=moved,
             adaptation=adaptation,
             actuators=actuators,
             torque=torque,
             stiffness=stiffness,
             added_stiffness=added,
             friction=friction_torque,
+            resistance=resistance,
             reading=angle,
         )
         expected = estimates
@@ -271,7 +286,7 @@ class ModelBasedControl(Controller):
             valves = self._valves(midway, velocity, pressures, actuators)
             following, actuators = valves.predict(commands, step)
             middle = tuple((one + other) / 2 for one, other in zip(pressures, following, strict=True))
-            torque = model.torque(midway, (middle[0], middle[1])) + estimates.friction
+            torque = model.torque(midway, (middle[0], middle[1])) + estimates.resistance
             acceleration = self.load.acceleration(midway, velocity, torque) + motion.disturbance
             moved = angle + step * (velocity + step / 2 * acceleration)
             return (moved, velocity + step * acceleration, following, actuators), None
@@ -363,7 +378,7 @@ class ModelBasedControl(Controller):
         return dataclasses.replace(eqx.tree_at(replaced, self, valves), command_delay=adapted.delay)
 
     def _friction(self, muscles: MuscleStates, angle: ArrayLike, pressures: Pair) -> tuple[MuscleStates, Scalar]:
-        """Internal states of the model's muscles at a reference angle [rad], and their torque of friction [N*m]."""
+        """Internal states of the model's muscles after a motion to an angle [rad], and their friction torque [N*m]."""
         if not self.friction_compensation:
             return muscles, jnp.zeros_like(pressures[0])
         muscles = self.model.update_state(muscles, angle, pressures)

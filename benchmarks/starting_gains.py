@@ -1,0 +1,76 @@
+"""Gains to start from for each setup of examples/comparison/valves.yaml: those of examples/valves/.
+
+    python benchmarks/starting_gains.py [--runs 60] [--seed 7] [--setup NAME]
+
+A grid of gains of the compensated decoupling, with the friction in the observer and without, runs on plants drawn from
+the conditions of the suite, none of them a run of the comparison. The table has the gains with the fewest failed runs
+(diverged or limit cycles) and, of these, the least sum of the median angle RMSE over 0.2 deg and the median air over
+0.3 L, the scales of the suite, whose loop in the file keeps a disk margin of 0.4.
+"""
+
+import argparse
+import itertools
+from pathlib import Path
+
+import numpy as np
+from lab_valves import FILES
+
+from mckibben.component.schema import replaced
+from mckibben.scenario import Scenario, with_values
+from mckibben.simulation import simulate_many
+from mckibben.study.benchmark import Suite, draw
+from mckibben.units import deg, litre
+
+SUITE, GAINS = Path("examples/comparison/valves.yaml"), Path("examples/valves")
+DISK_MARGIN = 0.4
+FEEDBACK = (20.0, 30.0, 40.0, 60.0)  # rad/s
+OBSERVER = (0.5, 1.0, 2.0, 4.0)  # of the bandwidth of the feedback
+PRESSURES = 60.0  # rad/s
+
+
+def candidates(path):
+    """Scenarios of the file with the gains of the grid, and these gains as cells of the table."""
+    given = Scenario.read(path)
+    for observed, feedback, ratio in itertools.product((False, True), FEEDBACK, OBSERVER):
+        bandwidths = {"feedback": feedback, "observer": ratio * feedback, "pressure_observer": PRESSURES}
+        tried = with_values(given, {f"controller.{name}.bandwidth": value for name, value in bandwidths.items()})
+        tried = tried.replace(controller=replaced(tried.controller, {"friction_in_observer": observed}))
+        yield tried, f"{'yes' if observed else 'no'} | {feedback:g} | {ratio * feedback:g}"
+
+
+def main():
+    """Search the grid of each setup."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=7)
+    parser.add_argument("--setup", choices=FILES)
+    given = parser.parse_args()
+    print("| setup | friction in the observer | feedback | observer | disk margin | angle | failed | air |")
+    print("|---|---|---|---|---|---|---|---|", flush=True)
+    for setup in [given.setup] if given.setup else FILES:
+        suite = Suite.read(SUITE).of_setup(setup)
+        (runs,) = draw(suite, given.runs, given.seed).groups
+        found = []
+        for tried, gains in candidates(GAINS / f"{FILES[setup]}-decoupling.yaml"):
+            batch = simulate_many(
+                runs.plant,
+                tried.control(),
+                runs.reference,
+                duration=suite.duration,
+                control_period=suite.control_period,
+                substeps=suite.substeps,
+                metrics=["angle_rmse", "air"],
+            )
+            error = np.median(np.where(batch.usable, batch.metrics["angle_rmse"], np.inf)) / deg
+            failed, air = int((~batch.usable).sum()), np.nanmedian(batch.metrics["air"]) / litre
+            found.append((failed, error / 0.2 + air / 0.3, gains, error, air, tried))
+        for failed, _, gains, error, air, tried in sorted(found, key=lambda one: one[:3]):
+            margin = float(tried.margins(points=6).disk.min())
+            if margin >= DISK_MARGIN:
+                row = f"{gains} | {margin:.2f} | {error:.2f} deg | {failed} of {given.runs} | {air:.2f} L"
+                print(f"| {setup} | {row} |", flush=True)
+                break
+
+
+if __name__ == "__main__":
+    main()
