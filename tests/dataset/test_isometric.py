@@ -195,6 +195,11 @@ def test_filling_in_steps_is_filling_whatever_the_overshoot(overshoot):
     assert down.table["phase"].values.tolist() == ["venting"] * len(levels)
 
 
+def test_steps_that_overshoot_are_no_ramps_between_their_peaks():
+    with pytest.warns(McKibbenWarning, match="was held"):
+        regulated([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 5.0, 3.0, 1.0], 0.4).isometric()
+
+
 def test_a_large_excursion_before_a_plateau_is_venting():
     """From 1 to 3 bar by way of 6 bar: the friction has the sign of venting."""
     pressure = np.concatenate([np.full(300, 1.0), np.linspace(1, 6, 200), np.linspace(6, 3, 200), np.full(300, 3.0)])

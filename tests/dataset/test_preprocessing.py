@@ -8,6 +8,7 @@ from mckibben.dataset import preprocessing
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import group_pressures, half_sample_mode, nominal_pressures, passes, slack_force
 from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning, RangeError
+from mckibben.muscle import forces
 from mckibben.units import bar, mm
 
 TRUTH = {"a1": -200.0, "a2": 95.0, "b1": 1.0, "b2": -3.0, "c1": 170.0, "c2": -4.0, "decay": 0.36}  # bar, percent
@@ -117,6 +118,19 @@ def test_the_offset_is_found_over_points_of_several_fixed_lengths(tmp_path):
     assert "offset" in data.table.attrs["preprocessing"]
     kept = read_dataset(paths, slack_force=0.0)
     assert kept.force.min() > 1.5
+
+
+def test_the_slack_force_is_found_among_few_points():
+    """Four fixed lengths at six pressures: seven slack points have no clear mode."""
+    pressure, contraction = (
+        a.ravel() for a in np.meshgrid(np.arange(1, 7) * bar, [0, 0.06, 0.12, 0.18], indexing="ij")
+    )
+    force = np.maximum(forces(catalog.law("lei-mas-10-180n"), contraction, pressure), 0)
+    for seed in range(20):
+        measured = force + np.random.default_rng(seed).normal(3.0, 0.5, force.size)
+        found = slack_force(measured, contraction, pressure, (pressure / bar).astype(int))
+        assert found.offset == pytest.approx(3.0, abs=1.0)
+        assert ((measured - found.offset) <= found.limit)[force == 0].all()
 
 
 def test_taut_points_are_no_slack_force():

@@ -329,6 +329,9 @@ def test_noise_of_the_length_larger_than_its_steps_is_no_reversal_of_the_frictio
     found = identify_hysteresis(LAW, noisy)
     assert found.friction.presliding_length == pytest.approx(0.5 * mm, rel=0.15)
     assert found.friction.half_width == pytest.approx(12.0, rel=0.02)
+    assert LoadingPaths.of(data).against == 0.0
+    assert LoadingPaths.of(noisy).against == pytest.approx(0.06, abs=0.01)  # normal noise below -1.1 steps
+    assert any("presliding length" in warning for warning in found.warnings)
 
 
 @pytest.mark.slow

@@ -145,27 +145,55 @@ _HELD = 200  # parts of the range of a phase: the tolerance of a hold
 _INSIDE = 0.05  # of the range of a phase, from its ends
 
 
+class Holds(NamedTuple):
+    """Levels at which a pressure was held inside of its range [Pa], samples of each hold, and of the whole."""
+
+    levels: NDArray[np.float64]
+    held: NDArray[np.int64]
+    samples: int
+
+    @property
+    def named(self) -> str:
+        """Levels as text."""
+        named = ", ".join(f"{each / bar:.3g}" for each in self.levels[:_NAMED])
+        return f"{len(self.levels)} levels ({named}{' ...' if len(self.levels) > _NAMED else ''} bar)"
+
+    def remedy(self, interval: float) -> str:
+        """Remedy, for samples at an interval [s]."""
+        dwell = 0.5 * float(np.median(self.held)) * interval
+        return f"plateaus(dwell={dwell:.2g}) (command line: leave out --isometric, --dwell '{dwell:.2g} s')"
+
+
+def _holds(pressure: NDArray[np.float64]) -> Holds:
+    """Holds of the pressure inside of its range."""
+    low, high = float(pressure.min()), float(pressure.max())
+    none = np.zeros(len(pressure), bool)
+    found = steady_segments([(pressure, (high - low) / _HELD)], none, max(2, len(pressure) // _HOLD))
+    means = np.array([pressure[a:b].mean() for a, b in zip(found.first, found.last, strict=True)])
+    inside = (means > low + _INSIDE * (high - low)) & (means < high - _INSIDE * (high - low))
+    return Holds(means[inside], (found.last - found.first)[inside], len(pressure))
+
+
 def refuse_staircase(pressure: NDArray[np.float64], phases: Phases, interval: float) -> None:
-    """Raise a `RangeError` if the pressure was held at intermediate levels in most phases of a recording."""
-    held: list[float] = []
-    shortest: list[float] = []
-    samples = 0
-    for number in range(len(phases.rising)):
-        part = pressure[phases.of == number]
-        low, high = float(part.min()), float(part.max())
-        found = steady_segments([(part, (high - low) / _HELD)], np.zeros(len(part), bool), max(2, len(part) // _HOLD))
-        means = np.array([part[a:b].mean() for a, b in zip(found.first, found.last, strict=True)])
-        inside = (means > low + _INSIDE * (high - low)) & (means < high - _INSIDE * (high - low))
-        if np.count_nonzero(inside) >= _HOLDS:
-            samples += len(part)
-            held += means[inside].tolist()
-            shortest += ((found.last - found.first)[inside] * interval).tolist()
-    if 2 * samples > np.count_nonzero(phases.of >= 0):
-        named = ", ".join(f"{each / bar:.3g}" for each in held[:_NAMED]) + (" ..." if len(held) > _NAMED else "")
-        dwell = 0.5 * float(np.median(shortest))
+    """Raise a `RangeError` if the pressure was held at intermediate levels in most phases of a recording.
+
+    Warn if it was held at levels inside its range most of the time: phases end at an overshoot.
+    """
+    parts = [_holds(pressure[phases.of == number]) for number in range(len(phases.rising))]
+    steps = [part for part in parts if len(part.levels) >= _HOLDS]
+    whole = _holds(pressure)
+    if 2 * sum(part.samples for part in steps) > np.count_nonzero(phases.of >= 0):
+        found = Holds(*(np.concatenate([part[i] for part in steps]) for i in (0, 1)), samples=0)
         raise RangeError(
-            f"the pressure was held at {len(held)} levels ({named} bar); the transients in between are not points",
-            remedy=f"plateaus(dwell={dwell:.2g}) (command line: leave out --isometric, --dwell '{dwell:.2g} s')",
+            f"the pressure was held at {found.named}; the transients in between are not points",
+            remedy=found.remedy(interval),
+        )
+    if len(whole.levels) >= _HOLDS and 2 * whole.held.sum() > whole.samples:
+        warnings.warn(
+            f"the pressure was held most of the time, at {whole.named}; the transients in between are not points: "
+            f"{whole.remedy(interval)}",
+            McKibbenWarning,
+            stacklevel=user_level(),
         )
 
 

@@ -35,6 +35,7 @@ _FAR = 8.0  # standard deviations: a point farther above slack ones is not noise
 _TAIL = 0.8  # share of slack points without a taut point at a larger contraction; the rest may be friction
 _UPPERMOST = 0.95  # share of the slack muscle's readings, above which there may be friction
 _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
+_QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
 
@@ -220,31 +221,58 @@ class Slack(NamedTuple):
 def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -> Slack | None:
     """Force of the slack muscle, which does not depend on the contraction; None if not detectable.
 
-    The mode of the lowest forces is the offset; the forces below it, none of them taut, give the noise.
+    The mode of the lowest forces is the offset; the forces below it, none of them taut, give the noise. Where few
+    points have no clear mode, they are those below a wide gap.
     """
     lowest = np.sort(force[force <= force.min() + _LOWEST_FORCES * np.ptp(force)])
     if len(lowest) < _FEWEST_SLACK or not np.ptp(force):
         return None
-    offset, noise = _clipped(force, contraction, passes) or (half_sample_mode(lowest), 0.0)
-    for _ in range(20 if not noise else 0):
+    for by_gap in (False, True):
+        found = _below_gap(force) if by_gap else _clipped(force, contraction, passes) or _mode(lowest)
+        if found is None:
+            continue
+        offset, noise = found
+        slack = np.abs(force - offset) <= _OUTSIDE * noise
+        if np.count_nonzero(slack) < _FEWEST_SLACK or offset == noise == 0:
+            continue
+        if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
+            continue
+        behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
+        if behind.mean() < _TAIL:
+            continue
+        if not by_gap and _explained(force[slack], contraction[slack], pressure[slack]) > _DEPENDENT:
+            continue
+        above = (force - offset)[_beyond(slack, contraction, passes)]
+        limit = max(_OUTSIDE * noise, float(above[above <= _FAR * noise].max(initial=0.0)))
+        return Slack(offset, noise, int(slack.sum()), limit)
+    return None
+
+
+def _mode(lowest: Floats) -> tuple[float, float]:
+    """Mode of ascending forces, and the noise from those below it."""
+    offset, noise = half_sample_mode(lowest), 0.0
+    for _ in range(20):
         below = np.sort(offset - lowest[lowest <= offset])
         before, noise = noise, max(float(np.quantile(below, share)) / size for share, size in _NORMAL)
         near = lowest[np.abs(lowest - offset) <= _OUTSIDE * noise]
         offset = float(np.median(near))
         if noise == before:
             break
-    slack = np.abs(force - offset) <= _OUTSIDE * noise
-    count = int(slack.sum())
-    if count < _FEWEST_SLACK or offset == noise == 0:
+    return offset, noise
+
+
+def _below_gap(force: Floats) -> tuple[float, float] | None:
+    """Mean and standard deviation of the lowest forces, below the first wide gap; None without one."""
+    ranked = np.sort(force)
+    above = ranked - ranked[0]
+    counts = np.arange(1, len(ranked))
+    totals, squares = (np.cumsum(above[:-1] ** power) for power in (1, 2))
+    noise = np.sqrt(np.maximum(squares - totals**2 / counts, 0.0) / np.maximum(counts - 1, 1))
+    wide = (np.diff(ranked) > _FAR * noise) & (noise > 0) & (noise <= _QUIET * above[-1]) & (counts >= _FEWEST_SLACK)
+    if not wide.any():
         return None
-    if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
-        return None
-    behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
-    if behind.mean() < _TAIL or _explained(force[slack], contraction[slack], pressure[slack]) > _DEPENDENT:
-        return None
-    above = (force - offset)[_beyond(slack, contraction, passes)]
-    limit = max(_OUTSIDE * noise, float(above[above <= _FAR * noise].max(initial=0.0)))
-    return Slack(offset, noise, count, limit)
+    first = int(np.argmax(wide))
+    return float(ranked[0] + totals[first] / counts[first]), float(noise[first])
 
 
 def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, float] | None:

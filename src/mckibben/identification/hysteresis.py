@@ -191,6 +191,7 @@ _SHOWN = {
 _AT_BOUND = 1e-2  # of the logarithm of the presliding length
 _EDGE = 1e-6  # of the range of a shape parameter
 _MISFIT = 0.1  # of half the loop width: larger systematic residuals bias the friction
+_NOISY = 0.01  # share of moves against their stroke: the noise of the length is a third of a step or more
 _ROUNDS = 2
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
 
@@ -298,6 +299,12 @@ def identify_hysteresis(
         warnings.append(
             f"the presliding length is not determined (steps of {show(paths.step, 'mm', 3)}): no point lies where "
             "friction reverses; measure a reversal in smaller steps"
+        )
+    elif "half_width" in form.free and paths.against > _NOISY:
+        warnings.append(
+            f"{100 * paths.against:.2g} % of the moves are against their stroke: the noise of the length is a third of "
+            f"a step ({show(paths.step, 'mm', 3)}) or more, which biases the presliding length by about its standard "
+            "error; record the mean of more samples at each point, or take larger steps"
         )
     half_width, error = found.values["half_width"], found.error("half_width")
     if "half_width" in form.free and not error < _VAGUE * half_width:

@@ -29,6 +29,7 @@ _REPEATED = 0.01  # of a step: a smaller move does not count
 _REPEATED_HERE = 0.2  # of both neighbouring moves: the same, with noise of the length
 _PAIRED = 0.5  # share of the points of a direction that were measured at positions of the other
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
+_AGAINST = 0.1  # of a step: a smaller move against the stroke may be a position measured twice
 _FAR = 1.0  # m: exceeds any presliding length
 _SLACK = 2  # fewest slack points that determine the sensor's zero of a path
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
@@ -51,6 +52,8 @@ class LoadingPaths:
     """1 or -1 at a loading or unloading row at the same position as a row of the other direction, else 0."""
     overshot: bool = False
     """Whether the muscle overshot these points and came back, which reverses its friction."""
+    against: float = 0.0
+    """Share of the measured moves within strokes that are against their direction, by a tenth of a step or more."""
 
     @property
     def travel(self) -> Floats:
@@ -170,7 +173,10 @@ class LoadingPaths:
             beside = np.minimum(np.append(size[:1], size[:-1]), np.append(size[1:], size[-1:]))
             repeated = size < np.maximum(_REPEATED * step, _REPEATED_HERE * beside)
             turns[path[1:]] = np.where(repeated, np.diff(loading[path].astype(float)), 0.0)
-        return cls(place, counts, side, length, step, turns)
+        strokes = [part for path in paths for part in np.split(path, np.flatnonzero(np.diff(loading[path])) + 1)]
+        forwards = np.concatenate([np.diff(measured[part]) * (1 if loading[part[0]] else -1) for part in strokes])
+        against = float(np.mean(forwards < -_AGAINST * step))
+        return cls(place, counts, side, length, step, turns, against=against)
 
 
 def _monotone(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
