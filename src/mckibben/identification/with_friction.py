@@ -76,10 +76,11 @@ class FitWithFriction(NamedTuple):
                 remedy = "give initial_length to read_dataset, or muscle(Specimen('my muscle', 0.3))"
                 raise IdentificationError("the points have no initial length", remedy=remedy)
             specimen = Specimen(attrs["specimen"] or "my muscle", length)
-        if fill is not None or diameter is not None:
-            length = float(specimen.initial_length)
-            terms = volume_terms(self.fit.law, length, inner_volume(length, diameter) if fill is None else fill)
-            specimen = replace(specimen, volume_terms=terms)
+        length = float(specimen.initial_length)
+        if fill is None and diameter is not None:
+            fill = inner_volume(length, diameter)
+        if fill is not None:
+            specimen = replace(specimen, volume_terms=volume_terms(self.fit.law, length, fill))
         return Muscle(specimen, self.fit.law, self.friction or NoFriction())
 
     @checked_call
