@@ -79,6 +79,8 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.Reference(0.0, "13"), "SI units"),
         (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA).predict(0.1), "contraction, pressure"),  # type: ignore[call-arg]
         (lambda: SCENARIO.simulate().metrics["rmse"], "'angle_rmse'"),
+        (lambda: SCENARIO.joint.stiffness(10 * deg), "stiffness(angle, pressures)"),  # type: ignore[call-arg]
+        (lambda: SCENARIO.joint.torque(0.1, 3e5, 2e5), "torque(angle, pressures)"),  # type: ignore[call-arg]
         (lambda: SCENARIO.simulate()["angel"], "'angle'"),
         (lambda: SCENARIO.tune(["controller.position.Kp"]), "controller.position.kp"),
     ],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from numbers import Number, Real
+from numbers import Real
 from types import NoneType
 from typing import Any, get_args
 
@@ -70,7 +70,7 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
     """Raise `RangeError` unless a field is of its type, a class or a union: arguments are easily swapped."""
     if not isinstance(value, kind):
         kinds = [one.__name__ for one in get_args(kind) or (kind,) if one is not NoneType]
-        swapped = "" if isinstance(value, str | Number) else "; are arguments swapped?"
+        swapped = "" if isinstance(value, str) else "; are arguments swapped?"
         remedy = f"give {with_article(' or '.join(kinds))}{swapped}"
         raise RangeError(f"{owner}: {name} is {described(value)}", field=name, value=value, remedy=remedy)
 
