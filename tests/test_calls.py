@@ -77,6 +77,12 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.scenario("joint.yaml"), "Scenario.read"),  # type: ignore[operator]
         (lambda: mk.rank(DATA, "all"), "ExponentialLaw"),  # type: ignore[arg-type]
         (lambda: mk.Reference(0.0, "13"), "SI units"),
+        (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA).predict(0.1), "contraction, pressure"),  # type: ignore[call-arg]
+        (lambda: SCENARIO.simulate().metrics["rmse"], "'angle_rmse'"),
+        (lambda: SCENARIO.joint.stiffness(10 * deg), "stiffness(angle, pressures)"),  # type: ignore[call-arg]
+        (lambda: SCENARIO.joint.torque(0.1, 3e5, 2e5), "torque(angle, pressures)"),  # type: ignore[call-arg]
+        (lambda: SCENARIO.simulate()["angel"], "'angle'"),
+        (lambda: SCENARIO.tune(["controller.position.Kp"]), "controller.position.kp"),
     ],
 )
 def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
@@ -92,6 +98,10 @@ def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
     [
         (SCENARIO, "run", "simulate"),
         (SCENARIO, "simulat", "simulate"),
+        (SCENARIO, "stiffness", "joint.stiffness(angle, pressures)"),
+        (LAW, "stiffness", "slope(contraction, pressure)"),
+        (mk.identify_with_friction(mk.ExponentialLaw, DATA), "report", "fit.report"),
+        (SCENARIO.envelope(), "trackable", "trackability.trackable"),
         (mk, "envelope", "scenario.envelope()"),
         (mk, "ExponentialLw", "ExponentialLaw"),
         (DATA, "identify", "mk.identify"),
@@ -192,6 +202,8 @@ def test_impossible_numbers_warn_in_direct_calls_of_a_law():
         LAW.force(0.1, 3)
     with pytest.warns(DomainWarning, match="vacuum"):
         LAW.force(0.1, -2 * bar)
+    with pytest.warns(DomainWarning, match="1000 %"):
+        LAW.pressure_for(100.0, 10)
     LAW.force(np.array([-0.05, 0.3]), np.array([0.0, 6 * bar]))  # outside the domain of the data, but possible
 
 

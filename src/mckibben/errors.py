@@ -66,9 +66,9 @@ def closest(name: str, known: Sequence[str]) -> str:
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:
     """An error for an unknown attribute, with the call that is meant by it, or the closest public name."""
     private = name.startswith("_")  # asked for by copy, JAX and others, often
-    known = [] if private else [one for one in dir(owner) if not one.startswith("_")]
-    found = meant.get(name) or closest(name, known)
-    hint = f"; did you mean {found}?" if found else ""
+    known = [] if private else [*meant, *(one for one in dir(owner) if not one.startswith("_"))]
+    found = name if name in meant else closest(name, known)
+    hint = f"; did you mean {meant.get(found, found)}?" if found else ""
     kind = type(owner).__name__
     article = "an" if kind[0] in "AEIOU" else "a"
     return AttributeError(f"{article} {kind} has no {name!r}{hint}", name=name, obj=owner)

@@ -59,6 +59,8 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "um": (1e-6, _LENGTH),
     "in": (0.0254, _LENGTH),
     "L": (litre, (3, 0, 0, 0, 0)),
+    "mL": (1e-6, (3, 0, 0, 0, 0)),
+    "ml": (1e-6, (3, 0, 0, 0, 0)),
     "kg": (1.0, _MASS),
     "g": (g, _MASS),
     "s": (1.0, _TIME),

@@ -342,7 +342,17 @@ def test_options_take_precedence_over_a_recipe(cli, german, tmp_path):
     assert found.out == cli("identify", german, *COLUMNS, "--json").out
 
 
+def test_the_length_of_a_recipe_is_printed(cli, german, tmp_path):
+    (tmp_path / "recipe.yaml").write_text("initial_length: 180 mm\n")
+    recipe = "--recipe", "recipe.yaml", *COLUMNS
+    for given, said in ((), True), (("--initial-length", "170 mm"), False):
+        wrong = cli("identify", german, *recipe, *given, "--force-sign", "-")
+        assert wrong.code == 2 and "--force-sign -1" in wrong.err
+        assert ("180 mm" in cli("identify", german, *recipe, *given, "--no-hysteresis", "--json").err) == said
+
+
 def test_a_recipe_may_be_empty_but_needs_a_sign(tmp_path):
+    assert repr(Recipe(initial_length=0.18)) == "<Recipe: initial_length: 180 mm>"
     (tmp_path / "recipe.yaml").write_text(Recipe().dumps())
     assert Recipe.read(tmp_path / "recipe.yaml") == Recipe()
     with pytest.raises(ScenarioError) as caught:

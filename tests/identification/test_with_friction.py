@@ -8,7 +8,7 @@ import pytest
 
 import mckibben as mk
 from mckibben import catalog
-from mckibben.errors import IdentificationError
+from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import identify_with_friction, shows_hysteresis
 from mckibben.muscle import ExponentialLaw, ReynoldsLaw
 from mckibben.units import bar, mm
@@ -79,6 +79,10 @@ def test_the_muscle_has_law_and_friction_of_the_fit(rig):
     assert float(found.predict(0.1, 3 * bar)) == pytest.approx(float(muscle.force(0.1, 3 * bar)))
     assert repr(found.fit) in repr(found) and repr(found.hysteresis) in repr(found)
     assert found.plot().axes
+    for given, volume in ({"fill": 30e-6}, 30e-6), ({"diameter": 12 * mm}, np.pi / 4 * 0.012**2 * 0.2):
+        assert float(found.muscle(mk.Specimen("mine", 0.2), **given).specimen.volume(0.0)) == pytest.approx(volume)
+    with pytest.raises(RangeError):
+        found.muscle(mk.Specimen("mine", 0.2), diameter=12.0)
     unknown = identify_with_friction(ExponentialLaw, catalog.dataset("dmsp-10-250-martens2017"))
     del unknown.points.table.attrs["initial_length"]
     with pytest.raises(IdentificationError):

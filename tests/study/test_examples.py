@@ -1,14 +1,20 @@
-"""Our own examples cause no warnings: mckibben's warnings are errors in tests, and fits list theirs."""
+"""Our own examples cause no warnings: mckibben's warnings are errors in tests, also of all pages; fits list theirs."""
 
+import runpy
 from pathlib import Path
 
 import pytest
 
-from mckibben import identify, read_dataset
+from mckibben import check_reference, identify, read_dataset
 from mckibben.muscle import ExponentialLaw
 from mckibben.scenario import Scenario, run_scenario
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+SCENARIOS = [
+    path
+    for path in sorted(EXAMPLES.rglob("*.yaml"))
+    if {"controller:", "reference:"} <= {*path.read_text(encoding="utf-8").splitlines()}
+]
 
 
 @pytest.mark.slow
@@ -18,6 +24,28 @@ def test_a_scenario_runs_without_a_warning(path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("path", SCENARIOS, ids=lambda path: path.stem)
+def test_a_scenario_has_a_feasible_reference(path):
+    read = Scenario.read(path)
+    amplitude = read.controller.stiffness_amplitude
+    found = check_reference(
+        read.plant(),
+        read.reference(),
+        duration=read.duration,
+        control_period=read.control_period,
+        stiffness_amplitude=amplitude,
+    )
+    assert found.feasible == (path.stem != "linear-axis")  # which says so: its stiffness cannot be chosen
+
+
+@pytest.mark.slow
 def test_a_dataset_has_only_the_warning_of_its_friction():
     fit = identify(ExponentialLaw, read_dataset(EXAMPLES / "rig.csv"))
     assert [warning for warning in fit.warnings if "friction" not in warning] == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("script", sorted((EXAMPLES / "gallery").glob("*.py")), ids=lambda path: path.stem)
+def test_the_gallery_runs_without_a_warning(script, monkeypatch):
+    monkeypatch.chdir(script.parent)
+    assert any(name.startswith("figure") for name in runpy.run_path(str(script)))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from mckibben.codegen.native import compiler
-from mckibben.errors import FileError, McKibbenWarning, ParameterError
-from mckibben.scenario import Scenario
+from mckibben.errors import FileError, McKibbenWarning, ParameterError, UnreachableError
+from mckibben.scenario import Scenario, Start
 from mckibben.storage.journal import JournalReader, read_header
 from mckibben.study.parameters import LogUniform, Uniform
 from mckibben.study.tune import Cost, Method, read_trials, tune
@@ -162,6 +162,16 @@ def test_an_existing_history_is_not_overwritten_and_a_missing_one_not_gone_on_wi
     with pytest.raises(FileError, match="search history already exists"), TuningHistory.open(path, ABOUT):
         pytest.fail("there is one")
     assert path.read_text(encoding="utf-8") == "my own notes"
+    with pytest.raises(FileError, match="search history already exists"):  # before anything is compiled
+        run(path)
+
+
+def test_a_start_that_no_gains_can_mend_is_refused_before_the_search(tmp_path):
+    path = tmp_path / "history.journal"
+    gain = {"controller.position.kp": Uniform(1e5, 3e5)}
+    with pytest.raises(UnreachableError):
+        run(path, scenarios=STILL.replace(start=Start(stiffness=1e4)), ranges=gain)
+    assert not path.exists()
 
 
 @pytest.mark.parametrize("content", [b"", b"my own notes\n", b'{"kind": "tuning"}\n', b"MCKCHUNKI\2" + bytes(100)])

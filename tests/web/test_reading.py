@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -28,6 +30,9 @@ def test_displacements_are_read_as_the_fields_say(tmp_path):
     np.testing.assert_allclose(np.unique(read.contraction.round(4)), np.arange(0, 0.2, 0.02), atol=1e-4)
     assert read.force.max() > 0
     assert Recipe.parse(fields.recipe().dumps()) == fields.recipe()
+    filled = identify.ReadingFields()
+    filled.take(Recipe.parse(fields.recipe().dumps() + "columns: {Weg: displacement_mm}\n"))
+    assert filled == dataclasses.replace(fields, columns="Weg = displacement_mm")
     fields.clear()
     assert fields == identify.ReadingFields()
 

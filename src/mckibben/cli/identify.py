@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
@@ -238,7 +237,7 @@ def _keep_muscle(
     threshold_fit: ThresholdFit | None = None,
 ) -> str:
     """Write the muscle file next to its fit; return a note on what was written, or why not."""
-    from mckibben.muscle.air import volume_terms
+    from mckibben.muscle.air import inner_volume, volume_terms
     from mckibben.scenario import muscle_text
 
     attrs = points.table.attrs
@@ -247,7 +246,7 @@ def _keep_muscle(
     name, length = attrs["specimen"] or common, attrs.get("initial_length")
     volume = inner.fill
     if volume is None and inner.diameter is not None and length:
-        volume = math.pi / 4 * inner.diameter**2 * length
+        volume = inner_volume(length, inner.diameter)
     terms = volume_terms(fit.law, length, volume) if length and volume is not None else None
     law: Any = "fit.yaml"
     if threshold_fit and threshold_fit.is_significant:

@@ -28,7 +28,7 @@ from mckibben.errors import (
     quoted,
 )
 from mckibben.storage.files import check_free, explain_write_errors, make_folder, to_json, write_json
-from mckibben.units import parse_range, quantity
+from mckibben.units import parse_range, quantity, show
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
@@ -100,9 +100,7 @@ _OF_READING: Mapping[str, Any] = {  # names as in a recipe
     "slack_force": Annotated[
         str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
     ],
-    "force_sign": Annotated[
-        int | None, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")
-    ],
+    "force_sign": Annotated[str, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")],
     "specimen": Annotated[str, Option(metavar="NAME", help="Name of the specimen.")],
     "column": Annotated[
         list[str] | None,
@@ -120,7 +118,7 @@ _OF_READING: Mapping[str, Any] = {  # names as in a recipe
     ],
 }
 _UNITS = {"initial_length": "m", "zero_length": "m", "slack_force": "N", "contraction": "1", "sample_rate": "Hz"}
-_UNSET = {"force_sign": None, "column": None, "skip_corrupt": False, "recipe": None}
+_UNSET = {"column": None, "skip_corrupt": False, "recipe": None}
 
 
 class Reading(NamedTuple):
@@ -177,13 +175,16 @@ def _reading(*, recipe: Path | None, column: list[str] | None, skip_corrupt: boo
         for name, one in options.items()
     }
     columns = parse_columns(column) or {}
-    sign = given["force_sign"]
+    given["force_sign"] = sign = {"1": 1, "-1": -1}.get(options["force_sign"], options["force_sign"])
     check_pattern(given["from_name"])
-    check_reading(1 if sign is None else sign, given["decimal"], given["displacement"])
+    check_reading(sign or 1, given["decimal"], given["displacement"])
     found = Recipe.read(recipe) if recipe else Recipe()
     asked = {_quantity(name) for name in columns.values()}
     kept = {header: name for header, name in (found.columns or {}).items() if _quantity(name) not in asked}
     given["columns"] = kept | columns or None
+    if found.initial_length is not None and not given["initial_length"]:
+        length = show(found.initial_length, "mm")
+        echo(f"initial length {length}: of the recipe; for a muscle of another length, give --initial-length", err=True)
     found = found.model_copy(update={name: one for name, one in given.items() if one not in (None, "")})
     return Reading(found, "report" if skip_corrupt else "raise")
 

@@ -300,7 +300,7 @@ def _show_tuned(
     json: bool,
 ) -> None:
     from mckibben import report
-    from mckibben.study.tune.margin import DISK_MARGIN, lost_margin, metrics_and_margins
+    from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins
 
     runs: list[dict[str, Any]] = []
     for old, new in zip(before, tuned.scenarios, strict=True):
@@ -346,6 +346,8 @@ def _show_tuned(
             was, now = (run["least_margins"][when]["disk"] for when in ("before", "tuned"))
             if lost := lost_margin(was, now):
                 echo(f"{lost}; `--disk-margin {DISK_MARGIN}` bounds it")
+            if now == 0:
+                echo(UNSTABLE)
         if drawn:
             count = len(next(iter(drawn.values())))
             title = f"angle RMSE [deg] in the {count} conditions, and gain margin in all of them"

@@ -78,6 +78,8 @@ class Described:
     """Groups of optional fields of which all are given or none; a study varies them where they are given."""
     renamed: ClassVar[Mapping[str, str]] = {}
     """Replacements of former keys of files, by key, for error messages."""
+    suggestions: ClassVar[Mapping[str, str]] = {}
+    """What is meant by attributes that the class lacks, by name."""
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
@@ -104,7 +106,7 @@ class Component(Described, eqx.Module, metaclass=_ComponentMeta):
         def __getattr__(self, name: str) -> Any:
             if isinstance(found := getattr(type(self), name, None), property):
                 return found.fget(self)  # raises its own error
-            raise no_attribute(self, name, {})
+            raise no_attribute(self, name, self.suggestions)
 
     def _repr_html_(self) -> str:
         return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))

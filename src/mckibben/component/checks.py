@@ -70,7 +70,8 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
     """Raise `RangeError` unless a field is of its type, a class or a union: arguments are easily swapped."""
     if not isinstance(value, kind):
         kinds = [one.__name__ for one in get_args(kind) or (kind,) if one is not NoneType]
-        remedy = f"give {with_article(' or '.join(kinds))}; are arguments swapped?"
+        swapped = "" if isinstance(value, str) else "; are arguments swapped?"
+        remedy = f"give {with_article(' or '.join(kinds))}{swapped}"
         raise RangeError(f"{owner}: {name} is {described(value)}", field=name, value=value, remedy=remedy)
 
 

@@ -24,7 +24,7 @@ from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, 
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import OF_FILE, written_by_us
 from mckibben.dataset.sheet import RawTable
-from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError
+from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError, described
 from mckibben.units import mm
 
 _NEEDED = ("pressure", "contraction", "force")
@@ -204,7 +204,7 @@ def _paths(path: FilePaths) -> list[Path]:
         or not all(isinstance(one, str | os.PathLike) for one in several)
     ):
         raise RangeError(
-            f"{path!r:.60} is not a file", field="path", value=path, remedy="give a path, or a list of paths"
+            f"{described(path)} is not a file", field="path", value=path, remedy="give a path, or a list of paths"
         )
     return [Path(one) for one in several]
 
@@ -313,7 +313,7 @@ def check_reading(
         if np.ndim(value):  # type: ignore[arg-type]
             raise RangeError(f"{name} is {value!r:.60}", field=name, value=value, remedy="give one number")
     if force_sign not in (1, -1):
-        remedy = "give 1 or -1 (command line: --force-sign)"
+        remedy = "give 1, or force_sign=-1 (command line: --force-sign -1) for pulls that are read as negative"
         raise RangeError(f"force_sign is {force_sign!r}", field="force_sign", value=force_sign, remedy=remedy)
 
 

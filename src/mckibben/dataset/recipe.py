@@ -79,5 +79,8 @@ class Recipe(DocumentModel):
     def _arguments(self, *without: str) -> dict[str, Any]:
         return self.model_dump(exclude_none=True, exclude=set(without))
 
+    def __repr__(self) -> str:
+        return f"<Recipe: {', '.join(self.dumps().splitlines())}>"
+
     def _written(self, folder: Any) -> dict[str, Any]:
         return {key: one for key, one in super()._written(folder).items() if one is not None}

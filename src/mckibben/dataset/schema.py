@@ -274,7 +274,7 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
         raise DatasetError(str(path), error.problems) from None
 
 
-_MEANT = dict.fromkeys(("fit", "identify"), "mk.identify(mk.ExponentialLaw, data)")
+_MEANT = dict.fromkeys(("fit", "identify"), "mk.identify(mk.ExponentialLaw, data)") | {"save": "to_netcdf(path)"}
 """Suggestions for unknown attributes of a dataset."""
 
 

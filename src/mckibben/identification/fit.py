@@ -97,6 +97,7 @@ _MEANT = {
     "simulate": "Scenario.simulate(), with the fit's file as the law of a muscle",
     "summary": "report()",
     "parameters": "estimates",
+    "save": "to_yaml(path)",
     "muscle": "mk.Muscle(specimen, fit.law); `identify_with_friction` gives one",
 }
 """Suggestions for unknown attributes of a fit."""

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html import escape
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError
+from mckibben.errors import IdentificationError, no_attribute
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import fit_means, identify
 from mckibben.identification.friction_forms import FrictionForm
@@ -18,6 +19,7 @@ from mckibben.identification.loading_path import ReversedDirectionsError, loop_h
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.uncertainty import Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
+from mckibben.muscle.air import inner_volume, volume_terms
 
 
 class FitWithFriction(NamedTuple):
@@ -45,6 +47,11 @@ class FitWithFriction(NamedTuple):
         """Friction of the muscle, None without it."""
         return self.hysteresis.friction if self.hysteresis else None
 
+    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
+
+        def __getattr__(self, name: str) -> Any:
+            raise no_attribute(self, name, {one: f"fit.{one}" for one in dir(self.fit) if not one.startswith("_")})
+
     def __repr__(self) -> str:
         return f"<FitWithFriction: {self.fit}, {self.hysteresis or 'without friction'}>"
 
@@ -52,11 +59,16 @@ class FitWithFriction(NamedTuple):
         found = self.hysteresis
         return self.fit._repr_html_() + (found._repr_html_() if found else "") + f"<p>{escape(self.note)}</p>"
 
-    def muscle(self, specimen: Specimen | None = None) -> Muscle:
+    def muscle(
+        self, specimen: Specimen | None = None, *, diameter: float | None = None, fill: float | None = None
+    ) -> Muscle:
         """Return the muscle with this law and its friction, for joints.
 
         Default specimen: name and initial length of the points; one of the catalog, which has more, such as its rated
-        range, is given: ``muscle(catalog.specimen("DMSP-10-250"))``. Raises `IdentificationError` without that length.
+        range, is given: ``muscle(catalog.specimen("DMSP-10-250"))``. A muscle without braid data gets an assumed volume
+        (`mckibben.muscle.air.volume_terms`) from the measured volume of air at contraction 0, `fill` [m^3], or from its
+        inner `diameter` [m]. Raises `IdentificationError` without initial length, and `RangeError` for numbers that are
+        not positive.
         """
         if specimen is None:
             attrs = self.points.table.attrs
@@ -64,8 +76,14 @@ class FitWithFriction(NamedTuple):
                 remedy = "give initial_length to read_dataset, or muscle(Specimen('my muscle', 0.3))"
                 raise IdentificationError("the points have no initial length", remedy=remedy)
             specimen = Specimen(attrs["specimen"] or "my muscle", length)
+        length = float(specimen.initial_length)
+        if fill is None and diameter is not None:
+            fill = inner_volume(length, diameter)
+        if fill is not None:
+            specimen = replace(specimen, volume_terms=volume_terms(self.fit.law, length, fill))
         return Muscle(specimen, self.fit.law, self.friction or NoFriction())
 
+    @checked_call
     def predict(self, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
         """Return the force without friction [N] at a contraction [-] and a pressure [Pa], as `Fit.predict`."""
         return self.fit.predict(contraction, pressure)

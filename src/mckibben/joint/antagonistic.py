@@ -9,6 +9,7 @@ from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, Num
 
 from mckibben.component.base import Component
+from mckibben.component.calls import checked_call
 from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError
 from mckibben.joint import attainable
@@ -199,6 +200,7 @@ class AntagonisticJoint(Component):
             self.tendon.tension(self.muscle2, path2, pressure2),
         )
 
+    @checked_call
     def torque(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the torque of the muscles [N*m], F2 d2 - F1 d1 (Eq. 7 without gravity)."""
         _warn_outside(self, angle, pressures)
@@ -212,6 +214,7 @@ class AntagonisticJoint(Component):
         tension2 = self.tendon.tension(self.muscle2, path2, pressure2)
         return tension2 * arm2 - tension1 * arm1
 
+    @checked_call
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         """Return the isobaric stiffness [N*m/rad]: minus the derivative of the torque at constant pressures (Eq. 8).
 
@@ -430,6 +433,7 @@ class AntagonisticJoint(Component):
         torque, slopes = value_and_derivative(torque_terms, angle)
         return TorqueStiffnessMap(AffineMap(*torque), AffineMap(*(-slope for slope in slopes)))
 
+    @checked_call
     def attainable_torque(
         self, angle: ArrayLike, *, pressure_limits: tuple[float, float] | None = None, minimum_tension: float = 0.0
     ) -> Pair:
@@ -437,6 +441,7 @@ class AntagonisticJoint(Component):
         attainable.check_angle(angle)
         return attainable.torque_range(self, angle, pressure_limits, minimum_tension)
 
+    @checked_call
     def attainable_stiffness(
         self,
         angle: ArrayLike,
@@ -464,6 +469,7 @@ class AntagonisticJoint(Component):
         attainable.check_angle(angle)
         return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension, amplitude)
 
+    @checked_call
     def pressures_for(self, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None = None) -> Pair:
         """Return gauge pressures [Pa] within the muscles' domains that give a torque [N*m] and a stiffness [N*m/rad].
 

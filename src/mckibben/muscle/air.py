@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import jax.numpy as jnp
 import numpy as np
 
-from mckibben.component.checks import check_positive
+from mckibben.component.checks import check_positive, check_within
 from mckibben.errors import RangeError
 from mckibben.muscle.base import ForceLaw
 from mckibben.numerics.calculus import derivative
@@ -43,6 +43,12 @@ LAMINAR = 0.999
 
 FLOATS = SimpleNamespace(maximum=max, minimum=min, sqrt=math.sqrt)
 """Arithmetic of Python floats for `mass_flow`, a hundred times faster than `jax.numpy` outside of compiled code."""
+
+
+def inner_volume(length: float, diameter: float) -> float:
+    """Volume [m^3] of a muscle by length and inner diameter [m]; `RangeError` below 1 mm or above the length."""
+    check_within("muscle", 1e-3, length, "m", remedy="give a length, such as 14 mm", diameter=diameter)
+    return math.pi / 4 * diameter**2 * length
 
 
 def volume_terms(law: ForceLaw, initial_length: float, volume: float, degree: int = 4) -> tuple[float, ...]:

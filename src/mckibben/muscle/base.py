@@ -54,6 +54,7 @@ class ForceLaw(Component):
 
     domain: eqx.AbstractVar[Domain]
 
+    suggestions = {"stiffness": "slope(contraction, pressure), or joint.stiffness(angle, pressures)"}  # noqa: RUF012
     equation: ClassVar[str] = ""
     """Formula in the symbols of the source."""
     source: ClassVar[str]
@@ -165,7 +166,9 @@ class PressureAffineLaw(ForceLaw):
         offset, gain = self.pressure_terms(contraction)
         return offset + gain * pressure
 
+    @checked_call
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
+        contraction, _ = check_point(contraction, 0.0)
         offset, gain = self.pressure_terms(contraction)
         return (jnp.asarray(force) - offset) / gain
 

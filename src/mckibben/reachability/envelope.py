@@ -7,7 +7,7 @@ import math
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.calls import checked_call
 from mckibben.control import Constant, Multisine, Reference, SamplesFile, Signal, Sine, Step
-from mckibben.errors import ParameterError, RangeError, UnreachableError
+from mckibben.errors import ParameterError, RangeError, UnreachableError, no_attribute
 from mckibben.muscle import Muscle
 from mckibben.notebook import draw, html_table
 from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
@@ -26,6 +26,12 @@ from mckibben.reachability.trackability import Trackability, TrackabilityChecker
 from mckibben.scenario import Scenario, Start, with_values
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg
+
+_MEANT = {
+    **{one: f"static.{one}" for one in ("stiffness", "small_motion", "torque_range", "angles", "pressures_at_lowest")},
+    **{one: f"trackability.{one}" for one in ("trackable", "violated", "bands", "trajectory")},
+}
+"""Suggestions for unknown attributes of an envelope."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +45,11 @@ class Envelope:
     static: StaticEnvelope
     trackability: Trackability
     nearest: tuple[FeasibleReference, ...]
+
+    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
+
+        def __getattr__(self, name: str) -> Any:
+            raise no_attribute(self, name, _MEANT)
 
     def __repr__(self) -> str:
         return f"<Envelope of {self.scenario.name!r}: {self.verdict()}>"
@@ -99,8 +110,8 @@ class Envelope:
             for supplied, muscle, pressure, tension in given:
                 for reason, holds in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
                     counts[reason] += int(holds.sum())
-                    if _MEASURED in reason and holds.any() and not muscle.extrapolate:
-                        remedies[_remedy(muscle, highest="highest" in reason)] = None
+                    if _MEASURED in reason and holds.any():
+                        remedies |= dict.fromkeys(_remedies(muscle, highest="highest" in reason))
             reasons = [reason for reason, count in counts.most_common() if count]
             found += [f"{end} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
         return found + list(remedies)
@@ -155,19 +166,21 @@ _MEASURED = "measured pressure"
 _AT_LIMIT = 1.0  # Pa, N
 
 
-def _remedy(muscle: Muscle, *, highest: bool) -> str:
-    """Remedy for a law that ends at the measured pressures."""
+def _remedies(muscle: Muscle, *, highest: bool) -> list[str]:
+    """Remedy for a law that ends at the measured pressures; none at the lowest pressure of the specimen."""
     rated, law = muscle.specimen.domain, muscle.law.domain
     further = law.pressure_max < rated.pressure_max < math.inf if highest else rated.pressure_min < law.pressure_min
     if further:
-        return (
+        return [
             "to apply the law at all pressures of its specimen, from 0 bar to pressure_max, give "
             "Scenario.with_extrapolation() (command line: --extrapolate, or `extrapolate: true` of the muscle)"
-        )
-    return (
+        ]
+    if not highest:
+        return []
+    return [
         "to apply the law at higher pressures, give the muscle the rated pressure of its specimen, such as `specimen: "
         "{domain: {pressure_max: 8 bar}}`, and `extrapolate: true`"
-    )
+    ]
 
 
 def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values) -> dict[str, NDArray[np.bool_]]:

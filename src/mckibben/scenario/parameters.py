@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from mckibben.component.classes import class_name
 from mckibben.component.schema import declared_fields, forms, inherited_fields, part_of
 from mckibben.config.fields import OneOf
 from mckibben.control import Constant, Signal
-from mckibben.errors import LONGEST_VALUE, ParameterError, quoted
+from mckibben.errors import ParameterError, closest, quoted
 from mckibben.scenario.scenario import Scenario, Start
 from mckibben.units import BoundedInt, Quantity, show
 
@@ -301,4 +300,4 @@ def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
 def _close(name: str, known: list[str]) -> list[str]:
     """Names that end with a name, or the one closest to it."""
     ending = [each for each in known if each.endswith(f".{name}")]
-    return ending[:2] if ending else difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
+    return ending[:2] or [one for one in (closest(name, known),) if one]

@@ -30,6 +30,7 @@ from mckibben.errors import (
     ReachabilityWarning,
     ScenarioError,
     closest,
+    no_attribute,
 )
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import (
@@ -47,6 +48,7 @@ from mckibben.simulation import ACCURACY, AtRest, CheckedRun, Margins, Result, c
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
+_OF_THE_JOINT = {"stiffness": "joint.stiffness(angle, pressures)", "muscle": "joint.muscle1"}
 Substeps = Annotated[int, BoundedInt(1, 1000)]
 
 JointPart = Annotated[AntagonisticJoint, Part(AntagonisticJoint)]
@@ -217,8 +219,10 @@ class Scenario(RunSettings):
     def __getattr__(self, name: str) -> Any:
         public = [one for one in dir(Scenario) if not one.startswith("_") and not hasattr(ConfigModel, one)]
         meant = "simulate" if name in ("run", "plot", "result") else closest(name, public)
-        if name.startswith("_") or not meant:
+        if name.startswith("_"):
             return super().__getattr__(name)  # type: ignore[misc]  # defined by pydantic
+        if not meant:
+            raise no_attribute(self, name, _OF_THE_JOINT)
         raise AttributeError(f"a Scenario has no {name!r}; did you mean {meant}()?", name=name, obj=self)
 
     def __repr__(self) -> str:

@@ -8,14 +8,14 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import numpy as np
 from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.columns import attributes, labels_of
-from mckibben.errors import SimulationError, no_attribute
+from mckibben.errors import SimulationError, no_attribute, suggest
 from mckibben.notebook import html_table
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.metrics import Metrics
@@ -57,6 +57,13 @@ class Columns(Mapping[str, np.ndarray]):
         return Columns, (self._names, dict(self))
 
 
+class Measured(dict[str, Any]):
+    """Metrics by name; the error of an unknown one has a suggestion."""
+
+    def __missing__(self, name: str) -> NoReturn:
+        raise SimulationError(f"there is no metric {name!r}", value=name, remedy=suggest(name, list(self)))
+
+
 class RunResult(abc.ABC):
     """A simulated run; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
 
@@ -90,8 +97,8 @@ class RunResult(abc.ABC):
     @functools.cached_property
     def metrics(self) -> dict[str, Any]:
         """The numbers of the class `kind` by name, in SI; an array where there is one for each joint."""
-        found = self._measure()._asdict()
-        return {name: np.array(value) if isinstance(value, tuple) else float(value) for name, value in found.items()}
+        found = self._measure()._asdict().items()
+        return Measured({name: np.array(value) if isinstance(value, tuple) else float(value) for name, value in found})
 
     @abc.abstractmethod
     def describe(self) -> str:
@@ -112,8 +119,7 @@ class RunResult(abc.ABC):
         if name == "time":
             return self.times
         if name not in self.columns:
-            known = ", ".join(self.columns)
-            raise SimulationError(f"there is no column {name!r}", value=name, remedy=f"there are {known}")
+            raise SimulationError(f"there is no column {name!r}", value=name, remedy=suggest(name, list(self.columns)))
         return self.columns[name]
 
     def __contains__(self, name: str) -> bool:
@@ -223,7 +229,7 @@ class Batch(RunTable):
     @property
     def metrics(self) -> dict[str, NDArray[np.floating]]:
         """The computed metrics by name, shape (runs,) or (joints, runs), SI; NaN for a run that could not start."""
-        return {name: self[name] for name in labels_of(self.kind) if name in self.table}
+        return Measured({name: self[name] for name in labels_of(self.kind) if name in self.table})
 
     def _counted(self) -> str:
         counts = np.bincount(self["outcome"], minlength=len(OUTCOMES))

@@ -54,7 +54,7 @@ def _connectors(distance: float, length: float) -> float:
         message = f"the anchors are {distance / mm:.4g} mm apart, less than the muscles of {length / mm:.4g} mm"
         remedy = "move them apart, or let the muscles contract more"
         raise RangeError(message, value=distance, lower=length, unit="m", remedy=remedy)
-    return distance - length
+    return round(distance - length, 9)
 
 
 def _knee(length: float, *, height: float, radius: float) -> Geometry:
@@ -173,15 +173,17 @@ def connector_length(geometry: Any) -> float | None:
     return getattr(getattr(geometry, "path1", geometry), "connector_length", None)
 
 
-def highest_pressure(muscle: Muscle) -> float:
-    """Highest pressure [bar] of a muscle's domain."""
-    return round(float(muscle.domain.pressure_max) / bar, 2)
+def pressure_limits(muscle: Muscle) -> tuple[float, float]:
+    """Lowest and highest pressure [bar] of a muscle's domain."""
+    low, high = (round(float(one) / bar, 2) for one in (muscle.domain.pressure_min, muscle.domain.pressure_max))
+    return max(low, 0.0), high
 
 
 def compute(design: JointDesign, muscle: Muscle) -> Designed:
     """The joint and its ranges."""
     joint = joint_of(design, muscle)
-    *ranges, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, (0.0, design.pressure * bar))
+    limits = pressure_limits(muscle)[0] * bar, design.pressure * bar
+    *ranges, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, limits)
     stiffness, small, torque = (one and (np.asarray(one[0]), np.asarray(one[1])) for one in ranges)
     return Designed(joint, stiffness, small, torque, here)
 

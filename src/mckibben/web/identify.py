@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import math
 import re
 import shutil
 import tempfile
@@ -18,17 +17,16 @@ import numpy as np
 from nicegui import events, ui
 
 from mckibben import catalog
-from mckibben.component.checks import check_within
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
-from mckibben.errors import DatasetError, ParameterError, ScenarioError, printable
+from mckibben.errors import DatasetError, ParameterError, ScenarioError, UnitError, printable
 from mckibben.identification import Fit, FitWithFriction, HysteresisFit, Ranking, identify_with_friction, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
-from mckibben.muscle.air import volume_terms
+from mckibben.muscle.air import inner_volume, volume_terms
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
-from mckibben.units import bar, factor, mm, percent, quantity
+from mckibben.units import bar, factor, percent, quantity, show
 from mckibben.web.layout import (
     PALETTE,
     JobPage,
@@ -61,6 +59,7 @@ _TEXTS = {  # those of a recipe
     "slack_force": "slack force, such as 4 N, if not estimated",
     "decimal": "decimal sign, if the file does not tell",
 }
+_UNITS = {"initial_length": "mm", "zero_length": "mm", "slack_force": "N"}
 _DISPLACEMENTS = {"": "no displacement", "shortening": "shortens", "lengthening": "lengthens"}
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
@@ -83,6 +82,15 @@ class ReadingFields:
     def clear(self) -> None:
         """Empty all fields, to which those of an open page are bound."""
         vars(self).update(vars(ReadingFields()))
+
+    def take(self, recipe: Recipe) -> None:
+        """Fill all fields from a recipe; those for recordings have no field."""
+        self.clear()
+        for name in (*_TEXTS, "displacement"):
+            if (given := getattr(recipe, name)) is not None:
+                setattr(self, name, show(given, _UNITS[name], 12) if name in _UNITS else given)
+        self.negative = recipe.force_sign == -1
+        self.columns = "\n".join(f"{header} = {name}" for header, name in (recipe.columns or {}).items())
 
     def recipe(self) -> Recipe:
         """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
@@ -150,7 +158,7 @@ def keep_muscle(
 ) -> Muscle | None:
     """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown.
 
-    An inner diameter gives it a volume, as for `mckibben identify --diameter`.
+    An inner diameter, or the measured volume of air, gives it a volume, as `mckibben identify --diameter` and `--fill`.
     """
     fit.to_yaml(folder / "fit.yaml")
     attrs = data.table.attrs
@@ -158,9 +166,11 @@ def keep_muscle(
     slip, unknown = (loops.friction, loops.undetermined) if loops else (None, ())
     terms = None
     if length and diameter.strip():
-        width = quantity(diameter, "m")
-        check_within("muscle", 1 * mm, length, "m", remedy="give a length, such as 14 mm", diameter=width)
-        terms = volume_terms(fit.law, length, math.pi / 4 * width**2 * length)
+        try:
+            volume = quantity(diameter, "m^3")
+        except UnitError:
+            volume = inner_volume(length, quantity(diameter, "m"))
+        terms = volume_terms(fit.law, length, volume)
     text = muscle_text(
         "fit.yaml",
         specimen=attrs["specimen"],
@@ -191,7 +201,7 @@ class _Page(JobPage[IdentificationState]):
             with panel("Measured points"):
                 upload("CSV, .xlsx, .mat, .tdms, .lvm or .nc", LARGEST, self.uploaded, most=_MOST_FILES).on_rejected(
                     lambda: ui.notify(f"more than {_MOST_FILES} files or {LARGEST // 2**20} MiB", type="negative")
-                ).tooltip("several files are those of one test")
+                ).tooltip("several files are those of one test; a recipe.yaml sets how they are read")
                 examples = {"": "none", **{name: name for name in catalog.names("datasets")}}
                 select(examples, "or an example", value="", on_change=self.example)
                 with ui.expansion("or paste a table").props("dense").classes("w-full"):
@@ -213,9 +223,9 @@ class _Page(JobPage[IdentificationState]):
                     button("Read again", self.read)
             with panel("Force law"):
                 select(sorted(law_types()), "law", "law").bind_value(state, "law")
-                ui.input("inner diameter, such as 14 mm, for the use of air").props("dense").classes(
-                    "w-full"
-                ).bind_value(state, "diameter")
+                ui.input("inner diameter or fill, such as 14 mm or 30 mL").props("dense").classes("w-full").bind_value(
+                    state, "diameter"
+                )
                 with ui.row().style("gap: 8px"):
                     button("Fit", self.fit, "fit", main=True)
                     button("Rank all laws", self.rank, "rank")
@@ -233,12 +243,25 @@ class _Page(JobPage[IdentificationState]):
                 self.show()
 
     async def uploaded(self, event: events.MultiUploadEventArguments) -> None:
-        """Store the uploaded files of a test."""
-        paths = [self.new_file(one.name) for one in event.files]
-        for one, path in zip(event.files, paths, strict=True):
+        """Store the uploaded files of a test; a recipe fills the fields by which they, or earlier ones, are read."""
+        files = [one for one in event.files if not one.name.lower().endswith((".yaml", ".yml"))]
+        for one in event.files:
+            if one not in files:
+                text = (await one.read()).decode("utf-8", errors="replace")
+                try:
+                    self.state.reading.take(Recipe.parse(text, source=printable(one.name, 80)))
+                except ScenarioError as error:
+                    ui.notify(printable(str(error), 1000), type="negative", multi_line=True)
+                    return
+        if not files:
+            self.options.value = True
+            self.read()
+            return
+        paths = [self.new_file(one.name) for one in files]
+        for one, path in zip(files, paths, strict=True):
             await one.save(path)
         more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
-        self.take(printable(event.files[0].name, 80) + more, *paths)
+        self.take(printable(files[0].name, 80) + more, *paths)
 
     def new_file(self, name: str) -> Path:
         """Path of a new file in a folder of its own, as two tabs may send data at once, with our ending and prefix."""

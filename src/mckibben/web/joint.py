@@ -21,8 +21,8 @@ from mckibben.web.design import (
     compute,
     connector_length,
     drawing,
-    highest_pressure,
     muscles,
+    pressure_limits,
     scenario_lines,
 )
 from mckibben.web.identify import IdentificationState
@@ -40,6 +40,7 @@ from mckibben.web.layout import (
     frame,
     line,
     panel,
+    quiet,
     select,
     show_error,
     side,
@@ -74,9 +75,10 @@ class _Page:
                 self.series = ui.label().classes("quiet number")
             with panel("Load and air"):
                 self.number("torque of the load", "N·m", "torque", (-20, 20), 0.1)
-                most = highest_pressure(muscle)
-                design.pressure = min(design.pressure, most)
-                self.pressure = self.number("highest pressure", "bar", "pressure", (0.5, most), 0.1)
+                least, most = pressure_limits(muscle)
+                design.pressure = min(max(design.pressure, least), most)
+                self.pressure = self.number("highest pressure", "bar", "pressure", (max(least, 0.5), most), 0.1)
+                self.lowest = quiet("")
             with ui.row().classes("w-full").style("gap: 8px"):
                 button("Run this joint", self.run, main=True)
                 button("Download YAML", self.download)
@@ -154,9 +156,9 @@ class _Page:
         """Change the muscle; the joint's length changes with the muscle's."""
         before, self.design.muscle = self.known[self.design.muscle], event.value
         now = self.known[event.value]
-        most = highest_pressure(now)
-        self.design.pressure = min(self.design.pressure, most)
-        self.pressure.slider.props(f"max={most}")
+        least, most = pressure_limits(now)
+        self.design.pressure = min(max(self.design.pressure, least), most)
+        self.pressure.slider.props(f"min={max(least, 0.5)} max={most}")
         self.pressure.slider.value = self.pressure.field.value = self.design.pressure
         if "height" in self.design.dimensions:
             longer = (now.specimen.initial_length - before.specimen.initial_length) / mm
@@ -205,6 +207,9 @@ class _Page:
             if len(reached)
             else "no pressures hold the load at any angle"
         )
+        least, most = pressure_limits(muscle)
+        measured = f"The law was measured from {least:g} to {most:g} bar; with extrapolate: true, scenarios go beyond."
+        self.lowest.text = measured if least else ""
         own, between = muscle.specimen.initial_length / mm, connector_length(found.joint.geometry)
         connectors = "" if between is None else f"connectors {between / mm:.1f} mm, "
         self.series.text = f"{connectors}muscles of {own:g} mm"

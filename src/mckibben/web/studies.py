@@ -15,7 +15,7 @@ from mckibben.study.benchmark import Suite, compare
 from mckibben.study.benchmark.statistics import FAILED, failed_runs, statistics
 from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import Method, parse_cost, parse_ranges, tune
-from mckibben.study.tune.margin import DISK_MARGIN, lost_margin, metrics_and_margins
+from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins
 from mckibben.study.tune.objective import UNSTABLE_COST
 from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
 from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
@@ -135,6 +135,8 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
         remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
     if lost := lost_margin(old["disk"], new["disk"]):
         remarks.append(f"{lost}; raise the gain margin, or use `mckibben tune --disk-margin {DISK_MARGIN}`")
+    if new["disk"] == 0:
+        remarks.append(UNSTABLE)
     return Tuned(found.cost_before, found.cost, costs, parameters, metrics, after, found.disk_margin, remarks)
 
 

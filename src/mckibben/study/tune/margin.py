@@ -93,6 +93,13 @@ def lost_margin(before: float, after: float) -> str:
     return f"tuning reduced the least disk margin from {before:.2g} to {after:.2g}" if lost else ""
 
 
+UNSTABLE = (
+    "least margins of 0: the linearised loop is unstable at some points of the run; `mckibben margins` shows where, "
+    "and whether sticking friction bounds the oscillation"
+)
+"""Note on tuned gains without a disk margin."""
+
+
 class Robustness(NamedTuple):
     """A scenario under conditions, and its stability on a small step."""
 

@@ -91,9 +91,7 @@ class TuningHistory:
     def _begun(self, path: Path, header: Mapping[str, Any], resume: bool) -> Journal:
         """A new journal, or that of a search to continue, with its trials."""
         if not resume:
-            if path.exists():
-                remedy = "continue it (--resume), or choose another folder"
-                raise FileError(str(path), [Problem("a search history already exists", remedy=remedy)])
+            _refuse_existing(path)
             return Journal.create(path, header)
         wanted = json.loads(json.dumps(header))
         remedy = "give the same, or choose another folder; nothing was changed"
@@ -258,6 +256,11 @@ def tune(
         margins: Any = {"gain_margin": DEFAULT_MARGIN, "disk_margin": None} if cost is None else {}
         cost = parse_cost(DEFAULT_COST if cost is None else cost, **margins)
     problem = TuningProblem.of(several, swept, cost, known, conditions)  # type: ignore[arg-type]
+    if history is not None and not resume:
+        _refuse_existing(history)  # before the first run is compiled
+    if all(each.parameter.name.startswith("controller.") for each in problem.space.swept):
+        for each in several:
+            each.initial(each.plant())  # raises what no gains can mend
     if method is None:
         method = Method.CMA if len(problem.space) > 1 else Method.EVOLUTION
     method = Method(method)
@@ -320,6 +323,13 @@ def tune(
             search = by_cma if method is Method.CMA else by_evolution
             search(evaluator.costs, first, population=population, generations=iterations, seed=seed, progress=report)
         return _result(problem, past, evaluator.cost)
+
+
+def _refuse_existing(path: Path) -> None:
+    """Raise a `FileError` if there is a history already."""
+    if path.exists():
+        remedy = "continue it (--resume), or choose another folder"
+        raise FileError(str(path), [Problem("a search history already exists", remedy=remedy)])
 
 
 def _result(problem: TuningProblem, past: TuningHistory, cost: Callable[[Vector], float]) -> TuningResult:
