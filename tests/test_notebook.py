@@ -72,5 +72,5 @@ def test_components_show_their_fields_in_the_units_of_files():
     assert "<td>hanging_angle</td><td>30 deg</td>" in plant.load._repr_html_()
     assert "<td>initial_diameter</td><td>10 mm</td>" in joint.muscle1.specimen._repr_html_()
     assert "<td>decay</td><td>0.3 1/percent</td>" in joint.muscle1.law._repr_html_()
-    assert "Muscle(MAS-10-180N-AA-MC-O" in joint._repr_html_()
-    assert "IdealValve()" in plant._repr_html_()
+    assert "<td>muscle1.law.a2</td><td>109 N/bar</td>" in joint._repr_html_()
+    assert "<td>valve</td><td>IdealValve</td>" in plant._repr_html_()

@@ -254,6 +254,10 @@ def _rows(component: Any) -> Iterator[tuple[str, str]]:
         if not field.repr:
             continue
         value, mark = getattr(component, field.name), field_quantities(type(component)).get(field.name)
+        if isinstance(value, Component):
+            yield field.name, type(value).__name__
+            yield from ((f"{field.name}.{name}", text) for name, text in _rows(value))
+            continue
         try:
             text = show(float(value), mark.shown) if isinstance(mark, Quantity) else repr(value)
         except TypeError:  # an array, a tracer or None
