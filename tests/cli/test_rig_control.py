@@ -53,9 +53,9 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
 
 @pytest.mark.slow
 def test_a_limit_cycle_on_the_rig_is_named(cli, tmp_path):
-    """The rig delays commands by 24 ms, and the controller knows 4 ms of them."""
+    """The rig delays commands by 44 ms, and the controller knows 4 ms of them."""
     text = (ROOT / "examples" / "valves" / "regulator-decoupling.yaml").read_text(encoding="utf-8")
-    text = text.replace("\ncommand_delay: 4 ms", "\ncommand_delay: 24 ms")
+    text = text.replace("\ncommand_delay: 4 ms", "\ncommand_delay: 44 ms")
     text = text.replace("class: decoupling", "class: decoupling\n  command_delay: 4 ms")
     (tmp_path / "late.yaml").write_text(text, encoding="utf-8")
     found = cli("rig", "control", "late.yaml", "--out", "run", "--unpaced", "--json")
