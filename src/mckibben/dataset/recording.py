@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,7 @@ from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments, strokes
 from mckibben.errors import DatasetError, RangeError
+from mckibben.notebook import draw
 from mckibben.units import bar, kPa, percent, show
 
 _FEW_USED = 0.1  # of the samples
@@ -110,6 +111,10 @@ class Recording(MeasuredTable):
     def contraction(self) -> NDArray[np.float64] | None:
         """Contraction [-], read-only; None where it was not recorded."""
         return self.table["contraction"].to_numpy() if "contraction" in self.table else None
+
+    def plot(self) -> Any:
+        """Return a figure of the samples over time, see `mckibben.report.recording`."""
+        return draw("recording", self)
 
     def __repr__(self) -> str:
         name = self.table.attrs["specimen"]

@@ -32,7 +32,7 @@ from mckibben.report.style import (
 from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
-    from mckibben.dataset import IsobaricDataset
+    from mckibben.dataset import IsobaricDataset, Recording
     from mckibben.identification import Fit, Validation
 
 _CONTRACTION, _FORCE = "contraction [%]", "force [N]"
@@ -114,6 +114,22 @@ def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
         remedy = "write isobaric(dataset, fit), or fit.plot()"
         raise RangeError(f"isobaric draws a dataset, not a {type(dataset).__name__}", remedy=remedy)
     return measured_muscles({dataset.table.attrs["specimen"] or "isobaric test": (dataset, fit)})
+
+
+@styled
+def recording(recording: Recording) -> Figure:
+    """Pressure, force and, where it was recorded, contraction over time; the set pressure in grey."""
+    rows = [("pressure", recording.pressure / bar, "pressure [bar]"), ("force", recording.force, _FORCE)]
+    if recording.contraction is not None:
+        rows.append(("contraction", recording.contraction / percent, _CONTRACTION))
+    figure = blank(DOUBLE, 1.4 * len(rows) + 0.6)
+    for axes, (name, values, label) in zip(figure.subplots(len(rows), sharex=True), rows, strict=True):
+        if name == "pressure" and "set_pressure" in recording.table:
+            axes.plot(recording.time, recording.table["set_pressure"] / bar, color="#999999", linewidth=0.7)
+        axes.plot(recording.time, values, linewidth=0.8)
+        axes.set_ylabel(label)
+    axes.set_xlabel("time [s]")
+    return figure
 
 
 @styled
