@@ -76,12 +76,6 @@ def test_a_wrong_number_changes_no_coefficient_by_more_than_its_standard_error(w
     assert plain.rmse > 2 * clean.rmse
 
 
-def test_good_points_where_the_law_differs_from_a_smooth_surface_are_no_outliers():
-    law = identify(HuntLaw, catalog.dataset("dmsp-10-250-martens2017")).law
-    data = grid(law, np.linspace(0, 6, 8) * bar, np.linspace(0, 24, 16) * percent, noise=0.05, slack_force=2.5)
-    assert find_outliers(data) == ()
-
-
 @pytest.mark.parametrize("row", [40, 70, 80])
 def test_a_wrong_number_is_named_where_the_law_differs_from_a_smooth_surface(row):
     """Hunt's law does by more than this noise, at more than 5 % of the points."""

@@ -78,18 +78,6 @@ class MixedModel:
         others = np.maximum(total - squares, np.finfo(float).tiny) / (self.freedom - 1)
         return errors[:count] / rest, np.sign(errors[:count]) * np.sqrt(squares / others)
 
-    def residuals_without(self, hyperparameters: Floats, point: int) -> Floats:
-        """Studentised residuals at all points of the fit to all but one."""
-        q, target = self._orthonormal(hyperparameters)
-        count, errors = len(self.residuals), target - q @ (q.T @ target)
-        shared = q[:count] @ q[point]
-        rest = 1 - np.sum(q[:count] ** 2, axis=1)
-        least = np.finfo(float).eps
-        own = max(float(rest[point]), least)
-        others = float(errors @ errors) - errors[point] ** 2 / own
-        moved = errors[:count] + shared * errors[point] / own
-        return moved / np.sqrt(np.maximum(rest - shared**2 / own, least) * max(others, least) / (self.freedom - 1))
-
     def _orthonormal(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
         """Orthonormal basis of all columns, and the residuals; both with the rows of the prior."""
         scale = np.exp(self.scales(hyperparameters)[0])

@@ -3,8 +3,7 @@
 The surface is Eq. 2 with a Gaussian process (`GaussianProcessLaw`), so that the misfit of a force law does not count.
 Each point is tested by its externally studentised residual, that of the fit without it, one point after the other (of
 thousands, one in a thousand at once); the last significant one is the last outlier, because outliers may mask each
-other. If the surface itself misfits, it does so at neighbouring points, too: where their residuals, without the point,
-are significantly larger than elsewhere, the limit is that much higher.
+other.
 
 References
 ----------
@@ -32,8 +31,6 @@ _MOST = 0.05  # share of the points: more are not isolated errors
 _AHEAD = 2  # further points that are tested after the last significant one
 _TOGETHER = 1000  # points for each that is tested at once
 _FEWEST = 12  # points
-_NEAREST = 8  # points about a tested one
-_CHANCE = 0.05  # probability that their residuals show a misfit of a surface that has none
 _SURFACE = 28  # points that a surface needs; fewer are compared with Eq. 2 alone
 
 
@@ -44,20 +41,17 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     forces = points.force
     kept, found, pending, first, masked = np.ones(len(points), bool), [], [], [], False
     most, together = max(1, int(_MOST * len(points))), max(1, len(points) // _TOGETHER)
-    starts: Sequence[Floats] = ()
+    hyperparameters: Sequence[Floats] = ()
     smallest = np.maximum(_SMALLEST * float(forces.max(initial=0.0)), _loop_widths(points))
     while np.count_nonzero(kept) >= _FEWEST and len(found) + len(pending) < most + _AHEAD:
         least = smallest[kept]
-        tested = _test(points, kept, least, starts)
+        tested = _test(points, kept, least, hyperparameters)
         if tested is None:
             break
-        errors, statistics, model, surface = tested
-        starts = (surface,) if surface.size else ()
+        errors, statistics, freedom, hyperparameters = tested
         sizes = np.where(np.abs(errors) > least, np.abs(statistics), 0.0)
         order = np.argsort(-sizes, kind="stable")[:together]
-        limit, used = _limit(len(errors), model.freedom), points.select(kept)
-        isolated = [sizes[i] > limit and sizes[i] > limit * _misfit(used, model, surface, i) for i in order]
-        significant = order[isolated]
+        significant = order[sizes[order] > _limit(len(errors), freedom)]
         worst = significant if significant.size else order[:1]
         at = np.flatnonzero(kept)[worst]
         pending += zip(at.tolist(), errors[worst].tolist(), strict=True)
@@ -93,8 +87,8 @@ def _limit(count: int, freedom: int) -> float:
 
 def _test(
     points: IsobaricDataset, kept: Bools, smallest: Floats, starts: Sequence[Floats]
-) -> tuple[Floats, Floats, MixedModel, Floats] | None:
-    """Errors [N], studentised residuals, surface and hyperparameters; None with small errors of Eq. 2 or few points."""
+) -> tuple[Floats, Floats, int, Sequence[Floats]] | None:
+    """Errors [N], studentised residuals, freedom and hyperparameters; None with small errors of Eq. 2 or few points."""
     eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
     base = solve(eq2, grid_search(eq2))
     if not np.any(np.abs(base.residuals) > smallest):
@@ -106,6 +100,7 @@ def _test(
         model = deviations.prior.model(*deviations.columns(base))
         model = MixedModel(np.hstack([model.fixed, _passes(used)]), model.random, model.residuals, model.scales)
         found = model.estimate(starts or deviations.prior.starts, deviations.prior.bounds)[0]
+        starts = (found,)
     else:
         residuals, columns = base.augmented
         none = np.empty((0, 0))
@@ -116,20 +111,7 @@ def _test(
     errors, statistics = model.deleted_residuals(found)
     growth = scatter_growth(used.force - model.residuals, errors)
     variance = 1 + growth * used.force**2
-    return errors, statistics * np.sqrt(np.mean(variance) / variance), model, found
-
-
-def _misfit(points: IsobaricDataset, model: MixedModel, hyperparameters: Floats, tested: int) -> float:
-    """Root mean square of the studentised residuals at the nearest points of a tested one, 1 if that may be chance."""
-    from scipy.special import chdtri
-
-    distances = np.zeros(len(points))
-    for axis in (points.contraction, points.pressure):
-        distances += np.square((axis - axis[tested]) / (np.ptp(axis) or 1.0))
-    distances[tested] = np.inf
-    nearest = np.argsort(distances, kind="stable")[:_NEAREST]
-    squares = np.mean(model.residuals_without(hyperparameters, tested)[nearest] ** 2)
-    return float(np.sqrt(squares)) if _NEAREST * squares > chdtri(_NEAREST, _CHANCE) else 1.0
+    return errors, statistics * np.sqrt(np.mean(variance) / variance), model.freedom, starts
 
 
 def _loop_widths(points: IsobaricDataset) -> Floats:
