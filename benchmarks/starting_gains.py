@@ -3,9 +3,9 @@
     python benchmarks/starting_gains.py [--setup NAME] [--pressures 60] [--disk-margin 0.4] [--runs 60] [--seed 7]
 
 A grid of gains of the compensated decoupling, with the friction in the observer and without, runs on plants drawn from
-the conditions of the suite, none of them a run of the comparison. The table has the gains with the fewest failed runs
-(diverged or limit cycles) and, of these, the least sum of the median angle RMSE over 0.2 deg and the median air over
-0.3 L, the scales of the suite, whose loop in the file keeps the disk margin.
+the conditions of the suite, none of them a run of the comparison. Of the gains whose loop in the file keeps the disk
+margin, the table has those with the fewest failed runs (diverged or limit cycles) and, of these, with the least sum of
+the median angle RMSE over 0.2 deg and the median air over 0.3 L, the scales of the suite.
 """
 
 import argparse
@@ -70,6 +70,8 @@ def main():
                 row = f"{gains} | {margin:.2f} | {error:.2f} deg | {failed} of {given.runs} | {air:.2f} L"
                 print(f"| {setup} | {row} |", flush=True)
                 break
+        else:
+            print(f"{setup}: no gains keep the disk margin", flush=True)
 
 
 if __name__ == "__main__":

@@ -390,3 +390,12 @@ def test_reversals_are_those_of_a_loop_over_the_rows(seed):
         random.normal(size=300),
     ):
         assert list(preprocessing.one_way_parts(values)) == runs_row_by_row(values)
+
+
+def test_repeats_of_one_taut_point_are_not_slack():
+    """Four lengths at three pressures, each five times: the least force is measured five times at one point."""
+    contraction, pressure = (
+        np.repeat(axis.ravel(), 5) for axis in np.meshgrid([0.0, 0.05, 0.1, 0.15], [4e5, 5e5, 6e5])
+    )
+    force = 1e-3 * pressure * (1 - 4 * contraction) + np.random.default_rng(1).normal(0, 0.3, contraction.size)
+    assert slack_force(force, contraction, pressure, np.zeros(contraction.size, int)) is None

@@ -175,7 +175,7 @@ def _reading(*, recipe: Path | None, column: list[str] | None, skip_corrupt: boo
         for name, one in options.items()
     }
     columns = parse_columns(column) or {}
-    given["force_sign"] = sign = {"1": 1, "-1": -1}.get(options["force_sign"], options["force_sign"])
+    given["force_sign"] = sign = {"1": 1, "+1": 1, "-1": -1}.get(options["force_sign"], options["force_sign"])
     check_pattern(given["from_name"])
     check_reading(sign or 1, given["decimal"], given["displacement"])
     found = Recipe.read(recipe) if recipe else Recipe()
@@ -184,7 +184,9 @@ def _reading(*, recipe: Path | None, column: list[str] | None, skip_corrupt: boo
     given["columns"] = kept | columns or None
     if found.initial_length is not None and not given["initial_length"]:
         length = show(found.initial_length, "mm")
-        echo(f"initial length {length}: of the recipe; for a muscle of another length, give --initial-length", err=True)
+        echo(
+            f"initial length {length}, from the recipe; for a muscle of another length, give --initial-length", err=True
+        )
     found = found.model_copy(update={name: one for name, one in given.items() if one not in (None, "")})
     return Reading(found, "report" if skip_corrupt else "raise")
 

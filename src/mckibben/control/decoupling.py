@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -13,6 +14,7 @@ from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
 from mckibben.control.model_based import Estimates, ModelBasedControl, Valves
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
+from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.compiled import computed_once
@@ -72,8 +74,9 @@ class DecouplingControl(ModelBasedControl):
         Whether to compensate the friction of the model's muscles along the reference, in place of a
         `FrictionCompensation`.
     friction_in_observer
-        Whether the observer predicts with the friction along the estimated motion, not along the reference: then the
-        stiffness of presliding is no disturbance that it has to follow.
+        Whether the observer predicts with the friction along the estimated motion, not along the reference. The
+        stiffness of presliding is then not a disturbance that it has to follow. A joint that sticks beside its setpoint
+        keeps a static error, which an `integral` of the feedback removes.
     adaptation
         On-line correction of the strength of the model's muscles. Default: none.
     command_delay
@@ -97,6 +100,18 @@ class DecouplingControl(ModelBasedControl):
     feedback: Feedback
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
+    friction_in_observer: bool = eqx.field(kw_only=True, static=True, default=False)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if self.friction_in_observer and not self.friction_compensation:
+            raise RangeError(
+                "DecouplingControl: friction_in_observer without friction_compensation; nothing would compensate the "
+                "friction, which the estimated disturbance then leaves out",
+                field="friction_in_observer",
+                value=True,
+                remedy="set friction_compensation too",
+            )
 
     @property
     def observers(self) -> tuple[Observer, PressureObserver]:

@@ -139,12 +139,13 @@ class ModelBasedControl(Controller):
         "valve_speed_estimate": Label("1", "controller's estimate of the speed of the valves, relative to its model"),
     }
 
+    friction_in_observer = False  # a field of controllers that can predict with it
+
     model: JointModel
     load: LoadModel
     valve: ValveModel = eqx.field(kw_only=True, default=FirstOrderValve(0.02))
     minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
     friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
-    friction_in_observer: bool = eqx.field(kw_only=True, static=True, default=False)
     adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
     stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
     command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
@@ -163,11 +164,6 @@ class ModelBasedControl(Controller):
             raise RangeError(
                 f"{name}: no muscle of its model has friction to compensate",
                 remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
-            )
-        if self.friction_in_observer and not self.friction_compensation:
-            raise RangeError(
-                f"{name}: the observer's friction is not compensated, and no estimated disturbance holds it",
-                remedy="set friction_compensation too",
             )
         if self.actuator_adaptation is not None:
             self.actuator_adaptation.check_valve(self.valve)

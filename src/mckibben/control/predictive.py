@@ -69,8 +69,7 @@ class PredictiveControl(ModelBasedControl):
     Parameters
     ----------
     model, load, pressure_observer, valve, minimum_tension, friction_compensation, adaptation
-        As for `DecouplingControl`, and so are `friction_in_observer`, `command_delay`, `actuator_adaptation` and
-        `stiffness_amplitude`.
+        As for `DecouplingControl`, and so are `command_delay`, `actuator_adaptation` and `stiffness_amplitude`.
     observer
         `ExtendedStateObserver`, or `VelocityObserver`, which leaves the static error of a wrong model.
     bandwidth, stiffness_bandwidth

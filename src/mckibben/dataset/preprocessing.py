@@ -35,6 +35,7 @@ _FAR = 8.0  # standard deviations: a point farther above slack ones is not noise
 _TAIL = 0.8  # share of slack points without a taut point at a larger contraction; the rest may be friction
 _UPPERMOST = 0.95  # share of the slack muscle's readings, above which there may be friction
 _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
+_ONE_POINT = 0.05  # of the range of contraction or pressure: slack points within it may be repeats of one point
 _QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
@@ -235,6 +236,8 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
         slack = np.abs(force - offset) <= _OUTSIDE * noise
         if np.count_nonzero(slack) < _FEWEST_SLACK or offset == noise == 0:
             continue
+        if all(np.ptp(axis[slack]) <= _ONE_POINT * np.ptp(axis) for axis in (contraction, pressure)):
+            continue  # repeats of one point, which may be taut
         if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
             continue
         behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]

@@ -175,7 +175,7 @@ class LoadingPaths:
             turns[path[1:]] = np.where(repeated, np.diff(loading[path].astype(float)), 0.0)
         strokes = [part for path in paths for part in np.split(path, np.flatnonzero(np.diff(loading[path])) + 1)]
         forwards = np.concatenate([np.diff(measured[part]) * (1 if loading[part[0]] else -1) for part in strokes])
-        against = float(np.mean(forwards < -_AGAINST * step))
+        against = float(np.mean(forwards < -_AGAINST * step)) if forwards.size else 0.0
         return cls(place, counts, side, length, step, turns, against=against)
 
 

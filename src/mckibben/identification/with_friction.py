@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError, no_attribute
+from mckibben.errors import IdentificationError, RangeError, no_attribute
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import fit_means, identify
 from mckibben.identification.friction_forms import FrictionForm
@@ -67,8 +67,8 @@ class FitWithFriction(NamedTuple):
         Default specimen: name and initial length of the points; one of the catalog, which has more, such as its rated
         range, is given: ``muscle(catalog.specimen("DMSP-10-250"))``. A muscle without braid data gets an assumed volume
         (`mckibben.muscle.air.volume_terms`) from the measured volume of air at contraction 0, `fill` [m^3], or from its
-        inner `diameter` [m]. Raises `IdentificationError` without initial length, and `RangeError` for numbers that are
-        not positive.
+        inner `diameter` [m]. Raises `IdentificationError` without initial length, and `RangeError` for both at once or
+        a diameter below 1 mm or above the length.
         """
         if specimen is None:
             attrs = self.points.table.attrs
@@ -77,7 +77,11 @@ class FitWithFriction(NamedTuple):
                 raise IdentificationError("the points have no initial length", remedy=remedy)
             specimen = Specimen(attrs["specimen"] or "my muscle", length)
         length = float(specimen.initial_length)
-        if fill is None and diameter is not None:
+        if fill is not None and diameter is not None:
+            raise RangeError(
+                "fill and diameter both give the volume", field="diameter", value=diameter, remedy="give one"
+            )
+        if diameter is not None:
             fill = inner_volume(length, diameter)
         if fill is not None:
             specimen = replace(specimen, volume_terms=volume_terms(self.fit.law, length, fill))

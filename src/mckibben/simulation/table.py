@@ -57,11 +57,18 @@ class Columns(Mapping[str, np.ndarray]):
         return Columns, (self._names, dict(self))
 
 
+class UnknownMetricError(SimulationError, KeyError):
+    """A metric that a result does not have."""
+
+    __str__ = SimulationError.__str__
+
+
 class Measured(dict[str, Any]):
     """Metrics by name; the error of an unknown one has a suggestion."""
 
     def __missing__(self, name: str) -> NoReturn:
-        raise SimulationError(f"there is no metric {name!r}", value=name, remedy=suggest(name, list(self)))
+        remedy = suggest(str(name), list(self))
+        raise UnknownMetricError(f"there is no metric {name!r}", value=name, remedy=remedy)
 
 
 class RunResult(abc.ABC):
@@ -119,7 +126,9 @@ class RunResult(abc.ABC):
         if name == "time":
             return self.times
         if name not in self.columns:
-            raise SimulationError(f"there is no column {name!r}", value=name, remedy=suggest(name, list(self.columns)))
+            raise SimulationError(
+                f"there is no column {name!r}", value=name, remedy=suggest(str(name), list(self.columns))
+            )
         return self.columns[name]
 
     def __contains__(self, name: str) -> bool:

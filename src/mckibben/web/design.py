@@ -175,8 +175,8 @@ def connector_length(geometry: Any) -> float | None:
 
 def pressure_limits(muscle: Muscle) -> tuple[float, float]:
     """Lowest and highest pressure [bar] of a muscle's domain."""
-    low, high = (round(float(one) / bar, 2) for one in (muscle.domain.pressure_min, muscle.domain.pressure_max))
-    return max(low, 0.0), high
+    low, high = (float(one) / bar * 100 for one in (muscle.domain.pressure_min, muscle.domain.pressure_max))
+    return max(math.ceil(round(low, 6)) / 100, 0.0), math.floor(round(high, 6)) / 100
 
 
 def compute(design: JointDesign, muscle: Muscle) -> Designed:
