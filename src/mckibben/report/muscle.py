@@ -123,12 +123,13 @@ def recording(recording: Recording) -> Figure:
     if recording.contraction is not None:
         rows.append(("contraction", recording.contraction / percent, _CONTRACTION))
     figure = blank(DOUBLE, 1.4 * len(rows) + 0.6)
-    for axes, (name, values, label) in zip(figure.subplots(len(rows), sharex=True), rows, strict=True):
+    grid = figure.subplots(len(rows), sharex=True)
+    for axes, (name, values, label) in zip(grid, rows, strict=True):
         if name == "pressure" and "set_pressure" in recording.table:
             axes.plot(recording.time, recording.table["set_pressure"] / bar, color="#999999", linewidth=0.7)
         axes.plot(recording.time, values, linewidth=0.8)
         axes.set_ylabel(label)
-    axes.set_xlabel("time [s]")
+    grid[-1].set_xlabel("time [s]")
     return figure
 
 
