@@ -3,10 +3,12 @@
 import sys
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from mckibben import IdealValve, JointPlant, catalog, rank, report
+from mckibben.dataset import Recording
 from mckibben.muscle import ExponentialLaw, ReynoldsLaw
 from mckibben.notebook import notebook_progress
 
@@ -74,3 +76,11 @@ def test_components_show_their_fields_in_the_units_of_files():
     assert "<td>decay</td><td>0.3 1/percent</td>" in joint.muscle1.law._repr_html_()
     assert "<td>muscle1.law.a2</td><td>109 N/bar</td>" in joint._repr_html_()
     assert "<td>valve</td><td>IdealValve</td>" in plant._repr_html_()
+
+
+def test_a_recording_shows_what_it_has_over_time():
+    time = np.arange(0.0, 4.0, 0.1)
+    still = Recording.of(time=time, pressure=1e5 + 1e4 * time, force=10 * time)
+    moved = Recording.of(time=time, pressure=1e5 + 1e4 * time, force=10 * time, contraction=time / 40, set_pressure=2e5)
+    labels = [[axes.get_ylabel() for axes in one.plot().axes] for one in (still, moved)]
+    assert labels == [["pressure [bar]", "force [N]"], ["pressure [bar]", "force [N]", "contraction [%]"]]
