@@ -79,7 +79,7 @@ class Described:
     renamed: ClassVar[Mapping[str, str]] = {}
     """Replacements of former keys of files, by key, for error messages."""
     suggestions: ClassVar[Mapping[str, str]] = {}
-    """What is meant by attributes that the class lacks, by name."""
+    """Suggestions for unknown attributes, by name."""
 
     @classmethod
     def from_file(cls, value: Any) -> Any:

@@ -200,12 +200,13 @@ class ModelBasedControl(Controller):
         angle, pressures = measurement
         torque, stiffness, added = self._torque_and_stiffness(self.model, angle, pressures)
         zero = jnp.zeros_like(angle)
-        actuation, muscles = self.actuator_adaptation, self.model.init_state(angle, pressures)
+        actuation = self.actuator_adaptation
+        muscles = self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES
         return Estimates(
             motion=self.observers[0].init(angle, self.load.acceleration(angle, zero, torque)),
             pressures=pressures,
             reference=ReferenceDerivatives.init(angle),
-            muscles=muscles if self.friction_compensation else NO_STATES,
+            muscles=muscles,
             moved=muscles if self.friction_in_observer else NO_STATES,
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
             actuation=() if actuation is None else actuation.init(self.valve, self._delay, pressures),

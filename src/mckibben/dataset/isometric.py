@@ -182,8 +182,10 @@ def refuse_staircase(pressure: NDArray[np.float64], phases: Phases, interval: fl
     parts = [_holds(pressure[phases.of == number]) for number in range(len(phases.rising))]
     steps = [part for part in parts if len(part.levels) >= _HOLDS]
     whole = _holds(pressure)
-    if 2 * sum(part.samples for part in steps) > np.count_nonzero(phases.of >= 0):
-        found = Holds(*(np.concatenate([part[i] for part in steps]) for i in (0, 1)), samples=0)
+    samples = sum(part.samples for part in steps)
+    if 2 * samples > np.count_nonzero(phases.of >= 0):
+        levels, held = (np.concatenate([part[i] for part in steps]) for i in (0, 1))
+        found = Holds(levels, held, samples)
         raise RangeError(
             f"the pressure was held at {found.named}; the transients in between are not points",
             remedy=found.remedy(interval),

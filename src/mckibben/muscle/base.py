@@ -54,7 +54,7 @@ class ForceLaw(Component):
 
     domain: eqx.AbstractVar[Domain]
 
-    suggestions = {"stiffness": "slope(contraction, pressure), or joint.stiffness(angle, pressures)"}  # noqa: RUF012
+    suggestions: ClassVar = {"stiffness": "slope(contraction, pressure), or joint.stiffness(angle, pressures)"}
     equation: ClassVar[str] = ""
     """Formula in the symbols of the source."""
     source: ClassVar[str]

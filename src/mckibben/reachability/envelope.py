@@ -110,8 +110,9 @@ class Envelope:
             for supplied, muscle, pressure, tension in given:
                 for reason, holds in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
                     counts[reason] += int(holds.sum())
-                    if _MEASURED in reason and holds.any():
-                        remedies |= dict.fromkeys(_remedies(muscle, highest="highest" in reason))
+                    remedy = _remedy(muscle, highest="highest" in reason)
+                    if _MEASURED in reason and holds.any() and remedy:
+                        remedies[remedy] = None
             reasons = [reason for reason, count in counts.most_common() if count]
             found += [f"{end} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
         return found + list(remedies)
@@ -166,21 +167,21 @@ _MEASURED = "measured pressure"
 _AT_LIMIT = 1.0  # Pa, N
 
 
-def _remedies(muscle: Muscle, *, highest: bool) -> list[str]:
+def _remedy(muscle: Muscle, *, highest: bool) -> str | None:
     """Remedy for a law that ends at the measured pressures; none at the lowest pressure of the specimen."""
     rated, law = muscle.specimen.domain, muscle.law.domain
     further = law.pressure_max < rated.pressure_max < math.inf if highest else rated.pressure_min < law.pressure_min
     if further:
-        return [
+        return (
             "to apply the law at all pressures of its specimen, from 0 bar to pressure_max, give "
             "Scenario.with_extrapolation() (command line: --extrapolate, or `extrapolate: true` of the muscle)"
-        ]
+        )
     if not highest:
-        return []
-    return [
+        return None
+    return (
         "to apply the law at higher pressures, give the muscle the rated pressure of its specimen, such as `specimen: "
         "{domain: {pressure_max: 8 bar}}`, and `extrapolate: true`"
-    ]
+    )
 
 
 def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values) -> dict[str, NDArray[np.bool_]]:
