@@ -191,7 +191,7 @@ def test_presliding_in_the_observer_ends_a_limit_cycle():
     def run(observed):
         return given.simulate(dataclasses.replace(given.control(), friction_in_observer=observed))
 
-    outside, inside = run(False), run(True)
+    outside, inside = run(None), run(1.0)
     assert outside.outcome is Outcome.LIMIT_CYCLE and inside.outcome is not Outcome.LIMIT_CYCLE
     assert inside.metrics["air"] < 0.5 * outside.metrics["air"]
     assert inside.metrics["angle_rmse"] < outside.metrics["angle_rmse"]
@@ -199,4 +199,4 @@ def test_presliding_in_the_observer_ends_a_limit_cycle():
 
 def test_friction_in_the_observer_is_compensated(rubbing):
     with pytest.raises(RangeError, match="nothing would compensate"):
-        DecouplingControl(rubbing.joint, rubbing.load, PolePlacement(60.0), friction_in_observer=True)
+        DecouplingControl(rubbing.joint, rubbing.load, PolePlacement(60.0), friction_in_observer=1.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,8 +19,10 @@ from mckibben.joint import AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.compiled import computed_once
 from mckibben.numerics.elementary import exp
+from mckibben.units import Percent
 
 Scalar = Float[Array, ""]
+FrictionShare = Annotated[float, Percent("1", "%", 0, 100)]
 
 _SHARE, _LEAST = 0.5, 0.05  # of the rate of the torque, for the feedback
 
@@ -74,9 +76,10 @@ class DecouplingControl(ModelBasedControl):
         Whether to compensate the friction of the model's muscles along the reference, in place of a
         `FrictionCompensation`.
     friction_in_observer
-        Whether the observer predicts with the friction along the estimated motion, not along the reference. The
-        stiffness of presliding is then not a disturbance that it has to follow. A joint that sticks beside its setpoint
-        keeps a static error, which an `integral` of the feedback removes.
+        Share of the friction, 0 to 1, that the observer predicts along the estimated motion, the rest along the
+        reference. The stiffness of presliding is then not a disturbance that it has to follow. A joint that sticks
+        beside its setpoint keeps a static error, which an `integral` of the feedback removes; muscles with less
+        friction than the model hunt if the share is too large. Default: none, at no cost.
     adaptation
         On-line correction of the strength of the model's muscles. Default: none.
     command_delay
@@ -100,16 +103,16 @@ class DecouplingControl(ModelBasedControl):
     feedback: Feedback
     observer: Observer = ExtendedStateObserver()
     pressure_observer: PressureObserver = PressureObserver()
-    friction_in_observer: bool = eqx.field(kw_only=True, static=True, default=False)
+    friction_in_observer: FrictionShare | None = eqx.field(kw_only=True, default=None)
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        if self.friction_in_observer and not self.friction_compensation:
+        if self.friction_in_observer is not None and not self.friction_compensation:
             raise RangeError(
                 "DecouplingControl: friction_in_observer without friction_compensation; nothing would compensate the "
                 "friction, which the estimated disturbance then leaves out",
                 field="friction_in_observer",
-                value=True,
+                value=self.friction_in_observer,
                 remedy="set friction_compensation too",
             )
 

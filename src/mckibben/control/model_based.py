@@ -139,7 +139,7 @@ class ModelBasedControl(Controller):
         "valve_speed_estimate": Label("1", "controller's estimate of the speed of the valves, relative to its model"),
     }
 
-    friction_in_observer = False  # a field of controllers that can predict with it
+    friction_in_observer = None  # a field of controllers that can predict with it
 
     model: JointModel
     load: LoadModel
@@ -207,7 +207,7 @@ class ModelBasedControl(Controller):
             pressures=pressures,
             reference=ReferenceDerivatives.init(angle),
             muscles=muscles,
-            moved=muscles if self.friction_in_observer else NO_STATES,
+            moved=NO_STATES if self.friction_in_observer is None else muscles,
             adaptation=() if self.adaptation is None else self.adaptation.init(self.model, self.load, angle, pressures),
             actuation=() if actuation is None else actuation.init(self.valve, self._delay, pressures),
             torque=torque,
@@ -244,8 +244,9 @@ class ModelBasedControl(Controller):
         ahead = reference.after(self._delay) if self._periods else reference
         muscles, friction_torque = self._friction(last.muscles, ahead.angle, pressures)
         moved, resistance = last.moved, friction_torque
-        if self.friction_in_observer:
-            moved, resistance = self._friction(moved, last.motion.angle + period * last.motion.velocity, pressures)
+        if (share := self.friction_in_observer) is not None:
+            moved, along = self._friction(moved, last.motion.angle + period * last.motion.velocity, pressures)
+            resistance = share * along + (1 - share) * friction_torque
         known = self.load.acceleration(angle, last.motion.velocity, torque + resistance)
         estimates = last._replace(
             motion=observer.step(last.motion, angle, known, period),
