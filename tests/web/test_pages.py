@@ -161,7 +161,10 @@ def test_another_kind_of_joint_has_its_own_sliders():
             await user.open("/")
             chart = charts(user)[0]
             await until(lambda: chart.options["series"])
+            the(user, ui.slider, "from-hip-to-joint-axis").set_value(150)  # the muscles do not fit
+            await until(lambda: "stale" in chart.classes)
             the(user, ui.select, "kind").set_value("pulleys")
+            await until(lambda: "stale" not in chart.classes)
             await until(lambda: there(user, "radius-of-the-pulleys") and not there(user, "from-hip-to-joint-axis"))
             the(user, ui.slider, "radius-of-the-pulleys").set_value(60)
             await until(lambda: any("60.0 and 60.0 mm" in one.text for one in user.find(ui.label).elements))

@@ -101,13 +101,15 @@ class _Page:
                     degrees = {"min": -POSE, "max": POSE}
                     self.stiffness = chart("joint angle [°]", "stiffness [N·m/rad]", height=350, xAxis=degrees)
                     self.note = ui.label(_COMPILING).classes("quiet number")
+                    self.errors = ui.column()
             with panel("Stiffness of small motion, with friction") as self.small_panel:
                 self.small = chart("joint angle [°]", "stiffness [N·m/rad]", height=230, xAxis=degrees)
             with panel("Attainable torque"):
                 self.torque = chart("joint angle [°]", "torque [N·m]", height=230, xAxis=degrees)
-            with panel("At this angle"), ui.element("div").classes("facts"):
+            self.small_panel.visible = False
+            with panel("At this angle"), ui.element("div").classes("facts") as facts:
                 self.facts = [self.fact(name) for name in ("stiffness", "torque of the muscles", "moment arms")]
-        self.errors = ui.column()
+        self.shown = self.drawing, self.stiffness, self.small_panel, self.torque, facts
         self.phase = 0.0
         self.found: Designed | None = None
         ui.timer(0.0, self.again, once=True)
@@ -175,6 +177,8 @@ class _Page:
 
     def show(self, found: Designed) -> None:
         """Draw the stiffness; `show_rest` draws the rest."""
+        for one in self.shown:
+            one.classes(remove="stale")
         angles = ANGLES / deg
         low, high = found.stiffness
         lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
@@ -231,13 +235,13 @@ class _Page:
             text.text = f"{name} {one / percent:.1f} %" + ("" if inside else ", out of range")
 
     def fail(self, error: Exception) -> None:
-        """Show why this joint is impossible."""
-        self.errors.clear()
-        self.found = None
+        """Show why this joint is impossible; the results of the last possible one turn grey."""
         assert isinstance(error, McKibbenError)
-        for one in (self.stiffness, self.torque):
-            draw(one, [])
-        with self.errors, panel():
+        self.found, self.note.text = None, ""
+        for one in self.shown:
+            one.classes("stale")
+        self.errors.clear()
+        with self.errors:
             show_error(error)
 
     async def move(self) -> None:
