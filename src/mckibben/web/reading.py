@@ -60,7 +60,8 @@ class ReadingFields:
         given: dict[str, Any] = {name: text for name, text in texts.items() if text}
         given |= {"columns": names} if (names := column_names(self.columns)) else {}
         given |= {"force_sign": -1} if self.negative else {}
-        return Recipe(**given, **self.of_recordings)
+        given |= self.of_recordings
+        return Recipe(**given)
 
 
 def column_names(text: str) -> dict[str, str]:
