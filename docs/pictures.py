@@ -81,14 +81,14 @@ def _results(scenario: mk.Scenario) -> None:
     }
     valves = {
         name: mk.Scenario.read(ROOT / "examples" / "valves" / f"{name.lower()}-decoupling.yaml").simulate()
-        for name in ("ITV0050", "VPPE-6", "MPYE-5-M5")
+        for name in ("ITV0050", "VPPE-6")
     }
     figures = {
         "data": mk.report.isobaric(found.points, found.fit),
         "laws": mk.report.law_comparison(some, laws),
-        "scenario": scenario.simulate().plot(),
+        "scenario": mk.report.control_results({"two PID loops": ("PID", scenario.simulate())}),
         "tuning": mk.tune(scenario, iterations=15).plot(),
-        "valves": mk.report.tracking(valves),
+        "valves": mk.report.control_results({name: ("decoupling", run) for name, run in valves.items()}),
     }
     for name, figure in figures.items():
         png, _ = save(figure, IMAGES, name, preview=True)
