@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from diagrams import WORKFLOWS, draw_workflow
 from PIL import Image
 
 import mckibben as mk
@@ -59,9 +61,40 @@ def main() -> None:
         png, _ = save(figure, IMAGES, name)
         png.unlink()  # the pages show the SVG
     mk.report.animate(run_scenario(scenario).result, IMAGES / "knee.webp", overwrite=True)
+    for name, workflow in WORKFLOWS.items():
+        png, _ = save(draw_workflow(*workflow), IMAGES, name)
+        png.unlink()
+    _results(scenario)
     _size()
     _leg()
     _gallery()
+
+
+def _results(scenario: mk.Scenario) -> None:
+    """First pictures of the pages on data, laws, scenarios, tuning and valves, in 64 colors."""
+    found = mk.identify_with_friction(mk.ExponentialLaw, mk.read_dataset(ROOT / "examples" / "rig.csv"))
+    measured = mk.catalog.dataset("dmsp-10-250-martens2017")
+    some = measured.select(np.isin(measured.levels, np.array([3.35, 6.5]) * bar))
+    laws = {
+        "Eq. 2": mk.identify(mk.ExponentialLaw, measured).law,
+        "Chou (Eq. 1)": mk.ChouLaw.of(mk.catalog.specimen("DMSP-10-250")),
+    }
+    valves = {
+        name: mk.Scenario.read(ROOT / "examples" / "valves" / f"{name.lower()}-decoupling.yaml").simulate()
+        for name in ("ITV0050", "VPPE-6")
+    }
+    figures = {
+        "data": mk.report.isobaric(found.points, found.fit),
+        "laws": mk.report.law_comparison(some, laws),
+        "scenario": mk.report.control_results({"two PID loops": ("PID", scenario.simulate())}),
+        "tuning": mk.tune(scenario, iterations=15).plot(),
+        "valves": mk.report.control_results({name: ("decoupling", run) for name, run in valves.items()}),
+    }
+    for name, figure in figures.items():
+        png, _ = save(figure, IMAGES, name, preview=True)
+        with Image.open(png) as drawn:
+            small = drawn.convert("RGB").quantize(64)
+        small.save(png, optimize=True)
 
 
 def _gallery() -> None:

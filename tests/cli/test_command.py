@@ -109,6 +109,14 @@ def test_bad_usage_ends_with_2(cli, arguments):
     assert "Usage" in found.err
 
 
+@pytest.mark.parametrize(("option", "wrong"), [("--points", "2.5"), ("--points", "0"), ("--points", "1001")])
+def test_a_number_is_refused_as_elsewhere(cli, option, wrong):
+    found = cli("margins", "x.yaml", option, wrong)
+    assert (found.code, found.out) == (2, "")
+    assert found.err.startswith(f"error: {option}: ") and wrong in found.err
+    assert len(found.err.splitlines()) == 1  # no usage
+
+
 def test_a_fault_of_ours_ends_with_1_and_says_what_to_do(cli, monkeypatch):
     import mckibben.study.inputs
 

@@ -12,7 +12,7 @@ import pytest
 
 from mckibben import report
 from mckibben.errors import FileError
-from mckibben.scenario import Scenario, run_scenario
+from mckibben.scenario import Scenario, run_scenario, unknown_air
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import METRICS
 
@@ -260,3 +260,10 @@ def test_an_accuracy_that_cannot_be_reached_is_refused(cli, tmp_path, shortened,
     for command in (("simulate",), ("sweep", "--over", "load.mass2=0.4 kg..0.6 kg", "--out", "kept")):
         found = cli(command[0], "short.yaml", *command[1:], "--accuracy", accuracy)
         assert found.code == 2 and "accuracy" in found.err
+
+
+def test_why_the_use_of_air_is_unknown_names_the_specimens():
+    text = (ROOT / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
+    assert unknown_air(Scenario.parse(text)) == ""
+    own = text.replace("specimen: MAS-10-180N-AA-MC-O", "specimen: {name: mine, initial_length: 180 mm}")
+    assert "mine" in unknown_air(Scenario.parse(own))

@@ -127,6 +127,13 @@ def test_a_joint_that_cannot_be_is_an_error_with_a_remedy(kind):
     assert found.value.unit == "m" and found.value.remedy
 
 
+@pytest.mark.parametrize("most", [0.4, 0.8, 6.0])
+def test_the_highest_pressure_is_chosen_in_the_domain_of_the_muscle(most):
+    muscle = mk.Muscle(mk.Specimen("x", 0.2, domain=mk.Domain(0.0, 0.2, 0.0, most * bar)), MUSCLE.law)
+    low, high = design.highest_pressures(muscle)
+    assert design.pressure_limits(muscle)[0] < low < high == most
+
+
 @pytest.mark.parametrize("kind", design.KINDS)
 @pytest.mark.slow
 def test_a_joint_is_drawn_with_its_lengths_and_its_file_gives_it(kind):
@@ -154,7 +161,10 @@ def test_another_kind_of_joint_has_its_own_sliders():
             await user.open("/")
             chart = charts(user)[0]
             await until(lambda: chart.options["series"])
+            the(user, ui.slider, "from-hip-to-joint-axis").set_value(150)  # the muscles do not fit
+            await until(lambda: "stale" in chart.classes)
             the(user, ui.select, "kind").set_value("pulleys")
+            await until(lambda: "stale" not in chart.classes)
             await until(lambda: there(user, "radius-of-the-pulleys") and not there(user, "from-hip-to-joint-axis"))
             the(user, ui.slider, "radius-of-the-pulleys").set_value(60)
             await until(lambda: any("60.0 and 60.0 mm" in one.text for one in user.find(ui.label).elements))
@@ -299,15 +309,15 @@ def test_a_tab_is_told_that_another_has_replaced_its_job(monkeypatch, same_tab):
                 await user.open("/identify")
             await paste(user, RIG)
             last.set()
-            await until(lambda: kept.data is not None)
+            await until(lambda: not kept.old)
             await asyncio.sleep(0.5)
             return user.notify.messages
 
     assert len(asyncio.run(visit())) == (0 if same_tab else 1)
 
 
-def test_a_cancelled_fit_leaves_the_files_of_the_last_one(monkeypatch):
-    """Also if it is cancelled after its last evaluation."""
+def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
+    """Also if it is cancelled after its last evaluation; after a refused file it is grey, and nothing is fitted."""
     written = identify.keep_muscle
 
     def keep_muscle(*given):
@@ -332,12 +342,19 @@ def test_a_cancelled_fit_leaves_the_files_of_the_last_one(monkeypatch):
             user.find(marker="fit").click()
             await until(lambda: len(laws) == 2)
             await asyncio.sleep(0.3)
-            return before, (folder / "fit.yaml").read_bytes(), type(kept.fit.law)
+            left_over = [y for one in charts(user)[1].options["series"] for _, y in one["data"]]
+            await paste(user, "pressure_bar,force_N\n1,2\n")
+            await until(lambda: kept.error is not None)
+            user.find(marker="fit").click()
+            await until(lambda: any("stale" in one.classes for one in user.find(ui.column).elements))
+            await asyncio.sleep(0.3)
+            return before, (folder / "fit.yaml").read_bytes(), kept.fit, left_over
 
-    before, after, law = asyncio.run(visit())
-    assert laws == [ExponentialLaw, ChouLaw]  # both fits were finished
+    before, after, fit, left_over = asyncio.run(visit())
+    assert laws == [ExponentialLaw, ChouLaw]  # both fits were finished, and there was no third one
     assert before == after
-    assert law is ExponentialLaw
+    assert isinstance(fit.law, ExponentialLaw)
+    assert np.sqrt(np.mean(np.square(left_over))) == pytest.approx(fit.rmse, rel=1e-3)
 
 
 def test_several_files_are_one_test_and_gone_when_others_replace_them():
@@ -355,7 +372,7 @@ def test_several_files_are_one_test_and_gone_when_others_replace_them():
             points, first = len(kept.data), kept.sources
             folder = first[0].parent.parent
             await paste(user, RIG)
-            await until(lambda: kept.data is not None)
+            await until(lambda: kept.name == "pasted table" and not kept.old)
             return points, len(kept.data), first, list(folder.rglob("*.csv")), kept.sources
 
     points, in_one_file, first, remaining, last = asyncio.run(visit())
@@ -580,7 +597,7 @@ def test_hundreds_of_damaged_files_leave_a_page_that_lives():
                 version = kept.jobs.version
                 await upload.handle_uploads([SmallFileUpload(name, "", damaged(FILES[name], chance))])
                 await until(lambda v=version: kept.jobs.version >= v + 2 and not kept.jobs.busy)
-                assert (kept.data is None) != (kept.error is None)
+                assert kept.old == (kept.error is not None)
                 assert kept.error is None or "fault of mckibben" not in kept.error.remedy
                 seen["points" if kept.error is None else "problems"] += 1
             await paste(user, RIG)

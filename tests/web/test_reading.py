@@ -11,7 +11,7 @@ pytest.importorskip("nicegui")
 
 from mckibben.dataset import Recipe
 from mckibben.errors import DatasetError
-from mckibben.web import identify
+from mckibben.web import reading
 
 
 def test_displacements_are_read_as_the_fields_say(tmp_path):
@@ -22,19 +22,22 @@ def test_displacements_are_read_as_the_fields_say(tmp_path):
     ]
     path = tmp_path / "weg.csv"
     path.write_text("\n".join(["Druck [bar];Kraft [N];Weg [mm]", *lines]), encoding="utf-8")
-    fields = identify.ReadingFields("220 mm", "lengthening", "183 mm", negative=True)
+    fields = reading.ReadingFields("220 mm", "lengthening", "183 mm", negative=True)
     with pytest.raises(DatasetError) as caught:
-        identify.read([path], identify.ReadingFields())
+        reading.read([path], reading.ReadingFields())
     assert {problem.field for problem in caught.value.problems} == {"Weg [mm]", "initial_length"}
-    read = identify.read([path], fields)
+    read = reading.read([path], fields)
     np.testing.assert_allclose(np.unique(read.contraction.round(4)), np.arange(0, 0.2, 0.02), atol=1e-4)
     assert read.force.max() > 0
     assert Recipe.parse(fields.recipe().dumps()) == fields.recipe()
-    filled = identify.ReadingFields()
-    filled.take(Recipe.parse(fields.recipe().dumps() + "columns: {Weg: displacement_mm}\n"))
-    assert filled == dataclasses.replace(fields, columns="Weg = displacement_mm")
+    filled = reading.ReadingFields()
+    whole = fields.recipe().dumps() + "columns: {Weg: displacement_mm}\nspecimen: mine\nsample_rate: 100 Hz\n"
+    filled.take(Recipe.parse(whole))
+    kept = {"columns": "Weg = displacement_mm", "specimen": "mine", "of_recordings": {"sample_rate": 100.0}}
+    assert filled == dataclasses.replace(fields, **kept)
+    assert filled.recipe() == Recipe.parse(whole)
     fields.clear()
-    assert fields == identify.ReadingFields()
+    assert fields == reading.ReadingFields()
 
 
 def test_the_files_of_a_test_give_their_pressures_by_name(tmp_path):
@@ -42,9 +45,9 @@ def test_the_files_of_a_test_give_their_pressures_by_name(tmp_path):
     for p, path in enumerate(paths, start=1):
         rows = [f"{100 * p * (0.3 - e):.3f},{37 - 220 * e:.2f}" for e in np.arange(0, 0.2, 0.02)]
         path.write_text("\n".join(["force_N,displacement_mm", *rows]), encoding="utf-8")
-    fields = identify.ReadingFields("220 mm", "lengthening", "183 mm", from_name="{pressure_bar}bar")
-    assert identify.read(paths, fields).pressures.tolist() == [1e5, 2e5, 3e5]
+    fields = reading.ReadingFields("220 mm", "lengthening", "183 mm", from_name="{pressure_bar}bar")
+    assert reading.read(paths, fields).pressures.tolist() == [1e5, 2e5, 3e5]
     with pytest.raises(DatasetError) as caught:
-        identify.read(paths, identify.ReadingFields("220 mm", "lengthening", "183 mm"))
+        reading.read(paths, reading.ReadingFields("220 mm", "lengthening", "183 mm"))
     (problem,) = caught.value.problems
     assert "from_name" in problem.remedy and caught.value.source == "m25_1bar.csv"

@@ -56,7 +56,8 @@ def test_controllers_are_compared_on_the_same_runs(tmp_path):
     kinds = ("model inversion (decoupling)",)
     request = studies.ComparisonRequest(("two PID loops", *kinds), "load.mass2=+-20 %", runs=8, generations=1)
     found = studies.compared(SHORT, request, tmp_path, silent)
-    assert {row[0] for row in found.rows} == set(found.errors) == set(found.scenarios) == {"scenario", *kinds}
+    assert {row[0] for row in found.rows} == set(found.errors) == set(found.scenarios) == {"two PID loops", *kinds}
+    assert found.at_equal_air[0][0] == "two PID loops" and all(len(row) == 7 for row in found.at_equal_air)
     assert all(0 < median <= late for median, late in found.errors.values())
     for scenario in found.scenarios.values():
         assert Scenario.parse(scenario.dumps()).control() == scenario.control()

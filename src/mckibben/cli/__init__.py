@@ -124,7 +124,7 @@ def simulate(
 
     read = with_accuracy(Scenario.read(scenario), accuracy)
     read = read.with_extrapolation() if extrapolate else read
-    from mckibben.scenario import run_scenario
+    from mckibben.scenario import run_scenario, unknown_air
     from mckibben.simulation.metrics import in_shown_units
 
     result, feasibility = run_scenario(read, source=str(scenario))
@@ -158,12 +158,7 @@ def simulate(
             ranges = [f"{values.min():.3g}..{values.max():.3g} N*m/rad" for values in (small, isobaric)]
             echo(f"small-motion stiffness {ranges[0]}, isobaric stiffness {ranges[1]}")
         if math.isnan(result.metrics["air"]) and not result.outcome.failed:
-            specimens = read.joint.muscle1.specimen, read.joint.muscle2.specimen
-            names = [*dict.fromkeys(one.name for one in specimens if not one.has_volume)]
-            echo(
-                f"air is unknown: {' and '.join(names)} {'have' if len(names) > 1 else 'has'} no volume; give the "
-                "specimen initial_diameter and braid_angle, or volume_terms, or identify the muscle with --diameter"
-            )
+            echo(unknown_air(read))
     if out:
         notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
     if animate:

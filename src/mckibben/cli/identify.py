@@ -341,8 +341,6 @@ def _rank(data: list[str], points: IsobaricDataset, how: Recipe, inner: _Inner, 
 
 
 def _show(ranking: Ranking) -> None:
-    from mckibben.identification import shows_hysteresis
-    from mckibben.identification.fit import left_out
     from mckibben.identification.ranking import EXTRAPOLATION
 
     specimen = ranking.points.table.attrs["specimen"] or "unnamed specimen"
@@ -363,22 +361,12 @@ def _show(ranking: Ranking) -> None:
     headers = ("law", "parameters", "RMSE [N]", *blocks, "AICc difference", "residual pattern over")
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
-    for text in left_out(ranking.outliers):
+    for text in ranking.remarks():
         echo(text)
-    if shows_hysteresis(ranking.points):
-        law = _short(ranking.best)
-        echo(f"loading and unloading differ; laws are ranked without friction: fit it with --law {law}")
-    for name, reason in ranking.missing.items():
-        echo(f"no cross-validation over {name}s: {reason}")
-    if not ranking.blocks:
-        echo("no block of points could be held out: ranked by AICc")
     for entry in ranking.entries:
         for what, texts in (("not fitted", [entry.refused]), ("flagged", entry.flags), ("note on", entry.remarks)):
             if any(texts):
                 echo(f"{what} {_short(entry)}: {'; '.join(texts)}")
-    best, first = ranking.best, ranking.entries[0]
-    if best is not first:
-        echo(f"selected: {_short(best)}; {_short(first)} is flagged and not substantially better")
 
 
 def _short(entry: RankedLaw) -> str:

@@ -70,7 +70,19 @@ _MEANT = {"run": "simulate", "fit": "identify", "plot": "identify DATA --out DIR
 
 
 class Commands(TyperGroup):
-    """Commands, of which an unknown one is an error that names the one that is meant, or all."""
+    """Commands, of which an unknown one is an error that names the one that is meant, or all.
+
+    Options with a wrong number are refused in the words of other errors.
+    """
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command in the arguments."""
+        try:
+            return super().invoke(ctx)
+        except typer.BadParameter as error:
+            if (refusal := _refusal(error)) is None:
+                raise
+            raise refusal from None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return name, command and other arguments."""
@@ -80,6 +92,25 @@ class Commands(TyperGroup):
             remedy = f"did you mean `{ctx.command_path} {meant}`?" if meant else f"known are {', '.join(known)}"
             raise ParameterError(f"{ctx.command_path} has no command {quoted(args[0])}", value=args[0], remedy=remedy)
         return super().resolve_command(ctx, args)
+
+
+def _refusal(error: typer.BadParameter) -> ParameterError | None:
+    """Error of a number that typer's validation by pydantic refuses; None for another mistake."""
+    cause: Any = error.__cause__
+    if error.param is None or not hasattr(cause, "errors"):
+        return None
+    found, name = cause.errors()[0], max(error.param.opts, key=len)
+    kind, value, limits = found["type"], found["input"], found.get("ctx", {})
+    what = {"int_parsing": "a whole number", "float_parsing": "a number"}.get(kind)
+    if what is not None:
+        return ParameterError(f"{name}: {quoted(value)} is not {what}", value=value, remedy=f"give {what}")
+    if kind == "greater_than_equal":
+        message, remedy = f"{name}: {value} is less than {limits['ge']}", f"give at least {limits['ge']}"
+        return ParameterError(message, value=value, lower=limits["ge"], remedy=remedy)
+    if kind == "less_than_equal":
+        message, remedy = f"{name}: {value} is more than {limits['le']}", f"give at most {limits['le']}"
+        return ParameterError(message, value=value, upper=limits["le"], remedy=remedy)
+    return None
 
 
 _OF_READING: Mapping[str, Any] = {  # names as in a recipe

@@ -248,8 +248,6 @@ def margins(
 ) -> None:
     """Compute the stability margins of the sampled loop at operating points along the reference."""
     results_folder(out, ("results.json", "margins.png", "margins.svg"), force)
-    import numpy as np
-
     from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
@@ -264,35 +262,17 @@ def margins(
     }
 
     def show() -> None:
-        rows = [
-            (
-                name.partition("_")[0],
-                f"{values.min():.3g}",
-                f"{np.median(values):.3g}",
-                name.partition("_")[2] or "1",
-                f"{found.time[values.argmin()]:.3g} s",
-            )
-            for name, values in shown.items()
-        ]
-        table(f"{read.name}: stability margins", ("margin", "least", "median", "unit", "least at"), rows)
-        unstable = found.time[found.radius >= 1]
-        if unstable.size:
-            echo(f"unstable at {unstable.size} of {found.time.size} points, first at {unstable[0]:.3g} s")
+        table(f"{read.name}: stability margins", found.headers, found.rows())
+        echo(found.verdict())
+        if (found.radius >= 1).any():
             plant = read.plant()
             if plant.friction is not None or plant.joint.has_friction:
                 echo(
                     "where friction sticks it counts as a spring: oscillations grow there after a small push, until "
                     "friction slips; simulate with a `disturbance` to see their amplitude"
                 )
-        else:
-            echo(f"stable at all {found.time.size} points; largest pole {found.radius.max():.4f} in discrete time")
 
-    def draw() -> Figure:
-        from mckibben.report.tracking import margins
-
-        return margins(found)
-
-    _present(numbers, "margins", draw, show, out, json)
+    _present(numbers, "margins", found.plot, show, out, json)
     if (found.radius >= 1).any():
         raise Exit(1)
 

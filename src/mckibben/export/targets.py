@@ -11,6 +11,7 @@ from typing import NamedTuple
 from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
 from mckibben.errors import ExportError, ParameterError, quoted
+from mckibben.notebook import html_table
 from mckibben.scenario import Scenario
 from mckibben.storage.files import atomic_write, check_free, make_folder
 
@@ -24,6 +25,12 @@ class Exported(NamedTuple):
     def __repr__(self) -> str:
         left_out = f"; left out: {', '.join(self.left_out)}" if self.left_out else ""
         return f"<Exported: {', '.join(self.files)}{left_out}>"
+
+    def _repr_html_(self) -> str:
+        texts = {name: one.encode() if isinstance(one, str) else one for name, one in self.files.items()}
+        rows = [(name, f"{len(content):,}") for name, content in texts.items()]
+        notes = [f"left out: {one}" for one in self.left_out]
+        return html_table(f"{len(rows)} files", ("file", "bytes"), rows, notes)
 
 
 _FMI = ("fmi",)

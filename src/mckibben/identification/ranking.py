@@ -13,7 +13,7 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, described
-from mckibben.identification.fit import Fit, Outlier, unphysical
+from mckibben.identification.fit import Fit, Outlier, left_out, unphysical
 from mckibben.identification.fitting import ResidualCorrelation, identify, residual_correlation, without_direction_means
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
@@ -23,6 +23,7 @@ from mckibben.identification.regression import (
     contraction_blocks,
     pressure_blocks,
 )
+from mckibben.identification.with_friction import shows_hysteresis
 from mckibben.muscle import LAWS, ForceLaw, GaussianProcessLaw, SmoothLaw
 from mckibben.notebook import Progress, html_table, notebook_progress
 from mckibben.units import show
@@ -149,6 +150,21 @@ class Ranking:
                 return entry
         ranked = ", ".join(entry.law for entry in self.entries)
         raise IdentificationError(f"{law!r} was not ranked", value=law, remedy=f"ranked are {ranked}")
+
+    def remarks(self) -> list[str]:
+        """What the ranking leaves out, and a choice other than the first law, in words."""
+        found = left_out(self.outliers)
+        if not any(entry.fit for entry in self.entries):
+            return found
+        best, first = self.best.law, self.entries[0].law
+        if shows_hysteresis(self.points):
+            found.append(f"loading and unloading differ; laws are ranked without friction: fit {best} alone with it")
+        found += [f"no cross-validation over {name}s: {reason}" for name, reason in self.missing.items()]
+        if not self.blocks:
+            found.append("no block of points could be held out: ranked by AICc")
+        if best != first:
+            found.append(f"selected: {best}; {first} is flagged and not substantially better")
+        return found
 
     def records(self) -> list[dict[str, Any]]:
         """One dictionary per law, in order."""

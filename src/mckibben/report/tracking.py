@@ -39,7 +39,7 @@ from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.paper.tracking import ControllerRun
-    from mckibben.simulation import Margins, Result
+    from mckibben.simulation import Feasibility, Margins, Result
 
 TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
 _BAND = "attainable at the desired angle"
@@ -368,6 +368,24 @@ def _dots(
     axes.set_xscale("log")
     axes.set_xlim(smallest / 1.6, end)
     log_ticks(axes.xaxis, *(1.0, 2.0, 5.0) if end / smallest < 60 else (1.0,))
+
+
+@styled
+def feasibility(found: Feasibility) -> Figure:
+    """A reference over time: its angle, and its stiffness with the attainable range at that angle."""
+    figure = blank(DOUBLE, 3.4)
+    above, below = figure.subplots(2, 1, sharex=True)
+    above.plot(found.times, found.desired_angle / deg, **DESIRED)
+    above.set(ylabel=ANGLE)
+    draw_band(below, found.times, found.lowest, found.highest, label=_BAND)
+    below.plot(found.times, found.desired_stiffness, label="desired", **DESIRED)
+    missed = np.where(found.shortfall == 0, np.nan, found.desired_stiffness)
+    if not found.feasible:
+        below.plot(found.times, missed, color=VERMILLION, label="not attainable", zorder=4)
+    below.set(xlabel=TIME, ylabel=STIFFNESS)
+    figure.align_ylabels([above, below])
+    legend_above(figure, below)
+    return figure
 
 
 @styled

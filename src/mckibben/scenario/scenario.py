@@ -362,3 +362,15 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
             initial=initial_state(scenario),
             scenario=scenario.dumps(),
         )
+
+
+def unknown_air(scenario: Scenario) -> str:
+    """Why the use of air is unknown, and the remedy, in words; empty if both muscles have a volume."""
+    specimens = scenario.joint.muscle1.specimen, scenario.joint.muscle2.specimen
+    names = [*dict.fromkeys(one.name for one in specimens if not one.has_volume)]
+    if not names:
+        return ""
+    return (
+        f"air is unknown: {' and '.join(names)} {'have' if len(names) > 1 else 'has'} no volume; give the specimen "
+        "initial_diameter and braid_angle, or volume_terms, or identify the muscle with its inner diameter"
+    )

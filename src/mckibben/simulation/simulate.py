@@ -19,6 +19,7 @@ from mckibben.component.calls import checked_call, user_level
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
+from mckibben.notebook import draw, html_table
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import (
@@ -79,6 +80,24 @@ class Feasibility:
 
     def __repr__(self) -> str:
         return f"<Feasibility: {self.describe()}>"
+
+    def _repr_html_(self) -> str:
+        shown = (
+            ("desired angle", self.desired_angle / deg, "deg"),
+            ("desired stiffness", self.desired_stiffness, "N*m/rad"),
+            ("lowest attainable stiffness", self.lowest, "N*m/rad"),
+            ("highest attainable stiffness", self.highest, "N*m/rad"),
+        )
+        rows = []
+        for name, values, unit in shown:
+            finite = values[np.isfinite(values)]
+            ends = (f"{finite.min():.4g}", f"{finite.max():.4g}") if finite.size else ("-", "-")
+            rows.append((name, *ends, unit))
+        return html_table(self.describe(), ("over the reference", "least", "largest", "unit"), rows)
+
+    def plot(self) -> Any:
+        """Return a figure of reference and attainable stiffness, see `mckibben.report.feasibility`."""
+        return draw("feasibility", self)
 
     def describe(self) -> str:
         """When and by how much the reference is not feasible."""

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mckibben.component.checks import check_positive
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError
+from mckibben.notebook import draw, html_table
 from mckibben.numerics.batching import batched_program, map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import compiled_as_given, numeric
@@ -64,6 +65,38 @@ class Margins(NamedTuple):
     def __repr__(self) -> str:
         least = ", ".join(f"{name} {margin.min():.3g}" for name, margin in self.in_shown_units().items())
         return f"<Margins at {len(self.time)} points; least: {least}>"
+
+    def _repr_html_(self) -> str:
+        return html_table("stability margins", self.headers, self.rows(), [self.verdict()])
+
+    @property
+    def headers(self) -> tuple[str, ...]:
+        """Columns of `rows`."""
+        return "margin", "least", "median", "unit", "least at"
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Least and median margins with the time of the least, as text."""
+        return [
+            (
+                name.partition("_")[0],
+                f"{values.min():.3g}",
+                f"{np.median(values):.3g}",
+                name.partition("_")[2] or "1",
+                f"{self.time[values.argmin()]:.3g} s",
+            )
+            for name, values in self.in_shown_units().items()
+        ]
+
+    def verdict(self) -> str:
+        """Whether the loop is stable at all points, in words."""
+        unstable = self.time[self.radius >= 1]
+        if unstable.size:
+            return f"unstable at {unstable.size} of {self.time.size} points, first at {unstable[0]:.3g} s"
+        return f"stable at all {self.time.size} points; largest pole {self.radius.max():.4f} in discrete time"
+
+    def plot(self) -> Any:
+        """Return a figure of the open loop and the sensitivity, see `mckibben.report.margins`."""
+        return draw("margins", self)
 
     def in_shown_units(self) -> dict[str, NDArray[np.float64]]:
         """Return the margins by name and unit, each of shape (points,)."""

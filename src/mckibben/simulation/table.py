@@ -67,8 +67,13 @@ class Measured(dict[str, Any]):
     """Metrics by name; the error of an unknown one has a suggestion."""
 
     def __missing__(self, name: str) -> NoReturn:
-        remedy = suggest(str(name), list(self))
-        raise UnknownMetricError(f"there is no metric {name!r}", value=name, remedy=remedy)
+        raise _unknown(name, self)
+
+
+def _unknown(name: str, known: Iterable[Any]) -> UnknownMetricError:
+    """Error of a metric that is none of the known ones."""
+    remedy = suggest(str(name), [str(one) for one in known])
+    return UnknownMetricError(f"there is no metric {name!r}", value=name, remedy=remedy)
 
 
 class RunResult(abc.ABC):
@@ -216,6 +221,8 @@ class RunTable:
         return self["chaotic"].astype(bool)
 
     def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self.table:
+            raise _unknown(name, self.table)
         return self.table[name].to_numpy()
 
 

@@ -54,7 +54,7 @@ def _connectors(distance: float, length: float) -> float:
         message = f"the anchors are {distance / mm:.4g} mm apart, less than the muscles of {length / mm:.4g} mm"
         remedy = "move them apart, or let the muscles contract more"
         raise RangeError(message, value=distance, lower=length, unit="m", remedy=remedy)
-    return round(distance - length, 9)
+    return round((distance - length) / mm, 6) * mm
 
 
 def _knee(length: float, *, height: float, radius: float) -> Geometry:
@@ -171,6 +171,12 @@ def joint_of(design: JointDesign, muscle: Muscle) -> AntagonisticJoint:
 def connector_length(geometry: Any) -> float | None:
     """Length of the connectors [m]; None for a geometry without connectors."""
     return getattr(getattr(geometry, "path1", geometry), "connector_length", None)
+
+
+def highest_pressures(muscle: Muscle) -> tuple[float, float]:
+    """Range [bar] from which the highest pressure of a joint is chosen."""
+    least, most = pressure_limits(muscle)
+    return max(least, min(0.5, most / 2)), most
 
 
 def pressure_limits(muscle: Muscle) -> tuple[float, float]:

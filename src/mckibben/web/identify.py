@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from nicegui import events, ui
@@ -19,14 +18,14 @@ from nicegui import events, ui
 from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
-from mckibben.errors import DatasetError, ParameterError, ScenarioError, UnitError, printable
+from mckibben.errors import ScenarioError, UnitError, printable
 from mckibben.identification import Fit, FitWithFriction, HysteresisFit, Ranking, identify_with_friction, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
 from mckibben.muscle.air import inner_volume, volume_terms
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
-from mckibben.units import bar, factor, percent, quantity, show
+from mckibben.units import bar, factor, percent, quantity
 from mckibben.web.layout import (
     PALETTE,
     JobPage,
@@ -39,6 +38,7 @@ from mckibben.web.layout import (
     panel,
     progress_row,
     quiet,
+    results_side,
     select,
     show_error,
     show_warnings,
@@ -47,58 +47,15 @@ from mckibben.web.layout import (
     text_area,
     upload,
 )
+from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
 
 _LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
 _MOST_CURVES = 12
-_TEXTS = {  # those of a recipe
-    "initial_length": "initial length, such as 180 mm",
-    "zero_length": "zero length: at displacement 0, if another",
-    "from_name": "from file names, such as {pressure_bar}bar",
-    "slack_force": "slack force, such as 4 N, if not estimated",
-    "decimal": "decimal sign, if the file does not tell",
-}
-_UNITS = {"initial_length": "mm", "zero_length": "mm", "slack_force": "N"}
-_DISPLACEMENTS = {"": "no displacement", "shortening": "shortens", "lengthening": "lengthens"}
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
 _MOST_FILES = 64
-
-
-@dataclass
-class ReadingFields:
-    """Reading options, as texts of the fields of the page."""
-
-    initial_length: str = ""
-    displacement: str = ""
-    zero_length: str = ""
-    from_name: str = ""
-    slack_force: str = ""
-    decimal: str = ""
-    negative: bool = False
-    columns: str = ""
-
-    def clear(self) -> None:
-        """Empty all fields, to which those of an open page are bound."""
-        vars(self).update(vars(ReadingFields()))
-
-    def take(self, recipe: Recipe) -> None:
-        """Fill all fields from a recipe; those for recordings have no field."""
-        self.clear()
-        for name in (*_TEXTS, "displacement"):
-            if (given := getattr(recipe, name)) is not None:
-                setattr(self, name, show(given, _UNITS[name], 12) if name in _UNITS else given)
-        self.negative = recipe.force_sign == -1
-        self.columns = "\n".join(f"{header} = {name}" for header, name in (recipe.columns or {}).items())
-
-    def recipe(self) -> Recipe:
-        """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
-        texts = {name: getattr(self, name).strip() for name in (*_TEXTS, "displacement")}
-        given: dict[str, Any] = {name: text for name, text in texts.items() if text}
-        given |= {"columns": names} if (names := column_names(self.columns)) else {}
-        given |= {"force_sign": -1} if self.negative else {}
-        return Recipe(**given)
 
 
 @dataclass
@@ -108,49 +65,33 @@ class IdentificationState(JobState):
     name: str = ""
     sources: tuple[Path, ...] = ()
     data: IsobaricDataset | None = None
+    old: bool = False  # whether the data are of an earlier file than that of `name`, which is not read
     law: str = "ExponentialLaw"
     diameter: str = ""
     reading: ReadingFields = field(default_factory=ReadingFields)
     read_by: ReadingFields | None = None  # the fields by which the data were read; none for the catalog
+    reading_notes: list[str] = field(default_factory=list)
     found: FitWithFriction | None = None
     ranking: Ranking | None = None
     muscle: Muscle | None = None
+
+    def use(
+        self,
+        name: str,
+        data: IsobaricDataset,
+        sources: Sequence[Path] = (),
+        read_by: ReadingFields | None = None,
+        reading_notes: Sequence[str] = (),
+    ) -> None:
+        """Replace the data and forget the results of earlier ones."""
+        self.name, self.data, self.sources, self.read_by, self.old = name, data, tuple(sources), read_by, False
+        self.found = self.ranking = self.error = None
+        self.reading_notes, self.notes = list(reading_notes), []
 
     @property
     def fit(self) -> Fit | None:
         """The law, without friction."""
         return self.found.fit if self.found else None
-
-
-def column_names(text: str) -> dict[str, str]:
-    """Headers of a file to names, from lines such as ``Druck [bar] = pressure_bar``."""
-    found = {}
-    for number, one in enumerate(filter(str.strip, text.splitlines()), start=1):
-        header, equals, name = (part.strip() for part in one.rpartition("="))
-        if not (header and equals and name):
-            raise ParameterError(
-                f"columns, line {number} is not a pair", value=one, remedy="write HEADER = pressure_bar"
-            )
-        found[header] = name
-    return found
-
-
-def _refused(name: str, text: str | None) -> str | None:
-    """Reason why a text is not a value of a recipe's field; None if it is valid or empty."""
-    try:
-        given: dict[str, Any] = {name: text.strip()} if text and text.strip() else {}
-        Recipe(**given)
-    except ScenarioError as error:
-        return "; ".join(filter(None, (error.problems[0].message, error.problems[0].remedy)))
-    return None
-
-
-def read(paths: Sequence[Path], fields: ReadingFields) -> IsobaricDataset:
-    """The points of the files of a test, read as the fields say; errors name them without their folder."""
-    try:
-        return fields.recipe().dataset(paths)
-    except DatasetError as error:
-        raise DatasetError(Path(error.source).name.removeprefix("data-"), error.problems) from None
 
 
 def keep_muscle(
@@ -209,11 +150,11 @@ class _Page(JobPage[IdentificationState]):
                     self.pasted = text_area("table of points", _LONGEST_PASTE, 130, placeholder=example).mark("paste")
                     button("Read", self.paste)
                 with ui.expansion("how the file is read").props("dense").classes("w-full") as self.options:
-                    for name, label in _TEXTS.items():
-                        ui.input(label, validation=partial(_refused, name)).props("dense").classes("w-full").mark(
-                            name
-                        ).bind_value(state.reading, name)
-                    select(_DISPLACEMENTS, "displacement: positive if the muscle", "displacement").bind_value(
+                    for name, label in TEXTS.items():
+                        ui.input(label, validation=partial(refusal, name)).props("dense hide-bottom-space").classes(
+                            "w-full"
+                        ).mark(name).bind_value(state.reading, name)
+                    select(DISPLACEMENTS, "displacement: positive if the muscle", "displacement").bind_value(
                         state.reading, "displacement"
                     )
                     ui.checkbox("force sign: a pull is negative").props("dense").bind_value(state.reading, "negative")
@@ -229,8 +170,8 @@ class _Page(JobPage[IdentificationState]):
                 with ui.row().style("gap: 8px"):
                     button("Fit", self.fit, "fit", main=True)
                     button("Rank all laws", self.rank, "rank")
-                self.progress = progress_row(state.jobs)
-        with side():
+            self.progress = progress_row(state.jobs)
+        with results_side():
             self.results = ui.column().classes("w-full").style("gap: 16px")
         ui.timer(0.15, self.refresh)
 
@@ -297,10 +238,10 @@ class _Page(JobPage[IdentificationState]):
         def load() -> IsobaricDataset:
             return read(sources, fields) if sources else catalog.dataset(name)
 
-        state.data = state.found = state.ranking = state.error = None
+        state.error, state.old = None, True
 
         def done(data: IsobaricDataset, heard: list[str]) -> None:
-            state.data, state.notes, state.read_by = data, [*map(self.named, heard)], fields if sources else None
+            state.use(name, data, sources, fields if sources else None, [*map(self.named, heard)])
 
         self.start_job(lambda _: load(), done)
 
@@ -318,7 +259,7 @@ class _Page(JobPage[IdentificationState]):
     def fit(self) -> None:
         """Fit the chosen law."""
         state, folder = self.state, self.folder
-        if (data := state.data) is None:
+        if (data := state.data) is None or state.old:
             ui.notify("give measured points first")
             return
         law, diameter = law_types()[state.law], state.diameter
@@ -341,12 +282,12 @@ class _Page(JobPage[IdentificationState]):
     def rank(self) -> None:
         """Fit all laws, and rank them."""
         state = self.state
-        if (data := state.data) is None:
+        if (data := state.data) is None or state.old:
             ui.notify("give measured points first")
             return
 
         def done(found: Ranking, heard: list[str]) -> None:
-            state.ranking, state.error = found, None
+            state.ranking, state.notes, state.error = found, heard, None
 
         self.start_job(lambda progress: rank(data, progress=progress), done)
 
@@ -354,22 +295,25 @@ class _Page(JobPage[IdentificationState]):
         """Show everything known."""
         state = self.state
         if state.error is not None:
-            self.options.value |= state.data is None
+            self.options.value |= state.data is None or state.old
             with panel(state.name):
                 show_error(state.error)
-        if state.data is None:
-            if state.error is None and not state.jobs.busy:
-                with panel("No points yet"):
-                    quiet(
-                        "A table with columns of pressure, force, and contraction or length, one row per point. Units "
-                        "are read from the headers: pressure_bar, Force [N], length / mm."
-                    )
-            return
-        self.show_data(state.data)
-        if state.found is not None:
-            self.show_fit(state.found)
-        if state.ranking is not None:
-            self.show_ranking(state.ranking)
+        elif state.data is None and not state.jobs.busy:
+            with panel("No points yet"):
+                quiet(
+                    "A table with columns of pressure, force, and contraction or length, one row per point. Units "
+                    "are read from the headers: pressure_bar, Force [N], length / mm."
+                )
+        elif notes := dict.fromkeys([*state.reading_notes, *state.notes]):
+            with panel():
+                show_warnings(notes)
+        with ui.column().classes("w-full" + (" stale" if state.old else "")).style("gap: 16px"):
+            if state.found is not None:
+                self.show_fit(state.found)
+            if state.ranking is not None:
+                self.show_ranking(state.ranking)
+            if state.data is not None and not state.old:
+                self.show_data(state.data)
 
     def show_data(self, data: IsobaricDataset) -> None:
         """Columns with their ranges, and remarks from reading."""
@@ -394,7 +338,6 @@ class _Page(JobPage[IdentificationState]):
                 lines.append(f"initial length {length * 1e3:g} mm")
             for text in [*lines, *self.named(attrs.get("preprocessing", "")).splitlines()]:
                 quiet(printable(text, 500))
-            show_warnings(self.state.notes)
 
     def show_fit(self, found: FitWithFriction) -> None:
         """Estimates, curves and residuals, and the friction."""
@@ -409,14 +352,14 @@ class _Page(JobPage[IdentificationState]):
             curves, left = [], []
             for i, level in enumerate(chosen):
                 color, name = PALETTE[i % len(PALETTE)], f"{level / bar:.3g} bar"
-                here = means.levels == level
-                x, y = means.contraction[here], means.force[here]
+                points = means.select(means.levels == level)
+                x, y, taut = points.contraction, points.force, points.taut
                 curves.append(dots(name, x / percent, y, color))
                 curves.append(
                     line(name, eps / percent, np.asarray(fit.law.force(eps, level)).clip(min=0), color, width=1.5)
                 )
-                taut = ~means.slack[here]
-                left.append(dots(name, x[taut] / percent, (y - np.asarray(fit.law.force(x, level)))[taut], color))
+                left_over = taut.force - np.asarray(fit.law.force(taut.contraction, taut.pressure))  # as measured
+                left.append(dots(name, taut.contraction / percent, left_over, color))
             draw(forces, curves)
             draw(residuals, left)
             intervals = fit.intervals()
@@ -462,7 +405,7 @@ class _Page(JobPage[IdentificationState]):
                 entry.parameters,
                 f"{entry.fit.rmse:.3g}" if entry.fit else "-",
                 *(f"{cv[name].rmse:.3g}" if name in (cv := entry.cross_validation) else "-" for name in blocks),
-                printable("; ".join(entry.flags) or entry.refused, 300),
+                printable("; ".join([*entry.flags, *entry.remarks]) or entry.refused, 300),
             )
             for entry in found.entries
         ]
@@ -471,6 +414,8 @@ class _Page(JobPage[IdentificationState]):
                 ("law", "parameters", "RMSE [N]", *(f"held-out {name} [N]" for name in blocks), "remarks"), rows
             )
             made.columns[-1]["align"] = "left"
+            for text in found.remarks():
+                quiet(printable(self.named(text), 500))
 
     def download(self) -> None:
         """Offer fit.yaml, the recipe of a file and, if the length is known, muscle.yaml for download."""

@@ -21,6 +21,7 @@ from mckibben.web.design import (
     compute,
     connector_length,
     drawing,
+    highest_pressures,
     muscles,
     pressure_limits,
     scenario_lines,
@@ -47,6 +48,8 @@ from mckibben.web.layout import (
 )
 from mckibben.web.session import Latest, in_thread, session
 
+_COMPILING = "computing; a new kind of joint or law compiles for a few seconds"
+
 
 def page() -> None:
     """The page."""
@@ -64,7 +67,6 @@ class _Page:
     def __init__(self, design: JointDesign, known: dict[str, Muscle]) -> None:
         self.design, self.known = design, known
         self.latest = Latest(compute, self.show, self.fail)
-        muscle = known[design.muscle]
         with side():
             with panel("Joint"):
                 select(list(known), "muscles", "muscle", value=design.muscle, on_change=self.choose)
@@ -75,9 +77,8 @@ class _Page:
                 self.series = ui.label().classes("quiet number")
             with panel("Load and air"):
                 self.number("torque of the load", "N·m", "torque", (-20, 20), 0.1)
-                least, most = pressure_limits(muscle)
-                design.pressure = min(max(design.pressure, least), most)
-                self.pressure = self.number("highest pressure", "bar", "pressure", (max(least, 0.5), most), 0.1)
+                self.pressure = ui.column().classes("w-full")
+                self.pressure_form()
                 self.lowest = quiet("")
             with ui.row().classes("w-full").style("gap: 8px"):
                 button("Run this joint", self.run, main=True)
@@ -99,14 +100,16 @@ class _Page:
                 with panel("Attainable stiffness", stays=True):
                     degrees = {"min": -POSE, "max": POSE}
                     self.stiffness = chart("joint angle [°]", "stiffness [N·m/rad]", height=350, xAxis=degrees)
-                    self.note = ui.label("computing the first curves").classes("quiet number")
+                    self.note = ui.label(_COMPILING).classes("quiet number")
+                    self.errors = ui.column()
             with panel("Stiffness of small motion, with friction") as self.small_panel:
                 self.small = chart("joint angle [°]", "stiffness [N·m/rad]", height=230, xAxis=degrees)
             with panel("Attainable torque"):
                 self.torque = chart("joint angle [°]", "torque [N·m]", height=230, xAxis=degrees)
-            with panel("At this angle"), ui.element("div").classes("facts"):
+            self.small_panel.visible = False
+            with panel("At this angle"), ui.element("div").classes("facts") as facts:
                 self.facts = [self.fact(name) for name in ("stiffness", "torque of the muscles", "moment arms")]
-        self.errors = ui.column()
+        self.shown = self.drawing, self.stiffness, self.small_panel, self.torque, facts
         self.phase = 0.0
         self.found: Designed | None = None
         ui.timer(0.0, self.again, once=True)
@@ -140,8 +143,17 @@ class _Page:
 
                 NumberSlider(one.label, one.unit, one.limits, one.step, self.design.dimensions[name], changed)
 
+    def pressure_form(self) -> None:
+        """Slider for the highest pressure, in the range of the muscle."""
+        limits = highest_pressures(self.known[self.design.muscle])
+        self.design.pressure = min(max(self.design.pressure, limits[0]), limits[1])
+        self.pressure.clear()
+        with self.pressure:
+            self.number("highest pressure", "bar", "pressure", limits, 0.1)
+
     async def reshape(self, event: events.ValueChangeEventArguments) -> None:
         """Change the kind of joint."""
+        self.note.text = _COMPILING
         self.design.kind, self.design.dimensions = event.value, {}
         self.design.__post_init__()
         self.form()
@@ -155,11 +167,8 @@ class _Page:
     async def choose(self, event: events.ValueChangeEventArguments) -> None:
         """Change the muscle; the joint's length changes with the muscle's."""
         before, self.design.muscle = self.known[self.design.muscle], event.value
-        now = self.known[event.value]
-        least, most = pressure_limits(now)
-        self.design.pressure = min(max(self.design.pressure, least), most)
-        self.pressure.slider.props(f"min={max(least, 0.5)} max={most}")
-        self.pressure.slider.value = self.pressure.field.value = self.design.pressure
+        now, self.note.text = self.known[event.value], _COMPILING
+        self.pressure_form()
         if "height" in self.design.dimensions:
             longer = (now.specimen.initial_length - before.specimen.initial_length) / mm
             self.design.dimensions["height"] = round(self.design.dimensions["height"] + longer)
@@ -168,6 +177,8 @@ class _Page:
 
     def show(self, found: Designed) -> None:
         """Draw the stiffness; `show_rest` draws the rest."""
+        for one in self.shown:
+            one.classes(remove="stale")
         angles = ANGLES / deg
         low, high = found.stiffness
         lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
@@ -224,13 +235,13 @@ class _Page:
             text.text = f"{name} {one / percent:.1f} %" + ("" if inside else ", out of range")
 
     def fail(self, error: Exception) -> None:
-        """Show why this joint is impossible."""
-        self.errors.clear()
-        self.found = None
+        """Show why this joint is impossible; the results of the last possible one turn grey."""
         assert isinstance(error, McKibbenError)
-        for one in (self.stiffness, self.torque):
-            draw(one, [])
-        with self.errors, panel():
+        self.found, self.note.text = None, ""
+        for one in self.shown:
+            one.classes("stale")
+        self.errors.clear()
+        with self.errors:
             show_error(error)
 
     async def move(self) -> None:

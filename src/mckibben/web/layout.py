@@ -18,7 +18,7 @@ import numpy as np
 from nicegui import events, ui
 from numpy.typing import ArrayLike
 
-from mckibben.errors import ON_COMMAND_LINE, FileError, McKibbenError, printable
+from mckibben.errors import ON_COMMAND_LINE, DatasetError, FileError, McKibbenError, printable
 from mckibben.web import resource
 from mckibben.web.session import Jobs, JobState
 
@@ -93,8 +93,8 @@ def results_side() -> ui.column:
 
 
 def progress_row(jobs: Jobs) -> Callable[[], None]:
-    """Progress bar, step and button to cancel; returns the function that refreshes them."""
-    with ui.column().classes("w-full").style("gap: 4px") as shown:
+    """Panel with progress bar, step and button to cancel; returns the function that refreshes it."""
+    with panel(stays=True) as shown:
         with ui.row().classes("w-full items-center no-wrap"):
             bar = ui.linear_progress(0, show_value=False).props("instant-feedback").classes("w-full")
             button("Cancel", jobs.cancel, "cancel").props("dense")
@@ -125,7 +125,8 @@ def show_error(error: McKibbenError) -> None:
         )
         for one in error.problems[:100]
     ]
-    table(("line", "column", "problem", "remedy"), rows, left=4)
+    place = "column" if isinstance(error, DatasetError) else "field"
+    table(("line", place, "problem", "remedy"), rows, left=4)
     if count > len(rows):
         ui.label(f"and {count - len(rows)} more").classes("quiet")
 
@@ -133,6 +134,7 @@ def show_error(error: McKibbenError) -> None:
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
     text = _COLUMNS.sub(r"\1 = \2 (columns)", _ELSEWHERE.sub("", remedy))
+    text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
     text = _CHOICES.sub(r"\1: \2", text)
     return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
 
@@ -188,7 +190,7 @@ def show_warnings(texts: Iterable[str]) -> None:
     for text in texts:
         with ui.row().classes("no-wrap items-start").style("gap: 8px"):
             ui.icon("warning_amber", color=ORANGE).style("font-size: 18px")
-            quiet(printable(text, 1000))
+            quiet(printable(_on_page(text), 1000))
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int = 1) -> ui.table:

@@ -95,15 +95,17 @@ class LegPageState(JobState):
     shown: str = ""
     headers: tuple[str, ...] = ()
     rows: list[tuple[str, ...]] = field(default_factory=list)
+    about: str = ""
 
 
 @dataclass(frozen=True)
 class LegStudies:
-    """Films by title, and a table of the studies."""
+    """Films by title, and a table of the studies with their description."""
 
     films: dict[str, LegFilm]
     headers: tuple[str, ...]
     rows: list[tuple[str, ...]]
+    text: str
 
 
 def parse(text: str, folder: Path) -> LegScenario:
@@ -131,16 +133,16 @@ def compute(scenario: LegScenario, progress: Callable[[str, float], None]) -> Le
 
     if scenario.landing is not None:
         landings = study_landing(scenario, progress=progress)
-        headers, rows = landings.rows()
+        (headers, rows), text = landings.rows(), landings.describe()
         runs = landings.compared_runs()
     else:
         jumps = study_jump(scenario, progress=progress)
-        headers, rows = jumps.rows()
+        (headers, rows), text = jumps.rows(), jumps.describe()
         runs = {name: (scenario.plant(), jump.run) for name, jump in jumps.jumps.items()}
     progress("drawing", 1.0)
     largest = max(float(run["pressure"].max()) for _, run in runs.values()) or 1.0
     films = {title: film_of(plant, run, largest) for title, (plant, run) in runs.items()}
-    return LegStudies(films, headers, rows)
+    return LegStudies(films, headers, rows, text)
 
 
 def film_of(plant: LegPlant, run: LegResult, largest: float) -> LegFilm:
@@ -241,15 +243,16 @@ class _Page(JobPage[LegPageState]):
     def __init__(self, state: LegPageState, folder: Path) -> None:
         super().__init__(state, folder)
         self.film: LegFilm | None = None
-        with side(), panel("Leg"):
-            select(list(STARTS), "begin with", "begin", on_change=self.choose)
-            text_area("leg", LONGEST_TEXT, 330).mark("leg").bind_value(state, "text")
-            with ui.row().style("gap: 8px"):
-                button("Compute", self.start, "compute", main=True)
-                button("Download", self.download)
-            upload("or a leg.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
+        with side():
             self.progress = progress_row(state.jobs)
-            quiet(f"At most {MOST_LANDINGS:,} landings; `mckibben leg` reads the same file.")
+            with panel("Leg"):
+                select(list(STARTS), "begin with", "begin", on_change=self.choose)
+                text_area("leg", LONGEST_TEXT, 330).mark("leg").bind_value(state, "text")
+                with ui.row().style("gap: 8px"):
+                    button("Compute", self.start, "compute", main=True)
+                    button("Download", self.download)
+                upload("or a leg.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
+                quiet(f"At most {MOST_LANDINGS:,} landings; `mckibben leg` reads the same file.")
         with results_side():
             self.remarks = ui.column().classes("w-full")
             with ui.column().classes("w-full").style("gap: 16px") as self.results:
@@ -292,7 +295,7 @@ class _Page(JobPage[LegPageState]):
         state, folder, text = self.state, self.folder, self.state.text or ""
 
         def done(found: LegStudies, heard: list[str]) -> None:
-            state.films, state.headers, state.rows = found.films, found.headers, found.rows
+            state.films, state.headers, state.rows, state.about = found.films, found.headers, found.rows, found.text
             state.shown, state.error, state.notes = next(iter(found.films)), None, heard
 
         self.start_job(lambda progress: compute(parse(text, folder), progress), done)
@@ -320,6 +323,8 @@ class _Page(JobPage[LegPageState]):
             self.numbers.clear()
             with self.numbers:
                 table(state.headers, state.rows)
+                for text in ["intervals are 5 to 95 % of the draws", *state.about.splitlines()]:
+                    quiet(text)
 
     def show(self, film: LegFilm) -> None:
         """Draw a run."""

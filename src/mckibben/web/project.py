@@ -117,9 +117,7 @@ def _read(files: dict[str, bytes], place: Path) -> Project:
 def adopt(project: Project, folder: Path, bench: Workbench, identification: IdentificationState) -> None:
     """Show a project on the pages Muscle, Joint and Run."""
     if project.points is not None:
-        identification.name, identification.data, identification.sources = POINTS, project.points, (folder / POINTS,)
-        identification.found = identification.ranking = identification.error = None
-        identification.notes = []
+        identification.use(POINTS, project.points, [folder / POINTS])
         identification.reading.clear()
     if project.muscle is not None:
         identification.muscle = project.muscle

@@ -54,6 +54,7 @@ class RigState(JobState):
     rows: list[tuple[float, float, float, float]] = field(default_factory=list)
     points: int = 0
     total: int = 1
+    old: bool = False  # whether the rows are of a test before the last one, which has not begun
     data: IsobaricDataset | None = None
     source: Path | None = None
     vent: threading.Event = field(default_factory=threading.Event)
@@ -77,7 +78,7 @@ def measure(
     """Run a test that appends rows to the state; the event `vent` stops it, and whatever `shown` raises."""
     test = checked(text, folder.parent)
     shutil.rmtree(folder, ignore_errors=True)
-    state.rows, state.points, state.total = [], 0, max(1, test.dry_run.plateaus)
+    state.rows, state.points, state.old, state.total = [], 0, False, max(1, test.dry_run.plateaus)
     began = time.monotonic()
 
     def report(progress: Progress) -> None:
@@ -125,6 +126,7 @@ class _Page(JobPage[RigState]):
                 self.pressure = chart("time [s]", "pressure [bar]", height=190)
             with panel("Force"):
                 self.force = chart("time [s]", "force [N]", height=190)
+            self.charts = self.loop, self.pressure, self.force
         ui.timer(0.2, self.refresh)
 
     def refresh(self) -> None:
@@ -141,6 +143,8 @@ class _Page(JobPage[RigState]):
             now = dots("now", contraction[-1:], force[-1:], VERMILLION) | {"symbolSize": 11}
             draw(self.loop, [line("measured", contraction, force, BLUE, width=1), now])
         if self.news():
+            for one in self.charts:
+                one.classes(**{"add" if state.old and state.error is not None else "remove": "stale"})
             self.results.clear()
             with self.results:
                 self.show_remarks()
@@ -155,14 +159,14 @@ class _Page(JobPage[RigState]):
             ui.notify("a test is running: vent first")
             return
         state.vent.clear()
-        state.error = state.data = None
+        state.error, state.data, state.old = None, None, True
         text = state.text
 
         def compute(shown: Callable[[str, float], None]) -> IsobaricDataset:
             return measure(state, text, folder, shown)
 
-        def done(found: IsobaricDataset, _: list[str]) -> None:
-            state.data = found
+        def done(found: IsobaricDataset, heard: list[str]) -> None:
+            state.data, state.notes = found, heard
 
         self.start_job(compute, done)
 
@@ -173,8 +177,7 @@ class _Page(JobPage[RigState]):
     def identify(self) -> None:
         """Use the points on the muscle page."""
         found = session().state(IdentificationState)
-        found.name, found.data = "test on the simulated rig", self.state.data
-        found.sources = (self.state.source,) if self.state.source else ()
-        found.found = found.ranking = found.error = None
+        assert self.state.data is not None
+        found.use("test on the simulated rig", self.state.data, [self.state.source] if self.state.source else [])
         found.jobs.version += 1
         ui.navigate.to("/identify")

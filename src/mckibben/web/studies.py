@@ -79,10 +79,14 @@ class Tuned:
 
 @dataclass(frozen=True)
 class Compared:
-    """Result of a comparison: table, median and 95th percentile of the angle error [deg], and tuned scenarios."""
+    """Result of a comparison: table, that at no more air than the scenario's controller, errors, tuned scenarios.
+
+    The errors are median and 95th percentile of the angle error [deg].
+    """
 
     headers: tuple[str, ...]
     rows: list[tuple[str, ...]]
+    at_equal_air: list[tuple[str, ...]]
     errors: dict[str, tuple[float, float]]
     scenarios: dict[str, Scenario]
     remarks: list[str]
@@ -165,22 +169,31 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     numbers = statistics(found)
     headers = ("controller", "angle RMSE [°]", "95 %", "stiffness RMSE [N·m/rad]", "95 %", "air [L]", FAILED)
     spreads = [(name, what) for name in ("angle_rmse_deg", "stiffness_rmse") for what in ("median", "percentile_95")]
+    shown = {name: name for name in suite.controllers} | {"scenario": own or "that of the scenario"}
+
+    def row(name: str, each: dict[str, Any]) -> tuple[str, ...]:
+        return shown[name], *(_cell(each, *one) for one in (*spreads, ("air_L", "median"))), failed_runs(each)
+
     rows, errors = [], {}
     for name in numbers["order"]:
         each = numbers["controllers"][name]
-        rows.append((name, *(_cell(each, *one) for one in (*spreads, ("air_L", "median"))), failed_runs(each)))
+        rows.append(row(name, each))
         if (spread := each["metrics"]["angle_rmse_deg"]) is not None:
-            errors[name] = spread["median"], spread["percentile_95"]
+            errors[shown[name]] = spread["median"], spread["percentile_95"]
+    at_air = numbers["at_air_of_first"] or {"controllers": {}}
     reference = next(iter(suite.references))
-    scenarios = {name: with_values(suite.scenario(name, reference), found.tuned[name]) for name in suite.controllers}
+    scenarios = {
+        title: with_values(suite.scenario(name, reference), found.tuned[name]) for name, title in shown.items()
+    }
     remarks = [
-        f"{name}: at a bound of the range: {', '.join(each['at_bound'])}"
+        f"{shown[name]}: at a bound of the range: {', '.join(each['at_bound'])}"
         for name, each in numbers["controllers"].items()
         if each["at_bound"]
     ]
     if numbers["no_start"]:
         remarks.append(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
-    return Compared(headers, rows, errors, scenarios, [*remarks, *scenario.joint.remarks])
+    equal = [row(*each) for each in at_air["controllers"].items()]
+    return Compared(headers, rows, equal, errors, scenarios, [*remarks, *scenario.joint.remarks])
 
 
 def _number(value: float) -> str:

@@ -78,9 +78,9 @@ class _Page(JobPage[StudyState]):
             with panel("Scenario"):
                 self.name = ui.label().classes("number").mark("scenario-name")
                 quiet("That of the page Run, as it last ran.")
-                self.progress = progress_row(state.jobs)
+            self.progress = progress_row(state.jobs)
             with panel("Tune"):
-                _text("cost", tuning, "cost")
+                _lines("cost", tuning, "cost")
                 methods = [AUTOMATIC, *(one.value for one in Method)]
                 select(methods, "method", "method").bind_value(tuning, "method")
                 with ui.element("div").classes("fields"):
@@ -196,6 +196,9 @@ class _Page(JobPage[StudyState]):
             bars(found.errors)
             with ui.element("div").classes("w-full").style("overflow-x: auto"):
                 table(found.headers, found.rows)
+                if found.at_equal_air:
+                    quiet("With gains that take no more air than the scenario's controller in the training runs:")
+                    table(found.headers, found.at_equal_air)
             with ui.row().classes("items-center").style("gap: 12px"):
                 chosen = ui.select(list(found.scenarios), value=next(iter(found.scenarios)), label="controller")
                 chosen.props("dense").style("min-width: 180px")
@@ -221,10 +224,6 @@ def bars(errors: dict[str, tuple[float, float]]) -> ui.echart:
     ]
     draw(made, series)
     return made
-
-
-def _text(label: str, on: Any, name: str) -> None:
-    ui.input(label).props("dense maxlength=300").classes("w-full").mark(name).bind_value(on, name)
 
 
 def _lines(label: str, on: Any, name: str) -> None:

@@ -15,7 +15,7 @@ from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.mechanism import muscle_sizes
-from mckibben.scenario import Scenario, run_scenario
+from mckibben.scenario import Scenario, run_scenario, unknown_air
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import in_shown_units
 from mckibben.units import deg
@@ -135,6 +135,8 @@ def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
     remarks = [] if feasibility.feasible else [feasibility.describe()]
     if result.outcome.name != "COMPLETED":
         remarks.append(result.outcome.value)
+    if np.isnan(result.metrics["air"]) and not result.outcome.failed:
+        remarks.append(unknown_air(scenario))
     return _kept(scenario, result, folder), [*remarks, *scenario.joint.remarks]
 
 

@@ -1,0 +1,95 @@
+"""Fields by which the page of muscles reads a file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mckibben.dataset import IsobaricDataset, Recipe
+from mckibben.errors import DatasetError, ParameterError, ScenarioError
+from mckibben.units import show
+
+TEXTS = {
+    "initial_length": "initial length, such as 180 mm",
+    "zero_length": "zero length: at displacement 0, if another",
+    "from_name": "from file names, such as {pressure_bar}bar",
+    "slack_force": "slack force, such as 4 N, if not estimated",
+    "decimal": "decimal sign, if the file does not tell",
+    "specimen": "name of the muscle",
+}
+"""Labels of the fields for texts, by the names of a recipe."""
+_UNITS = {"initial_length": "mm", "zero_length": "mm", "slack_force": "N"}
+DISPLACEMENTS = {"": "no displacement", "shortening": "shortens", "lengthening": "lengthens"}
+
+
+@dataclass
+class ReadingFields:
+    """Reading options, as texts of the fields of the page."""
+
+    initial_length: str = ""
+    displacement: str = ""
+    zero_length: str = ""
+    from_name: str = ""
+    slack_force: str = ""
+    decimal: str = ""
+    specimen: str = ""
+    negative: bool = False
+    columns: str = ""
+    of_recordings: dict[str, float] = field(default_factory=dict)
+    """Settings of a recipe that apply to recordings only, kept for its next file."""
+
+    def clear(self) -> None:
+        """Empty all fields, to which those of an open page are bound."""
+        vars(self).update(vars(ReadingFields()))
+
+    def take(self, recipe: Recipe) -> None:
+        """Fill all fields from a recipe."""
+        self.clear()
+        for name in (*TEXTS, "displacement"):
+            if (given := getattr(recipe, name)) is not None:
+                setattr(self, name, show(given, _UNITS[name], 12) if name in _UNITS else given)
+        self.negative = recipe.force_sign == -1
+        self.columns = "\n".join(f"{header} = {name}" for header, name in (recipe.columns or {}).items())
+        self.of_recordings = recipe.model_dump(include={"contraction", "sample_rate"}, exclude_none=True)
+
+    def recipe(self) -> Recipe:
+        """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
+        texts = {name: getattr(self, name).strip() for name in (*TEXTS, "displacement")}
+        given: dict[str, Any] = {name: text for name, text in texts.items() if text}
+        given |= {"columns": names} if (names := column_names(self.columns)) else {}
+        given |= {"force_sign": -1} if self.negative else {}
+        given |= self.of_recordings
+        return Recipe(**given)
+
+
+def column_names(text: str) -> dict[str, str]:
+    """Headers of a file to names, from lines such as ``Druck [bar] = pressure_bar``."""
+    found = {}
+    for number, one in enumerate(filter(str.strip, text.splitlines()), start=1):
+        header, equals, name = (part.strip() for part in one.rpartition("="))
+        if not (header and equals and name):
+            raise ParameterError(
+                f"columns, line {number} is not a pair", value=one, remedy="write HEADER = pressure_bar"
+            )
+        found[header] = name
+    return found
+
+
+def refusal(name: str, text: str | None) -> str | None:
+    """Reason why a text is not a value of a recipe's field; None if it is valid or empty."""
+    try:
+        given: dict[str, Any] = {name: text.strip()} if text and text.strip() else {}
+        Recipe(**given)
+    except ScenarioError as error:
+        return "; ".join(filter(None, (error.problems[0].message, error.problems[0].remedy)))
+    return None
+
+
+def read(paths: Sequence[Path], fields: ReadingFields) -> IsobaricDataset:
+    """The points of the files of a test, read as the fields say; errors name them without their folder."""
+    try:
+        return fields.recipe().dataset(paths)
+    except DatasetError as error:
+        raise DatasetError(Path(error.source).name.removeprefix("data-"), error.problems) from None
