@@ -23,6 +23,7 @@ from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.ni import NiRig
 from mckibben.rig.ni.settings import CardSettings
 from mckibben.rig.protocol import Protocol
+from mckibben.rig.simulated.parts import Regulator
 from mckibben.units import BoundedInt, Contraction, PositiveTime, SampleRate, Strength
 
 _APART = 1_000_003  # between the seeds of sessions
@@ -49,7 +50,10 @@ class MountedMuscle(Component):
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedRigSettings(Checked, MuscleRig):
-    """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`), real or ideal parts."""
+    """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`), real or ideal parts.
+
+    `regulator` replaces the one of the parts; with a `wall_conductance` the air has a temperature.
+    """
 
     short_name = "simulated"
     physical = False
@@ -60,6 +64,7 @@ class SimulatedRigSettings(Checked, MuscleRig):
     friction: Friction | None = None
     creep: Creep | None = None
     parts: Literal["real", "ideal"] = "real"
+    regulator: Regulator | None = None
     paced: bool = False
 
     def __post_init__(self) -> None:
@@ -75,7 +80,6 @@ class SimulatedRigSettings(Checked, MuscleRig):
             PRESSURE_SENSOR,
             Converter,
             RealTimeRig,
-            Regulator,
             SimulatedRig,
             Stretcher,
         )
@@ -91,6 +95,8 @@ class SimulatedRigSettings(Checked, MuscleRig):
                 "force_sensor": replace(FORCE_SENSOR, noise=0.0),
                 "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
             }
+        if self.regulator is not None:
+            parts["regulator"] = self.regulator
         kind = RealTimeRig if self.paced else SimulatedRig
         return kind(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
 
@@ -177,6 +183,7 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         calibrations=backend.calibrations,
         limits=test.limits,
         rate=backend.rate,
+        shuts=backend.shuts,
         **explicit_fields(test.recording),
     )
     return Setup(backend, bench)
