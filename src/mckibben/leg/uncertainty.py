@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.actuator import Actuator, Tube
+from mckibben.actuator import Actuator
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.identification.storage import read_fit
 from mckibben.leg.plant import LegPlant
@@ -66,8 +66,8 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
 
 def drawn_air(valve: Actuator, spec: DrawSettings) -> Actuator:
     """Return a valve with arrays over draws in place of the uncertain numbers of its air; the same for any valve."""
-    if isinstance(valve, Tube):
-        return eqx.tree_at(lambda x: x.valve, valve, drawn_air(valve.valve, spec))
+    if (inner := getattr(valve, "valve", None)) is not None:  # of a tube
+        return eqx.tree_at(lambda x: x.valve, valve, drawn_air(inner, spec))
     if not (valve.holds_air and spec.air):
         return valve
     rng, drawn = np.random.default_rng((spec.seed, 1)), {}
