@@ -8,14 +8,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 import mckibben.rig.steps  # noqa: F401 - protocols that a file can name
 from mckibben.component.base import Checked, Component, Inherited
 from mckibben.component.schema import Part, section_of
 from mckibben.config.document import Document
 from mckibben.config.fields import Title
-from mckibben.config.model import DocumentModel, explicit_fields, parse_model, read_text
+from mckibben.config.model import DocumentModel, explicit_fields, fail_validation, parse_model, read_text
 from mckibben.errors import RangeError
 from mckibben.muscle import Creep, ForceCorrection, ForceLaw, Friction, Muscle, NoCreep, NoFriction, Specimen
 from mckibben.rig.backend import MovingBackend, MuscleRig
@@ -132,6 +132,13 @@ class MuscleCardSettings(CardSettings, MuscleRig):
 
 class RecordingSettings(section_of(Bench, partial=True)):
     """Cycle of the safety monitor, sample rate between plateaus, and force below which a point is slack."""
+
+    @field_validator("of", "mounted_at", "drive", "limits", "rate", "shuts", mode="after", check_fields=False)
+    @classmethod
+    def _of_the_rig(cls, value: Any) -> Any:
+        if value is not None:
+            fail_validation("follows from muscle, rig and limits", "leave it out")
+        return value
 
 
 class RigTest(DocumentModel):
