@@ -8,7 +8,7 @@ from sample to sample (so that only its mean is a measurement), and in every oth
 Each data set goes through the estimator of `identify`. Prints the table of docs/uncertainty.md; takes a few minutes.
 
 With `--files` the data are files as that of the tutorial (`examples/your-muscle/make_data.py`), each with noise of its
-own, and go through `read_dataset`, `identify` and `identify_hysteresis`; half a minute for 100.
+own, and go through `read_dataset`, `identify` and `identify_hysteresis`; eight minutes of one core for 100.
 """
 
 import argparse

@@ -399,3 +399,19 @@ def test_repeats_of_one_taut_point_are_not_slack():
     )
     force = 1e-3 * pressure * (1 - 4 * contraction) + np.random.default_rng(1).normal(0, 0.3, contraction.size)
     assert slack_force(force, contraction, pressure, np.zeros(contraction.size, int)) is None
+
+
+def test_a_muscle_that_only_begins_to_pull_is_not_slack():
+    """At one length, the lowest forces rise with the pressure by less than the gap above them."""
+    pressure = np.r_[np.linspace(0.5, 2.6, 15), np.linspace(2.9, 6, 20)] * bar
+    force = np.interp(pressure, np.array([0.5, 2.6, 2.9, 6.0]) * bar, [6.0, 12.0, 35.0, 240.0])
+    force += np.random.default_rng(1).normal(0, 0.2, force.size)
+    assert slack_force(force, np.full(35, 0.04), pressure, np.zeros(35, int)) is None
+
+
+def test_repeats_below_zero_are_slack():
+    """A vented muscle at one length, of a sensor with an offset: no muscle pushes."""
+    pressure = np.r_[np.linspace(0.65, 0.75, 10), np.linspace(3.2, 5.7, 14)] * bar
+    force = np.maximum((pressure / bar - 3.0) * 45, 0) - 2.7 + np.random.default_rng(1).normal(0, 0.1, pressure.size)
+    found = slack_force(force, np.full(pressure.size, 0.09), pressure, np.zeros(pressure.size, int))
+    assert found is not None and found.offset == pytest.approx(-2.7, abs=0.1)

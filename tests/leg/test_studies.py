@@ -7,16 +7,20 @@ import errno
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from mckibben.actuator import Tube
 from mckibben.cli import app
 from mckibben.errors import FileError, RangeError, ScenarioError
 from mckibben.leg import LandingStudy, LegScenario, LegStart, Link, Trunk, jump_search, jumping, landing, study_landing
 from mckibben.leg.landing import valve_with
-from mckibben.leg.uncertainty import drawn_plant, with_mass
+from mckibben.leg.scenario import DrawSettings
+from mckibben.leg.uncertainty import drawn_air, drawn_plant, with_mass
+from mckibben.plant import IdealValve
 from mckibben.storage.files import check_seal, file_lock
 from tests.leg.conftest import FILE
 
@@ -256,6 +260,51 @@ def test_draws_scatter_about_the_nominal_leg(scenario: LegScenario) -> None:
     assert strength[0] == 1.0 and strength[1:].std() == pytest.approx(0.05, rel=0.1)
     mass = np.asarray(plant.leg.trunk.mass)
     assert mass[0] == 1.5 and mass[1:].std() == pytest.approx(0.03 * 1.5, rel=0.1)
+    assert np.ndim(plant.valve.polytropic_index) == 0  # type: ignore[attr-defined]
+
+
+def test_draws_of_the_air(scenario: LegScenario) -> None:
+    spec = DrawSettings(wall_conductance=0.3, polytropic_index=0.2, draws=2000)
+    warm = dataclasses.replace(scenario.valve, wall_conductance=0.5)  # type: ignore[type-var]
+    valve: Any = drawn_air(warm, spec)
+    wall, index = np.asarray(valve.wall_conductance), np.asarray(valve.polytropic_index)
+    assert wall[0] == 0.5 and np.log(wall[1:]).std() == pytest.approx(0.3, rel=0.1) and np.ndim(valve.leak) == 0
+    assert index[0] == 1.2 and (index.min(), index.max()) == (1.0, 1.4)
+    tube: Any = drawn_air(Tube(warm, volume=3e-6, conductance=2e-9), spec)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(tube.wall_conductance, wall)
+    assert drawn_air(IdealValve(), spec) == IdealValve()
+
+
+@pytest.mark.parametrize(
+    ("name", "given"), [("wall_conductance", ""), ("leak", ""), ("dead_volume", ""), ("polytropic_index", "wall")]
+)
+def test_scatter_of_air_that_the_valve_does_not_have(name: str, given: str) -> None:
+    valve = "{from: smc-itv0050, supply: 7 bar" + (", wall_conductance: 0.5 W/K}" if given else "}")
+    with pytest.raises(ScenarioError) as caught:
+        LegScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{name}: 10 %}}\n")
+    (problem,) = caught.value.problems
+    assert problem.field == f"uncertainty.{name}" and problem.remedy
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["polytropic_index", "wall_conductance"])
+def test_a_landing_of_a_draw_is_that_with_its_air(scenario: LegScenario, name: str) -> None:
+    none = {"strength": 0.0, "mass": 0.0}
+    valve: Any = scenario.valve
+    if name == "wall_conductance":
+        valve = dataclasses.replace(valve, wall_conductance=0.5)
+    spec = scenario.uncertainty.model_copy(update=none | {name: 0.1})
+    drawn = study_landing(scenario.model_copy(update={"uncertainty": spec, "valve": valve}))
+    draw = 7
+    value = float(np.asarray(getattr(drawn_air(valve, spec), name))[draw])
+    own = dataclasses.replace(valve, **{name: value})
+    spec = scenario.uncertainty.model_copy(update=none)
+    alone = study_landing(scenario.model_copy(update={"uncertainty": spec, "valve": own}))
+    found, expected = (one.table["peak_trunk_force"].sel(valve=landing.CLOSED) for one in (drawn, alone))
+    np.testing.assert_allclose(found.sel(draw=draw), expected.sel(draw=0), rtol=1e-5)
+    assert np.ptp(found.to_numpy(), axis=-1).max() > 100 * np.ptp(expected.to_numpy(), axis=-1).max()
+    low, high = drawn.records()["landings"][-1]["peak_trunk_force_interval"]
+    assert high > low
 
 
 def test_draws_of_the_mass_scale_every_inertia() -> None:

@@ -48,6 +48,7 @@ def problems(*steps, bench=BENCH, **arguments):
         (lambda: Move(to=0.1, speed=0.0), "speed", "0 m/s"),
         (lambda: Dwell(duration=math.nan), "duration", "nan s"),
         (lambda: Pressurise(pressure=math.inf), "pressure", "inf Pa"),
+        (lambda: Pressurise(pressure=1 * bar, shut=3.0, rate=1 * bar), "shut", "at constant length"),
         (lambda: Acquire(samples=0), "samples", "is 0"),
         (lambda: Acquire(samples=10.5), "samples", "is 10.5"),
         (lambda: Acquire(direction="up"), "direction", "'loading'"),
@@ -118,6 +119,13 @@ def test_every_limit_is_held_against_the_steps():
         "[3].walk.acquire.samples: 700 samples in 1 s are not a whole part of 1000 Hz; take 1000, or a whole part "
         "of it",
     }
+
+
+def test_a_rig_without_a_shut_off_valve_is_recognised():
+    step = Pressurise(pressure=2 * bar, shut=3.0)
+    (problem,) = dry_run([step], BENCH).problems
+    assert problem.field == "[0].pressurise.shut" and problem.remedy
+    assert not dry_run([step], replace(BENCH, shuts=True)).problems
 
 
 def test_a_way_longer_than_the_travel_is_refused():

@@ -35,6 +35,7 @@ _FAR = 8.0  # standard deviations: a point farther above slack ones is not noise
 _TAIL = 0.8  # share of slack points without a taut point at a larger contraction; the rest may be friction
 _UPPERMOST = 0.95  # share of the slack muscle's readings, above which there may be friction
 _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
+_SURELY = 0.9  # the same, of few points, whose noise may explain much of it by chance
 _ONE_POINT = 0.05  # of the range of contraction or pressure: slack points within it may be repeats of one point
 _QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
@@ -236,14 +237,15 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
         slack = np.abs(force - offset) <= _OUTSIDE * noise
         if np.count_nonzero(slack) < _FEWEST_SLACK or offset == noise == 0:
             continue
-        if all(np.ptp(axis[slack]) <= _ONE_POINT * np.ptp(axis) for axis in (contraction, pressure)):
+        if offset >= 0 and all(np.ptp(axis[slack]) <= _ONE_POINT * np.ptp(axis) for axis in (contraction, pressure)):
             continue  # repeats of one point, which may be taut
         if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
             continue
         behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
         if behind.mean() < _TAIL:
             continue
-        if not by_gap and _explained(force[slack], contraction[slack], pressure[slack]) > _DEPENDENT:
+        dependent = _SURELY if by_gap else _DEPENDENT
+        if _explained(force[slack], contraction[slack], pressure[slack]) > dependent:
             continue
         above = (force - offset)[_beyond(slack, contraction, passes)]
         limit = max(_OUTSIDE * noise, float(above[above <= _FAR * noise].max(initial=0.0)))

@@ -106,10 +106,10 @@ _MEANT = {
 def left_out(outliers: Sequence[Outlier]) -> list[str]:
     """Warnings of points that an identification leaves out: the first few, and the rows of the others."""
     shown, more = outliers[:_LISTED], [str(one.row) for one in outliers[_LISTED:]]
-    found = [f"left out, as it contradicts the points around it: {one}" for one in shown]
+    found = [f"left out, as it is off the smooth surface through the other points; check it: {one}" for one in shown]
     if more:
         rows = ", ".join(more[:_LISTED_ROWS]) + (", ..." if len(more) > _LISTED_ROWS else "")
-        found.append(f"left out, as they contradict the points around them: {len(more)} more, rows {rows}")
+        found.append(f"left out, as they are off that surface, too: {len(more)} more, rows {rows}")
     return found
 
 
@@ -182,7 +182,7 @@ class Fit(metaclass=CheckedCalls):
     regression
         Points and least-squares solution; None if read from a file without points.
     outliers
-        Points left out because they contradict the points around them.
+        Points left out because they are off the smooth surface through the others.
     """
 
     law: ForceLaw

@@ -51,6 +51,8 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
         errors, statistics, freedom, hyperparameters = tested
         sizes = np.where(np.abs(errors) > least, np.abs(statistics), 0.0)
         order = np.argsort(-sizes, kind="stable")[:together]
+        if not sizes[order[0]]:  # no error is large enough
+            break
         significant = order[sizes[order] > _limit(len(errors), freedom)]
         worst = significant if significant.size else order[:1]
         at = np.flatnonzero(kept)[worst]

@@ -116,7 +116,7 @@ class Ranking:
     missing
         Reason why a kind of block is not available, by its name.
     outliers
-        Points left out of all fits because they contradict the points around them.
+        Points left out of all fits because they are off the smooth surface through the others.
     """
 
     entries: tuple[RankedLaw, ...]

@@ -19,7 +19,7 @@ from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
 from mckibben.leg.simulate import LegResult, simulate_leg, simulate_legs
 from mckibben.leg.study_journal import StudyJournal, StudyKind, check_continued
-from mckibben.leg.uncertainty import drawn_plant, take
+from mckibben.leg.uncertainty import drawn_air, drawn_plant, take
 from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve
 from mckibben.plant.base import MOST_SUBSTEPS
@@ -287,7 +287,7 @@ def study_landing(
         commands = tuple(pressures[level[rows]].T)
         speeds = -np.sqrt(2 * nominal.gravity * drops[drop[rows]])
         return simulate_legs(
-            take(eqx.tree_at(lambda x: x.valve, drawn, valve), draw[rows]),
+            take(eqx.tree_at(lambda x: x.valve, drawn, drawn_air(valve, scenario.uncertainty)), draw[rows]),
             PressureSchedule(tuple((one,) for one in commands)),
             LegStart(angles, commands, 0.0, speeds),
             duration=scenario.whole_steps(landing.duration),

@@ -50,16 +50,28 @@ Angles = dict[str, Angle]
 
 
 class DrawSettings(ConfigModel):
-    """Relative standard deviations of the strength of each muscle and of the mass of each body.
+    """Relative standard deviations of the strength of each muscle, of the mass of each body, and of the air.
 
     All are independent; the inertia of a body follows its mass. Muscles whose law is a fit file vary within the errors
-    of the fit as well, those with the same file identically. Fewer than 20 draws have no 5th and 95th percentiles.
+    of the fit as well, those with the same file identically. The numbers of the air are those of the valve, which all
+    muscles share, with logarithmic deviations; 0 where they are not given. Those of all but the polytropic index are
+    known from `identify_air`. Fewer than 20 draws have no 5th and 95th percentiles.
     """
 
     strength: Spread = 0.05
     mass: Spread = 0.03
+    wall_conductance: Spread = 0.0
+    leak: Spread = 0.0
+    dead_volume: Spread = 0.0
+    polytropic_index: Spread = 0.0
     draws: Annotated[int, BoundedInt(20, 10_000)] = 64
     seed: Annotated[int, BoundedInt(0, 2**31 - 1)] = 0
+
+    @property
+    def air(self) -> dict[str, float]:
+        """Deviations of the uncertain numbers of the air, by the fields of valves."""
+        names = ("wall_conductance", "leak", "dead_volume", "polytropic_index")
+        return {name: spread for name in names if (spread := getattr(self, name))}
 
 
 class LandingSettings(ConfigModel):
@@ -240,6 +252,20 @@ class LegScenario(RunSettings):
                     value=value.high,
                     field="high",
                 )
+        return value
+
+    @field_validator("uncertainty", mode="after")
+    @classmethod
+    def _of_the_air(cls, value: DrawSettings, info: ValidationInfo) -> DrawSettings:
+        if (valve := info.data.get("valve")) is None:
+            return value
+        valve = getattr(valve, "valve", valve)  # of a tube
+        for name in value.air:
+            if not getattr(valve, name, None):
+                fail_validation(f"the valve has no {name}", f"give it a {name}, or leave this out", field=name)
+            if name == "polytropic_index" and valve.wall_conductance is not None:
+                remedy = "leave it out, and give the deviation of the wall_conductance"
+                fail_validation("has no effect on air with a temperature", remedy, field=name)
         return value
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""Draws of legs with scatter of muscles and bodies: laws, their strength, and masses."""
+"""Draws of legs with scatter of muscles, bodies and air: laws, their strength, masses, and the air behind valves."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from mckibben.actuator import Actuator
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.identification.storage import read_fit
 from mckibben.leg.plant import LegPlant
-from mckibben.leg.scenario import LegScenario
+from mckibben.leg.scenario import DrawSettings, LegScenario
 from mckibben.muscle import ForceLaw, Muscle, SpringLaw
+from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 
 
 def drawn_plant(scenario: LegScenario) -> LegPlant:
@@ -59,7 +61,22 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
     leg = eqx.tree_at(lambda x: (x.trunk, x.links, x.joints), leg, (trunk, links, tuple(joints)))
     if biarticular:
         leg = eqx.tree_at(lambda x: x.biarticular, leg, biarticular)
-    return eqx.tree_at(lambda x: x.leg, plant, leg)
+    return eqx.tree_at(lambda x: (x.leg, x.valve), plant, (leg, drawn_air(plant.valve, spec)))
+
+
+def drawn_air(valve: Actuator, spec: DrawSettings) -> Actuator:
+    """Return a valve with arrays over draws in place of the uncertain numbers of its air; the same for any valve."""
+    if (inner := getattr(valve, "valve", None)) is not None:  # of a tube
+        return eqx.tree_at(lambda x: x.valve, valve, drawn_air(inner, spec))
+    if not (valve.holds_air and spec.air):
+        return valve
+    rng, drawn = np.random.default_rng((spec.seed, 1)), {}
+    for name, spread in spec.air.items():
+        normal = np.append(0.0, rng.standard_normal(spec.draws))  # the first is nominal
+        drawn[name] = getattr(valve, name) * np.exp(spread * normal)
+    if (index := drawn.get("polytropic_index")) is not None:
+        drawn["polytropic_index"] = np.clip(index, 1.0, max(HEAT_CAPACITY_RATIO, index[0]))
+    return eqx.tree_at(lambda x: [getattr(x, name) for name in drawn], valve, list(drawn.values()))
 
 
 def with_mass(body: Any, factors: NDArray[np.float64]) -> Any:

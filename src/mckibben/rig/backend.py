@@ -12,7 +12,7 @@ from numpy import float64, int64
 from numpy.typing import NDArray
 
 from mckibben.component.classes import Keyed
-from mckibben.errors import McKibbenWarning
+from mckibben.errors import McKibbenWarning, RigError
 
 if TYPE_CHECKING:  # the watchdog's process needs little
     from mckibben.rig.bench import Drive
@@ -159,6 +159,8 @@ class MovingBackend(Backend, MuscleRig):
 
     homed: bool = False
     """Whether opening it moves the motor to the mounted position of the muscle."""
+    shuts: bool = False
+    """Whether it has a valve that shuts the muscle off from the regulator, but not from its vent valve: see `shut`."""
 
     def __post_init__(self) -> None:
         from mckibben.component.base import check_fields
@@ -187,6 +189,10 @@ class MovingBackend(Backend, MuscleRig):
     @abc.abstractmethod
     def stop(self) -> None:
         """Stop the motor at once. Never raises."""
+
+    def shut(self) -> None:
+        """Shut the muscle off from the regulator, until `set_valves`; `RigError` if it cannot (`shuts`)."""
+        raise RigError(f"the {self.description['kind']} rig has no shut-off valve")
 
 
 class Watchdog:

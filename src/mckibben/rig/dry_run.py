@@ -101,6 +101,8 @@ class DryRun(StepInterpreter):
                 self._check_reach(step.to)
             case Pressurise():
                 self._check_pressure(step.pressure)
+                if step.shut is not None and not bench.shuts:
+                    self._report("this rig has no shut-off valve", f"{place}.shut", "leave it out")
             case HoldForce():
                 self._check_speed(step.speed)
             case Acquire():
@@ -131,8 +133,8 @@ class DryRun(StepInterpreter):
         self.rows += rows
         self._slowest = max(self._slowest, (duration, self._place))
 
-    def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None:
-        self._rest(_SETTLING + (0.0 if rate is None else abs(pressure - self._set_pressure) / rate))
+    def _pressurise(self, pressure: float, rate: float | None, holding: float | None, shut: float | None) -> None:
+        self._rest(_SETTLING + (shut or 0.0) + (0.0 if rate is None else abs(pressure - self._set_pressure) / rate))
         self._set_pressure = pressure
         self.pressure = min(self.pressure[0], pressure), max(self.pressure[1], pressure)
         self._visit()

@@ -53,7 +53,7 @@ class StepInterpreter(abc.ABC):
                 case Dwell():
                     self._rest(step.duration)
                 case Pressurise():
-                    self._pressurise(step.pressure, step.rate, step.holding)
+                    self._pressurise(step.pressure, step.rate, step.holding, step.shut)
                 case HoldForce():
                     self._hold(step)
                 case Acquire():
@@ -99,7 +99,7 @@ class StepInterpreter(abc.ABC):
     def _rest(self, duration: float) -> None: ...
 
     @abc.abstractmethod
-    def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None: ...
+    def _pressurise(self, pressure: float, rate: float | None, holding: float | None, shut: float | None) -> None: ...
 
     @abc.abstractmethod
     def _hold(self, step: HoldForce) -> None: ...
@@ -121,6 +121,7 @@ class _Target:
     pressure: float = 0.0
     via: float = 0.0  # pressure before the set one
     holding: float | None = None
+    shut: float | None = None
     hold: HoldForce | None = None
     speed: float = 0.0
     rest: float = 0.0
@@ -221,18 +222,18 @@ class Runner(StepInterpreter):
         if self._live:
             self._rig.wait(duration)
 
-    def _pressurise(self, pressure: float, rate: float | None, holding: float | None) -> None:
+    def _pressurise(self, pressure: float, rate: float | None, holding: float | None, shut: float | None) -> None:
         target = self._target
         target.via, target.pressure, target.holding, target.rest = target.pressure, pressure, holding, 0.0
-        target.hold, target.pressed = None, self.position
+        target.hold, target.pressed, target.shut = None, self.position, shut
         if holding is None:
             target.before = target.turn = self.position
         if self._live:
-            self._rig.set_pressure(target.via, pressure, rate, holding)
+            self._rig.set_pressure(target.via, pressure, rate, holding, shut)
 
     def _vent(self) -> None:
         self._target.via = self._target.pressure = self._target.rest = 0.0
-        self._target.holding = self._target.hold = None
+        self._target.holding = self._target.hold = self._target.shut = None
         self._target.before = self._target.turn = self._target.pressed = self.position
         if self._live:
             self._rig.vent_and_wait()
@@ -265,9 +266,8 @@ class Runner(StepInterpreter):
         if target.via > 0:
             self._rig.set_pressure(0.0, target.via, 1 * bar, target.holding)
         if target.pressure != 0:
-            self._rig.set_pressure(
-                target.via, target.pressure, 1 * bar if target.holding is not None else None, target.holding
-            )
+            rate = 1 * bar if target.holding is not None else None
+            self._rig.set_pressure(target.via, target.pressure, rate, target.holding, target.shut)
         if target.hold is not None:
             self._hold(target.hold)
         else:

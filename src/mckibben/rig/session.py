@@ -138,8 +138,13 @@ class RigSession:
         while left > 0:
             left -= len(self._cycle(min(left, self.bench.samples_per_cycle)).time)
 
-    def set_pressure(self, before: float, pressure: float, rate: float | None, holding: float | None) -> None:
-        """Change the pressure [Pa], at once or at a rate [Pa/s], at constant length or at a force [N]; wait for it."""
+    def set_pressure(
+        self, before: float, pressure: float, rate: float | None, holding: float | None, shut: float | None = None
+    ) -> None:
+        """Change the pressure [Pa], at once or at a rate [Pa/s], at constant length or at a force [N]; wait for it.
+
+        With `shut`, the valve is shut as soon as the muscle has the pressure, for at least this time [s].
+        """
         self._set_pressure = pressure
         self.recorder.event("pressure", pressure=pressure)
         if rate is not None:
@@ -168,8 +173,15 @@ class RigSession:
                     remedy="check the supply, the valve and the muscle",
                 )
 
-        self._settle(lambda latest: abs(latest.pressure - pressure) <= self.bench.settled, in_time)
-        self._expect_settled(pressure)
+        steady = self.bench.steady if shut is None else self.bench.cycle
+        self._settle(lambda latest: abs(latest.pressure - pressure) <= self.bench.settled, in_time, steady)
+        if shut is None:
+            self._expect_settled(pressure)
+            return
+        self.backend.shut()
+        self.recorder.event("shut")
+        self.monitor.expect(None, self.now)
+        self.wait(shut)
 
     def vent_and_wait(self) -> None:
         """Vent, and wait until the muscle is empty."""
@@ -185,16 +197,18 @@ class RigSession:
                 remedy = "shut the supply by hand, and check the valve; if it is empty, tare its sensor"
                 raise StoppedError(message, value=latest.pressure, unit="Pa", remedy=remedy)
 
-        self._settle(lambda latest: latest.pressure <= self.bench.vented, in_time)
+        self._settle(lambda latest: latest.pressure <= self.bench.vented, in_time, self.bench.steady)
         self._expect_settled(0.0)
 
     def _set_valve(self, pressure: float) -> None:
         self.backend.set_valves([float(self.bench.calibrations["valve"].volts(max(pressure, 0.0)))])
 
-    def _settle(self, near: Callable[[BlockMeans], bool], in_time: Callable[[BlockMeans], None]) -> None:
-        """Wait until the pressure has been near its setpoint for the time `steady`; `in_time` checks the deadline."""
+    def _settle(
+        self, near: Callable[[BlockMeans], bool], in_time: Callable[[BlockMeans], None], duration: float
+    ) -> None:
+        """Wait until the pressure has been near its setpoint for a time [s]; `in_time` checks the deadline."""
         steady = 0.0
-        while steady < self.bench.steady - 1e-9:
+        while steady < duration - 1e-9:
             before = self.now
             latest = self.read_cycle()
             steady = steady + latest.time - before if near(latest) else 0.0

@@ -83,7 +83,7 @@ class Dwell(ProtocolStep):
 
 @dataclass(frozen=True, kw_only=True)
 class Pressurise(ProtocolStep):
-    """Change of the set pressure, until the muscle has it."""
+    """Change of the set pressure, until the muscle has it; or shut off from then on, for a test with a shut valve."""
 
     short_name = "pressurise"
     alone = "pressure"
@@ -91,11 +91,22 @@ class Pressurise(ProtocolStep):
     pressure: SetPressure
     rate: PressureRate | None = None  # of the set pressure; a step unless given
     holding: Tension | None = None  # force held meanwhile by moving, see `HoldForce`; constant length unless given
+    shut: Duration | None = None  # wait [s] behind the shut valve, from the first cycle with this pressure
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.shut is not None and (self.rate is not None or self.holding is not None):
+            raise RangeError(
+                "Pressurise: a shut valve needs a step of the pressure at constant length",
+                field="shut",
+                remedy="leave out rate and holding",
+            )
 
     def describe(self) -> str:
         rate = f" at {self.rate / bar:g} bar/s" if self.rate is not None else ""
         holding = f", holding {self.holding:g} N" if self.holding is not None else ""
-        return f"pressurise to {self.pressure / bar:g} bar{rate}{holding}"
+        shut = f", shut the valve and wait {self.shut:g} s" if self.shut is not None else ""
+        return f"pressurise to {self.pressure / bar:g} bar{rate}{holding}{shut}"
 
 
 @dataclass(frozen=True, kw_only=True)

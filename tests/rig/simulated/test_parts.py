@@ -95,6 +95,41 @@ def test_filling_is_that_of_an_independent_integrator(target):
     assert np.abs(np.interp(time, exact.t, there) - pressure).max() < 0.0025 * bar
 
 
+def test_warm_air_is_that_of_an_independent_integrator():
+    """Filled, shut, vented in part and shut, while the chamber grows: masses and energies, with a leak and a wall."""
+    leaky = Regulator(conductance=0.1 * L_PER_S_BAR, leak=2e-4 * L_PER_S_BAR, wall_conductance=0.15)
+
+    def volume(time):
+        return VOLUME * (1 + 0.2 * time)
+
+    def flow(c, one, other, temperature):
+        ratio = min(other / one, 1.0)
+        share = np.sqrt(1 - (max(ratio - 0.3, 0) / 0.7) ** 2) * min((1 - ratio) / 0.001, 1.0)
+        return c * 1.185 * one * share * np.sqrt(293.15 / temperature)
+
+    def rates(time, state, opening):
+        mass, energy = state  # kg, J
+        temperature = energy / (mass * 720)
+        pressure = mass * 288 * temperature / (volume(time) + 5e-6)
+        inflow = flow(1e-9, 9.01325e5, pressure, 293.15) if opening > 0 else 0.0
+        outflow = flow(2e-12 + (1e-9 if opening < 0 else 0.0), pressure, 101325, temperature)
+        heat = 0.15 * (293.15 - temperature) - pressure * 0.2 * VOLUME
+        return [inflow - outflow, 1008 * (293.15 * inflow - temperature * outflow) + heat]
+
+    chamber, now = at_work(leaky), 0.0
+    state = np.array([1.0, 720 * 293.15]) * 101325 * 25e-6 / (288 * 293.15)
+    for opening, duration in ((1.0, 0.12), (0.0, 1.5), (-1.0, 0.1), (0.0, 1.0)):
+        chamber.stuck, chamber.shut = opening, opening == 0.0
+        exact = solve_ivp(
+            rates, (now, now + duration), state, method="LSODA", rtol=1e-9, atol=1e-12, max_step=1e-3, args=(opening,)
+        )
+        time, pressure, *_ = filled(chamber, duration, lambda t, now=now: volume(now + t))
+        there = 0.4 * exact.y[1] / (volume(exact.t) + 5e-6) - 101325
+        assert np.abs(np.interp(now + time, exact.t, there) - pressure).max() < 0.001 * bar
+        state, now = exact.y[:, -1], now + duration
+        assert chamber.temperature == pytest.approx(state[1] / (state[0] * 720), abs=0.3)
+
+
 def test_air_is_neither_made_nor_lost():
     """What flowed in is what is there, and what is there has its pressure."""
     chamber = at_work(Regulator(), 4 * bar)

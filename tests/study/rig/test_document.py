@@ -179,6 +179,14 @@ def test_what_does_not_go_together_is_told(change, message):
         RigTest.parse(f"{HEAD}protocol:\n  isobaric:\n".replace(*change))
 
 
+@pytest.mark.parametrize("line", ["rate: 500", "shuts: true"])
+def test_what_the_rig_decides_is_not_set_by_the_recording(line):
+    with pytest.raises(ScenarioError) as found:
+        RigTest.parse(f"{STEPS}recording: {{{line}}}\n")
+    (problem,) = found.value.problems
+    assert problem.field == f"recording.{line.split(':')[0]}" and problem.remedy
+
+
 def test_what_exceeds_the_rig_is_told_with_its_line_before_anything_moves(tmp_path):
     path = tmp_path / "p.yaml"
     path.write_text(STEPS.replace("pressurise: 2 bar", "pressurise: 7 bar").replace("step: 2 mm", "step: 2.0001 mm"))

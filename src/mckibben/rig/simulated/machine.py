@@ -173,6 +173,11 @@ class Grip:
         ratio = 1 - self.contraction(stretch)
         return self._cylinder * ratio * (1 - self._cos2 * ratio * ratio)
 
+    def wall(self, stretch: float) -> float:
+        """Area of a cylinder with the length and the volume of the muscle, relative to that of the clamped one."""
+        length = (1 - self.contraction(stretch)) / (1 - self.start)
+        return math.sqrt(self.volume(stretch) / self.volume(0.0) * length)
+
     def force(self, stretch: float, pressure: float, span: float) -> float:
         """Force [N] after a move to a stretch [m] within a time span [s], at a gauge pressure [Pa]."""
         if not self.held:
@@ -237,6 +242,7 @@ class Truth(NamedTuple):
     flow: float  # of air into the muscle [kg/s]
     mass: float  # of the air in muscle and tube [kg]
     vented: bool  # whether the vent valve is open
+    temperature: float  # of the air [K]
 
 
 class Knots(NamedTuple):
@@ -258,7 +264,7 @@ class Machine:
         self._carriage = Carriage(stretcher)
         self._knot = min(_LONGEST, self.grip.shortest_time / _FINE)
         self._pull = self.grip.force(0.0, 0.0, 0.0)
-        self._delay = regulator.exhaust_delay
+        self._delay, self._wall = regulator.exhaust_delay, regulator.wall_conductance
         self._exhaust_at = math.inf
 
     @property
@@ -266,9 +272,8 @@ class Machine:
         """True state."""
         chamber, stretch = self._chamber, self._carriage.at
         contraction = self.grip.contraction(stretch)
-        return Truth(
-            self.now, chamber.pressure, self._pull, stretch, contraction, chamber.flow, chamber.mass, chamber.exhausting
-        )
+        air = chamber.flow, chamber.mass, chamber.exhausting, chamber.temperature
+        return Truth(self.now, chamber.pressure, self._pull, stretch, contraction, *air)
 
     def differs(self, pressure: float) -> bool:
         """Whether a pressure [Pa] is a new signal of the regulator."""
@@ -279,10 +284,15 @@ class Machine:
         self._chamber.set_signal(pressure, offset)
 
     def hold(self) -> None:
-        """Close the vent valve, if the signal is above 0."""
+        """Close the vent valve, if the signal is above 0, and open the shut-off valve."""
+        self._chamber.shut = False
         if self._chamber.signal > _NOTHING:
             self._chamber.exhausting, self._exhaust_at = False, math.inf
             self._chamber.resting = False
+
+    def shut(self) -> None:
+        """Close the shut-off valve."""
+        self._chamber.shut, self._chamber.resting = True, False
 
     def cut(self) -> None:
         """Cut the current of the vent valve, which opens after its delay."""
@@ -313,6 +323,8 @@ class Machine:
                 if moving:
                     after = motor.travel(now + span)
                     growth = (grip.volume(after) - room) / span
+                    if self._wall is not None:
+                        chamber.wall = self._wall * grip.wall(after)
                 whole = span
                 span = chamber.step(span, lambda time, room=room, growth=growth: room + growth * time)
                 pressure = chamber.pressure

@@ -12,12 +12,23 @@ from numpy.typing import NDArray
 
 from mckibben.component.base import Checked
 from mckibben.errors import RangeError, RigError
-from mckibben.muscle.air import ATMOSPHERE, ENERGY, FLOATS, L_PER_S_BAR, CriticalRatio, mass_flow
+from mckibben.muscle.air import (
+    ATMOSPHERE,
+    ENERGY,
+    FLOATS,
+    GAS_CONSTANT,
+    HEAT_CAPACITY_RATIO,
+    L_PER_S_BAR,
+    TEMPERATURE,
+    CriticalRatio,
+    mass_flow,
+)
 from mckibben.rig.bench import Drive
 from mckibben.units import (
     Conductance,
     Distance,
     Force,
+    HeatConductance,
     N,
     PositivePressure,
     PositiveTime,
@@ -38,8 +49,8 @@ class Regulator(Checked):
     """Proportional pressure regulator such as SMC's ITV0050-3ML, with supply, vent valve and tube.
 
     The command follows the signal with play (hysteresis), offset and lag. The opening is proportional to the pressure
-    error within a band, to the supply or to the exhaust. Behind it is a 3/2 valve: without current its spring shuts off
-    the regulator and vents the muscle.
+    error within a band, to the supply or to the exhaust. Behind it is a shut-off valve, and behind this a 3/2 valve:
+    without current its spring shuts off the regulator and vents the muscle.
 
     Numbers "of the maker" are quoted from memory from the ITV0000 data sheet, unverified; others are ours.
     """
@@ -56,6 +67,7 @@ class Regulator(Checked):
     exhaust: Conductance = 0.1 * L_PER_S_BAR  # of the vent valve with its tube
     exhaust_delay: ShortTime = 20 * ms  # its opening time
     leak: Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4)] = 1e-5 * L_PER_S_BAR
+    wall_conductance: HeatConductance | None = None  # h A as mounted; without it, room temperature
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -68,16 +80,21 @@ _SHORTEST = 1e-5  # s
 _REST = 0.05  # Pa from the target of a settled command
 _STILL = 0.5  # Pa/s, highest rate of a pressure at rest
 _NUDGE = 1.0  # Pa
+_COLD = 1e-3  # K from the temperature of the room at rest
+_GROWTH = HEAT_CAPACITY_RATIO - 1
 
 
 class Chamber:
-    """Air of the muscle at the temperature of the room. Its mass is the state; the pressure follows from the volume."""
+    """Air of the muscle. Its mass is the state, and with a wall its temperature; the pressure follows."""
 
     def __init__(self, regulator: Regulator, volume: float) -> None:
         self.regulator = regulator
         self.supply = regulator.supply
         self.hole = 0.0
         self.exhausting = True
+        self.shut = False
+        self.temperature = TEMPERATURE
+        self.wall = regulator.wall_conductance
         self.stuck: float | None = None
         self.offset = 0.0
         self.pressure = 0.0  # gauge [Pa]
@@ -105,32 +122,53 @@ class Chamber:
     def step(self, span: float, volume: Callable[[float], float]) -> float:
         """Integrate at most a time span [s], with the volume [m^3] as a function of time; return the step [s]."""
         dead = self.regulator.dead_volume
-        decay = self.regulator.lag
+        decay, wall = self.regulator.lag, self.wall
         target, command = self.target, self._command
-        h = min(span, 2 * self._last)
+        h, warmth, index = min(span, 2 * self._last), self.temperature / TEMPERATURE, 1.0
+        if wall is not None:
+            index = HEAT_CAPACITY_RATIO
+            heating = _GROWTH * wall * abs(self.temperature - TEMPERATURE) / (volume(0.0) + dead)  # Pa/s
+            h = min(h, _STEP / max(heating, 1e-9))
         while True:
             half = target + (command - target) * math.exp(-h / (2 * decay))
             room = volume(h / 2) + dead
-            per_mass = ENERGY / room
-            now = self.mass * per_mass - ATMOSPHERE
-            flow = self._into(now, half)
-            slope = (self._into(now + _NUDGE, half) - flow) / _NUDGE * per_mass * h
+            now = self.mass * (ENERGY * warmth / room) - ATMOSPHERE
+            per_mass = index * ENERGY / room
+            flow, nudged = self._into(now, half), self._into(now + _NUDGE, half)
+            if flow < 0:  # ISO 6358, with the temperature of the air upstream
+                flow, nudged = flow * warmth**-0.5, nudged * warmth**-0.5
+            slope = (nudged - flow) / _NUDGE * per_mass * h
             grown = flow * h * (math.expm1(slope) / slope if slope < -1e-9 else 1.0)
             if abs(grown * per_mass) <= _STEP or h <= _SHORTEST:
                 break
             h = max(h * max(0.8 * _STEP / abs(grown * per_mass), 0.1), _SHORTEST)
         self._last = h if h < span or h > self._last else self._last  # not of a short span
-        before = self.pressure
+        before, room = self.pressure, volume(h) + dead
+        if wall is not None:
+            self._warm(grown, (volume(0.0) + dead) / room, wall * h)
         self.mass += grown
-        self.pressure = self.mass * ENERGY / (volume(h) + dead) - ATMOSPHERE
+        self.pressure = self.mass * (GAS_CONSTANT * self.temperature) / room - ATMOSPHERE
         self.flow = grown / h
         self._command = target + (command - target) * math.exp(-h / decay)
         self.resting = abs(self.pressure - before) < _STILL * h and abs(self._command - target) < _REST
+        self.resting &= abs(self.temperature - TEMPERATURE) < _COLD
         return h
+
+    def _warm(self, grown: float, compression: float, conducted: float) -> None:
+        """Change the temperature by a mass that flows in [kg], a ratio of volumes, and heat from the wall [J/K]."""
+        mass = self.mass + grown
+        left = math.exp(-conducted / 2 * _GROWTH / (mass * GAS_CONSTANT))  # half of the heat before, half after
+        warm = TEMPERATURE + (self.temperature - TEMPERATURE) * left
+        if grown < 0:  # what is left expands without heat
+            warm *= (mass / self.mass) ** _GROWTH
+        else:
+            warm = (self.mass * warm + HEAT_CAPACITY_RATIO * TEMPERATURE * grown) / mass
+        self.temperature = TEMPERATURE + (warm * compression**_GROWTH - TEMPERATURE) * left
 
     def widen(self, volume: float) -> None:
         """Change the volume of the muscle [m^3] at once, at constant mass."""
-        self.pressure = self.mass * ENERGY / (volume + self.regulator.dead_volume) - ATMOSPHERE
+        self.pressure = self.mass * (GAS_CONSTANT * self.temperature) / (volume + self.regulator.dead_volume)
+        self.pressure -= ATMOSPHERE
         self.resting = False
 
     def _into(self, gauge: float, command: float) -> float:
@@ -139,6 +177,8 @@ class Chamber:
         out = part.leak + self.hole  # leaks and hole in parallel
         if self.exhausting:
             return mass_flow(out + part.exhaust, part.critical, ATMOSPHERE, pressure, FLOATS)
+        if self.shut:
+            return mass_flow(out, part.critical, ATMOSPHERE, pressure, FLOATS)
         opening = min(max((command - gauge) / part.band, -1.0), 1.0) if self.stuck is None else self.stuck
         if opening <= 0:
             return mass_flow(out - part.conductance * opening, part.critical, ATMOSPHERE, pressure, FLOATS)

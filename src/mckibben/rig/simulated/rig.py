@@ -32,7 +32,8 @@ class SimulatedRig(MovingBackend):
 
     - The force is that of the law (tabulated, see `error` in `description`), with the friction and creep of the
       muscle. It is constant from 3 % beyond the contraction range of the specimen.
-    - The air follows ISO 6358 and the ideal gas at room temperature, in the volume of the braid between the clamps.
+    - The air follows ISO 6358 and the ideal gas, in the volume of the braid between the clamps; at room temperature, or
+      with a `wall_conductance` of the regulator by the energy balance of `AirActuator`.
     - After `vent`, or a missed heartbeat, a spring-return valve vents, independent of the regulator: from 8 bar, at any
       contraction, the true pressure is below 0.2 bar within 1 s (tested), in spite of any other fault.
     - `vent` holds until `set_valves` gives a signal above 0 again. A missed heartbeat holds until it is reopened.
@@ -73,7 +74,7 @@ class SimulatedRig(MovingBackend):
     True
     """
 
-    physical, homed = False, True
+    physical, homed, shuts = False, True, True
 
     def __init__(
         self,
@@ -212,6 +213,11 @@ class SimulatedRig(MovingBackend):
             most = self._regulator.repeatability
             self._machine.set_signal(pressure, float(self._offsets.uniform(-most, most)))
         self._machine.hold()
+
+    def shut(self) -> None:
+        self._catch_up()
+        self._check_armed()
+        self._machine.shut()
 
     def heartbeat(self) -> None:
         self._catch_up()

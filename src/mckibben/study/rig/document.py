@@ -8,14 +8,14 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 import mckibben.rig.steps  # noqa: F401 - protocols that a file can name
 from mckibben.component.base import Checked, Component, Inherited
 from mckibben.component.schema import Part, section_of
 from mckibben.config.document import Document
 from mckibben.config.fields import Title
-from mckibben.config.model import DocumentModel, explicit_fields, parse_model, read_text
+from mckibben.config.model import DocumentModel, explicit_fields, fail_validation, parse_model, read_text
 from mckibben.errors import RangeError
 from mckibben.muscle import Creep, ForceCorrection, ForceLaw, Friction, Muscle, NoCreep, NoFriction, Specimen
 from mckibben.rig.backend import MovingBackend, MuscleRig
@@ -23,6 +23,7 @@ from mckibben.rig.bench import Bench, Drive, RigLimits
 from mckibben.rig.ni import NiRig
 from mckibben.rig.ni.settings import CardSettings
 from mckibben.rig.protocol import Protocol
+from mckibben.rig.simulated.parts import Regulator
 from mckibben.units import BoundedInt, Contraction, PositiveTime, SampleRate, Strength
 
 _APART = 1_000_003  # between the seeds of sessions
@@ -49,7 +50,10 @@ class MountedMuscle(Component):
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedRigSettings(Checked, MuscleRig):
-    """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`), real or ideal parts."""
+    """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`), real or ideal parts.
+
+    `regulator` replaces the one of the parts; with a `wall_conductance` the air has a temperature.
+    """
 
     short_name = "simulated"
     physical = False
@@ -60,6 +64,7 @@ class SimulatedRigSettings(Checked, MuscleRig):
     friction: Friction | None = None
     creep: Creep | None = None
     parts: Literal["real", "ideal"] = "real"
+    regulator: Regulator | None = None
     paced: bool = False
 
     def __post_init__(self) -> None:
@@ -75,7 +80,6 @@ class SimulatedRigSettings(Checked, MuscleRig):
             PRESSURE_SENSOR,
             Converter,
             RealTimeRig,
-            Regulator,
             SimulatedRig,
             Stretcher,
         )
@@ -91,6 +95,8 @@ class SimulatedRigSettings(Checked, MuscleRig):
                 "force_sensor": replace(FORCE_SENSOR, noise=0.0),
                 "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
             }
+        if self.regulator is not None:
+            parts["regulator"] = self.regulator
         kind = RealTimeRig if self.paced else SimulatedRig
         return kind(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
 
@@ -126,6 +132,13 @@ class MuscleCardSettings(CardSettings, MuscleRig):
 
 class RecordingSettings(section_of(Bench, partial=True)):
     """Cycle of the safety monitor, sample rate between plateaus, and force below which a point is slack."""
+
+    @field_validator("of", "mounted_at", "drive", "limits", "rate", "shuts", mode="after", check_fields=False)
+    @classmethod
+    def _of_the_rig(cls, value: Any) -> Any:
+        if value is not None:
+            fail_validation("follows from muscle, rig and limits", "leave it out")
+        return value
 
 
 class RigTest(DocumentModel):
@@ -177,6 +190,7 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         calibrations=backend.calibrations,
         limits=test.limits,
         rate=backend.rate,
+        shuts=backend.shuts,
         **explicit_fields(test.recording),
     )
     return Setup(backend, bench)
