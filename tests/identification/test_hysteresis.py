@@ -251,7 +251,9 @@ def test_the_drift_is_straight_between_its_knots():
     none, line, bent = DriftBasis.candidates(LoadingPaths.of(data), data)
     time = data.table["time"].to_numpy()
     assert none.points.shape[1] == 0 and line.points.shape[1] == 2
-    assert bent.points.shape[1] == len(bent.time) == 6  # one a pressure
+    assert bent.points.shape[1] == len(bent.time) == 6  # one a pressure, where its muscle is slack
+    paths = LoadingPaths.of(data).rows
+    np.testing.assert_allclose(bent.time, sorted(float(time[path][data.slack[path]].mean()) for path in paths))
     np.testing.assert_allclose(line.points @ [1.0, 3.0], np.interp(time, line.time, [1.0, 3.0]))
     inside = (time >= bent.time[0]) & (time <= bent.time[-1])
     values = np.array([0.0, 1.0, -1.0, 2.0, 0.0, 1.0])

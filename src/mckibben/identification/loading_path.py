@@ -204,7 +204,7 @@ class DriftBasis:
         none = cls(np.empty((len(means), 0)), np.empty(0), np.empty((0, 0)))
         if "time" not in means.table:
             return [none]
-        time, slack = means.table["time"].to_numpy(), means.slack & ~clipped(means)
+        time, slack = means.table["time"].to_numpy(), means.slack & (not clipped(means))
         ends = np.array([time.min(), time.max()])
         if ends[0] == ends[1]:
             return [none]

@@ -299,8 +299,7 @@ def _scale(found: ExperimentPlan) -> LogNorm:
 def _colours() -> ListedColormap:
     """Colour map with a light end that keeps markers legible."""
     shades = part_of("YlOrBr", 0, 215)
-    shades.set_over(shades(214))
-    return shades
+    return shades.with_extremes(over=shades(214))
 
 
 def _shade(
