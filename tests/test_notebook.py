@@ -116,6 +116,7 @@ def test_feasibility_margins_and_exported_files_have_a_view():
 def test_an_unknown_metric_of_a_batch_is_the_error_of_metrics():
     batch = Batch(xr.Dataset({"angle_rmse": ("run", [0.1, 0.2])}))
     assert batch["angle_rmse"].tolist() == [0.1, 0.2]
+    assert "angle_rmse" in batch and "rmse" not in batch and list(batch) == ["angle_rmse"]
     for wrong in (batch, batch.metrics):
         with pytest.raises(UnknownMetricError) as caught:
             wrong["rmse"]

@@ -101,9 +101,10 @@ def _refusal(error: typer.BadParameter) -> ParameterError | None:
         return None
     found, name = cause.errors()[0], max(error.param.opts, key=len)
     kind, value, limits = found["type"], found["input"], found.get("ctx", {})
-    what = {"int_parsing": "a whole number", "float_parsing": "a number"}.get(kind)
+    what = {"int_parsing": ("a whole number", "5"), "float_parsing": ("a number", "0.5")}.get(kind)
     if what is not None:
-        return ParameterError(f"{name}: {quoted(value)} is not {what}", value=value, remedy=f"give {what}")
+        message = f"{name}: {quoted(value)} is not {what[0]}"
+        return ParameterError(message, value=value, remedy=f"write it in digits, such as {what[1]}")
     if kind == "greater_than_equal":
         message, remedy = f"{name}: {value} is less than {limits['ge']}", f"give at least {limits['ge']}"
         return ParameterError(message, value=value, lower=limits["ge"], remedy=remedy)

@@ -106,10 +106,10 @@ _MEANT = {
 def left_out(outliers: Sequence[Outlier]) -> list[str]:
     """Warnings of points that an identification leaves out: the first few, and the rows of the others."""
     shown, more = outliers[:_LISTED], [str(one.row) for one in outliers[_LISTED:]]
-    found = [f"left out, as it is off the smooth surface through the other points; check it: {one}" for one in shown]
+    found = [f"left out: off the smooth surface through the other points; check it: {one}" for one in shown]
     if more:
         rows = ", ".join(more[:_LISTED_ROWS]) + (", ..." if len(more) > _LISTED_ROWS else "")
-        found.append(f"left out, as they are off that surface, too: {len(more)} more, rows {rows}")
+        found.append(f"left out, off that surface too: {len(more)} more points, rows {rows}")
     return found
 
 

@@ -158,7 +158,9 @@ class Ranking:
             return found
         best, first = self.best.law, self.entries[0].law
         if shows_hysteresis(self.points):
-            found.append(f"loading and unloading differ; laws are ranked without friction: fit {best} alone with it")
+            found.append(
+                f"loading and unloading differ; laws are ranked without friction; fit {best} alone, with friction"
+            )
         found += [f"no cross-validation over {name}s: {reason}" for name, reason in self.missing.items()]
         if not self.blocks:
             found.append("no block of points could be held out: ranked by AICc")

@@ -381,7 +381,7 @@ def feasibility(found: Feasibility) -> Figure:
     below.plot(found.times, found.desired_stiffness, label="desired", **DESIRED)
     missed = np.where(found.shortfall == 0, np.nan, found.desired_stiffness)
     if not found.feasible:
-        below.plot(found.times, missed, color=VERMILLION, label="not attainable", zorder=4)
+        below.plot(found.times, missed, color=VERMILLION, marker=".", markersize=3, label="not attainable", zorder=4)
     below.set(xlabel=TIME, ylabel=STIFFNESS)
     figure.align_ylabels([above, below])
     legend_above(figure, below)

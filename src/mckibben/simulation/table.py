@@ -225,6 +225,12 @@ class RunTable:
             raise _unknown(name, self.table)
         return self.table[name].to_numpy()
 
+    def __contains__(self, name: object) -> bool:
+        return name in self.table
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.table)
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Batch(RunTable):
