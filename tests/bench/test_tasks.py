@@ -58,11 +58,12 @@ def test_a_perfect_submission_of_a_map_has_no_error(map_task):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["hysteresis", "isometric"])
 def test_a_perfect_submission_of_a_recording_has_no_error(name):
-    task, muscle = task_of(name), ForeignMuscle()
+    whole, muscle = task_of(name), ForeignMuscle()
+    task = dataclasses.replace(whole, tests=tuple(sorted(whole.tests, key=lambda one: one.output.size)[:2]))
     found = predictions(lambda training: lambda new: muscle.force(training.period, new[:, 0], new[:, 1]), task)
     assert task.score(found).nrmse.value < 1e-12
-    exact = {one.name: muscle.force(task.training.period, *one.inputs.T) for one in task.training.blocks}
-    noise = np.concatenate([exact[one.name] - one.output for one in task.training.blocks])
+    known = min(task.training.blocks, key=lambda one: one.output.size)
+    noise = muscle.force(task.training.period, *known.inputs.T) - known.output
     assert noise.std() == pytest.approx(0.5, rel=0.05)  # N: training data have noise, test data do not
 
 

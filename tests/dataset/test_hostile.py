@@ -23,8 +23,8 @@ from mckibben.errors import McKibbenError
 from .conftest import FILES
 
 SEEDS = 16
-FILES_A_SEED = 25  # together 400 files of each kind: 4000
-CHECKED = {"plain.mat": 10} | dict.fromkeys(("rig.h5", "version73.mat", "rig.nc"), 1)  # a seed: some cost a child process
+FILES_A_SEED = 25  # together 400 files of a kind
+CHECKED = {"plain.mat": 10, "rig.h5": 1, "version73.mat": 1, "rig.nc": 1}  # per seed: damaged ones end a child process
 SECONDS = 2.0  # for one file of a few kilobytes, on a busy machine
 BYTES = 200e6
 
@@ -178,7 +178,7 @@ def test_a_damaged_recording_gives_a_recording_or_an_error_of_ours(name, seed, t
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["plain.mat", "version4.mat", "rig.tdms"])
 def test_no_number_in_a_head_makes_a_huge_array(name, tmp_path):
-    """Each aligned word of the head in turn claims a large number; in `plain.mat`, up to the end of its first column."""
+    """Each aligned word of the head in turn claims a large number, in `plain.mat` up to the end of a column."""
     content = FILES[name]
     tracemalloc.start()
     first, last = (128, 296) if name == "plain.mat" else (0, 400)
