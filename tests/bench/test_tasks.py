@@ -1,6 +1,7 @@
 """Fixed splits, scores of perfect and of poor submissions, and no way to the test data."""
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ DIGESTS = {
     "transfer": "bd652ce27442a9cb",
     "joint": "a7191cd9c0f2afcf",
 }
+task_of = functools.cache(task_named)  # recordings are simulated in seconds, and cannot be changed
 QUICK = ("map-dmsp-10", "map-dmsp-20", "map-wall", "map-four-lengths", "transfer")
 
 
@@ -34,7 +36,7 @@ def map_task() -> Task:
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in TASKS]
 )
 def test_a_split_is_fixed(name):
-    task = task_named(name)
+    task = task_of(name)
     assert task.digest() == DIGESTS[name]
     assert task.source
     assert {one.name for one in task.training.blocks}.isdisjoint(one.name for one in task.tests)
@@ -56,17 +58,18 @@ def test_a_perfect_submission_of_a_map_has_no_error(map_task):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["hysteresis", "isometric"])
 def test_a_perfect_submission_of_a_recording_has_no_error(name):
-    task, muscle = task_named(name), ForeignMuscle()
+    whole, muscle = task_of(name), ForeignMuscle()
+    task = dataclasses.replace(whole, tests=tuple(sorted(whole.tests, key=lambda one: one.output.size)[:2]))
     found = predictions(lambda training: lambda new: muscle.force(training.period, new[:, 0], new[:, 1]), task)
     assert task.score(found).nrmse.value < 1e-12
-    exact = {one.name: muscle.force(task.training.period, *one.inputs.T) for one in task.training.blocks}
-    noise = np.concatenate([exact[one.name] - one.output for one in task.training.blocks])
+    known = min(task.training.blocks, key=lambda one: one.output.size)
+    noise = muscle.force(task.training.period, *known.inputs.T) - known.output
     assert noise.std() == pytest.approx(0.5, rel=0.05)  # N: training data have noise, test data do not
 
 
 @pytest.mark.slow
 def test_a_perfect_submission_of_the_joint_has_no_error():
-    task = task_named("joint")
+    task = task_of("joint")
     found = predictions(lambda training: lambda new: JOINT.angles(training.period, new[:, 0], new[:, 1]), task)
     assert task.score(found).nrmse.value < 1e-9
 
@@ -163,20 +166,20 @@ def test_baselines_name_what_they_cannot_do(map_task):
 
 @pytest.mark.slow
 def test_friction_is_identified_along_the_recorded_paths():
-    task = task_named("hysteresis")
+    task = task_of("hysteresis")
     assert task.score(predictions(BASELINES["friction"], task)).nrmse.value < 0.06
 
 
 @pytest.mark.slow
 def test_the_network_learns_a_recording(optimized):
-    task = task_named("isometric")
+    task = task_of("isometric")
     found = predictions(BASELINES["gru"], task)
     assert task.score(found).nrmse.value < 0.15
 
 
 @pytest.mark.slow
 def test_the_joint_is_calibrated_from_its_commands(optimized):
-    task = task_named("joint")
+    task = task_of("joint")
     assert task.score(predictions(BASELINES["eq2"], task)).nrmse.value < 0.4
 
 

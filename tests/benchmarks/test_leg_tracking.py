@@ -61,7 +61,7 @@ def test_a_search_begins_at_the_gains_of_the_simpler_controller_as_well(tracking
 def test_with_models_the_joints_follow_better_through_slow_valves(tracking, monkeypatch):
     monkeypatch.setattr(tracking, "DURATION", 1.5)
     name, setup = next(iter(tracking.SETUPS.items()))
-    plant, runs, found = tracking.plant_of(setup), 16, {}
+    plant, runs, found = tracking.plant_of(setup), 8, {}
     over = tracking.draws(setup, plant, runs, 5)
     for one in (tracking.REFERENCE, "decoupling of the leg"):
         gains = tracking.addressed(tracking.kept()[name][one], runs)

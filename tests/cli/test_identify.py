@@ -300,7 +300,7 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
         answer = cli(*command)
         assert answer.code == 0, answer.err
         assert (answer.out + answer.err).count("has friction, which") == 1
-    tests = json.loads(cli("stiffness", "joint.yaml", "--amplitude", "0.1..1 deg", "--rate", "1 Hz", "--json").out)
+    tests = json.loads(cli("stiffness", "joint.yaml", "--amplitude", "0.1..1 deg", "--json").out)
     assert tests["secant"][0] > 2 * tests["isobaric"]
 
 

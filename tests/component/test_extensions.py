@@ -1,5 +1,6 @@
-"""Components of others: an installed package, a module and a file, each used by a process of its own."""
+"""User-defined components: an installed package, a module and a file, used by the command in another process."""
 
+import json
 import os
 import subprocess
 import sys
@@ -101,19 +102,57 @@ def install(folder, name, text):
     return folder
 
 
-def run(folder, *arguments, cwd, code=0):
-    """Standard output of mckibben with a folder on its path."""
+COMMANDS = """
+import contextlib, io, json, os, sys, warnings
+from mckibben.cli import main
+for line in sys.stdin:
+    folder, *arguments = json.loads(line)
+    os.chdir(folder)
+    sys.argv, out, err = ["mckibben", *arguments], io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), warnings.catch_warnings():
+        warnings.simplefilter("default")
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code or 0
+    print(json.dumps([code, out.getvalue(), err.getvalue()]), flush=True)
+"""
+
+
+def commands(folder):
+    """A process that runs commands of mckibben one after another, with a folder on its path."""
     path = os.pathsep.join([str(folder), os.environ.get("PYTHONPATH", "")])
-    command = [sys.executable, "-m", "mckibben", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == code, done.stderr
-    return done.stderr if code else done.stdout
+    return subprocess.Popen(
+        [sys.executable, "-c", COMMANDS],
+        env={**os.environ, "PYTHONPATH": path, "COLUMNS": "160"},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+
+
+@pytest.fixture(scope="module")
+def process(tmp_path_factory):
+    """Commands with the packages acme and broken, and a module that no package registers: one process for all tests."""
+    site = install(tmp_path_factory.mktemp("site"), "acme", PACKAGE)
+    install(site, "broken", "1 / 0")
+    (site / "lone.py").write_text(textwrap.dedent(PACKAGE).replace("Acme", "Lone"))
+    with commands(site) as started:
+        yield started
 
 
 @pytest.fixture
-def acme(tmp_path):
-    return install(tmp_path / "site", "acme", PACKAGE)
+def run(process, tmp_path):
+    """Call a command in the folder of the test: standard output and standard error."""
+
+    def run(*arguments, code=0, by=process):
+        by.stdin.write(json.dumps([str(tmp_path), *map(str, arguments)]) + "\n")
+        by.stdin.flush()
+        found, out, err = json.loads(by.stdout.readline())
+        assert found == code, err
+        return out, err
+
+    return run
 
 
 def scenario(folder, **parts):
@@ -124,25 +163,26 @@ def scenario(folder, **parts):
 
 
 @pytest.mark.slow
-def test_a_law_of_a_package_is_identified_and_read_with_its_version_and_equation(acme, tmp_path):
-    run(acme, "identify", "dmsp-10-250-martens2017", "--law", "acme", "--out", "fit", cwd=tmp_path)
+def test_a_law_of_a_package_is_identified_and_read_with_its_version_and_equation(run, tmp_path):
+    run("identify", "dmsp-10-250-martens2017", "--law", "acme", "--out", "fit")
     (path,) = (tmp_path / "fit").rglob("fit.yaml")
     content = yaml.safe_load(path.read_text())
     assert (content["law"], content["version"]) == ("acme_parts:AcmeLaw", "acme 1.2")
-    run(acme, "validate", path, "dmsp-10-250-martens2017", cwd=tmp_path)
-    assert "--extension" in run(tmp_path, "validate", path, "dmsp-10-250-martens2017", cwd=tmp_path, code=2)
-    package = acme / "acme_parts" / "__init__.py"
-    package.write_text(package.read_text().replace("p - k eps", "p + k eps"))
-    message = run(acme, "validate", path, "dmsp-10-250-martens2017", cwd=tmp_path, code=2)
+    run("validate", path, "dmsp-10-250-martens2017")
+    with commands(tmp_path) as without:
+        assert "--extension" in run("validate", path, "dmsp-10-250-martens2017", code=2, by=without)[1]
+    unsealed = path.read_text().partition("# sha256")[0]
+    path.write_text(unsealed.replace("p - k eps", "p + k eps"))  # as of another version of the package
+    _, message = run("validate", path, "dmsp-10-250-martens2017", code=2)
     assert "equation" in message and "acme 1.2" in message
 
 
 @pytest.mark.slow
-def test_a_valve_and_a_law_of_a_package_are_simulated(acme, tmp_path):
+def test_a_valve_and_a_law_of_a_package_are_simulated(run, tmp_path):
     law = {"class": "acme_parts:AcmeLaw", "a": "60 N/bar", "b": "200 N/bar", "k": "400 N"}
     joint = {"geometry": "knee-table-2", "muscle": {"specimen": "MAS-10-180N-AA-MC-O", "law": law}}
     read = scenario(tmp_path, joint=joint, valve={"class": "AcmeValve", "rate": "20 bar/s"})
-    run(acme, "simulate", read, "--out", "run", cwd=tmp_path)
+    run("simulate", read, "--out", "run")
     (kept,) = (tmp_path / "run").glob("*.yaml")
     content = yaml.safe_load(kept.read_text())
     assert content["valve"]["class"] == "acme_parts:AcmeValve"
@@ -150,53 +190,48 @@ def test_a_valve_and_a_law_of_a_package_are_simulated(acme, tmp_path):
     assert content["joint"]["muscle"]["law"]["equation"].endswith("p - k eps")
     other = tmp_path / "other.yaml"
     other.write_text(kept.read_text().replace("p - k eps", "p + k eps"))
-    message = run(acme, "simulate", other, cwd=tmp_path, code=2)
+    _, message = run("simulate", other, code=2)
     assert "equation" in message and "p + k eps" in message
-    assert yaml.safe_load(run(acme, "simulate", kept, "--json", cwd=tmp_path))["outcome"]
     kept.write_text(kept.read_text().replace("acme 1.2", "acme 1.1"))
-    command = "import sys; from mckibben.scenario import Scenario; Scenario.read(sys.argv[1])"
-    path = os.pathsep.join([str(acme), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run([sys.executable, "-c", command, kept], env=environment, capture_output=True, text=True)
-    assert done.returncode == 0 and "acme 1.1" in done.stderr and "acme 1.2" in done.stderr
+    out, warned = run("simulate", kept, "--json")
+    assert json.loads(out)["outcome"]
+    assert "acme 1.1" in warned and "acme 1.2" in warned
 
 
 @pytest.mark.slow
-def test_a_rig_of_a_package_runs_a_test_under_its_own_watchdog(acme, tmp_path):
+def test_a_rig_of_a_package_runs_a_test_under_its_own_watchdog(run, tmp_path):
     (tmp_path / "protocol.yaml").write_text(PROTOCOL)
-    assert "acme" in run(acme, "rig", "check", "protocol.yaml", cwd=tmp_path)
+    assert "acme" in run("rig", "check", "protocol.yaml")[0]
     assert not (tmp_path / "watched").exists()
-    run(acme, "rig", "run", "protocol.yaml", "--out", "test", cwd=tmp_path)
+    run("rig", "run", "protocol.yaml", "--out", "test")
     assert (tmp_path / "watched").exists()
     assert (tmp_path / "test" / "isobaric.nc").exists()
     assert "acme_parts:AcmeRig" in (tmp_path / "test" / "protocol.yaml").read_text()
 
 
 @pytest.mark.slow
-def test_a_broken_package_is_named_only_where_it_is_needed(acme, tmp_path):
-    install(acme, "broken", "1 / 0")
-    run(acme, "simulate", scenario(tmp_path, valve={"class": "AcmeValve"}), cwd=tmp_path)
-    message = run(acme, "simulate", scenario(tmp_path, valve={"class": "BrokenValve"}), cwd=tmp_path, code=2)
+def test_a_broken_package_is_named_only_where_it_is_needed(run, tmp_path):
+    """The other tests do not need it."""
+    _, message = run("simulate", scenario(tmp_path, valve={"class": "BrokenValve"}), code=2)
     assert "the package broken" in message
     assert "ZeroDivisionError" in message
 
 
 @pytest.mark.slow
-def test_an_extension_may_be_a_module(tmp_path):
-    (tmp_path / "lone.py").write_text(textwrap.dedent(PACKAGE))
-    read = scenario(tmp_path, valve={"class": "lone:AcmeValve"})
-    run(tmp_path, "--extension", "lone", "simulate", read, cwd=tmp_path)
+def test_an_extension_may_be_a_module(run, tmp_path):
+    read = scenario(tmp_path, valve={"class": "lone:LoneValve"})
+    run("--extension", "lone", "simulate", read)
     with pytest.raises(ScenarioError) as error:
         load_extension("mckibben_no_such_module")
     assert "PYTHONPATH" in error.value.problems[0].remedy
 
 
 @pytest.mark.slow
-def test_workers_of_dask_load_the_extensions(tmp_path):
+def test_workers_of_dask_load_the_extensions(run, tmp_path):
     pytest.importorskip("distributed")
-    (tmp_path / "own.py").write_text(textwrap.dedent(PACKAGE))
-    read = scenario(tmp_path, valve={"class": "AcmeValve", "rate": "20 bar/s"})
+    (tmp_path / "own.py").write_text(textwrap.dedent(PACKAGE).replace("Acme", "Own"))
+    read = scenario(tmp_path, valve={"class": "OwnValve", "rate": "20 bar/s"})
     varied = ("--over", "valve.rate=10 bar/s..30 bar/s", "--samples", 4, "--metrics", "angle_rmse")
-    run(".", "--extension", "own.py", "sweep", read, *varied, "--out", "here", cwd=tmp_path)
-    run(".", "--extension", "own.py", "sweep", read, *varied, "--out", "there", "--dask", "local", cwd=tmp_path)
+    run("--extension", "own.py", "sweep", read, *varied, "--out", "here")
+    run("--extension", "own.py", "sweep", read, *varied, "--out", "there", "--dask", "local")
     assert (tmp_path / "there" / "sweep.nc").read_bytes() == (tmp_path / "here" / "sweep.nc").read_bytes()
