@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import odeint
 
 from mckibben import catalog
 from mckibben.actuator import FirstOrderValve, FlowValve, IdealValve, PressureRegulator, Tube, UnequalValves
@@ -50,7 +50,7 @@ def sampled(rate, first, sent):
     for k in range(sent.size):
         found.append(state)
         command = sent[max(k - late, 0)]
-        state = solve_ivp(rate, (0, PERIOD), state, args=(command,), rtol=1e-8, atol=1e-2).y[:, -1]
+        state = odeint(rate, state, (0, PERIOD), args=(command,), rtol=1e-8, atol=1e-2, tfirst=True)[-1]
     return np.array(found)
 
 
