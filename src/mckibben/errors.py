@@ -67,7 +67,7 @@ def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> Attribut
     """An error for an unknown attribute, with the call that is meant by it, or the closest public name."""
     private = name.startswith("_")  # asked for by copy, JAX and others, often
     known = [] if private else [*meant, *(one for one in dir(owner) if not one.startswith("_"))]
-    found = name if name in meant else closest(name, known)
+    found = name if name in meant else closest(name, known) if known else ""
     hint = f"; did you mean {meant.get(found, found)}?" if found else ""
     kind = type(owner).__name__
     article = "an" if kind[0] in "AEIOU" else "a"

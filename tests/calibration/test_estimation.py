@@ -61,7 +61,7 @@ def balanced(joint, load, motion, first, mass, creeping):
     return jnp.stack(pressures, axis=1), jnp.stack(tensions, axis=1)
 
 
-def recording(joint, load, mass, rng, *, seconds=20.0, rate=500.0, creep=0.0):
+def recording(joint, load, mass, rng, *, seconds=14.0, rate=500.0, creep=0.0):
     """Sweeps: one pressure is given, the other one is what the equation of motion asks for."""
     time = np.arange(0.0, seconds, 1 / rate)
     slow, fast = 2 * np.pi * 3 / seconds, 2 * np.pi
@@ -136,7 +136,7 @@ def test_under_one_load_the_stiffness_stays_uncertain(recorded, with_weight):
 @pytest.mark.slow
 def test_load_cells_take_the_place_of_the_weight_and_tell_creep():
     rng, creep = np.random.default_rng(7), 1200.0
-    made = recording(TRUE, TRUE_LOAD, 0.0, rng, seconds=30.0, creep=creep)
+    made = recording(TRUE, TRUE_LOAD, 0.0, rng, seconds=20.0, creep=creep)
     tensions = made[2] + 0.5 * rng.standard_normal(made[2].shape)
     cells = dataclasses.replace(made[0], tensions=tensions)
     found, blind = (calibrate_joint(knee(), LOAD, [cells], JointPrior(creep=share)) for share in (0.05, 1e-6))

@@ -98,8 +98,8 @@ def test_at_one_length_the_dead_volume_is_assumed_and_the_ratio_is_found():
 
 @pytest.mark.slow
 def test_intervals_of_95_percent_hold_the_truth():
-    """Noise, wall, leak and dead volume differ; 40 tests of two lengths."""
-    draw, held, count = np.random.default_rng(3), dict.fromkeys(("wall_conductance", "leak", "dead_volume"), 0), 40
+    """Noise, wall, leak and dead volume differ; 24 tests of two lengths."""
+    draw, held, count = np.random.default_rng(3), dict.fromkeys(("wall_conductance", "leak", "dead_volume"), 0), 24
     for seed in range(count):
         true = {"wall": draw.uniform(0.03, 0.3), "leak": draw.uniform(0, 1e-11), "dead": draw.uniform(0, 6) * cm**3}
         found = identify_air(two_lengths(2 * seed, **true), SPECIMEN)

@@ -7,7 +7,7 @@ import warnings
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import odeint
 
 from mckibben import catalog
 from mckibben.actuator import FirstOrderValve, FlowValve, IdealValve, PressureRegulator, Tube, UnequalValves
@@ -50,7 +50,7 @@ def sampled(rate, first, sent):
     for k in range(sent.size):
         found.append(state)
         command = sent[max(k - late, 0)]
-        state = solve_ivp(rate, (0, PERIOD), state, args=(command,), rtol=1e-8, atol=1e-2).y[:, -1]
+        state = odeint(rate, state, (0, PERIOD), args=(command,), rtol=1e-8, atol=1e-2, tfirst=True)[-1]
     return np.array(found)
 
 
@@ -126,7 +126,7 @@ def recording(sent, pressures, seed=1):
 @pytest.fixture(scope="module")
 def regulators():
     """The valves of the knee at rest at angle 0."""
-    joint, sent = catalog.joint("knee-table-2"), commands(20.0)
+    joint, sent = catalog.joint("knee-table-2"), commands(12.0)
     contractions = [float(one) for one in joint.contractions(0.0, (0.0, 0.0))]
     muscles = (joint.muscle1, joint.muscle2)
     volumes = [
@@ -193,7 +193,7 @@ def test_unequal_valves_are_told_apart():
 @pytest.mark.slow
 def test_a_tube_is_identified_with_its_valve():
     """Of the equations written anew: the conductance of the tube, and the volume at the valve's outlet."""
-    joint, sent = catalog.joint("knee-table-2"), commands(20.0)
+    joint, sent = catalog.joint("knee-table-2"), commands(8.0)
     contraction = float(joint.contractions(0.0, (0.0, 0.0))[0])
     volume = float(joint.muscle1.specimen.volume(contraction))
     one = tubed(sent[:, 0], volume)
@@ -210,7 +210,7 @@ def test_a_tube_is_identified_with_its_valve():
 @pytest.mark.slow
 def test_the_wall_of_a_muscle_is_identified_with_its_valve():
     """From a first model with twice the conductance for heat."""
-    joint, sent = catalog.joint("knee-table-2"), commands(20.0)
+    joint, sent = catalog.joint("knee-table-2"), commands(8.0)
     contractions = [float(one) for one in joint.contractions(0.0, (0.0, 0.0))]
     volume = float(joint.muscle1.specimen.volume(contractions[0])) + DATA_SHEET.dead_volume
     pressures = warmed(sent[:, 0], volume)

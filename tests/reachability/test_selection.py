@@ -11,7 +11,7 @@ from mckibben.errors import ParameterError, UnreachableError
 from mckibben.muscle import ChouLaw, Muscle
 from mckibben.muscle.air import DENSITY, L_PER_S_BAR
 from mckibben.plant.sensors import TorquePulses
-from mckibben.reachability import Make, Requirement, catalog_makes, read_make, size
+from mckibben.reachability import Make, Requirement, catalog_makes, read_make, selection, size
 from mckibben.reachability.air_supply import tube_conductance
 from mckibben.units import bar, deg, mm
 
@@ -25,6 +25,12 @@ TWENTY = catalog_makes()[1]
 @pytest.fixture(scope="module")
 def found():
     return size(NEED)
+
+
+@pytest.fixture
+def without_nearest(monkeypatch):
+    """Returns a function after which what is impossible is refused without the search for what is possible."""
+    return lambda: monkeypatch.setattr(selection, "_nearest", lambda *_: {})
 
 
 def eq2(law, eps, p):
@@ -79,14 +85,16 @@ def test_a_muscle_that_is_too_short_for_its_diameter_is_rejected():
         size(dataclasses.replace(NEED, longest=100 * mm, stiffness=None, torque=0.0), [catalog_makes()[2]])
 
 
-def test_pulleys_are_not_wider_than_allowed(found):
+def test_pulleys_are_not_wider_than_allowed(found, without_nearest):
     widest = found.best.radius - 0.2 * mm
     assert size(dataclasses.replace(NEED, widest=widest, stiffness=None), [TWENTY]).best.radius <= widest
+    without_nearest()
     with pytest.raises(UnreachableError):
         size(dataclasses.replace(NEED, widest=3 * mm, stiffness=None), [TWENTY])
 
 
-def test_a_longer_muscle_than_needed_is_not_selected(found):
+def test_a_longer_muscle_than_needed_is_not_selected(found, without_nearest):
+    without_nearest()
     shorter = dataclasses.replace(NEED, longest=found.best.length - 20 * mm)
     with pytest.raises(UnreachableError):
         size(shorter, [found.best.make])
@@ -164,7 +172,7 @@ def test_the_conductance_of_a_tube_is_that_of_choked_flow_with_friction(diameter
     ("change", "factor"),
     [({"torque": 300.0}, "load"), ({"stiffness": (400.0, 500.0)}, "stiffness"), ({"longest": 0.1}, "angles")],
 )
-def test_an_impossible_requirement_names_the_nearest_that_is_possible(change, factor):
+def test_an_impossible_requirement_names_the_nearest_that_is_possible(change, factor, without_nearest):
     need = dataclasses.replace(NEED, **change)
     with pytest.raises(UnreachableError) as caught:
         size(need, [TWENTY])
@@ -172,6 +180,7 @@ def test_an_impossible_requirement_names_the_nearest_that_is_possible(change, fa
     assert 0 < factors[factor] < 1 and caught.value.remedy
     possible = need.scaled(**{factor: factors[factor]})
     assert size(possible, [TWENTY]).candidates
+    without_nearest()
     with pytest.raises(UnreachableError):
         size(need.scaled(**{factor: 1.1 * factors[factor]}), [TWENTY])
 

@@ -267,7 +267,7 @@ def spreads(draw, address):
 @settings(max_examples=300)
 @given(st.data(), st.lists(st.floats(0, 1), min_size=1, max_size=20))
 def test_what_is_varied_prints_as_text_rises_stays_inside_and_knows_where_a_value_lies(data, quantiles):
-    scenario, address = data.draw(st.sampled_from(NUMBERS))
+    scenario, address = NUMBERS[data.draw(st.integers(0, len(NUMBERS) - 1))]  # to print a scenario takes long
     said = SweptParameter(address, data.draw(spreads(address)))
     assert parse_sweep(said.text, scenario) == said, "the text means the same"
     drawn = said.distribution

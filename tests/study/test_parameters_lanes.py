@@ -104,6 +104,10 @@ def model_of(address):
     return {".".join(("load" if part == "load" else "model", *rest))} if part in ("load", "joint") else set()
 
 
+def varies(control):
+    return any(np.ndim(leaf) == 1 for leaf in jax.tree.leaves(control))
+
+
 @pytest.mark.parametrize("name", CONTROLLERS)
 @pytest.mark.slow
 def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
@@ -119,13 +123,21 @@ def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
     assert sum(np.ndim(leaf) == 1 for leaf in jax.tree.leaves(many.plant())) >= len(table)
     one = with_values(scenario, {key: column[0].item() for key, column in table.items()}, known=())
     assert jax.tree.leaves(one.control()) == own
-    for each in plant:
-        known = known_names(scenario, "all", [each.name])
-        believed = any(own == name or own.endswith(f".{name}") for own in taken for name in model_of(each))
-        assert bool(known) == believed, each.name
-        for asked in ("all", known):
-            control = batched(scenario, {each.name: table[each.name]}, known=asked).control()
-            assert any(np.ndim(leaf) == 1 for leaf in jax.tree.leaves(control)) == bool(known), each.name
+    known = known_names(scenario, "all", table)
+    believed = {
+        each.name
+        for each in plant
+        if any(own == name or own.endswith(f".{name}") for own in taken for name in model_of(each))
+    }
+    assert set(known) == believed
+    unknown = {key: column for key, column in table.items() if key not in known}
+    assert not varies(batched(scenario, unknown, known="all").control())
+    for name in known:
+        assert varies(batched(scenario, {name: table[name]}, known="all").control()), name
+    if known:
+        both = [batched(scenario, table, known=asked).control() for asked in ("all", known)]
+        for one, other in zip(*map(jax.tree.leaves, both), strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 def test_what_is_known_varies_in_the_model_and_the_rest_does_not():

@@ -175,9 +175,7 @@ def test_rows_for_people():
     ("made", "panels"),
     [
         ({"count": 400}, 4 * 4),
-        ({"count": 400, "lost": 0.0}, 3 * 4),
         ({"count": 6000, "inputs": 3}, 4 * 3),
-        ({"count": 30, "inputs": 1, "lost": 0.0}, 3),
         ({"count": 1, "inputs": 1, "lost": 0.0}, 3),
         ({"count": 2, "inputs": 2, "lost": 0.0}, 3 * 2),
         ({"count": 40, "lost": 1.1}, 4),

@@ -157,17 +157,18 @@ def _problem(instance: Any, error: RangeError) -> Problem:
 def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
     """Errors of the fields; `units` are those of symbolic ones, which otherwise pass."""
     kind, owner = type(instance), type(instance).__name__
+    quantities, kinds, choices, hints = field_quantities(kind), _kinds(kind), _words(kind), field_hints(kind)
     for field in dataclasses.fields(instance):
-        name, value, mark = field.name, getattr(instance, field.name), field_quantities(kind).get(field.name)
-        words = _words(kind).get(name)
+        name, value, mark = field.name, getattr(instance, field.name), quantities.get(field.name)
+        words = choices.get(name)
         try:
-            if name in _kinds(kind):
-                check_kind(owner, name, value, _kinds(kind)[name])
+            if name in kinds:
+                check_kind(owner, name, value, kinds[name])
             elif words and value not in words:
                 remedy = f"give one of {', '.join(map(repr, words))}"
                 yield RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
             elif mark and value is None:
-                if NoneType not in get_args(field_hints(kind)[name]) and field.default is not None:
+                if NoneType not in get_args(hints[name]) and field.default is not None:
                     yield RangeError(f"{owner}: {name} is None", field=name, remedy=f"give {mark.range}")
             elif isinstance(mark, BoundedInt) and isinstance(value, Real) and not _whole(value):
                 yield RangeError(f"{owner}: {name} is {value}, not a whole number", field=name, value=value)
@@ -181,7 +182,7 @@ def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
         except RangeError as error:
             yield error
         for part in value if isinstance(value, tuple) else (value,):
-            if isinstance(part, Component) and (inner := units_of_part(field_hints(kind).get(name)) or units):
+            if isinstance(part, Component) and (inner := units_of_part(hints.get(name)) or units):
                 yield from _errors(part, inner)
     for group in getattr(kind, "together", ()):
         missing = [name for name in group if getattr(instance, name) is None]

@@ -133,6 +133,7 @@ def part_of(form: Any) -> Part | None:
     return next((mark for mark in marks if isinstance(mark, Part)), None)
 
 
+@functools.cache
 def inherited_from(runtime: type, name: str) -> Inherited | None:
     """Return the mark of a field that takes its value from around the component if it is not given."""
     return next((mark for mark in _marks(field_hints(runtime)[name]) if isinstance(mark, Inherited)), None)

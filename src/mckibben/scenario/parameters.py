@@ -81,7 +81,7 @@ def _walk(
 ) -> None:
     kind = type(part)
     found.parts[name] = part
-    shared = {}
+    shared, inherited = {}, inherited_fields(part)
     for alias, names in kind.aliases.items():
         if all(getattr(part, one) == getattr(part, names[0]) for one in names[1:]):
             shared |= dict.fromkeys(names, alias)
@@ -91,7 +91,7 @@ def _walk(
         value, here = getattr(part, key), f"{name}.{key}"
         inner = tuple((*place, key) for place in places)
         mark = _mark(form)
-        if key in inherited_fields(part) and mark is None:
+        if key in inherited and mark is None:
             remedy = f"write `{key}:` in the file to vary it alone"
             found.refused[here] = "it is not given and follows the plant", remedy
         elif declared_fields(kind)[key].metadata.get("static") and mark is not None:
