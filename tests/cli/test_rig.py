@@ -50,6 +50,18 @@ def test_it_runs_and_its_dataset_is_identified(cli, protocol):
     assert again.code == 2 and "resume it (--resume)" in again.err
 
 
+def test_after_a_test_with_a_shut_valve_the_commands_for_the_air_are_named(cli, protocol):
+    shut = "repeat: {times: 1, steps: [pressurise: {pressure: 1 bar, shut: 100 ms}]}"
+    protocol.write_text(TEXT.split("protocol:")[0] + f"protocol: {{steps: [move: 5 %, {shut}, acquire]}}\n")
+    answer = cli("rig", "run", "p.yaml", "--out", "out")
+    assert answer.code == 0, answer.err
+    assert (
+        "mckibben identify-air out/recording.nc --specimen MAS-10-180N-AA-MC-O" in answer.out
+        and "identify out" not in answer.out
+    )
+    assert cli("rig", "data", "out", "--recording", "out/recording.nc").code == 0
+
+
 def test_what_is_wrong_is_refused_before_anything_moves(cli, protocol, tmp_path):
     protocol.write_text(TEXT.replace("4 bar, 6 bar", "4 bar, 8 bar").replace("speed: 4 mm/s", "speed: 40 mm/s"))
     answer = cli("rig", "run", "p.yaml", "--out", "out")

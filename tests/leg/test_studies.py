@@ -273,17 +273,32 @@ def test_draws_of_the_air(scenario: LegScenario) -> None:
     tube: Any = drawn_air(Tube(warm, volume=3e-6, conductance=2e-9), spec)  # type: ignore[arg-type]
     np.testing.assert_array_equal(tube.wall_conductance, wall)
     assert drawn_air(IdealValve(), spec) == IdealValve()
+    alone: Any = drawn_air(warm, spec.model_copy(update={"wall_conductance": 0.0}))
+    np.testing.assert_array_equal(alone.polytropic_index, index)
+    assert abs(np.corrcoef(np.log(wall), index)[0, 1]) < 0.1
+
+
+REGULATOR = "{from: smc-itv0050, supply: 7 bar}"
+WARM = "{from: smc-itv0050, supply: 7 bar, wall_conductance: 0.5 W/K}"
 
 
 @pytest.mark.parametrize(
-    ("name", "given"), [("wall_conductance", ""), ("leak", ""), ("dead_volume", ""), ("polytropic_index", "wall")]
+    ("name", "valve", "remedy"),
+    [
+        ("wall_conductance", REGULATOR, "give it a wall_conductance"),
+        ("leak", REGULATOR, "give it a leak"),
+        ("dead_volume", REGULATOR, "give it a dead_volume"),
+        ("polytropic_index", WARM, "wall_conductance"),
+        ("polytropic_index", "ideal", "a valve with air"),
+        ("leak", "{time_constant: 20 ms}", "a valve with air"),
+        ("polytropic_index", f"{{class: unequal, muscle: {REGULATOR}}}", "one valve"),
+    ],
 )
-def test_scatter_of_air_that_the_valve_does_not_have(name: str, given: str) -> None:
-    valve = "{from: smc-itv0050, supply: 7 bar" + (", wall_conductance: 0.5 W/K}" if given else "}")
+def test_scatter_of_air_that_the_valve_does_not_have(name: str, valve: str, remedy: str) -> None:
     with pytest.raises(ScenarioError) as caught:
         LegScenario.parse(HEAD + f"valve: {valve}\nuncertainty: {{{name}: 10 %}}\n")
     (problem,) = caught.value.problems
-    assert problem.field == f"uncertainty.{name}" and problem.remedy
+    assert problem.field == f"uncertainty.{name}" and remedy in problem.remedy
 
 
 @pytest.mark.slow

@@ -45,7 +45,8 @@ _BLOCK = 5 * ms  # samples are averaged over this time
 _SUBSTEPS = 2
 _SMOOTHING = 20 * ms  # of the rate of the pressure
 _FAST = 0.1  # of the highest rate: faster changes are filling or venting
-_AFTER = 20 * ms  # left out after a fast change, until the valve is shut
+_BEGUN = 0.1  # of the slow change after a fast one: a valve that is still open would hold the pressure
+_AFTER = 20 * ms  # left out after that, as noise decides when it is reached
 _SHORTEST = 0.5  # s, of a phase with a shut valve
 _LOWEST = 0.2 * bar  # of a muscle that is not open to the atmosphere
 _RELAXES, _PART = 5.0, 0.005  # least change in a phase, in noise and in absolute pressure
@@ -171,8 +172,9 @@ def identify_air(
     Parameters
     ----------
     recordings
-        At least one, sampled at 100 Hz or more. Phases begin after changes of the pressure faster than a tenth of the
-        fastest one, and last 0.5 s or more.
+        At least one, sampled at 100 Hz or more. A phase follows a change of the pressure faster than a tenth of the
+        fastest one. It begins 20 ms after a tenth of the slow change, as a regulator may hold the pressure until then,
+        and lasts 0.5 s or more.
     specimen
         Muscle, for its volume.
     contraction
@@ -324,7 +326,7 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
     slow = np.concatenate([np.zeros(window, bool), rate < _FAST * rate.max(initial=0.0), np.zeros(window, bool)])
     edges = np.flatnonzero(np.diff(slow.astype(int), prepend=0, append=0))
     found = []
-    for first, last in zip(edges[::2] + round(_AFTER / period), edges[1::2], strict=True):
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
         blocks = (last - first) // count
         if blocks * count * period < _SHORTEST:
             continue
@@ -335,6 +337,12 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
         change = abs(means[:tenth].mean() - means[-tenth:].mean())
         if means.min() < _LOWEST or change < max(_RELAXES * noise, _PART * (means.mean() + ATMOSPHERE)):
             continue
+        distance = np.abs(means - means[-tenth:].mean())
+        held = int(np.flatnonzero(distance > (1 - _BEGUN) * distance.max())[-1]) + 1 + round(_AFTER / (count * period))
+        first, means = first + held * count, means[held:]
+        if (last - first) * period < _SHORTEST:
+            continue
+        part = slice(first, first + means.size * count)
         at = contraction if lengths is None else float(lengths[part].mean())
         assert at is not None
         if lengths is not None and np.ptp(lengths[part]) > _STILL:

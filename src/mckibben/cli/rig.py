@@ -251,7 +251,14 @@ def run(
         echo(to_json({**_numbers(checked), "data": str(name), "points": len(data)}))
     else:
         echo(repr(data))
-    notify(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: mckibben identify {name}", json)
+    following = f"mckibben identify {name}"
+    if checked.dry_run.shuts:
+        recording, specimen = out / "recording.nc", checked.setup.bench.specimen.name
+        following = (
+            f"mckibben rig data {out} --recording {recording}, then "
+            f"mckibben identify-air {recording} --specimen {specimen}"
+        )
+    notify(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: {following}", json)
 
 
 @rig.command()

@@ -261,6 +261,12 @@ class LegScenario(RunSettings):
             return value
         valve = getattr(valve, "valve", valve)  # of a tube
         for name in value.air:
+            if valve.muscle_count is not None:
+                remedy = "leave it out, or give all muscles one valve"
+                fail_validation("is not supported with unequal valves", remedy, field=name)
+            if not valve.holds_air:
+                remedy = "leave it out, or use a valve with air, such as {from: smc-itv0050, supply: 7 bar}"
+                fail_validation("the valve has no air", remedy, field=name)
             if not getattr(valve, name, None):
                 fail_validation(f"the valve has no {name}", f"give it a {name}, or leave this out", field=name)
             if name == "polytropic_index" and valve.wall_conductance is not None:

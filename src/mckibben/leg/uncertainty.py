@@ -70,8 +70,9 @@ def drawn_air(valve: Actuator, spec: DrawSettings) -> Actuator:
         return eqx.tree_at(lambda x: x.valve, valve, drawn_air(inner, spec))
     if not (valve.holds_air and spec.air):
         return valve
-    rng, drawn = np.random.default_rng((spec.seed, 1)), {}
+    drawn = {}
     for name, spread in spec.air.items():
+        rng = np.random.default_rng((spec.seed, *name.encode()))  # its own: the spreads do not depend on each other
         normal = np.append(0.0, rng.standard_normal(spec.draws))  # the first is nominal
         drawn[name] = getattr(valve, name) * np.exp(spread * normal)
     if (index := drawn.get("polytropic_index")) is not None:

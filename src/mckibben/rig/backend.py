@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import abc
+import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -159,6 +160,8 @@ class MovingBackend(Backend, MuscleRig):
 
     homed: bool = False
     """Whether opening it moves the motor to the mounted position of the muscle."""
+    supply: float = math.inf
+    """Highest pressure that its supply and its regulator can give [Pa], if known."""
     shuts: bool = False
     """Whether it has a valve that shuts the muscle off from the regulator, but not from its vent valve: see `shut`."""
 

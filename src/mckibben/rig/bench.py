@@ -143,6 +143,7 @@ class Bench:
     steady: float = 1 * s  # time for which the pressure has to be settled or vented [s]
     slack_force: Force = 1 * N  # highest mean force of a slack muscle, for the zero error of a sensor
     shuts: bool = False  # whether the rig has a shut-off valve
+    supply: PositivePressure = math.inf  # highest pressure of supply and regulator
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -24,13 +24,16 @@ _MOST_ROWS = 10**10  # of its record
 
 
 class DryRun(StepInterpreter):
-    """Dry run of a test: all violations; its duration and points, `estimated` where steps end by a measurement."""
+    """Dry run of a test: all violations; its duration and points, `estimated` where steps end by a measurement.
+
+    `shuts` says whether a step shuts the valve.
+    """
 
     def __init__(self, bench: Bench) -> None:
         super().__init__(bench)
         self.duration, self.force = 0.0, 0.0
         self.plateaus = self.samples = self.pulses = self.rows = 0
-        self.estimated = False
+        self.estimated = self.shuts = False
         self.pressure, self.contraction = (0.0, 0.0), (bench.mounted_at, bench.mounted_at)
         self.problems: list[Problem] = []
         self._acquired = 0
@@ -101,6 +104,7 @@ class DryRun(StepInterpreter):
                 self._check_reach(step.to)
             case Pressurise():
                 self._check_pressure(step.pressure)
+                self.shuts |= step.shut is not None
                 if step.shut is not None and not bench.shuts:
                     self._report("this rig has no shut-off valve", f"{place}.shut", "leave it out")
             case HoldForce():
@@ -225,6 +229,9 @@ class DryRun(StepInterpreter):
         if not low - 1e-3 <= pressure <= high + 1e-3:
             allowed = f"{low / bar:g}..{high / bar:g} bar of {self.bench.specimen.name}"
             self._report(f"{pressure / bar:g} bar is outside {allowed}", place, "stay inside")
+        if pressure > self.bench.supply:
+            message = f"{pressure / bar:g} bar is above the {self.bench.supply / bar:g} bar of supply and regulator"
+            self._report(message, place, "lower it, or raise the supply")
         if pressure > highest:
             message = f"{pressure / bar:g} bar is above the limit of {highest / bar:g} bar"
             self._report(message, place, "lower it, or raise limits.pressure")

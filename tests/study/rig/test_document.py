@@ -179,12 +179,26 @@ def test_what_does_not_go_together_is_told(change, message):
         RigTest.parse(f"{HEAD}protocol:\n  isobaric:\n".replace(*change))
 
 
-@pytest.mark.parametrize("line", ["rate: 500", "shuts: true"])
+@pytest.mark.parametrize("line", ["rate: 500", "rate: 1000 Hz", "shuts: true", "supply: 3 bar"])
 def test_what_the_rig_decides_is_not_set_by_the_recording(line):
     with pytest.raises(ScenarioError) as found:
         RigTest.parse(f"{STEPS}recording: {{{line}}}\n")
     (problem,) = found.value.problems
-    assert problem.field == f"recording.{line.split(':')[0]}" and problem.remedy
+    assert problem.field == f"recording.{line.split(':')[0]}" and problem.remedy == "leave it out"
+
+
+def test_a_regulator_of_ideal_parts_keeps_what_is_not_given_ideal():
+    """And the pressures are checked against its supply."""
+    rig = "rig: {simulated: {parts: ideal, regulator: {supply: 3 bar, leak: 2e-5 L/(s*bar)}}}"
+    test = RigTest.parse(STEPS.replace("rig: {simulated: {seed: 1}}", rig))
+    found = check(test).setup.backend._regulator
+    assert (found.supply, found.hysteresis, found.repeatability) == (3 * bar, 0.0, 0.0)
+    assert found.leak == pytest.approx(2e-13)
+    for limit in ("supply", "highest"):
+        with pytest.raises(ScenarioError) as caught:
+            check(RigTest.parse(STEPS.replace("{seed: 1}", f"{{regulator: {{{limit}: 2.5 bar}}}}")))
+        (problem,) = caught.value.problems
+        assert problem.field == "protocol.steps[5].pressurise.pressure" and problem.remedy
 
 
 def test_what_exceeds_the_rig_is_told_with_its_line_before_anything_moves(tmp_path):

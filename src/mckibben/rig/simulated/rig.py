@@ -100,6 +100,7 @@ class SimulatedRig(MovingBackend):
         self.patience = float(patience)
         self._muscle, self._seed, self._faults = muscle, seed, tuple(faults)
         self._regulator = regulator or Regulator()
+        self.supply = min(self._regulator.supply, self._regulator.highest)
         self._stretcher = stretcher or Stretcher()
         self._converter = converter or Converter()
         self._sensors = {"force": force_sensor, "pressure": pressure_sensor}

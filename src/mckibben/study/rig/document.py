@@ -52,7 +52,8 @@ class MountedMuscle(Component):
 class SimulatedRigSettings(Checked, MuscleRig):
     """The simulated rig: law, friction and creep of its muscle (default: those of `muscle`), real or ideal parts.
 
-    `regulator` replaces the one of the parts; with a `wall_conductance` the air has a temperature.
+    `regulator` replaces the one of the parts; with a `wall_conductance` the air has a temperature. With ideal parts its
+    hysteresis, repeatability and leak are 0 unless they differ from their default.
     """
 
     short_name = "simulated"
@@ -86,17 +87,18 @@ class SimulatedRigSettings(Checked, MuscleRig):
 
         given = {name: one for name in ("law", "friction", "creep") if (one := getattr(self, name)) is not None}
         muscle = self.muscle.muscle(**given, **({"strength": None} if self.law else {}))
-        parts: dict[str, Any] = {}
+        regulator = self.regulator or Regulator()
+        parts: dict[str, Any] = {"regulator": regulator}
         if self.parts == "ideal":
+            errors = ("hysteresis", "repeatability", "leak")
+            ideal = {name: 0.0 for name in errors if getattr(regulator, name) == getattr(Regulator, name)}
             parts = {
-                "regulator": Regulator(hysteresis=0.0, repeatability=0.0, leak=0.0),
+                "regulator": replace(regulator, **ideal),
                 "stretcher": Stretcher(backlash=0.0),
                 "converter": Converter(bits=32),
                 "force_sensor": replace(FORCE_SENSOR, noise=0.0),
                 "pressure_sensor": replace(PRESSURE_SENSOR, noise=0.0),
             }
-        if self.regulator is not None:
-            parts["regulator"] = self.regulator
         kind = RealTimeRig if self.paced else SimulatedRig
         return kind(muscle, seed=self.seed + _APART * session, mounted_at=self.muscle.mounted_at, **parts)
 
@@ -133,7 +135,9 @@ class MuscleCardSettings(CardSettings, MuscleRig):
 class RecordingSettings(section_of(Bench, partial=True)):
     """Cycle of the safety monitor, sample rate between plateaus, and force below which a point is slack."""
 
-    @field_validator("of", "mounted_at", "drive", "limits", "rate", "shuts", mode="after", check_fields=False)
+    @field_validator(
+        "of", "mounted_at", "drive", "limits", "rate", "shuts", "supply", mode="before", check_fields=False
+    )
     @classmethod
     def _of_the_rig(cls, value: Any) -> Any:
         if value is not None:
@@ -191,6 +195,7 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         limits=test.limits,
         rate=backend.rate,
         shuts=backend.shuts,
+        supply=backend.supply,
         **explicit_fields(test.recording),
     )
     return Setup(backend, bench)
