@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.colors import Colormap, ListedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -296,14 +296,14 @@ def _scale(found: ExperimentPlan) -> LogNorm:
     return LogNorm(low, max(high, 1.5 * low))
 
 
-def _colours() -> ListedColormap:
+def _colours() -> Colormap:
     """Colour map with a light end that keeps markers legible."""
     shades = part_of("YlOrBr", 0, 215)
     return shades.with_extremes(over=shades(214))
 
 
 def _shade(
-    axes: Axes, found: ExperimentPlan, errors: NDArray[np.float64], scale: LogNorm, colours: ListedColormap
+    axes: Axes, found: ExperimentPlan, errors: NDArray[np.float64], scale: LogNorm, colours: Colormap
 ) -> None:
     x, y = found.map.states.contractions / percent, found.map.states.pressures / bar
     axes.pcolormesh(
