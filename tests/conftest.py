@@ -332,7 +332,7 @@ def cuda_here(cuda_driver, monkeypatch):
 def cuda_device(request, monkeypatch):
     """The engine "cuda" on this processor, which compiles anew, and on a GPU where there is one; its compiler."""
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
-    for one in (batch._run, leg_runs._run):
+    for one in (batch._run, batch._positions, leg_runs._run, leg_runs._positions):
         monkeypatch.setattr(one._cuda, "_known", {})
     if request.param == "processor":
         return request.getfixturevalue("cuda_here").compiler

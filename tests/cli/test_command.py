@@ -94,8 +94,10 @@ def test_a_process_that_is_done_ends_with_0(tmp_path):
         ),
     ],
 )
-def test_bad_input_ends_with_2_and_nothing_but_the_message(cli, arguments, said):
-    assert cli(*arguments) == (2, "", said)
+@pytest.mark.slow
+def test_bad_input_ends_with_2_and_nothing_but_the_message(tmp_path, arguments, said):
+    found = run(*arguments, cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path))
+    assert (found.returncode, found.stdout, found.stderr) == (2, "", said)
 
 
 @pytest.mark.parametrize("arguments", [["identify"], ["identify", "x", "--lw", "y"]])

@@ -302,9 +302,7 @@ def _colours() -> Colormap:
     return shades.with_extremes(over=shades(214))
 
 
-def _shade(
-    axes: Axes, found: ExperimentPlan, errors: NDArray[np.float64], scale: LogNorm, colours: Colormap
-) -> None:
+def _shade(axes: Axes, found: ExperimentPlan, errors: NDArray[np.float64], scale: LogNorm, colours: Colormap) -> None:
     x, y = found.map.states.contractions / percent, found.map.states.pressures / bar
     axes.pcolormesh(
         _edges(x), _edges(y), np.ma.masked_where(~np.isinf(errors), np.ones_like(errors)),
