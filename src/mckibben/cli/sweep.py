@@ -330,8 +330,8 @@ def _show_tuned(
         named = [(each.parameter, each.parameter.nominal) for each in ranges]
         old = ["-" if nominal is None else parameter.show(nominal) for parameter, nominal in named]
         rows = list(zip(shown_values, old, shown_values.values(), strict=True))
-        kept_margin = f", disk margin of at least {tuned.disk_margin:g} kept" if tuned.disk_margin else ""
-        points = f"{tuned.evaluated} points evaluated{kept_margin}"
+        kept_margin = f"disk margin of at least {tuned.disk_margin:g} kept" if tuned.disk_margin else "no margin kept"
+        points = f"{tuned.evaluated} points evaluated, {kept_margin}"
         title = f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {points}"
         table(title, ("parameter", "before", "tuned"), rows)
         for run in runs:
@@ -346,6 +346,8 @@ def _show_tuned(
             was, now = (run["least_margins"][when]["disk"] for when in ("before", "tuned"))
             if lost := lost_margin(was, now):
                 echo(f"{lost}; `--disk-margin {DISK_MARGIN}` bounds it")
+            elif not tuned.disk_margin and 0 < now < DISK_MARGIN:
+                echo(f"the least disk margin is {now:.2g}; `--disk-margin {DISK_MARGIN}` asks for more")
             if now == 0:
                 echo(UNSTABLE)
         if drawn:
