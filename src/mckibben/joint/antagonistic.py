@@ -162,8 +162,8 @@ class AntagonisticJoint(Component):
             have = "have" if len(names) > 1 else "has"
             found.append(
                 f"{' and '.join(names)} {have} friction, which the isobaric stiffness leaves out; the small-motion "
-                f"stiffness, of motion by {SMALL_MOTION / deg:g} deg, includes it and depends on the presliding length, "
-                "a guess where the comments of muscle.yaml say so"
+                f"stiffness, of motion by {SMALL_MOTION / deg:g} deg, includes it and depends on the presliding "
+                "length, a guess where the comments of muscle.yaml say so"
             )
         return found
 
