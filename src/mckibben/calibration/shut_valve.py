@@ -330,15 +330,13 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
         blocks = (last - first) // count
         if blocks * count * period < _SHORTEST:
             continue
-        part = slice(first, first + blocks * count)
-        means = pressure[part].reshape(blocks, count).mean(axis=1)
+        means = pressure[first : first + blocks * count].reshape(blocks, count).mean(axis=1)
         noise = float(np.sqrt(np.mean(np.diff(means) ** 2) / 2))
         tenth = max(blocks // 10, 1)
         change = abs(means[:tenth].mean() - means[-tenth:].mean())
         if means.min() < _LOWEST or change < max(_RELAXES * noise, _PART * (means.mean() + ATMOSPHERE)):
             continue
-        distance = np.abs(means - means[-tenth:].mean())
-        held = int(np.flatnonzero(distance > (1 - _BEGUN) * distance.max())[-1]) + 1 + round(_AFTER / (count * period))
+        held = _held(means, tenth) + round(_AFTER / (count * period))
         first, means = first + held * count, means[held:]
         if (last - first) * period < _SHORTEST:
             continue
@@ -356,6 +354,12 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
         volume = float(specimen.volume(at))
         found.append(ShutPhase(float(time[first]), float(time[last - 1]), at, volume, means, count * period))
     return found
+
+
+def _held(means: Floats, tenth: int) -> int:
+    """Number of means before the slow change towards the last tenth begins."""
+    distance = np.abs(means - means[-tenth:].mean())
+    return int(np.flatnonzero(distance > (1 - _BEGUN) * distance.max())[-1]) + 1
 
 
 class _Problem(NamedTuple):

@@ -152,7 +152,7 @@ class Ranking:
         raise IdentificationError(f"{law!r} was not ranked", value=law, remedy=f"ranked are {ranked}")
 
     def remarks(self) -> list[str]:
-        """What the ranking leaves out, and a choice other than the first law, in words."""
+        """Remarks on points and tests that are left out, and on a choice other than the first law."""
         found = left_out(self.outliers)
         if not any(entry.fit for entry in self.entries):
             return found

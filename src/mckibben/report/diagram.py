@@ -31,32 +31,32 @@ def draw_control_loop() -> Figure:
     draw_block(axes, 1.5, 0.62, 1.3, "joint and load\n$τ = F_2 d_2 − F_1 d_1$", _PLANT)
     for x, y in ((0.75, 3.1), (1.1, 2.35)):
         axes.add_patch(Circle((x, y), _SUM, facecolor="white", edgecolor=BLACK, linewidth=0.9, zorder=4))
-        draw_text(axes, x - 0.17, y + 0.1, "+")
-        draw_text(axes, x + 0.13, y - 0.17, "−")
+        _text(axes, x - 0.17, y + 0.1, "+")
+        _text(axes, x + 0.13, y - 0.17, "−")
     draw_arrow(axes, (0.3, 3.1), (0.75 - _SUM, 3.1))
     draw_arrow(axes, (0.3, 2.35), (1.1 - _SUM, 2.35))
-    draw_text(axes, 0.16, 3.1, "$θ_d$")
-    draw_text(axes, 0.16, 2.35, "$K_d$")
+    _text(axes, 0.16, 3.1, "$θ_d$")
+    _text(axes, 0.16, 2.35, "$K_d$")
     draw_arrow(axes, (0.75 + _SUM, 3.1), (1.45, 3.1))
     draw_arrow(axes, (1.1 + _SUM, 2.35), (1.45, 2.35))
     draw_arrow(axes, (2.65, 3.1), (3.0, 3.1), (3.0, 2.86), (3.35, 2.86))
     draw_arrow(axes, (2.65, 2.35), (3.0, 2.35), (3.0, 2.58), (3.35, 2.58))
-    draw_text(axes, 2.83, 3.21, "$p_d$")
-    draw_text(axes, 2.83, 2.24, "$p_c$")
+    _text(axes, 2.83, 3.21, "$p_d$")
+    _text(axes, 2.83, 2.24, "$p_c$")
     draw_arrow(axes, (4.45, 2.5), (4.45, 0.84))
-    draw_text(axes, 4.52, 1.95, "commands", rotation=90, va="center", ha="left")
+    _text(axes, 4.52, 1.95, "commands", rotation=90, va="center", ha="left")
     draw_arrow(axes, (3.7, 0.62), (3.43, 0.62))
     draw_arrow(axes, (2.43, 0.62), (2.15, 0.62))
     draw_arrow(axes, (3.56, 0.62), (3.56, 1.45), (3.0, 1.45))
-    draw_text(axes, 3.3, 1.56, "$p_1, p_2$")
+    _text(axes, 3.3, 1.56, "$p_1, p_2$")
     draw_arrow(axes, (0.85, 0.62), (0.75, 0.62), (0.75, 3.1 - _SUM))
-    draw_text(axes, 0.62, 1.75, "$θ$")
+    _text(axes, 0.62, 1.75, "$θ$")
     draw_arrow(axes, (0.75, 1.06), (2.25, 1.06), (2.25, 1.23))
     draw_arrow(axes, (1.5, 1.45), (1.1, 1.45), (1.1, 2.35 - _SUM))
-    draw_text(axes, 1.27, 1.56, "$K$")
+    _text(axes, 1.27, 1.56, "$K$")
     for x, y in ((3.56, 0.62), (0.75, 1.06)):
         axes.plot(x, y, "o", color=BLACK, markersize=2.6, zorder=4)
-    draw_text(axes, 2.4, 0.14, "blue: controller    orange: plant, simulated or physical", color="#555555")
+    _text(axes, 2.4, 0.14, "blue: controller    orange: plant, simulated or physical", color="#555555")
     return figure
 
 
@@ -66,11 +66,10 @@ def draw_block(axes: Axes, x: float, y: float, width: float, text: str, colour: 
     axes.add_patch(
         FancyBboxPatch(corner, width, 0.44, shape, facecolor=colour, edgecolor=BLACK, linewidth=0.9, zorder=3)
     )
-    draw_text(axes, x, y, text)
+    _text(axes, x, y, text)
 
 
-def draw_text(axes: Axes, x: float, y: float, text: str, **look: object) -> None:
-    """Text about a point [inches]."""
+def _text(axes: Axes, x: float, y: float, text: str, **look: object) -> None:
     settings = {"ha": "center", "va": "center", "fontsize": 8.5, "parse_math": True, "zorder": 5} | look
     axes.text(x, y, text, **settings)  # type: ignore[arg-type]
 

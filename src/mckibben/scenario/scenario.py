@@ -365,7 +365,7 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
 
 
 def unknown_air(scenario: Scenario) -> str:
-    """Why the use of air is unknown, and the remedy, in words; empty if both muscles have a volume."""
+    """Message that the use of air is unknown, with the remedy; empty if both muscles have a volume."""
     specimens = scenario.joint.muscle1.specimen, scenario.joint.muscle2.specimen
     names = [*dict.fromkeys(one.name for one in specimens if not one.has_volume)]
     if not names:

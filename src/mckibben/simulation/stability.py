@@ -88,7 +88,7 @@ class Margins(NamedTuple):
         ]
 
     def verdict(self) -> str:
-        """Whether the loop is stable at all points, in words."""
+        """Text that says whether the loop is stable at all points."""
         unstable = self.time[self.radius >= 1]
         if unstable.size:
             return f"unstable at {unstable.size} of {self.time.size} points, first at {unstable[0]:.3g} s"

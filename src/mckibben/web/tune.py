@@ -184,7 +184,7 @@ class _Page(JobPage[StudyState]):
             if found.disk_margin:
                 quiet(f"The search kept a disk margin of at least {found.disk_margin:g}.")
             else:
-                quiet("The search kept no disk margin, as the given gains have none.")
+                quiet("The search kept no disk margin.")
             costs = chart("evaluated point", "cost", height=220, yAxis={"type": "log"})
             number = np.arange(1, len(found.costs) + 1)
             draw(costs, [line("lowest so far", number, best_so_far(found.costs), BLUE)])
