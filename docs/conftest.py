@@ -8,7 +8,8 @@ SLOW = {"batches.md", "extending.md", "laws.md", "size.md", "stiffness.md", "tun
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the slow pages."""
+    """Mark the slow pages, and put the one that defines classes behind all tests of its process."""
+    items.sort(key=lambda item: item.path.name == "extending.md")
     for item in items:
         if item.path.parent == Path(__file__).parent and item.path.name in SLOW:
             item.add_marker(pytest.mark.slow)
