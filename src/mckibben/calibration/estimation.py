@@ -233,7 +233,7 @@ def _stiffness(problem: CalibrationProblem, z: Array, angle: Array, pressures: P
 
 
 @compiled
-def _quantities(problem: CalibrationProblem, z: Array) -> tuple[OrderedDict[str, Array], OrderedDict[str, Array]]:
+def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, Array], OrderedDict[str, Array]]:
     """Quantities by name and their derivatives; other dictionaries would come back sorted."""
 
     def values(z: Array) -> OrderedDict[str, Array]:
