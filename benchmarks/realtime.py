@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 from machine import describe, sentence
 
-from mckibben.realtime import ControlProgram, JointRig, compiled_step, compute_in_this_thread, prepare
+from mckibben.realtime import ControlProgram, JointRig, compiled_step, prepare
 from mckibben.realtime import loop as module
 from mckibben.realtime.loop import realtime_process_settings
 from mckibben.realtime.record import Percentiles
@@ -119,7 +119,6 @@ def main():
     period = asked.period * 1e-3
     if asked.ordinary:
         module._set_real_time_priority = lambda: None
-    compute_in_this_thread()
     print(sentence(describe()) + "\n")
     if asked.steps:
         print_steps()

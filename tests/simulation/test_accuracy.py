@@ -24,7 +24,15 @@ from mckibben import (
 )
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.simulation import Result
-from mckibben.simulation.accuracy import BLOCK, Refinement, probed_runs, refine, refine_blocks, spacing
+from mckibben.simulation.accuracy import (
+    BLOCK,
+    Refinement,
+    probed_runs,
+    refine,
+    refine_blocks,
+    resolution_of,
+    spacing,
+)
 from mckibben.units import bar, deg, mm
 
 PRINTED = catalog.joint("knee-table-2")
@@ -184,12 +192,18 @@ def test_doubling_stops_for_each_run_when_it_agrees():
     assert found.unresolved_from[2] == 10.0 and not found.converges[2] and found.converges[:2].all()
 
 
-def test_a_run_counts_until_it_diverges():
-    def diverging(substeps, runs):
-        return np.array([0.0, 1.0 / substeps, np.inf])[None, :, None]
+def test_a_run_counts_until_it_diverges_if_all_solutions_diverge_alike():
+    """The plant of the first run diverges; the second one does so with fewer than 16 steps, the third one with all."""
 
-    found = refine(diverging, 1, accuracy=1e-6, spacing=1.0, meaningful=lambda x, _: np.abs(x[0]) < 1e-3)
-    assert found.error[0] == 0
+    def diverging(substeps, runs):
+        blown = np.array([0.0, 10.0**substeps, np.inf])
+        each = [np.array([0.0, 2.0 + 1e-5 / substeps, np.inf]), np.zeros(3) if substeps >= 16 else blown, blown]
+        return np.stack(each, axis=-1)[None][..., runs]
+
+    found = refine(diverging, 3, accuracy=1e-6, spacing=1.0, meaningful=lambda x, _: np.abs(x[0]) < 1.0)
+    assert found.substeps.tolist() == [1, 16, 32] and found.error.tolist() == [0.0, 0.0, np.inf]
+    assert found.resolved.tolist() == [True, True, False] and found.unresolved_from[2] == 1.0
+    assert "too long" in resolution_of(Refinement(*(one[..., 2:] for one in found[:5]), 1), 1e-6).describe()
 
 
 @pytest.mark.parametrize("periods", [7, 20_000, 20_001, 3_600_000])

@@ -7,6 +7,7 @@ the package. The numbers are plausible for muscles of 10 mm, but not those of a 
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,7 +16,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array, lax
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import solve_ivp
 from scipy.signal import lfilter
 
 from mckibben.numerics.calculus import rk4
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 _ATMOSPHERE = 101325.0
 _GAS, _TEMPERATURE, _ISENTROPIC, _POLYTROPIC = 287.0, 293.15, 1.4, 1.25
-_STEPS = 100  # of the integration of a joint, in each period
+_STEPS = 100  # of the integration, in each period
 _CRITICAL = (2 / (_ISENTROPIC + 1)) ** (_ISENTROPIC / (_ISENTROPIC - 1))
 
 
@@ -103,6 +103,9 @@ class ForeignMuscle:
         shape = 0.5 + 0.5 * xp.sign(speed * slip) + self.asymmetry * (xp.sign(speed) + xp.sign(slip))
         return speed / self.presliding * (1 - xp.abs(slip) ** 1.5 * shape)
 
+    def _sliding(self, state: Array, rate: Array) -> Array:
+        return self.sliding_rate(state, rate, jnp)  # type: ignore[return-value]
+
     def friction_force(self, state: ArrayLike, pressure: ArrayLike, rate: ArrayLike, xp: Any = np) -> Floats:
         """Force lost to hysteresis and viscosity [N] at a state and a rate of the contraction [1/s]."""
         gauge, speed = xp.asarray(pressure, float), xp.asarray(rate, float)
@@ -112,17 +115,8 @@ class ForeignMuscle:
     def force(self, period: float, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
         """Force [N] along samples of contraction and pressure, between which both are linear; at rest before."""
         contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
-        times = period * np.arange(contraction.size)
-        rates = np.diff(contraction) / period
-        state = np.zeros(contraction.size)
-        if np.ptp(contraction) > 0:
-
-            def slope(time: float, z: Floats) -> Floats:
-                return self.sliding_rate(z, rates[min(int(time / period), rates.size - 1)])
-
-            state = solve_ivp(
-                slope, (0.0, times[-1]), [0.0], t_eval=times, max_step=period, rtol=1e-6, atol=1e-8, method="RK23"
-            ).y[0]
+        later = _states(self._sliding, jnp.zeros(()), jnp.asarray(np.diff(contraction) / period), period / _STEPS)
+        state = np.concatenate([[0.0], later])
         static = self.static_force(contraction, pressure)
         relaxed = static[0] + _fractional(static - static[0], period, self.creep, self.creep_time, self.creep_order)
         lost = self.friction_force(state, pressure, np.gradient(contraction, period))
@@ -167,7 +161,7 @@ class ForeignJoint:
         """Angles [rad], shape (samples,), from commands [Pa] held over each period; at rest at angle 0 before."""
         commands = jnp.stack([jnp.asarray(command1, float), jnp.asarray(command2, float)], axis=1)
         first = jnp.zeros(6).at[2:4].set(commands[0])
-        later = _states(self, first, commands[:-1], period / _STEPS)
+        later = _states(self.rates, first, commands[:-1], period / _STEPS)
         return np.asarray(jnp.concatenate([first[None], later])[:, 0])
 
     def rates(self, state: Array, wanted: Array) -> Array:
@@ -201,11 +195,11 @@ class ForeignJoint:
 
 
 @functools.partial(jax.jit, static_argnums=0)
-def _states(joint: ForeignJoint, first: Array, commands: Array, step: float) -> Array:
-    """States after each period, shape (periods, 6)."""
+def _states(rates: Callable[[Array, Array], Array], first: Array, inputs: Array, step: float) -> Array:
+    """States after each period, shape (periods, ...), from rates of a state under the constant input of a period."""
 
-    def period(state: Array, wanted: Array) -> tuple[Array, Array]:
-        after = lax.fori_loop(0, _STEPS, lambda _, x: rk4(lambda y: joint.rates(y, wanted), x, step), state)
+    def period(state: Array, given: Array) -> tuple[Array, Array]:
+        after = lax.fori_loop(0, _STEPS, lambda _, x: rk4(lambda y: rates(y, given), x, step), state)
         return after, after
 
-    return lax.scan(period, first, commands)[1]
+    return lax.scan(period, first, inputs)[1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,12 +15,14 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import force_gradients
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
+from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.compiled import compiled
 from mckibben.units import deg, kPa, mm
+
+if TYPE_CHECKING:
+    from mckibben.identification.fit import Fit
 
 Floats = NDArray[np.float64]
 RATE = 50.0  # Hz, of the fitted samples
@@ -241,16 +243,13 @@ def problem_of(
     """The model, with friction added if it has none, and the scales of its corrections."""
     muscles, scales = [], []
     angle = np.concatenate([half.angle for half, _ in recordings])
-    for muscle, spring, path in zip(
-        (joint.muscle1, joint.muscle2), joint.springs, joint.geometry.path_lengths(angle), strict=True
-    ):
-        contraction = np.asarray(muscle.specimen.contraction_at(path))
-        low, high = float(contraction.min()), float(contraction.max())
+    for muscle, spring, path in zip((joint.muscle1, joint.muscle2), joint.springs, _paths(joint, angle), strict=True):
+        low, high, force, slope = map(float, _sweep(muscle, path.max(), path.min()))
         if high - low < 1e-3:
             raise IdentificationError("the joint is at rest in the recordings", remedy="record sweeps of its range")
         middle, most = (low + high) / 2, float(muscle.domain.pressure_max)
-        force = float(muscle.tension(middle, most))
-        creep = prior.creep * abs(float(muscle.slope(middle, most))) / float(muscle.specimen.initial_length)
+        warn_outside((muscle, middle, most))
+        creep = prior.creep * abs(slope) / float(muscle.specimen.initial_length)
         mean = float(np.mean([half.pressures[len(scales)].mean() for half, _ in recordings]))
         half_width = _BEYOND * (high - low) / 2
         factor = _law_factor(prior, prior.fits[len(scales)], muscle, force, middle, half_width)
@@ -265,12 +264,27 @@ def problem_of(
     return CalibrationProblem(joint, load, force, highest, centre, half_width, pressure, creep, laws, deviations)
 
 
+def _paths(joint: AntagonisticJoint, angle: Floats) -> list[Floats]:
+    """Path lengths [m] of both muscles at angles [rad], from the program that also gives the moment arms."""
+    return list(map(np.asarray, joint.geometry.paths_and_arms(angle)[0]))
+
+
+@compiled
+def _sweep(muscle: Muscle, longest: Any, shortest: Any) -> tuple[Array, Array, Array, Array]:
+    """Ends of the contraction between two lengths [m]; midway, at the highest pressure, tension and its slope [N]."""
+    low, high = muscle.specimen.contraction_at(longest), muscle.specimen.contraction_at(shortest)
+    at = (low + high) / 2, muscle.domain.pressure_max
+    return low, high, muscle.tension(*at), muscle.slope(*at)
+
+
 def _law_factor(
     prior: JointPrior, fit: Fit | None, muscle: Muscle, force: float, centre: float, half_width: float
 ) -> Floats:
     """Cholesky factor of the covariance of a correction: from the prior, and from a fit projected on it."""
     covariance: Any = np.eye(2 * COEFFICIENTS)
     if fit is not None:
+        from mckibben.identification.intervals import force_gradients  # 0.3 s with pandas and xarray
+
         v, p = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(0, 1, 7)))
         powers = np.array([(v / 2) ** i for i in range(COEFFICIENTS)]) * force
         corrections = np.vstack([prior.offset * powers, prior.strength * p * powers]).T
@@ -408,7 +422,7 @@ def sliding_length(muscle: Any) -> float:
 def sliding_from(problem: CalibrationProblem, samples: JointSamples) -> int:
     """First sample at which the friction does not depend on its unknown initial state."""
     joint, first = problem.joint, 0
-    for muscle, path in zip((joint.muscle1, joint.muscle2), joint.geometry.path_lengths(samples.angle), strict=True):
+    for muscle, path in zip((joint.muscle1, joint.muscle2), _paths(joint, samples.angle), strict=True):
         travelled = np.maximum.accumulate(path) - np.minimum.accumulate(path)
         enough = travelled > sliding_length(muscle)
         if not enough.any() or int(np.argmax(enough)) > len(enough) // 2:

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
-from scipy.ndimage import gaussian_filter1d
 from scipy.special import chdtrc, chdtri
 
 from mckibben.calibration.equations import (
@@ -202,8 +201,8 @@ def calibrate_joint(
 
 def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Floats) -> dict[str, JointEstimate]:
     """Estimates by name, from estimates and covariance of the parameters."""
-    value, slope = _quantities(problem, jnp.asarray(estimate))
-    before = _quantities(problem, jnp.zeros(estimate.size))[1]
+    value, slope = _quantities(problem, estimate)
+    before = _quantities(problem, np.zeros(estimate.size))[1]
     found = {}
     for name in value:
         deviation = _deviation(np.asarray(slope[name]), covariance)
@@ -234,7 +233,7 @@ def _stiffness(problem: CalibrationProblem, z: Array, angle: Array, pressures: P
 
 
 @compiled
-def _quantities(problem: CalibrationProblem, z: Array) -> tuple[OrderedDict[str, Array], OrderedDict[str, Array]]:
+def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, Array], OrderedDict[str, Array]]:
     """Quantities by name and their derivatives; other dictionaries would come back sorted."""
 
     def values(z: Array) -> OrderedDict[str, Array]:
@@ -266,13 +265,16 @@ def _quantities(problem: CalibrationProblem, z: Array) -> tuple[OrderedDict[str,
 def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[Floats, Floats, float, float]:
     """Estimates and covariance of the parameters, the residual torque [N*m], and its noise."""
     count, edge, stride = parameters(problem), int(4 * _FILTER * RATE), int(_FILTER * RATE / 2)
-    starts = [sliding_from(problem, half) + edge for half, _ in recordings]
+    starts = [sliding_from(problem, half) for half, _ in recordings]
+    weights = np.exp(-0.5 * (np.arange(-edge, edge + 1) / (_FILTER * RATE)) ** 2)
+    weights /= weights.sum()
     groups = 1 + len(recordings[0][0].tensions)
     highest = np.asarray(problem.force).max()
     variances = np.full(groups, _START_VARIANCE) * np.array([1.0, highest**2, highest**2])[:groups]
 
     def filtered(column: Array, start: int) -> Floats:
-        return gaussian_filter1d(np.asarray(column), _FILTER * RATE, axis=0)[start:-edge:stride]
+        """Every so many samples of the low-pass filtered column, as far as all of the filter is on samples."""
+        return np.lib.stride_tricks.sliding_window_view(np.asarray(column), weights.size, 0)[start::stride] @ weights
 
     def raw(z: Floats) -> list[list[tuple[Floats, Floats]]]:
         """Errors, shape (samples, groups), and their Jacobians, of each recording, for both halves."""

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from mckibben.calibration.equations import JointPrior, JointRecording, sliding_length
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
@@ -17,9 +18,9 @@ from mckibben.calibration.output_error import CommandedCalibration, calibrate_fr
 from mckibben.component.schema import ENDINGS, independent, inherited_fields, origin_of, replaced, write_text
 from mckibben.control import Controller, Multisine, Reference, Sine
 from mckibben.errors import ParameterError, StoppedError
-from mckibben.identification.storage import find_fit
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
+from mckibben.numerics.compiled import compiled
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import Result
@@ -105,9 +106,9 @@ class Sweeps:
 
     def _check_travel(self, joint: AntagonisticJoint) -> None:
         """Raise `ParameterError` if a muscle moves too little for its friction to be known (`sliding_from`)."""
-        ends = joint.geometry.path_lengths(jnp.array([self.lowest, self.highest]))
+        ends, _ = joint.geometry.paths_and_arms(np.array([self.lowest, self.highest]))
         for muscle, path in zip((joint.muscle1, joint.muscle2), ends, strict=True):
-            travel, least = abs(float(path[1] - path[0])), _TRAVEL * sliding_length(muscle)
+            travel, least = float(np.ptp(path)), _TRAVEL * sliding_length(muscle)
             if travel < least:
                 raise ParameterError(
                     f"the angles move a muscle by {show(travel, 'mm', 2)}, its friction needs {show(least, 'mm', 2)}",
@@ -117,26 +118,35 @@ class Sweeps:
                     remedy="give wider --angles; a model with a shorter presliding_length, if that is only a guess",
                 )
 
-    def _weighted(self, load: Any, added_mass: float) -> Any:
+    def _weighted(self, load: Load, added_mass: float) -> GeneralLoad:
         """Return a load with the weight."""
-        return _general(load.with_weight(added_mass, self.distance))
+        return _general(_with_weight(load, added_mass, self.distance))
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
         """Stiffness range [N*m/rad] attainable at all angles with each weight; reversed if empty."""
         joint, load = first_model_of(scenario), load_of(scenario)
         angles = np.linspace(self.lowest, self.highest, _ANGLES)
-        middle = joint.contractions((self.lowest + self.highest) / 2, (0.0, 0.0))
-        muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
-        highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
-        least = _TAUT * float(min(highest))
-        bands = []
-        for mass in self.weights:
-            torque = -self._weighted(load, mass).gravity_torque(jnp.asarray(angles))
-            bands += [np.asarray(joint.attainable_stiffness(angles, torque, minimum_tension=least))]
-        low, high = np.max([band[0] for band in bands]), np.min([band[1] for band in bands])
+        bands = np.asarray(_bands(joint, [self._weighted(load, mass) for mass in self.weights], angles))
+        low, high = bands[:, 0].max(), bands[:, 1].min()
         if any(joint.springs):  # the angle determines the stiffness, so none is attainable at all angles
-            low = high = np.mean(bands)
+            low = high = bands.mean()
         return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
+
+
+@compiled
+def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Any) -> Array:
+    """Attainable stiffness [N*m/rad] with each load, shape (loads, 2, angles), of muscles that are well taut."""
+    middle = joint.contractions((angles[0] + angles[-1]) / 2, (0.0, 0.0))
+    muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
+    highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
+    least: Any = _TAUT * jnp.stack(highest).min()
+    torques = [-load.gravity_torque(angles) for load in loads]
+    return jnp.stack([jnp.stack(joint.attainable_stiffness(angles, one, minimum_tension=least)) for one in torques])
+
+
+@compiled
+def _with_weight(load: Load, mass: Any, distance: Any) -> GeneralLoad:
+    return load.with_weight(mass, distance)
 
 
 def _general(load: Load) -> GeneralLoad:
@@ -283,7 +293,11 @@ def read_joint_recording(
 def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
     """The prior with the fits behind the laws of the controller's model."""
     model = first_model_of(scenario)
-    files = (origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2))
+    files = [origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2)]
+    if not any(file.endswith(ENDINGS) for file in files):
+        return prior
+    from mckibben.identification.storage import find_fit  # 0.3 s with pandas and xarray
+
     first, second = (find_fit(Path(file)) if file.endswith(ENDINGS) else None for file in files)
     return replace(prior, fits=(first, second))
 

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from mckibben.calibration.estimation import JointEstimate, gauss_newton, minimised, variance_of
 from mckibben.calibration.valves import residual_and_noise
 from mckibben.component.checks import check_positive
-from mckibben.dataset import Recording
-from mckibben.dataset.points import saturated_samples
 from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.muscle import Specimen
 from mckibben.muscle.air import (
@@ -36,6 +34,9 @@ from mckibben.muscle.air import (
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.compiled import compiled
 from mckibben.units import bar, cm, kPa, ms, percent, show
+
+if TYPE_CHECKING:
+    from mckibben.dataset import Recording
 
 Floats = NDArray[np.float64]
 
@@ -203,7 +204,7 @@ def identify_air(
 
     Examples
     --------
-    >>> from mckibben import catalog
+    >>> from mckibben import Recording, catalog
     >>> specimen = catalog.specimen("MAS-10-180N-AA-MC-O")
     >>> time = np.arange(0.0, 6.0, 1e-3)
     >>> pressure = 4e5 + 1e5 * np.exp(-(time - 0.5) / 0.5)  # filled within 0.1 s, shut at 0.5 s
@@ -301,6 +302,8 @@ def _check(problem: _Problem, z: Floats, deviations: Floats) -> None:
 
 def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | None) -> list[ShutPhase]:
     """Parts of a recording between fast changes of the pressure in which this relaxes."""
+    from mckibben.dataset.points import saturated_samples  # 0.3 s with pandas and xarray
+
     time, pressure = recording.time, recording.table["pressure"].to_numpy()
     if time.size < 2:
         return []

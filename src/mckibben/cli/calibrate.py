@@ -154,9 +154,6 @@ def _read(bare: list[Path], weighted: list[Path], mass: float, distance: float) 
 
 
 def _measured(scenario: Scenario, sweeps: Sweeps, out: Path, rig: Path | None, quiet: bool) -> list[JointRecording]:
-    from mckibben.realtime.compiled_step import compute_in_this_thread
-
-    compute_in_this_thread()
     from mckibben.calibration import run_sweeps
     from mckibben.realtime import JointRig
 
@@ -199,9 +196,6 @@ def _valves(
     force: bool,
     json: bool,
 ) -> None:
-    from mckibben.realtime.compiled_step import compute_in_this_thread
-
-    compute_in_this_thread()
     from mckibben.actuator import Actuator
     from mckibben.calibration import (
         calibrate_scenario_valves,

@@ -56,9 +56,6 @@ def control(
     """
     if out is None:
         raise ParameterError("there is no folder for the record", remedy="add --out DIR")
-    from mckibben.realtime.compiled_step import compute_in_this_thread
-
-    compute_in_this_thread()
     from mckibben.realtime import JointRig, prepare
     from mckibben.scenario import Scenario
 

@@ -19,7 +19,7 @@ import numpy as np
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.fit import Fit
 from mckibben.identification.intervals import Interval, t_quantile
-from mckibben.identification.least_squares import FitProblem, Solution, project, solve
+from mckibben.identification.least_squares import FitProblem, Solution, grid_costs, solve
 from mckibben.identification.monotone import monotone
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import (
@@ -168,8 +168,8 @@ def _starts(regression: Regression) -> list[Floats]:
     axes = len(starts[0])
     if not axes:
         return starts
-    grid = np.array(list(problem.cube.grid()))
-    costs = np.array([project(problem, position).cost for position in grid])
+    grid = problem.cube.grid()
+    costs = grid_costs(problem, grid)
     per_axis = (round(len(grid) ** (1 / axes)),) * axes
     lowest = costs == minimum_filter(costs.reshape(per_axis), size=3, mode="nearest").ravel()
     bottoms = np.flatnonzero(lowest & np.isfinite(costs))

@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -85,6 +85,12 @@ def _columns_and_residuals(
     return jnp.concatenate([columns, (jnp.asarray(force) - modelled)[None]]) * jnp.asarray(weights)
 
 
+@compiled
+def _grid_of_columns_and_residuals(law_type: type[ForceLaw], values: ArrayLike, *others: Any) -> Array:
+    """`_columns_and_residuals` of many values, shape (count, parameters)."""
+    return jax.vmap(lambda one: _columns_and_residuals(law_type, one, *others))(jnp.asarray(values))
+
+
 def _force_and_columns(
     law: Callable[[dict[str, Any]], ForceLaw], names: tuple[str, ...], values: Any, contraction: Any, pressure: Any
 ) -> tuple[Array, Array]:
@@ -99,6 +105,7 @@ def _force_and_columns(
 
 _GRID_POINTS = 512  # of a grid over several parameters
 _GRID_POINTS_PER_PARAMETER = 32
+_TOGETHER = 32  # positions of a grid that are computed together
 _AT_BOUND = 1e-6  # distance from a bound in the unit cube
 
 
@@ -135,12 +142,12 @@ class UnitCube:
             ]
         )
 
-    def grid(self) -> Iterator[Floats]:
-        """Positions that cover the cube, none on a face."""
+    def grid(self) -> Floats:
+        """Positions that cover the cube, none on a face; shape (positions, parameters)."""
         count = len(self.parameters)
         per_axis = min(_GRID_POINTS_PER_PARAMETER, int(_GRID_POINTS ** (1 / count))) if count else 1
         axis = (np.arange(per_axis) + 0.5) / per_axis
-        return (np.array(position) for position in itertools.product(axis, repeat=count))
+        return np.array(list(itertools.product(axis, repeat=count)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,10 +212,11 @@ class FitProblem:
             raise IdentificationError(text, remedy="measure over more contractions, or fit a simpler law") from error
 
     def columns_and_residuals(self, values: Floats) -> Floats:
-        """Weighted design matrix, transposed, above the weighted residuals [N]: shape (parameters + 1, n)."""
+        """Weighted design matrix, transposed, above the weighted residuals [N]: shape (..., parameters + 1, n)."""
         stop_check.get()()
         points = self.contraction, self.pressure, self.force, self._factors
-        return np.asarray(_columns_and_residuals(self.law_type, values, *points, self.constants))
+        program = _columns_and_residuals if values.ndim == 1 else _grid_of_columns_and_residuals
+        return np.asarray(program(self.law_type, values, *points, self.constants))
 
     def with_prior(self, rows: Floats, values: Floats) -> Floats:
         """Columns and residuals, shape (parameters + 1, n), followed by the rows of the prior."""
@@ -330,7 +338,24 @@ def project(problem: FitProblem, position: Floats, guess: Floats | None = None) 
 
 def grid_search(problem: FitProblem) -> Floats:
     """Position of lowest cost on a grid over the range of the shape."""
-    return min((project(problem, position) for position in problem.cube.grid()), key=lambda p: p.cost).position
+    grid = problem.cube.grid()
+    return grid[np.argmin(grid_costs(problem, grid))]
+
+
+def grid_costs(problem: FitProblem, positions: Floats) -> Floats:
+    """Costs of the projections at positions, shape (positions,), computed together."""
+    linear, costs = problem.linear, np.full(len(positions), np.inf)
+    for start in range(0, len(positions), _TOGETHER):
+        some = positions[start : start + _TOGETHER]
+        short = (0, min(_TOGETHER, len(positions)) - len(some))  # one program for all
+        shapes = np.array([problem.cube.values(one) for one in some]).reshape(some.shape)
+        values = np.pad(np.hstack([np.zeros((len(some), linear)), shapes]), (short, (0, 0)), mode="edge")
+        for i, rows in enumerate(problem.columns_and_residuals(values)[: len(some)], start):
+            rows = problem.with_prior(rows, values[i - start])
+            if np.isfinite(rows).all():
+                rest = tsqr_r(rows.T)[linear:, -1]
+                costs[i] = rest @ rest
+    return costs
 
 
 def solve(problem: FitProblem, start: Floats, *, fixed: int | None = None) -> Solution:

@@ -1,6 +1,6 @@
 """The joint rig: controllers in real time on a physical or a simulated joint."""
 
-from mckibben.realtime.compiled_step import ControlProgram, compute_in_this_thread
+from mckibben.realtime.compiled_step import ControlProgram
 from mckibben.realtime.config import JointHardware, JointRig, RunConditions
 from mckibben.realtime.loop import RunOutcome, RunPlan, RunProgress, control
 from mckibben.realtime.record import Timing
@@ -25,7 +25,6 @@ __all__ = [
     "SimulatedJoint",
     "Timing",
     "Wiring",
-    "compute_in_this_thread",
     "control",
     "prepare",
 ]

@@ -55,6 +55,12 @@ def _torque(plant: JointPlant, angles: ArrayLike) -> Array:
     return plant.joint.torque(angles, (0.0, 0.0)) + plant.load.gravity_torque(angles)
 
 
+@compiled
+def complete_state(plant: JointPlant, state: PlantState) -> PlantState:
+    """`JointPlant.complete_state` as one program."""
+    return plant.complete_state(state)
+
+
 _ARRAYS = (*ARRAYS, jax.ShapeDtypeStruct)
 
 
@@ -205,11 +211,6 @@ def advance_flat(
     """`PlantProgram.advance` of all plants of a layout; inputs: both commands and the time."""
     plant: JointPlant = numbers.unpack(packed)
     return states.pack(plant.advance(states.unpack(state), (inputs[0], inputs[1]), inputs[2], substeps), jnp)
-
-
-def compute_in_this_thread() -> None:
-    """Let JAX compute in the calling thread, before any computation; a change of threads would take longer."""
-    jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
 def compile_flat(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:

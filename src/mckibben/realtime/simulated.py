@@ -15,7 +15,7 @@ from mckibben.component.base import Checked
 from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime.compiled_step import PlantProgram, vented_angle
+from mckibben.realtime.compiled_step import PlantProgram, complete_state, vented_angle
 from mckibben.realtime.wiring import Wiring
 from mckibben.rig.backend import AnalogChannel, Backend, Block, Watchdog
 from mckibben.rig.calibration import Calibration
@@ -126,8 +126,8 @@ class SimulatedJoint(Backend):
         self._period, self._seed, self._faults = period, seed, tuple(faults)
         self._wiring, self.sensing = wiring or Wiring(), sensing or Sensing()
         self.program = program or PlantProgram(plant, substeps)
-        state = plant.init_state(vented_angle(plant), (0.0, 0.0)) if start is None else plant.complete_state(start)
-        self._start = self.program.state(state)
+        first = PlantState(vented_angle(plant), 0.0, (0.0, 0.0)) if start is None else start  # type: ignore[arg-type]
+        self._start = self.program.state(complete_state(plant, first))
         self._initial_commands = (0.0, 0.0) if start is None else (float(start.pressures[0]), float(start.pressures[1]))
         self._rated = rated_commands(plant)
         self._volts_of = tuple((c.gain, c.offset, c.tare) for c in self._wiring.sensors)

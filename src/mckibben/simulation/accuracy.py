@@ -32,6 +32,7 @@ declare(__name__, STEP_COLUMNS)
 
 _DOUBLINGS = 6  # from 1 to 64 steps
 _FALLING = 1 / 4  # change of the error over three doublings, below which the solution still converges
+_SAME_END = 1e-3  # rad, and relative: distance of two solutions where both diverge, below which the plant does
 _FALLBACK_DOUBLINGS = 2  # of a block without a resolved run
 _RANDOM, _EXTREME = 4, 28  # probed runs of a block
 
@@ -83,6 +84,11 @@ class Resolution(NamedTuple):
             return f"{steps}, the integration error is not estimated"
         if self.resolved:
             return f"estimated integration error of the angle: {self.error:.1e} rad ({steps})"
+        if math.isinf(self.error):
+            return (
+                f"not resolved: solutions with {self.substeps // 2} and {self.substeps} integration steps per control "
+                f"period diverge from {self.unresolved_from:.4g} s on: the steps are too long for the plant"
+            )
         if not self.chaotic:
             since = f"from {self.unresolved_from:.4g} s on the angle is less accurate than asked"
             return f"not resolved: {since}; estimated integration error: {self.error:.1e} rad ({steps})"
@@ -158,7 +164,10 @@ def refine(
     first: int = 1,
     meaningful: Callable[[Positions, Runs], NDArray[np.bool_]] | None = None,
 ) -> Refinement:
-    """Double the steps of so many runs until positions, `spacing` [s] apart, agree while finite and `meaningful`."""
+    """Double the steps of so many runs until positions, `spacing` [s] apart, agree while finite and `meaningful`.
+
+    Two solutions that end early need to end alike: steps that are too long diverge, too, but each in its own way.
+    """
     runs, substeps = np.arange(count), first
     errors = np.full((_DOUBLINGS, count), np.nan)
     found = Refinement(
@@ -171,8 +180,12 @@ def refine(
         if meaningful is not None:
             counts &= meaningful(fine, runs)
         counts = np.logical_and.accumulate(counts, axis=0)
+        ends = np.zeros_like(counts)
+        ends[1:] = counts[:-1] & ~counts[1:]
         with np.errstate(invalid="ignore", over="ignore"):
-            apart = np.where(counts, np.nan_to_num(np.abs(fine - coarse), nan=np.inf).max(axis=0), 0.0)
+            apart = np.nan_to_num(np.abs(fine - coarse), nan=np.inf).max(axis=0)
+            alike = apart < _SAME_END * (1 + np.abs(fine).max(axis=0))
+        apart = np.where(counts, apart, np.where(ends & ~alike, np.inf, 0.0))
         found.substeps[runs] = substeps
         found.error[runs] = errors[doubling, runs] = apart.max(axis=0)
         within = found.error[runs] <= accuracy
