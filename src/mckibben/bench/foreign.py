@@ -112,21 +112,27 @@ class ForeignMuscle:
     def force(self, period: float, contraction: ArrayLike, pressure: ArrayLike) -> Floats:
         """Force [N] along samples of contraction and pressure, between which both are linear; at rest before."""
         contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
-        times = period * np.arange(contraction.size)
-        rates = np.diff(contraction) / period
-        state = np.zeros(contraction.size)
-        if np.ptp(contraction) > 0:
-
-            def slope(time: float, z: Floats) -> Floats:
-                return self.sliding_rate(z, rates[min(int(time / period), rates.size - 1)])
-
-            state = solve_ivp(
-                slope, (0.0, times[-1]), [0.0], t_eval=times, max_step=period, rtol=1e-6, atol=1e-8, method="RK23"
-            ).y[0]
+        state = _sliding(self, period, contraction.tobytes())
         static = self.static_force(contraction, pressure)
         relaxed = static[0] + _fractional(static - static[0], period, self.creep, self.creep_time, self.creep_order)
         lost = self.friction_force(state, pressure, np.gradient(contraction, period))
         return np.maximum(relaxed - lost, 0.0)
+
+
+@functools.lru_cache(maxsize=16)
+def _sliding(muscle: ForeignMuscle, period: float, samples: bytes) -> Floats:
+    """Hysteresis state along samples of the contraction; recordings at other pressures have the same."""
+    contraction = np.frombuffer(samples)
+    times, rates = period * np.arange(contraction.size), np.diff(contraction) / period
+    if np.ptp(contraction) == 0:
+        return np.zeros(contraction.size)
+
+    def slope(time: float, z: Floats) -> Floats:
+        return muscle.sliding_rate(z, rates[min(int(time / period), rates.size - 1)])
+
+    return solve_ivp(
+        slope, (0.0, times[-1]), [0.0], t_eval=times, max_step=period, rtol=1e-6, atol=1e-8, method="RK23"
+    ).y[0]
 
 
 def _fractional(values: Floats, period: float, part: float, time: float, order: float) -> Floats:
