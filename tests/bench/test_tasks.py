@@ -6,7 +6,7 @@ import functools
 import numpy as np
 import pytest
 
-from mckibben.bench import KINDS, TASKS, DataBlock, Task, Training, compare_submissions, task_named
+from mckibben.bench import KINDS, TASKS, DataBlock, Task, Training, compare_submissions, recurrent, task_named
 from mckibben.bench.baselines import BASELINES
 from mckibben.bench.foreign import ForeignMuscle
 from mckibben.bench.submission import predictions
@@ -171,15 +171,21 @@ def test_friction_is_identified_along_the_recorded_paths():
 
 
 @pytest.mark.slow
-def test_the_network_learns_a_recording(optimized):
-    task = task_of("isometric")
+def test_the_network_learns_a_recording(optimized, monkeypatch):
+    """A quarter of the steps, and tests of two lengths, each of which is a program: the mean has an error of 1."""
+    monkeypatch.setattr(recurrent, "_STEPS", 400)
+    whole = task_of("isometric")
+    task = dataclasses.replace(whole, tests=(whole.tests[0], whole.tests[3]))
     found = predictions(BASELINES["gru"], task)
     assert task.score(found).nrmse.value < 0.15
 
 
 @pytest.mark.slow
 def test_the_joint_is_calibrated_from_its_commands(optimized):
-    task = task_of("joint")
+    """From steps and a multisine: the other recordings are of steps, too."""
+    whole = task_of("joint")
+    blocks = whole.training.blocks[0], whole.training.blocks[3]
+    task = dataclasses.replace(whole, training=dataclasses.replace(whole.training, blocks=blocks))
     assert task.score(predictions(BASELINES["eq2"], task)).nrmse.value < 0.4
 
 

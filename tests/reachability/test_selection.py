@@ -19,7 +19,11 @@ pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("optimized")]  # program
 
 LOAD = mk.PendulumLoad(2.0, 250 * mm)
 NEED = Requirement(LOAD, (-30 * deg, 30 * deg), 2.0, 6 * bar, stiffness=(15.0, 18.0), torque=1.0)
-TWENTY = catalog_makes()[1]
+
+
+@pytest.fixture(scope="module")
+def twenty():
+    return catalog_makes()[1]  # fitted to data: not where each worker imports the file
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +48,9 @@ def test_the_reserve_is_the_torque_and_the_inertia_of_the_sine_by_hand():
     assert NEED.reserve == pytest.approx(1.0 + 2.0 * 0.25**2 * np.pi / 6 * np.pi**2, rel=1e-12)
 
 
-def test_the_torque_of_a_candidate_is_that_of_a_hand_calculation(found):
+def test_the_torque_of_a_candidate_is_that_of_a_hand_calculation(found, twenty):
     """At an end of the motion: the working muscle at 90 % of the supply, the other at its lowest pressure."""
-    one = next(each for each in found.candidates if each.make is TWENTY)
+    one = next(each for each in found.candidates if each.make is twenty)
     law, shift = one.make.muscle.law, one.radius * 30 * deg / one.length
     highest, lowest = 5.4 * bar, 0.65 * bar
     pulling, lengthened = one.contraction + shift, one.contraction - shift
@@ -85,12 +89,12 @@ def test_a_muscle_that_is_too_short_for_its_diameter_is_rejected():
         size(dataclasses.replace(NEED, longest=100 * mm, stiffness=None, torque=0.0), [catalog_makes()[2]])
 
 
-def test_pulleys_are_not_wider_than_allowed(found, without_nearest):
+def test_pulleys_are_not_wider_than_allowed(found, twenty, without_nearest):
     widest = found.best.radius - 0.2 * mm
-    assert size(dataclasses.replace(NEED, widest=widest, stiffness=None), [TWENTY]).best.radius <= widest
+    assert size(dataclasses.replace(NEED, widest=widest, stiffness=None), [twenty]).best.radius <= widest
     without_nearest()
     with pytest.raises(UnreachableError):
-        size(dataclasses.replace(NEED, widest=3 * mm, stiffness=None), [TWENTY])
+        size(dataclasses.replace(NEED, widest=3 * mm, stiffness=None), [twenty])
 
 
 def test_a_longer_muscle_than_needed_is_not_selected(found, without_nearest):
@@ -172,28 +176,28 @@ def test_the_conductance_of_a_tube_is_that_of_choked_flow_with_friction(diameter
     ("change", "factor"),
     [({"torque": 300.0}, "load"), ({"stiffness": (400.0, 500.0)}, "stiffness"), ({"longest": 0.1}, "angles")],
 )
-def test_an_impossible_requirement_names_the_nearest_that_is_possible(change, factor, without_nearest):
+def test_an_impossible_requirement_names_the_nearest_that_is_possible(change, factor, twenty, without_nearest):
     need = dataclasses.replace(NEED, **change)
     with pytest.raises(UnreachableError) as caught:
-        size(need, [TWENTY])
+        size(need, [twenty])
     factors = caught.value.value
     assert 0 < factors[factor] < 1 and caught.value.remedy
     possible = need.scaled(**{factor: factors[factor]})
-    assert size(possible, [TWENTY]).candidates
+    assert size(possible, [twenty]).candidates
     without_nearest()
     with pytest.raises(UnreachableError):
-        size(need.scaled(**{factor: 1.1 * factors[factor]}), [TWENTY])
+        size(need.scaled(**{factor: 1.1 * factors[factor]}), [twenty])
 
 
-def test_a_fast_motion_is_limited_by_the_valves():
+def test_a_fast_motion_is_limited_by_the_valves(twenty):
     need = dataclasses.replace(NEED, load=mk.GeneralLoad(inertia=1e-3, greatest_gravity_torque=0.0), torque=0.5)
-    slow = size(need, [TWENTY]).best.supply
-    fast = size(dataclasses.replace(need, cycle=1.0), [TWENTY]).best.supply
+    slow = size(need, [twenty]).best.supply
+    fast = size(dataclasses.replace(need, cycle=1.0), [twenty]).best.supply
     assert fast.needed == pytest.approx(2 * slow.needed, rel=0.3)
     with pytest.raises(UnreachableError) as caught:
-        size(dataclasses.replace(need, cycle=0.05), [TWENTY])
+        size(dataclasses.replace(need, cycle=0.05), [twenty])
     factor = caught.value.value["cycle"]
-    assert factor > 1 and size(dataclasses.replace(need, cycle=0.05 * factor), [TWENTY]).candidates
+    assert factor > 1 and size(dataclasses.replace(need, cycle=0.05 * factor), [twenty]).candidates
 
 
 def test_without_a_required_stiffness_the_run_takes_the_middle_of_the_attainable_range():

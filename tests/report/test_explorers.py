@@ -10,10 +10,11 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from mckibben.paper.settings import PRE_CONTRACTED, StiffnessReference
-from mckibben.paper.tracking import PID
+from mckibben.paper.settings import PRE_CONTRACTED, StiffnessReference, pid_scenario
+from mckibben.paper.tracking import ControllerRun
 from mckibben.report.explorers import explorers
 from mckibben.report.page import write_explorers
+from mckibben.scenario import run_scenario
 from mckibben.units import deg
 
 pytestmark = pytest.mark.slow
@@ -24,8 +25,9 @@ needs_node = pytest.mark.skipif(NODE is None, reason="needs Node, which runs the
 
 
 @pytest.fixture(scope="module")
-def case(reproduction):
-    return reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID]
+def case():
+    scenario = pid_scenario(PRE_CONTRACTED, StiffnessReference.STEP)
+    return ControllerRun(scenario, run_scenario(scenario).result, None)
 
 
 @pytest.fixture(scope="module")
