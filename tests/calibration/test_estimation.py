@@ -61,7 +61,7 @@ def balanced(joint, load, motion, first, mass, creeping):
     return jnp.stack(pressures, axis=1), jnp.stack(tensions, axis=1)
 
 
-def recording(joint, load, mass, rng, *, seconds=14.0, rate=500.0, creep=0.0):
+def recording(joint, load, mass, rng, *, seconds=14.0, rate=250.0, creep=0.0):
     """Sweeps: one pressure is given, the other one is what the equation of motion asks for."""
     time = np.arange(0.0, seconds, 1 / rate)
     slow, fast = 2 * np.pi * 3 / seconds, 2 * np.pi
@@ -98,7 +98,7 @@ def with_weight(recorded):
 
 def stiffness_errors(found, recorded):
     one, pressures, _ = recorded[0]
-    pair, angle = (pressures[::50, 0], pressures[::50, 1]), one.angle[::50]
+    pair, angle = (pressures[::25, 0], pressures[::25, 1]), one.angle[::25]
     true = np.asarray(TRUE.evaluate(angle, pair)[1])
     (value, deviation), (before, wide) = found.stiffness(angle, pair), found.prior_stiffness(angle, pair)
     return value - true, deviation, before - true, wide
@@ -153,7 +153,7 @@ def test_load_cells_take_the_place_of_the_weight_and_tell_creep():
 @pytest.mark.parametrize(
     ("change", "field"),
     [
-        (lambda r: dataclasses.replace(r, time=r.time[:900], angle=r.angle[:900], pressures=r.pressures[:900]), 900),
+        (lambda r: dataclasses.replace(r, time=r.time[:450], angle=r.angle[:450], pressures=r.pressures[:450]), 450),
         (lambda r: dataclasses.replace(r, angle=0 * r.angle), None),
         (lambda r: dataclasses.replace(r, angle=np.where(np.arange(r.angle.size) == 7, np.nan, r.angle)), None),
     ],

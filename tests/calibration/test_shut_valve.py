@@ -63,7 +63,7 @@ def shut_valve_test(contraction, wall=WALL, leak=LEAK, dead=DEAD, watched=3.0, s
         times = np.arange(0.0, longest, PERIOD)
         events = until if opening else None
         found = solve_ivp(
-            rates, (0, longest), state, "LSODA", times, events=events, args=(opening,), rtol=1e-9, atol=1e-6
+            rates, (0, longest), state, "LSODA", times, events=events, args=(opening,), rtol=1e-7, atol=1e-3
         )
         pressures.append(found.y[0])
         state = found.y_events[0][0] if opening else found.y[:, -1]

@@ -342,7 +342,7 @@ def test_estimates_scatter_by_their_standard_errors_under_noise_of_the_length():
     protocol = dataclasses.replace(PROTOCOL, pressures=np.array([3.0, 4.0, 5.0]) * bar, step=0.2 * mm, samples=4)
     rig = SimulatedIsobaricTest(MUSCLE, presliding_length=0.8 * mm, regulator_offset=0.0)
     scores = []
-    for seed in range(12):
+    for seed in range(8):
         data = rig.run(protocol, seed=seed).plateau_means()
         noise = np.random.default_rng(seed).normal(0, 20e-6 / SPECIMEN.initial_length, len(data))
         noisy = IsobaricDataset(data.table.assign(contraction=data.table["contraction"] + noise))

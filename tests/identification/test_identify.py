@@ -98,13 +98,14 @@ def test_an_error_as_small_as_that_of_a_load_cell_is_no_outlier(seed):
 @pytest.mark.slow
 def test_leaving_outliers_out_costs_no_efficiency_with_good_data():
     errors, points = [], grid(EQ_3, np.arange(1, 7) * bar, np.linspace(0, 20, 11) * percent)
-    for seed in range(40):
+    points = points.select(points.force > 5)  # noise leaves all of them taut
+    for seed in range(16):
         noise = np.random.default_rng(seed).normal(size=len(points))
         data = IsobaricDataset(points.table.assign(force=("point", points.force + noise)))
         fits = [identify(ExponentialLaw, data, robust=True)]
         fits.append(identify(ExponentialLaw, data, robust=False) if fits[0].outliers else fits[0])
-        errors.append([fit.law.force(0.1, 3e5) - EQ_3.force(0.1, 3e5) for fit in fits])
-    robust, plain = np.mean(np.square(errors), axis=0)
+        errors.append([np.asarray(fit.law.force(points.contraction, points.pressure)) - points.force for fit in fits])
+    robust, plain = np.mean(np.square(errors), axis=(0, 2))
     assert plain / robust > 0.95
 
 

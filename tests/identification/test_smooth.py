@@ -110,7 +110,7 @@ def test_outside_of_its_window_it_is_eq_2_and_inside_a_muscle():
 @pytest.mark.slow
 def test_intervals_hold_the_truth_and_new_points():
     truth, held = forces(EQ_2, CONTRACTION, PRESSURE) + AFFINE, []
-    fresh = truth + 0.5 * np.random.default_rng(99).standard_normal((5, len(truth)))
+    fresh = truth + 0.5 * np.random.default_rng(99).standard_normal((3, len(truth)))
     for seed, new in enumerate(fresh):
         found = identify(SmoothAffineLaw, measured(AFFINE, 0.5, seed)).force_intervals(CONTRACTION, PRESSURE)
         pairs = ((found.confidence, truth), (found.prediction, new))

@@ -518,7 +518,7 @@ def test_the_prediction_covers_where_the_scatter_grows_with_the_force(relative, 
     force = forces(law, contraction, pressure * bar)
     deviation = 0.3 + relative * force
     covered, said = [], []
-    for _ in range(20):
+    for _ in range(10):
         measured = force + deviation * random.standard_normal(len(force))
         data = IsobaricDataset.of(pressure=pressure * bar, contraction=contraction, force=measured)
         fit = identify(ExponentialLaw, data)
@@ -526,6 +526,6 @@ def test_the_prediction_covers_where_the_scatter_grows_with_the_force(relative, 
         found = fit.force_intervals(contraction, pressure * bar).prediction
         new = force + deviation * random.standard_normal(len(force))
         covered.append((found.lower <= new) & (new <= found.upper))
-    assert all(said) if grows else sum(said) <= 3  # of 1 expected
+    assert all(said) if grows else sum(said) <= 2  # of 0.5 expected
     for part in np.array_split(np.argsort(force), 4):
         assert 0.91 < np.mean(np.array(covered)[:, part]) < (0.999 if grows else 0.985)

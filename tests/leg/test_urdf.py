@@ -18,6 +18,7 @@ from mckibben.export.leg_mjcf import coordinates, leg_scene
 from mckibben.export.leg_urdf import export_leg_urdf, leg_urdf
 from mckibben.leg import Leg, LegPlant, LegScenario, read_leg
 from mckibben.leg.dynamics import Posture, Velocity, contact, frames, motion
+from mckibben.leg.plant import LegState
 from mckibben.units import deg
 from tests.leg.test_space import oblique
 
@@ -37,11 +38,9 @@ def legs(pair: mk.AntagonisticJoint, kind: str) -> Leg:
     return dataclasses.replace(oblique(pair, kind), foot_radius=0.02)
 
 
-def posture_at(plant: LegPlant, places: np.ndarray) -> tuple[Posture, Velocity]:
+def posture_at(leg: Leg, start: LegState, places: jax.Array) -> tuple[Posture, Velocity]:
     """Posture and velocity 0 at coordinates in MuJoCo's order."""
-    leg = plant.leg
     trunk, angles = places[: len(leg.trunk.motions)], iter(places[len(leg.trunk.motions) :])
-    start = plant.init_state(leg.posture_angles({}), [0.0] * len(leg.muscles))
     at = [jnp.asarray(next(angles)) if one.locked is None else jnp.asarray(one.locked) for one in leg.joints]
     named = {name: jnp.asarray(one) for name, one in zip(leg.trunk.motions, trunk, strict=True)}
     still = {name: jnp.zeros(()) for name in start.posture._fields if getattr(start.posture, name) is not None}
@@ -49,9 +48,8 @@ def posture_at(plant: LegPlant, places: np.ndarray) -> tuple[Posture, Velocity]:
     return posture, jax.tree.map(jnp.zeros_like, start.velocity)
 
 
-def inertia_matrix(plant: LegPlant, places: np.ndarray) -> np.ndarray:
+def inertia_matrix(leg: Leg, posture: Posture, still: Velocity) -> jax.Array:
     """Hessian of the kinetic energy over the velocities."""
-    leg, (posture, still) = plant.leg, posture_at(plant, places)
     free = [i for i, joint in enumerate(leg.joints) if joint.locked is None]
 
     def kinetic(rates: jax.Array) -> jax.Array:
@@ -59,9 +57,9 @@ def inertia_matrix(plant: LegPlant, places: np.ndarray) -> np.ndarray:
         angles = list(still.angles)
         for place, i in enumerate(free, len(leg.trunk.motions)):
             angles[i] = rates[place]
-        return motion(leg, posture, still._replace(**trunk, angles=tuple(angles)), plant.gravity).kinetic
+        return motion(leg, posture, still._replace(**trunk, angles=tuple(angles)), 9.81).kinetic
 
-    return np.asarray(jax.hessian(kinetic)(jnp.zeros(len(places))))
+    return jax.hessian(kinetic)(jnp.zeros(len(leg.trunk.motions) + len(free)))
 
 
 @pytest.mark.slow
@@ -77,6 +75,13 @@ def test_bodies_are_those_of_the_leg(pair: mk.AntagonisticJoint, kind: str) -> N
     texts = {"urdf": leg_urdf(plant).files["leg.urdf"], "mjcf": leg_scene(plant, start).xml}
     models = {form: mujoco.MjModel.from_xml_string(text) for form, text in texts.items()}
     moving = len(coordinates(plant, start.posture))
+
+    @jax.jit
+    def expected(places: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        posture, still = posture_at(leg, start, places)
+        foot = jnp.array([*contact(leg, frames(leg, posture, still)).position])
+        return inertia_matrix(leg, posture, still), foot, posture.z
+
     for model in models.values():
         assert model.nv == moving
         if leg.trunk.motions:  # MuJoCo makes a fixed trunk a part of the world
@@ -87,8 +92,7 @@ def test_bodies_are_those_of_the_leg(pair: mk.AntagonisticJoint, kind: str) -> N
                 np.testing.assert_allclose(found.range, [float(joint.lower), float(joint.upper)], rtol=0, atol=1e-12)
                 assert model.dof_damping[found.dofadr[0]] == pytest.approx(float(joint.damping))
     for places in np.random.default_rng(1).uniform(-0.6, 0.6, (3, moving)):
-        inertia, (posture, still) = inertia_matrix(plant, places), posture_at(plant, places)
-        foot = np.array(contact(leg, frames(leg, posture, still)).position, float)
+        inertia, foot, height = map(np.asarray, expected(places))
         for form, model in models.items():
             data = mujoco.MjData(model)
             data.qpos[:] = places
@@ -99,7 +103,7 @@ def test_bodies_are_those_of_the_leg(pair: mk.AntagonisticJoint, kind: str) -> N
             lowest = data.geom_xpos[-1].copy()
             lowest[2] -= float(leg.foot_radius)
             if not leg.trunk.motions and form == "mjcf":  # a trunk that is held at the height of the start
-                lowest[2] -= float(start.posture.z - posture.z)
+                lowest[2] -= float(start.posture.z - height)
             np.testing.assert_allclose(lowest, foot, rtol=0, atol=1e-9, err_msg=form)
 
 

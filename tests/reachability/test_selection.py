@@ -37,6 +37,13 @@ def without_nearest(monkeypatch):
     return lambda: monkeypatch.setattr(selection, "_nearest", lambda *_: {})
 
 
+@pytest.fixture
+def coarse_search(monkeypatch):
+    """A third of the candidates, for what takes tens of searches."""
+    monkeypatch.setattr(selection, "_RADII", 12)
+    monkeypatch.setattr(selection, "_CONTRACTIONS", 8)
+
+
 def eq2(law, eps, p):
     """Force of Eq. 2, written out."""
     a1, a2, b1, b2, c1, c2, mu = (float(getattr(law, n)) for n in ("a1", "a2", "b1", "b2", "c1", "c2", "decay"))
@@ -176,7 +183,7 @@ def test_the_conductance_of_a_tube_is_that_of_choked_flow_with_friction(diameter
     ("change", "factor"),
     [({"torque": 300.0}, "load"), ({"stiffness": (400.0, 500.0)}, "stiffness"), ({"longest": 0.1}, "angles")],
 )
-def test_an_impossible_requirement_names_the_nearest_that_is_possible(change, factor, twenty, without_nearest):
+def test_an_impossible_requirement_names_the_nearest_that_is_possible(change, factor, twenty, coarse_search, without_nearest):
     need = dataclasses.replace(NEED, **change)
     with pytest.raises(UnreachableError) as caught:
         size(need, [twenty])
@@ -189,7 +196,7 @@ def test_an_impossible_requirement_names_the_nearest_that_is_possible(change, fa
         size(need.scaled(**{factor: 1.1 * factors[factor]}), [twenty])
 
 
-def test_a_fast_motion_is_limited_by_the_valves(twenty):
+def test_a_fast_motion_is_limited_by_the_valves(twenty, coarse_search):
     need = dataclasses.replace(NEED, load=mk.GeneralLoad(inertia=1e-3, greatest_gravity_torque=0.0), torque=0.5)
     slow = size(need, [twenty]).best.supply
     fast = size(dataclasses.replace(need, cycle=1.0), [twenty]).best.supply

@@ -52,16 +52,6 @@ def test_the_delay_margin_is_where_runs_become_unstable(loop, found, share, outc
 
 
 @pytest.mark.slow
-def test_beyond_the_delay_margin_the_linear_loop_is_unstable_too(loop, found):
-    plant, control = loop
-    for share, stable in ((0.95, True), (1.1, False)):
-        late = dataclasses.replace(plant, command_delay=share * found.delay.min())
-        again = margins(late, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
-        assert (again.radius.max() < 1) == stable
-        assert again.disk.min() == 0.0 if not stable else again.disk.min() > 0
-
-
-@pytest.mark.slow
 def test_a_reading_delay_of_the_sensors_takes_from_the_delay_margin(loop, found):
     plant, control = loop
     late = dataclasses.replace(plant, sensors=SampledSensors(delay=1.0))
@@ -133,12 +123,12 @@ def test_a_counter_is_not_an_unstable_pole():
 
 
 @pytest.mark.slow
-def test_the_least_disk_margins_of_a_batch_are_those_of_single_runs(loop, found):
+def test_the_least_disk_margins_of_a_batch_are_those_of_single_runs_and_zero_beyond_the_delay_margin(loop, found):
     plant, control = loop
-    delays = np.array([0.0, 0.5, 1.3]) * found.delay.min()
+    delays = np.array([0.0, 0.5, 0.95, 1.1]) * found.delay.min()
     late = dataclasses.replace(plant, command_delay=delays)
     batch = disk_margins(late, control, REFERENCE, duration=0.2, points=2)
     one = dataclasses.replace(plant, command_delay=float(delays[1]))
     alone = margins(one, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
     assert batch[:2] == pytest.approx([found.disk.min(), alone.disk.min()], rel=0.02)
-    assert batch[0] > batch[1] > batch[2] == 0.0
+    assert batch[0] > batch[1] > batch[2] > batch[3] == 0.0  # the last linear loop is unstable

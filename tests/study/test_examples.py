@@ -15,6 +15,10 @@ SCENARIOS = [
     for path in sorted(EXAMPLES.rglob("*.yaml"))
     if {"controller:", "reference:"} <= {*path.read_text(encoding="utf-8").splitlines()}
 ]
+SMALLER = {  # numbers of scripts that take long
+    "plot_12_batch": {"duration=4.0": "duration=0.4"},
+    "plot_17_landing": {"drop: [20 mm, 50 mm]": "drop: [50 mm]", "draws: 32": "draws: 20"},
+}
 
 
 @pytest.mark.slow
@@ -46,6 +50,11 @@ def test_a_dataset_has_only_the_warning_of_its_friction():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", sorted((EXAMPLES / "gallery").glob("*.py")), ids=lambda path: path.stem)
-def test_the_gallery_runs_without_a_warning(script, monkeypatch):
+def test_the_gallery_runs_without_a_warning(script, monkeypatch, tmp_path):
+    text = script.read_text(encoding="utf-8")
+    for old, new in SMALLER.get(script.stem, {}).items():
+        assert old in text
+        text = text.replace(old, new)
+    (tmp_path / script.name).write_text(text, encoding="utf-8")
     monkeypatch.chdir(script.parent)
-    assert any(name.startswith("figure") for name in runpy.run_path(str(script)))
+    assert any(name.startswith("figure") for name in runpy.run_path(str(tmp_path / script.name)))

@@ -264,7 +264,7 @@ def spreads(draw, address):
 
 
 @pytest.mark.slow
-@settings(max_examples=300)
+@settings(max_examples=100)
 @given(st.data(), st.lists(st.floats(0, 1), min_size=1, max_size=20))
 def test_what_is_varied_prints_as_text_rises_stays_inside_and_knows_where_a_value_lies(data, quantiles):
     scenario, address = NUMBERS[data.draw(st.integers(0, len(NUMBERS) - 1))]  # to print a scenario takes long

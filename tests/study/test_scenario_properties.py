@@ -121,7 +121,7 @@ def scenarios(draw) -> Scenario:
     return Scenario.model_validate({**data, **changes})
 
 
-@settings(quick, max_examples=150)
+@settings(quick, max_examples=60)
 @given(scenarios())
 @pytest.mark.slow
 def test_a_scenario_survives_being_written(scenario):

@@ -16,6 +16,8 @@ from mckibben.numerics.batching import compute_once, trace_mode
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, load_or_compile
 from mckibben.numerics.runtime import batch_options, xla_programs_folder
 
+jax.config.update("jax_cpu_enable_async_dispatch", False)  # a change of threads takes longer than a small program
+
 P = ParamSpec("P")
 R = TypeVar("R")
 

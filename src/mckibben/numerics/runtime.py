@@ -27,8 +27,6 @@ _CONSTANT = {
 def configure() -> None:
     """Set JAX to 64 bits and to compile CPU loops as a whole; in the environment, for child processes too."""
     os.environ["JAX_ENABLE_X64"] = "1"
-    # Small programs take less time than to hand them to another thread.
-    dispatch = os.environ.setdefault("JAX_CPU_ENABLE_ASYNC_DISPATCH", "0")
     # On the CPU, JAX before 0.12 dispatches every fusion of a loop's body separately: an episode takes 4 to 20 times as
     # long.
     if _dispatches_loop_bodies():
@@ -37,7 +35,6 @@ def configure() -> None:
         import jax
 
         jax.config.update("jax_enable_x64", True)
-        jax.config.update("jax_cpu_enable_async_dispatch", dispatch.lower() not in ("0", "false", "n", "no", "off"))
 
 
 def with_loop_option(flags: str) -> str:
