@@ -19,6 +19,7 @@ from mckibben.control import Controller, Multisine, Reference, Sine
 from mckibben.errors import ParameterError, StoppedError
 from mckibben.identification.storage import find_fit
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
+from mckibben.joint.attainable import stiffness_range
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
@@ -132,7 +133,7 @@ class Sweeps:
         bands = []
         for mass in self.weights:
             torque = -self._weighted(load, mass).gravity_torque(jnp.asarray(angles))
-            bands += [np.asarray(joint.attainable_stiffness(angles, torque, minimum_tension=least))]
+            bands += [np.asarray(stiffness_range(joint, angles, torque, None, least))]
         low, high = np.max([band[0] for band in bands]), np.min([band[1] for band in bands])
         if any(joint.springs):  # the angle determines the stiffness, so none is attainable at all angles
             low = high = np.mean(bands)

@@ -328,6 +328,7 @@ def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = Fals
         "name": name,
         "data": points(x, y),
         "showSymbol": False,
+        "z": 3,
         "lineStyle": look,
         "itemStyle": {"color": color},
     }
@@ -358,9 +359,14 @@ def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -
     ]
 
 
+_MANY = 40  # points of one color that would hide a curve
+
+
 def dots(name: str, x: ArrayLike, y: ArrayLike, color: str) -> dict[str, Any]:
-    """Points of a chart."""
-    return {"type": "scatter", "name": name, "data": points(x, y), "symbolSize": 6, "itemStyle": {"color": color}}
+    """Points of a chart, below its curves; many are small and pale."""
+    data, many = points(x, y), len(np.asarray(x)) > _MANY
+    look = {"color": color, "opacity": 0.35 if many else 1}
+    return {"type": "scatter", "name": name, "data": data, "symbolSize": 4 if many else 6, "itemStyle": look}
 
 
 def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui.echart:
