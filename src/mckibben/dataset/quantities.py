@@ -270,22 +270,23 @@ class ColumnConverter:
 
     def _exchanged(self, data: Mapping[str, np.ndarray]) -> None:
         """Ask, in place of all other problems, or warn if columns are those of a muscle in another order only."""
-        third, initial = "length" if "length" in self.measured else "contraction", self.initial_length
+        third, initial = next(iter([*self.measured, "contraction"])), self.initial_length
         names = "pressure", third, "force"
-        if (
-            not {*names} <= {*data, *self.measured}
-            or "displacement" in self.measured
-            or not (initial or third == "contraction")
-        ):
+        if not {*names} <= {*data, *self.measured} or not (initial or third == "contraction"):
             return
+        if third == "displacement" and not (self.displacement and self.zero_length):
+            return
+        zero, side = (
+            (self.zero_length, -1 if self.displacement == "shortening" else 1) if third == "displacement" else (0.0, 1)
+        )
         units = [self.places[name][1].unit for name in names]
-        values = data["pressure"], self.measured.get("length", data["contraction"]), self.force_sign * data["force"]
+        values = data["pressure"], self.measured.get(third, data.get("contraction")), self.force_sign * data["force"]
         every = max(1, len(self.lines) // _COMPARED)
         numbers = [one[::every] / factor(unit) for one, unit in zip(values, units, strict=True)]
 
         def conversion(name: str, unit: str) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
             scale = factor(unit) * (self.force_sign if name == "force" else 1)
-            return lambda x: 1 - x * scale / initial if name == "length" else x * scale
+            return lambda x: 1 - (zero + side * x * scale) / initial if name in self.measured else x * scale
 
         to_si = [
             [conversion(name, unit) for unit in dict.fromkeys((own, *ACCEPTED[name]))]

@@ -36,7 +36,8 @@ LATER = 0.05
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
 _ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|force_sign|from_name)\b")
 _CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
-_COLUMNS = re.compile(r"columns=\{'([^']*)': '([^']*)'\}")  # an argument, which the page has as a line of a field
+_PAIR = re.compile(r"'([^']*)': '([^']*)'")
+_COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
@@ -133,7 +134,7 @@ def show_error(error: McKibbenError) -> None:
 
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
-    text = _COLUMNS.sub(r"\1 = \2 (columns)", _ELSEWHERE.sub("", remedy))
+    text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", remedy))
     text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
     text = _CHOICES.sub(r"\1: \2", text)
     return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
