@@ -138,22 +138,22 @@ def check_pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
 
 def exchanged(
     numbers: Sequence[Floats], to_si: Sequence[Sequence[Callable[[Floats], Floats]]]
-) -> tuple[tuple[int, ...], bool] | None:
-    """Order in which columns of pressure, contraction and force are those of a muscle, and whether the given is not.
+) -> tuple[int, ...] | None:
+    """Order in which columns of pressure, contraction and force are those of a muscle, where the given is impossible.
 
-    Each has conversions to SI, first that of its unit. None if no order or more than one is, or the given one is, with
-    another unit of one column at most.
+    Each has conversions to SI, first that of its unit. None if no order or more than one is, or the given one is with
+    another unit of one column.
     """
     rows = np.flatnonzero(np.isfinite(numbers).all(axis=0))
 
     def points(order: Sequence[int] = range(3), units: Sequence[int] = (0, 0, 0)) -> list[Floats]:
         return [to_si[place][units[place]](numbers[at][rows]) for place, at in enumerate(order)]
 
-    others = [np.eye(3, dtype=int)[at] * unit for at in range(3) for unit in range(len(to_si[at]))]
-    if len(rows) < _COPIED or any(_is_muscle(*points(units=units)) for units in others):
+    others = [[unit if one == at else 0 for one in range(3)] for at in range(3) for unit in range(len(to_si[at]))]
+    if len(rows) < _COPIED or _is_possible(*points()) or any(_is_muscle(*points(units=units)) for units in others):
         return None
     found = [order for order in permutations(range(3)) if _is_muscle(*points(order))]
-    return (found[0], not _is_possible(*points())) if len(found) == 1 else None
+    return found[0] if len(found) == 1 else None
 
 
 def _is_possible(pressure: Floats, contraction: Floats, force: Floats) -> bool:

@@ -269,18 +269,17 @@ class ColumnConverter:
                 self.suspect.append(f"{self.sheet.unit} {line} {what}")
 
     def _exchanged(self, data: Mapping[str, np.ndarray]) -> None:
-        """Ask, in place of all other problems, or warn if columns are those of a muscle in another order only."""
-        third, initial = next(iter([*self.measured, "contraction"])), self.initial_length
+        """Ask, in place of all other problems, if impossible columns are those of a muscle in another order only."""
+        third, initial = next(iter([*self.measured, "contraction"])), self.initial_length or 0.0
         names = "pressure", third, "force"
         if not {*names} <= {*data, *self.measured} or not (initial or third == "contraction"):
             return
-        if third == "displacement" and not (self.displacement and self.zero_length):
+        moved = third == "displacement"
+        if moved and not (self.displacement and self.zero_length):
             return
-        zero, side = (
-            (self.zero_length, -1 if self.displacement == "shortening" else 1) if third == "displacement" else (0.0, 1)
-        )
+        zero, side = (self.zero_length or 0.0) * moved, -1 if moved and self.displacement == "shortening" else 1
         units = [self.places[name][1].unit for name in names]
-        values = data["pressure"], self.measured.get(third, data.get("contraction")), self.force_sign * data["force"]
+        values = data["pressure"], {**data, **self.measured}[third], self.force_sign * data["force"]
         every = max(1, len(self.lines) // _COMPARED)
         numbers = [one[::every] / factor(unit) for one, unit in zip(values, units, strict=True)]
 
@@ -292,20 +291,15 @@ class ColumnConverter:
             [conversion(name, unit) for unit in dict.fromkeys((own, *ACCEPTED[name]))]
             for name, own in zip(names, units, strict=True)
         ]
-        found = exchanged(numbers, to_si)
-        if found is None:
+        if (order := exchanged(numbers, to_si)) is None:
             return
-        order, impossible = found
-        moved = [(self._field(names[at]), place) for place, at in enumerate(order) if at != place]
-        meant = {column: f"{names[place]}_{units[place]}" for column, place in moved}
-        looks = " and ".join(f"{column!r} looks like a {names[place]}" for column, place in moved)
+        apart = [(self._field(names[at]), place) for place, at in enumerate(order) if at != place]
+        meant = {column: f"{names[place]}_{units[place]}" for column, place in apart}
+        looks = " and ".join(f"{column!r} looks like a {names[place]}" for column, place in apart)
         options = " ".join(f"--column '{column}={name}'" for column, name in meant.items())
         text = f"columns may be exchanged: by their numbers, {looks}"
         remedy = f"correct the header, or give columns={meant} (command line: {options})"
-        if impossible:
-            self.problems = [self.sheet.kind(text, line=self.sheet.header_line, remedy=remedy)]
-        else:
-            self.suspect.append(f"{text}; {remedy}")
+        self.problems = [self.sheet.kind(text, line=self.sheet.header_line, remedy=remedy)]
 
     def _columns_read(self, data: Mapping[str, np.ndarray], kept: NDArray[np.bool_]) -> str:
         """Table of the columns read: quantity, unit, its origin, range in this unit, remark; rows, implied diameter."""

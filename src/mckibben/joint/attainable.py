@@ -151,7 +151,7 @@ def unattainable(
     torque: float,
     pressure_limits: tuple[float, float] | None = None,
     minimum_tension: float = 0.0,
-) -> RangeError:
+) -> RangeError | UnreachableError:
     """Return the error that says why a torque is not attainable at an angle, and which range it leaves."""
     contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
     for number, (muscle, contraction) in enumerate(zip((joint.muscle1, joint.muscle2), contractions, strict=True), 1):

@@ -145,7 +145,7 @@ class _Pose(NamedTuple):
     torque: tuple[Array, Array]
     arms: tuple[Array, Array]
     contractions: tuple[Array, Array]
-    ends: tuple[tuple[Array, Array], tuple[Array, Array]]
+    ends: tuple[tuple[Array, Array], ...]
     """Pressures [Pa] at the lowest and at the highest stiffness."""
 
 
