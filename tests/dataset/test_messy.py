@@ -94,6 +94,14 @@ def test_a_wrong_decimal_sign_is_one_problem(put):
     assert read_dataset(path, decimal=",").force.tolist() == [200.1, 300.2]
 
 
+def test_a_header_without_units_is_found_below_a_preamble(put):
+    path = put("Rig 3;Muscle 12\nDate;12.11.2026\n\nDruck;Kraft;Weg\n2,5;200,1;0,0\n3,5;300,2;0,5\n")
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path)
+    found = [(one.line, one.field) for one in caught.value.problems]
+    assert found == [(4, "Druck"), (4, "Kraft"), (4, "Weg")]
+
+
 @pytest.mark.parametrize("order", [one for one in permutations(range(3)) if one != (0, 1, 2)])
 @pytest.mark.parametrize("third", ["contraction_percent", "length_mm"])
 def test_exchanged_columns_are_one_problem_with_the_names_that_are_meant(put, order, third):
