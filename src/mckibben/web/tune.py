@@ -90,8 +90,8 @@ class _Page(JobPage[StudyState]):
                     _number("starts (gradient)", tuning, "starts", 1, MOST_STARTS)
                     _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS)
                     _number("seed", tuning, "seed", 0, MOST_SEED)
-                    margin = ui.input("disk margin", placeholder="as now").props("dense").classes("w-full").mark("disk_margin")
-                    margin.bind_value(tuning, "disk_margin")
+                    margin = ui.input("disk margin", placeholder="as now").props("dense").classes("w-full")
+                    margin.mark("disk_margin").bind_value(tuning, "disk_margin")
                 _lines("NAME=RANGE per line, or all gains", tuning, "over")
                 button("Tune", self.tune, "tune", main=True)
             with panel("Compare"):
