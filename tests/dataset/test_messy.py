@@ -3,6 +3,7 @@
 import importlib
 import io
 import warnings
+from itertools import permutations
 from pathlib import Path
 
 import h5py
@@ -12,6 +13,7 @@ from openpyxl.comments import Comment
 
 from mckibben.dataset import read_dataset
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError
+from mckibben.units import bar, percent
 
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 THOUSANDS = "Pressure [bar];Contraction [%];Force [N]\n2;0;1.234\n3;0;1.851\n"
@@ -81,6 +83,47 @@ def test_the_option_settles_ambiguous_thousands(put):
     assert read_dataset(path, decimal=",").force.tolist() == [1234, 1851]
     with pytest.raises(RangeError):
         read_dataset(path, decimal=";")
+
+
+def test_a_wrong_decimal_sign_is_one_problem(put):
+    path = put("pressure_bar;contraction_percent;force_N\n2,5;0;200,1\n3,5;0;300,2\n")
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path, decimal=".")
+    (problem,) = caught.value.problems
+    assert problem.line == 2 and "--decimal ','" in problem.remedy
+    assert read_dataset(path, decimal=",").force.tolist() == [200.1, 300.2]
+
+
+def test_a_header_without_units_is_found_below_a_preamble(put):
+    path = put("Rig 3;Muscle 12\nDate;12.11.2026\n\nDruck;Kraft;Weg\n2,5;200,1;0,0\n3,5;300,2;0,5\n")
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path)
+    found = [(one.line, one.field) for one in caught.value.problems]
+    assert found == [(4, "Druck"), (4, "Kraft"), (4, "Weg")]
+
+
+@pytest.mark.parametrize("order", [one for one in permutations(range(3)) if one != (0, 1, 2)])
+@pytest.mark.parametrize("third", ["contraction_percent", "length_mm"])
+def test_exchanged_columns_are_one_problem_with_the_names_that_are_meant(put, order, third):
+    names = ["pressure_bar", third, "force_N"]
+    points = read_dataset(BENCHMARKS.parent / "examples" / "rig.csv")
+    numbers = [points.pressure / bar, points.contraction / percent, points.force.round(2)]
+    numbers[1] = 180 * (1 - points.contraction) if third == "length_mm" else numbers[1]
+
+    def read(*columns, **options):
+        rows = [",".join(f"{one:.6g}" for one in row) for row in zip(*columns, strict=True)]
+        return read_dataset(put("\n".join([",".join(names), *rows])), initial_length=0.18, **options)
+
+    with pytest.raises(DatasetError) as caught:
+        read(*(numbers[at] for at in order))
+    (problem,) = caught.value.problems
+    meant = {names[at]: names[which] for at, which in enumerate(order) if at != which}
+    assert all(f"--column '{column}={name}'" in problem.remedy for column, name in meant.items())
+    with pytest.warns(McKibbenWarning, match="its name says"):
+        assert read(*(numbers[at] for at in order), columns=meant).force.max() == points.force.max().round(2)
+    with pytest.raises(DatasetError) as caught:  # a wrong unit stays one
+        read(*numbers[:2], numbers[2] / 1000)
+    assert [one.field for one in caught.value.problems] == ["force"]
 
 
 def test_cells_with_units_say_their_unit(put):

@@ -1,5 +1,6 @@
 """A law is fitted with friction where, and only where, loading and unloading differ."""
 
+import dataclasses
 import warnings
 from pathlib import Path
 
@@ -78,6 +79,9 @@ def test_the_muscle_has_law_and_friction_of_the_fit(rig):
     assert (muscle.law, muscle.friction) == (found.fit.law, found.friction)
     assert float(found.predict(0.1, 3 * bar)) == pytest.approx(float(muscle.force(0.1, 3 * bar)))
     assert repr(found.fit) in repr(found) and repr(found.hysteresis) in repr(found)
+    warned = found._replace(hysteresis=dataclasses.replace(found.hysteresis, warnings=("at a bound",)))
+    assert warned.warnings == (*found.fit.warnings, "at a bound") and "1 warning" in repr(warned)
+    assert all(text in warned.report() for text in ("at a bound", found.note, found.fit.report()))
     assert found.plot().axes
     for given, volume in ({"fill": 30e-6}, 30e-6), ({"diameter": 12 * mm}, np.pi / 4 * 0.012**2 * 0.2):
         assert float(found.muscle(mk.Specimen("mine", 0.2), **given).specimen.volume(0.0)) == pytest.approx(volume)

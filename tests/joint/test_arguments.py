@@ -1,5 +1,7 @@
 """Arguments that are easily swapped, and lengths in millimetres."""
 
+import dataclasses
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,7 @@ import mckibben as mk
 from mckibben import catalog, rig
 from mckibben.control import Sum
 from mckibben.errors import McKibbenWarning, RangeError
+from mckibben.joint import PairedPaths, Pulley
 from mckibben.muscle import ReynoldsLaw, SarosiLaw
 from mckibben.rig.bench import JointLimits, RigLimits
 from mckibben.rig.steps import Pressurise
@@ -155,10 +158,19 @@ def test_pressures_are_a_pair(knee, wrong):
 @pytest.mark.parametrize(
     "call",
     [
-        lambda joint: joint.attainable_stiffness(10, 0.0),
+        lambda joint: joint.attainable_stiffness(np.array([0.1, 10]), 0.0),
         lambda joint: joint.attainable_torque(np.array([0.1, -10.0])),
     ],
 )
 def test_an_angle_in_degrees_is_noticed(call):
     with pytest.warns(McKibbenWarning, match="10 rad"):
         call(catalog.joint("knee-table-2"))
+
+
+def test_a_call_without_attainable_stiffness_says_why():
+    knee = catalog.joint("knee-table-2")
+    with pytest.warns(McKibbenWarning, match=r"torque of 100 N\*m .* outside the attainable"):
+        assert np.isnan(knee.attainable_stiffness(0.0, 100.0)).all()
+    slack = dataclasses.replace(knee, geometry=PairedPaths(Pulley(0.03, 0.1), Pulley(0.03, 0.1)))
+    with pytest.warns(McKibbenWarning, match="a longer rest_length of path1"):
+        slack.attainable_stiffness(np.array([0.0, 0.1]), 0.0)

@@ -127,6 +127,18 @@ def test_a_joint_that_cannot_be_is_an_error_with_a_remedy(kind):
     assert found.value.unit == "m" and found.value.remedy
 
 
+@pytest.mark.slow
+def test_the_page_names_the_binding_limits_as_the_command_does():
+    remarks = Scenario.parse(workbench.START).envelope().remarks()
+    made = design.JointDesign(angle=0.0)
+    low, high = design.limits_at(made, design.compute(made, MUSCLE)).split("; ")
+    assert remarks[0].startswith(low) and remarks[1].startswith(high)
+    made = dataclasses.replace(made, pressure=5.0)
+    assert "the supply (5 bar)" in design.limits_at(made, design.compute(made, MUSCLE))
+    made = dataclasses.replace(made, torque=20.0)
+    assert design.limits_at(made, design.compute(made, MUSCLE)) == ""
+
+
 @pytest.mark.parametrize("most", [0.4, 0.8, 6.0])
 def test_the_highest_pressure_is_chosen_in_the_domain_of_the_muscle(most):
     muscle = mk.Muscle(mk.Specimen("x", 0.2, domain=mk.Domain(0.0, 0.2, 0.0, most * bar)), MUSCLE.law)

@@ -33,9 +33,14 @@ def test_displacements_are_read_as_the_fields_say(tmp_path):
     filled = reading.ReadingFields()
     whole = fields.recipe().dumps() + "columns: {Weg: displacement_mm}\nspecimen: mine\nsample_rate: 100 Hz\n"
     filled.take(Recipe.parse(whole))
-    kept = {"columns": "Weg = displacement_mm", "specimen": "mine", "of_recordings": {"sample_rate": 100.0}}
+    kept = {"columns": "Weg = displacement_mm", "specimen": "mine", "others": {"sample_rate": 100.0}}
     assert filled == dataclasses.replace(fields, **kept)
     assert filled.recipe() == Recipe.parse(whole)
+    positive = Recipe(force_sign=1)
+    filled.take(positive)
+    assert filled.recipe() == positive
+    filled.negative = True
+    assert filled.recipe().force_sign == -1
     fields.clear()
     assert fields == reading.ReadingFields()
 

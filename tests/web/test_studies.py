@@ -9,6 +9,7 @@ pytest.importorskip("nicegui")
 
 from mckibben import Scenario
 from mckibben.errors import ParameterError, ScenarioError
+from mckibben.joint import GeneralLoad, PendulumLoad
 from mckibben.scenario import run_scenario
 from mckibben.study.tune import parse_cost, tune
 from mckibben.web import leg, studies, workbench
@@ -69,13 +70,29 @@ def test_a_study_that_nobody_can_wait_for_is_refused(tmp_path):
         studies.tuned(long, studies.TuningRequest(method="gradient", starts=8, iterations=60), tmp_path, silent)
     assert found.value.upper == studies.MOST_STEPS
     with pytest.raises(ParameterError) as found:
-        studies.compared(long, studies.ComparisonRequest(runs=512, generations=30), tmp_path, silent)
+        request = studies.ComparisonRequest(conditions="load.mass2=+-30 %", runs=512, generations=30)
+        studies.compared(long, request, tmp_path, silent)
     assert found.value.upper == studies.MOST_STEPS
     with pytest.raises(ParameterError):
         studies.compared(SHORT, studies.ComparisonRequest(("two PID loops",)), tmp_path, silent)
     with pytest.raises(ParameterError) as found:
+        studies.tuned(SHORT, studies.TuningRequest(disk_margin="some"), tmp_path, silent)
+    assert found.value.field == "disk_margin"
+    with pytest.raises(ParameterError) as found:
         leg.parse(leg.STARTS["landing in space"].replace("draws: 20", "draws: 5000"), tmp_path)
     assert found.value.upper == leg.MOST_LANDINGS
+
+
+def test_the_suggested_conditions_are_those_of_the_load_until_they_are_edited():
+    knee, request = Scenario.parse(SHORT), studies.ComparisonRequest()
+    request.suggest(knee)
+    assert request.conditions == "load.mass2=+-30 %"
+    pendulum = PendulumLoad(mass=0.3, length=0.25)
+    request.suggest(knee.model_copy(update={"load": pendulum}))
+    assert request.conditions == "load.mass=+-30 %"
+    request.conditions = "load.length=+-10 %"
+    request.suggest(knee.model_copy(update={"load": GeneralLoad(0.1, 2.0)}))
+    assert (request.conditions, request.suggested) == ("load.length=+-10 %", "load.inertia=+-30 %")
 
 
 def test_a_leg_has_a_study_and_names_no_file_of_another_folder(tmp_path):

@@ -19,6 +19,7 @@ from mckibben.component.schema import ENDINGS, independent, inherited_fields, or
 from mckibben.control import Controller, Multisine, Reference, Sine
 from mckibben.errors import ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
+from mckibben.joint.attainable import stiffness_range
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
 from mckibben.numerics.compiled import compiled
 from mckibben.realtime import JointRig, JointRunResult, prepare
@@ -141,7 +142,7 @@ def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Any) -> Array:
     highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
     least: Any = _TAUT * jnp.stack(highest).min()
     torques = [-load.gravity_torque(angles) for load in loads]
-    return jnp.stack([jnp.stack(joint.attainable_stiffness(angles, one, minimum_tension=least)) for one in torques])
+    return jnp.stack([jnp.stack(stiffness_range(joint, angles, one, None, least)) for one in torques])
 
 
 @compiled

@@ -76,10 +76,10 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
 
 
 def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:
-    """Numbers of a value or tuple, flat; none of None, a tracer, or a placeholder of a transformation; no texts."""
-    if isinstance(value, str):
+    """Numbers of a value or tuple, flat, no texts or flags; none of None, a tracer or a placeholder."""
+    if isinstance(value, str | bool | np.bool_):
         remedy = "give a number in SI units, such as 30 * mm with mckibben.units"
-        raise RangeError(f"{owner}: {name} is {quoted(value)}", field=name, value=value, remedy=remedy)
+        raise RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
     if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
     if isinstance(value, tuple | list) and all(type(one) is float for one in value):

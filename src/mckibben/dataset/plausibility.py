@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from mckibben.dataset.schema import VACUUM
 from mckibben.errors import Problem
 from mckibben.muscle import Specimen
 from mckibben.units import bar, mm, percent
@@ -39,6 +41,7 @@ _LINE = 0.1  # of the force at the closer point: least value of a line through t
 _REPEATED = 3  # equal largest values that may be saturated
 _MOST, _RARE = 0.6, 0.25  # of the rows of a level: repetitions of its largest value, cut off and by chance
 _CHANCE = 0.03  # probability of a coincidence that is reported
+_UNEXPLAINED = 0.3  # of the variance of the force: more is not a muscle
 _APART = 0.05  # of the range of pressures or contractions
 _FINE = 1000  # steps of the resolution up to the largest force, where even two equal ones are rare
 _STEADY = 0.01  # largest relative change from row to row of a value that marks nothing
@@ -131,6 +134,45 @@ def check_pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
     if highest > 0 and not least <= highest <= most:
         text = f"the highest pressure is {highest / bar:.3g} bar, but pneumatic muscles are tested at 1 to 8 bar"
         yield Problem(text, field="pressure", remedy=_UNIT), not lowest <= highest <= limit
+
+
+def exchanged(
+    numbers: Sequence[Floats], to_si: Sequence[Sequence[Callable[[Floats], Floats]]]
+) -> tuple[int, ...] | None:
+    """Order in which columns of pressure, contraction and force are those of a muscle, where the given is impossible.
+
+    Each has conversions to SI, first that of its unit. None if no order or more than one is, or the given one is with
+    another unit of one column.
+    """
+    rows = np.flatnonzero(np.isfinite(numbers).all(axis=0))
+
+    def points(order: Sequence[int] = range(3), units: Sequence[int] = (0, 0, 0)) -> list[Floats]:
+        return [to_si[place][units[place]](numbers[at][rows]) for place, at in enumerate(order)]
+
+    others = [[unit if one == at else 0 for one in range(3)] for at in range(3) for unit in range(len(to_si[at]))]
+    if len(rows) < _COPIED or _is_possible(*points()) or any(_is_muscle(*points(units=units)) for units in others):
+        return None
+    found = [order for order in permutations(range(3)) if _is_muscle(*points(order))]
+    return found[0] if len(found) == 1 else None
+
+
+def _is_possible(pressure: Floats, contraction: Floats, force: Floats) -> bool:
+    """True for points without impossible values."""
+    taut = force > _SMALL_FORCE * np.abs(force).max()
+    checks = check_sign(force), _contractions(contraction, taut, None), check_pressures(float(pressure.max()))
+    impossible = any(wrong for found in (*checks, _forces(pressure, force, None)) for _, wrong in found)
+    return bool(pressure.min() > VACUUM and np.abs(contraction).max() < 1 and not impossible)
+
+
+def _is_muscle(pressure: Floats, contraction: Floats, force: Floats) -> bool:
+    """True for possible points whose force rises with pressure and falls with contraction."""
+    taut = force > _SMALL_FORCE * np.abs(force).max()
+    if np.count_nonzero(taut) < _COPIED or not _is_possible(pressure, contraction, force):
+        return False
+    centred = [values[taut] - values[taut].mean() for values in (pressure / bar, contraction / percent, force)]
+    slopes = np.linalg.lstsq(np.column_stack(centred[:2]), centred[2], rcond=None)[0]
+    left = centred[2] - np.column_stack(centred[:2]) @ slopes
+    return bool(slopes[0] > 0 > slopes[1] and left @ left < _UNEXPLAINED * (centred[2] @ centred[2]))
 
 
 _MIXER = np.uint64(0x9E3779B97F4A7C15)  # odd: rows that differ get other numbers, but for rare collisions

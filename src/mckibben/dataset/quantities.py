@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -13,8 +13,15 @@ from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.columns import find_columns
-from mckibben.dataset.headers import LONGEST_NAME, name_and_unit, parse_header, with_units_beside, without_units
-from mckibben.dataset.plausibility import implied_diameter, missing_marks
+from mckibben.dataset.headers import (
+    ACCEPTED,
+    LONGEST_NAME,
+    name_and_unit,
+    parse_header,
+    with_units_beside,
+    without_units,
+)
+from mckibben.dataset.plausibility import exchanged, implied_diameter, missing_marks
 from mckibben.dataset.schema import VACUUM, WORDS, format_range, unquote, written_by_us
 from mckibben.dataset.sheet import RawTable, decimal_sign, read_numbers
 from mckibben.dataset.summaries import (
@@ -59,6 +66,7 @@ _LONGEST = 20.0  # m
 _MEASURED = frozenset(("pressure", "force", "contraction", "length", "displacement"))
 _LISTED = 10_000  # problems of an error
 _WARNED = 5  # omitted rows listed in a warning
+_COMPARED = 500  # rows of columns that may be exchanged
 _ROWS = 3  # of impossible lengths that are listed
 
 _MEANINGS: Mapping[str, Mapping[str, str]] = {
@@ -202,6 +210,7 @@ class ColumnConverter:
         """Valid rows, and attributes that list the corrupt ones; raises a `DatasetError` with all problems."""
         self.corrupt = [one for one in self.corrupt if one.line not in self.summaries]
         self._leave_out_summaries(data)
+        self._exchanged(data)
         omitted = self.corrupt + self.missing
         bad = {problem.line for problem in omitted}
         lines = self.line_numbers()
@@ -258,6 +267,39 @@ class ColumnConverter:
                 self.missing.append(self.sheet.kind(what, line=line))
             else:
                 self.suspect.append(f"{self.sheet.unit} {line} {what}")
+
+    def _exchanged(self, data: Mapping[str, np.ndarray]) -> None:
+        """Ask, in place of all other problems, if impossible columns are those of a muscle in another order only."""
+        third, initial = next(iter([*self.measured, "contraction"])), self.initial_length or 0.0
+        names = "pressure", third, "force"
+        if not {*names} <= {*data, *self.measured} or not (initial or third == "contraction"):
+            return
+        moved = third == "displacement"
+        if moved and not (self.displacement and self.zero_length):
+            return
+        zero, side = (self.zero_length or 0.0) * moved, -1 if moved and self.displacement == "shortening" else 1
+        units = [self.places[name][1].unit for name in names]
+        values = data["pressure"], {**data, **self.measured}[third], self.force_sign * data["force"]
+        every = max(1, len(self.lines) // _COMPARED)
+        numbers = [one[::every] / factor(unit) for one, unit in zip(values, units, strict=True)]
+
+        def conversion(name: str, unit: str) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+            scale = factor(unit) * (self.force_sign if name == "force" else 1)
+            return lambda x: 1 - (zero + side * x * scale) / initial if name in self.measured else x * scale
+
+        to_si = [
+            [conversion(name, unit) for unit in dict.fromkeys((own, *ACCEPTED[name]))]
+            for name, own in zip(names, units, strict=True)
+        ]
+        if (order := exchanged(numbers, to_si)) is None:
+            return
+        apart = [(self._field(names[at]), place) for place, at in enumerate(order) if at != place]
+        meant = {column: f"{names[place]}_{units[place]}" for column, place in apart}
+        looks = " and ".join(f"{column!r} looks like a {names[place]}" for column, place in apart)
+        options = " ".join(f"--column '{column}={name}'" for column, name in meant.items())
+        text = f"columns may be exchanged: by their numbers, {looks}"
+        remedy = f"correct the header, or give columns={meant} (command line: {options})"
+        self.problems = [self.sheet.kind(text, line=self.sheet.header_line, remedy=remedy)]
 
     def _columns_read(self, data: Mapping[str, np.ndarray], kept: NDArray[np.bool_]) -> str:
         """Table of the columns read: quantity, unit, its origin, range in this unit, remark; rows, implied diameter."""

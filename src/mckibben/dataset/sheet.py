@@ -213,7 +213,7 @@ def decimal_sign(
     Between commas, 1.234 has a decimal point.
     """
     if given:
-        return DecimalSign(given, given=True), None
+        return _given_sign(columns, given)
     open_question: tuple[RawColumn, int, str] | None = None
     found: DecimalSign | None = None
     for column in columns:
@@ -243,6 +243,25 @@ def decimal_sign(
     )
     message = f"{text!r} is {text.replace(sign, '')} or {text.replace(sign, '.')}; no cell of the file decides"
     return DecimalSign(sign), Problem(message, line=line, field=column.name, remedy=remedy)
+
+
+def _given_sign(columns: Sequence[RawColumn], given: str) -> tuple[DecimalSign, Problem | None]:
+    """The given decimal sign; the other one, with a problem, where most cells that determine theirs have it."""
+    other = "," if given == "." else "."
+    texts = [
+        (line, column.name, cell.strip())
+        for column in columns
+        if not isinstance(column.cells, np.ndarray)
+        for line, cell in zip(column.lines, column.cells, strict=True)
+        if evidence(cell) in (".", ",")
+    ]
+    wrong = [one for one in texts if evidence(one[2]) == other]
+    if 2 * len(wrong) <= len(texts):
+        return DecimalSign(given, given=True), None
+    line, name, cell = min(wrong)
+    text = f"decimal is {given!r}, but {len(wrong)} numbers have a decimal {_NAMES[other]}, first {cell!r}"
+    remedy = f"leave decimal out, or give decimal={other!r} (command line: --decimal '{other}')"
+    return DecimalSign(other, given=True), Problem(text, line=line, field=name, remedy=remedy)
 
 
 def _sign_of_numbers(column: RawColumn) -> DecimalSign | None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mckibben.dataset.arrangement import labelled, titles
 from mckibben.dataset.columns import SUBTRACT
-from mckibben.dataset.headers import ABSOLUTE, is_unit, parse_header, same_unit
+from mckibben.dataset.headers import ABSOLUTE, is_unit, named_quantity, parse_header, same_unit
 from mckibben.dataset.sheet import (
     COMMENTS,
     MENTIONED,
@@ -157,6 +157,7 @@ def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list
     if _score(line, _delimiter(line, known), known)[0]:
         return [line], number
     lines = [line, *islice(stream, _PREAMBLE)]
+    unitless = 0  # line of two quantities without units
     for index, candidate in enumerate(lines):
         if len(candidate) > _LONGEST_HEADER:
             break
@@ -169,7 +170,8 @@ def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list
         numbered = not index and cells == [str(at) for at in range(1, len(cells) + 1)]  # columns, above their names
         if not numbered and max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
             break  # a row: the following lines cannot be a header
-    return lines, number
+        unitless = unitless or (index if sum(bool(named_quantity(cell)) for cell in cells) >= 2 else 0)
+    return lines[unitless:], number + unitless
 
 
 def _known_word(lines: Sequence[str], index: int, known: _Known) -> Callable[[str], bool]:

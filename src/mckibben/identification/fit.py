@@ -113,6 +113,11 @@ def left_out(outliers: Sequence[Outlier]) -> list[str]:
     return found
 
 
+def counted(texts: Sequence[str]) -> str:
+    """Number of warnings for a repr; empty without any."""
+    return f", {len(texts)} warning{'s' if len(texts) > 1 else ''}" if texts else ""
+
+
 def domain_of(points: IsobaricDataset) -> Domain:
     """Range of contractions and pressure levels of the points; measured pressures replace levels that they miss."""
     contraction, pressure = points.contraction, points.pressure if off_levels(points) else points.levels
@@ -430,9 +435,8 @@ class Fit(metaclass=CheckedCalls):
         name = f" of {self.dataset.specimen}" if self.dataset.specimen else ""
         lopo = self.leave_one_pressure_out
         unseen = f", leave-one-pressure-out {lopo.rmse:.3g} N" if lopo else ""
-        warned = f", {len(self.warnings)} warning{'s' if len(self.warnings) > 1 else ''}" if self.warnings else ""
         law = type(self.law).__name__
-        return f"<Fit {law}{name}: {self.points_used} points, RMSE {self.rmse:.3g} N{unseen}{warned}>"
+        return f"<Fit {law}{name}: {self.points_used} points, RMSE {self.rmse:.3g} N{unseen}{counted(self.warnings)}>"
 
     def _repr_html_(self) -> str:
         header, *rows = self._rows(0.95)

@@ -12,7 +12,7 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError
-from mckibben.identification.fit import DatasetSummary, Fit, domain_of, left_out
+from mckibben.identification.fit import DatasetSummary, Fit, counted, domain_of, left_out
 from mckibben.identification.fitting import identify
 from mckibben.identification.friction_forms import (
     FormComparison,
@@ -168,7 +168,7 @@ class HysteresisFit:
     def __repr__(self) -> str:
         return (
             f"<HysteresisFit {type(self.law).__name__}: half width {self.friction.half_width:.3g} N, presliding length "
-            f"{self.friction.presliding_length / mm:.3g} mm, RMSE {self.rmse:.3g} N>"
+            f"{self.friction.presliding_length / mm:.3g} mm, RMSE {self.rmse:.3g} N{counted(self.warnings)}>"
         )
 
     def _repr_html_(self) -> str:

@@ -47,6 +47,16 @@ class FitWithFriction(NamedTuple):
         """Friction of the muscle, None without it."""
         return self.hysteresis.friction if self.hysteresis else None
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Reasons not to rely on the results, of the law and of the friction."""
+        return self.fit.warnings + (self.hysteresis.warnings if self.hysteresis else ())
+
+    def report(self) -> str:
+        """Return law, friction and the choice between both as text."""
+        found = self.hysteresis
+        return "\n\n".join(filter(None, [self.fit.report(), found.report() if found else "", self.note]))
+
     if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
 
         def __getattr__(self, name: str) -> Any:

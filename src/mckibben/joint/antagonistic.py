@@ -456,7 +456,8 @@ class AntagonisticJoint(Component):
 
         Exact with a rigid tendon and laws affine in pressure; with a series spring, from a scan of a few hundred
         tensions. NaN where the torque is not attainable: it violates pressure limits, a muscle's contraction domain or
-        its rated force, or a muscle is slack at all pressures.
+        its rated force, or a muscle is slack at all pressures. A direct call warns, with the reason, if it is
+        attainable nowhere.
 
         Parameters
         ----------
@@ -468,7 +469,9 @@ class AntagonisticJoint(Component):
             Amplitude [rad] of motion for `secant_stiffness`, evaluated at 33 tensions. Default: the isobaric stiffness.
         """
         attainable.check_angle(angle)
-        return attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension, amplitude)
+        found = attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension, amplitude)
+        attainable.warn_unattainable(self, angle, torque, found[0], pressure_limits, minimum_tension)
+        return found
 
     @checked_call
     def pressures_for(self, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None = None) -> Pair:

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import TYPE_CHECKING, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike
 
 from mckibben.component.calls import user_level
@@ -125,20 +126,7 @@ def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque
     where = f"at {angle / deg:.4g} deg with a torque of {torque + 0.0:.4g} N*m"
     low, high = float(found.lowest), float(found.highest)
     if not low <= high:
-        contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
-        for number, (muscle, contraction) in enumerate(
-            zip((joint.muscle1, joint.muscle2), contractions, strict=True), 1
-        ):
-            stretched = float(contraction) < float(muscle.domain.contraction_min)
-            change, other = joint.geometry.remedy(number, longer=not stretched), "a series spring"
-            muscle.domain.check_contraction(
-                float(contraction),
-                f"{muscle.specimen.name} (muscle {number})",
-                remedy=f"give the joint {change} or {other if stretched else 'a shorter muscle'}",
-            )
-        message = f"no pressures and tensions within limits hold the joint {where}"
-        remedy = "choose a smaller angle or load, other lengths of the geometry, or a series spring"
-        raise UnreachableError(message, value=angle, unit="rad", remedy=remedy)
+        raise unattainable(joint, angle, torque)
     attainable = {"value": stiffness, "lower": low, "upper": high, "unit": "N*m/rad"}
     if low <= stiffness <= high:
         raise UnreachableError(
@@ -155,6 +143,45 @@ def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque
         "what limits it",
         **attainable,
     )
+
+
+def unattainable(
+    joint: Joint,
+    angle: float,
+    torque: float,
+    pressure_limits: tuple[float, float] | None = None,
+    minimum_tension: float = 0.0,
+) -> RangeError | UnreachableError:
+    """Return the error that says why a torque is not attainable at an angle, and which range it leaves."""
+    contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
+    for number, (muscle, contraction) in enumerate(zip((joint.muscle1, joint.muscle2), contractions, strict=True), 1):
+        stretched = float(contraction) < float(muscle.domain.contraction_min)
+        change, other = joint.geometry.remedy(number, longer=not stretched), "a series spring"
+        try:
+            muscle.domain.check_contraction(
+                float(contraction),
+                f"{muscle.specimen.name} (muscle {number})",
+                remedy=f"give the joint {change} or {other if stretched else 'a shorter muscle'}",
+            )
+        except RangeError as error:
+            return error
+    at = f"at {angle / deg:.4g} deg"
+    remedy = "choose a smaller angle or load, other lengths of the geometry, or a series spring"
+    low, high = map(float, torque_range(joint, angle, pressure_limits, minimum_tension))
+    if low <= high and not low <= torque <= high:
+        message = f"a torque of {torque + 0.0:.4g} N*m {at} is outside the attainable {low:.4g}..{high:.4g} N*m"
+        return UnreachableError(message, value=torque, lower=low, upper=high, unit="N*m", remedy=remedy)
+    message = f"no pressures and tensions within limits hold the joint {at} with a torque of {torque + 0.0:.4g} N*m"
+    return UnreachableError(message, value=angle, unit="rad", remedy=remedy)
+
+
+def warn_unattainable(joint: Joint, angle: ArrayLike, torque: ArrayLike, lowest: Array, *limits: Any) -> None:
+    """Warn of a direct call without any attainable stiffness, and say why there is none at the first angle."""
+    if isinstance(lowest, Tracer) or not lowest.size or not jnp.isnan(lowest).all():
+        return
+    first, load = (float(np.ravel(one)[0]) for one in np.broadcast_arrays(np.asarray(angle), np.asarray(torque)))
+    text = f"no stiffness is attainable: {unattainable(joint, first, load, *limits)}"
+    warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
 
 def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: Array) -> StaticSolution:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,8 @@ from numpy.typing import NDArray
 from mckibben.component.calls import checked_call
 from mckibben.control import Constant, Multisine, Reference, SamplesFile, Signal, Sine, Step
 from mckibben.errors import ParameterError, RangeError, UnreachableError, no_attribute
+from mckibben.joint import AntagonisticJoint
+from mckibben.joint.attainable import unattainable
 from mckibben.muscle import Muscle
 from mckibben.notebook import draw, html_table
 from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
@@ -71,7 +74,9 @@ class Envelope:
     def verdict(self) -> str:
         """Verdict on the reference, in words."""
         if not self.static.exists:
-            return "the joint cannot hold its load at any angle; choose another connector length or a lighter load"
+            plant, angle = self.scenario.plant(), float(self.trackability.trajectory.angle[0])
+            why = unattainable(plant.supplied_joint, angle, -float(plant.load.gravity_torque(angle)))
+            return f"the joint cannot hold its load at any angle, such as {angle / deg:.4g} deg: {why}"
         return self.trackability.describe()
 
     def rows(self) -> list[tuple[str, ...]]:
@@ -100,22 +105,8 @@ class Envelope:
     def _limits(self) -> list[str]:
         """Active limits at both ends of the attainable stiffness, and remedies."""
         static, plant = self.static, self.scenario.plant()
-        joint = plant.supplied_joint
-        angles, found, remedies = static.angles[static.inside], [], dict[str, None]()
-        for end, pressures in (("lowest", static.pressures_at_lowest), ("highest", static.pressures_at_highest)):
-            here = pressures[:, static.inside]
-            tensions = joint.tensions(angles, (here[0], here[1]))
-            counts: Counter[str] = Counter()
-            given = zip((joint.muscle1, joint.muscle2), plant.muscles, here, tensions, strict=True)
-            for supplied, muscle, pressure, tension in given:
-                for reason, holds in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
-                    counts[reason] += int(holds.sum())
-                    remedy = _remedy(muscle, highest="highest" in reason)
-                    if _MEASURED in reason and holds.any() and remedy:
-                        remedies[remedy] = None
-            reasons = [reason for reason, count in counts.most_common() if count]
-            found += [f"{end} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
-        return found + list(remedies)
+        ends = (end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest))
+        return active_limits(plant.supplied_joint, plant.muscles, static.angles[static.inside], tuple(ends))
 
     def records(self) -> dict[str, Any]:
         """The results as plain data; angles in deg, pressures in bar, all else in SI."""
@@ -197,6 +188,30 @@ def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values)
         f"the rated force ({muscle.specimen.force_limit:.4g} N)": tension >= muscle.specimen.force_limit - _AT_LIMIT,
         "a muscle that becomes slack": (tension <= _AT_LIMIT) & (pressure > low + _AT_LIMIT),
     }
+
+
+def active_limits(
+    joint: AntagonisticJoint, muscles: Sequence[Muscle], angles: Values, ends: Sequence[NDArray[np.float64]]
+) -> list[str]:
+    """Return the active limits at both ends of the attainable stiffness over angles, and remedies, as text.
+
+    The joint has the muscles with domains within the supply; the ends are pressures at the lowest and at the highest
+    stiffness, shape (2, angles) each [Pa].
+    """
+    found, remedies = [], dict[str, None]()
+    for end, here in zip(("lowest", "highest"), ends, strict=True):
+        tensions = joint.tensions(angles, (here[0], here[1]))
+        counts: Counter[str] = Counter()
+        given = zip((joint.muscle1, joint.muscle2), muscles, here, tensions, strict=True)
+        for supplied, muscle, pressure, tension in given:
+            for reason, holds in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
+                counts[reason] += int(holds.sum())
+                remedy = _remedy(muscle, highest="highest" in reason)
+                if _MEASURED in reason and holds.any() and remedy:
+                    remedies[remedy] = None
+        reasons = [reason for reason, count in counts.most_common() if count]
+        found += [f"{end} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
+    return found + list(remedies)
 
 
 @checked_call

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -18,9 +19,12 @@ from mckibben.config.document import to_text
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Cam, Geometry, KneeGeometry, PairedPaths, Pulley, TwoBonePath
 from mckibben.joint.antagonistic import SMALL_MOTION
+from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.joint.mechanism import SLENDER, Mechanism, Points, muscle_sizes
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import compiled
+from mckibben.reachability.envelope import active_limits
+from mckibben.reachability.static import scan_points
 from mckibben.units import bar, deg, mm, percent
 from mckibben.web.layout import BLUE, VERMILLION
 
@@ -141,6 +145,8 @@ class _Pose(NamedTuple):
     torque: tuple[Array, Array]
     arms: tuple[Array, Array]
     contractions: tuple[Array, Array]
+    ends: tuple[tuple[Array, Array], ...]
+    """Pressures [Pa] at the lowest and at the highest stiffness."""
 
 
 @compiled
@@ -158,7 +164,11 @@ def _ranges(
     contractions = joint.muscle1.specimen.contraction_at(lengths[0]), joint.muscle2.specimen.contraction_at(lengths[1])
     (low, high), (least, most) = stiffness, torques
     here_small = small and (small[0][-1], small[1][-1])
-    here = _Pose((low[-1], high[-1]), here_small, (least[-1], most[-1]), arms, contractions)
+    (pressure1, pressure2), along = cocontraction_segment(joint, angle, torque, limits, 0.0).at(
+        scan_points(is_affine(joint))
+    )
+    ends = tuple((pressure1[at], pressure2[at]) for at in (jnp.argmin(along), jnp.argmax(along)))
+    here = _Pose((low[-1], high[-1]), here_small, (least[-1], most[-1]), arms, contractions, ends)
     return (low[:-1], high[:-1]), small and (small[0][:-1], small[1][:-1]), (least[:-1], most[:-1]), here
 
 
@@ -166,6 +176,18 @@ def joint_of(design: JointDesign, muscle: Muscle) -> AntagonisticJoint:
     """The joint with two such muscles; raises a `RangeError` for lengths that do not fit."""
     length = float(muscle.specimen.initial_length) * (1 - design.contraction * percent)
     return AntagonisticJoint(KINDS[design.kind].geometry(length, **design.dimensions), muscle, muscle)
+
+
+def limits_at(design: JointDesign, found: Designed) -> str:
+    """Binding limits of the attainable stiffness at the drawn angle, as `mckibben envelope` names them."""
+    here = found.here
+    if not math.isfinite(float(here.stiffness[0])):
+        return ""
+    joint, ends = found.joint, [np.array(one)[:, None] for one in here.ends]
+    highest = lambda joint: (joint.muscle1.specimen.domain.pressure_max, joint.muscle2.specimen.domain.pressure_max)  # noqa: E731
+    supplied = eqx.tree_at(highest, joint, (design.pressure * bar,) * 2)
+    texts = active_limits(supplied, (joint.muscle1, joint.muscle2), np.array([design.angle * deg]), ends)
+    return "; ".join(one for one in texts if "stiffness: " in one)
 
 
 def connector_length(geometry: Any) -> float | None:

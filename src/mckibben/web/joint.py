@@ -22,6 +22,7 @@ from mckibben.web.design import (
     connector_length,
     drawing,
     highest_pressures,
+    limits_at,
     muscles,
     pressure_limits,
     scenario_lines,
@@ -101,6 +102,7 @@ class _Page:
                     degrees = {"min": -POSE, "max": POSE}
                     self.stiffness = chart("joint angle [°]", "stiffness [N·m/rad]", height=350, xAxis=degrees)
                     self.note = ui.label(_COMPILING).classes("quiet number")
+                    self.limits = quiet("")
                     self.errors = ui.column()
             with panel("Stiffness of small motion, with friction") as self.small_panel:
                 self.small = chart("joint angle [°]", "stiffness [N·m/rad]", height=230, xAxis=degrees)
@@ -151,9 +153,15 @@ class _Page:
         with self.pressure:
             self.number("highest pressure", "bar", "pressure", limits, 0.1)
 
+    def wait(self) -> None:
+        """Grey what belongs to another kind of joint or muscle until the new one is computed."""
+        self.note.text, self.limits.text = _COMPILING, ""
+        for one in self.shown:
+            one.classes("stale")
+
     async def reshape(self, event: events.ValueChangeEventArguments) -> None:
         """Change the kind of joint."""
-        self.note.text = _COMPILING
+        self.wait()
         self.design.kind, self.design.dimensions = event.value, {}
         self.design.__post_init__()
         self.form()
@@ -167,7 +175,8 @@ class _Page:
     async def choose(self, event: events.ValueChangeEventArguments) -> None:
         """Change the muscle; the joint's length changes with the muscle's."""
         before, self.design.muscle = self.known[self.design.muscle], event.value
-        now, self.note.text = self.known[event.value], _COMPILING
+        now = self.known[event.value]
+        self.wait()
         self.pressure_form()
         if "height" in self.design.dimensions:
             longer = (now.specimen.initial_length - before.specimen.initial_length) / mm
@@ -218,6 +227,7 @@ class _Page:
             if len(reached)
             else "no pressures hold the load at any angle"
         )
+        self.limits.text, _ = await in_thread(limits_at, design, found)
         least, most = pressure_limits(muscle)
         measured = f"The law was measured from {least:g} to {most:g} bar; with extrapolate: true, scenarios go beyond."
         self.lowest.text = measured if least else ""
@@ -237,7 +247,7 @@ class _Page:
     def fail(self, error: Exception) -> None:
         """Show why this joint is impossible; the results of the last possible one turn grey."""
         assert isinstance(error, McKibbenError)
-        self.found, self.note.text = None, ""
+        self.found, self.note.text, self.limits.text = None, "", ""
         for one in self.shown:
             one.classes("stale")
         self.errors.clear()

@@ -36,7 +36,8 @@ LATER = 0.05
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
 _ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|force_sign|from_name)\b")
 _CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
-_COLUMNS = re.compile(r"columns=\{'([^']*)': '([^']*)'\}")  # an argument, which the page has as a line of a field
+_PAIR = re.compile(r"'([^']*)': '([^']*)'")
+_COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
@@ -133,7 +134,7 @@ def show_error(error: McKibbenError) -> None:
 
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
-    text = _COLUMNS.sub(r"\1 = \2 (columns)", _ELSEWHERE.sub("", remedy))
+    text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", remedy))
     text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
     text = _CHOICES.sub(r"\1: \2", text)
     return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
@@ -328,6 +329,7 @@ def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = Fals
         "name": name,
         "data": points(x, y),
         "showSymbol": False,
+        "z": 3,
         "lineStyle": look,
         "itemStyle": {"color": color},
     }
@@ -358,9 +360,14 @@ def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -
     ]
 
 
+_MANY = 40  # points of one color that would hide a curve
+
+
 def dots(name: str, x: ArrayLike, y: ArrayLike, color: str) -> dict[str, Any]:
-    """Points of a chart."""
-    return {"type": "scatter", "name": name, "data": points(x, y), "symbolSize": 6, "itemStyle": {"color": color}}
+    """Points of a chart, below its curves; many are small and pale."""
+    data, many = points(x, y), len(np.asarray(x)) > _MANY
+    look = {"color": color, "opacity": 0.35 if many else 1}
+    return {"type": "scatter", "name": name, "data": data, "symbolSize": 4 if many else 6, "itemStyle": look}
 
 
 def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui.echart:

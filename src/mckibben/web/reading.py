@@ -37,8 +37,8 @@ class ReadingFields:
     specimen: str = ""
     negative: bool = False
     columns: str = ""
-    of_recordings: dict[str, float] = field(default_factory=dict)
-    """Settings of a recipe that apply to recordings only, kept for its next file."""
+    others: dict[str, Any] = field(default_factory=dict)
+    """Settings of a recipe without a field, which it keeps: those of recordings only, and a positive sign."""
 
     def clear(self) -> None:
         """Empty all fields, to which those of an open page are bound."""
@@ -52,15 +52,15 @@ class ReadingFields:
                 setattr(self, name, show(given, _UNITS[name], 12) if name in _UNITS else given)
         self.negative = recipe.force_sign == -1
         self.columns = "\n".join(f"{header} = {name}" for header, name in (recipe.columns or {}).items())
-        self.of_recordings = recipe.model_dump(include={"contraction", "sample_rate"}, exclude_none=True)
+        kept = {"contraction", "sample_rate", *(["force_sign"] if recipe.force_sign == 1 else [])}
+        self.others = recipe.model_dump(include=kept, exclude_none=True)
 
     def recipe(self) -> Recipe:
         """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
         texts = {name: getattr(self, name).strip() for name in (*TEXTS, "displacement")}
         given: dict[str, Any] = {name: text for name, text in texts.items() if text}
         given |= {"columns": names} if (names := column_names(self.columns)) else {}
-        given |= {"force_sign": -1} if self.negative else {}
-        given |= self.of_recordings
+        given |= self.others | ({"force_sign": -1} if self.negative else {})
         return Recipe(**given)
 
 

@@ -58,6 +58,10 @@ from mckibben.web.workbench import (
     with_section,
 )
 
+_NEW_JOINT = (
+    "The joint is that of the page Joint, with another reference of the stiffness. Load, valve and gains are still "
+    "those of the scenario before: set them here, and tune the gains on the page Tune."
+)
 _MOST_KEPT = len(PALETTE) - 1
 _GROUPS = {"controller.": "Gains", "reference.": "References"}
 _PLANT = {
@@ -152,7 +156,7 @@ class _Page(JobPage[Workbench]):
         elif state.joint:
             text = START if state.current is None else state.current.text
             joint, state.joint = state.joint, ""
-            self.change(lambda: with_joint(text, joint, folder))
+            self.change(lambda: with_joint(text, joint, folder), note=_NEW_JOINT)
         elif state.current is None and not state.jobs.busy:
             self.apply_text(state.text)
 
@@ -182,8 +186,8 @@ class _Page(JobPage[Workbench]):
             if state.current is not None:
                 self.plot(state.current)
 
-    def change(self, make: Callable[[], Scenario], *, form: bool = True) -> None:
-        """Change the scenario and run it; rebuild the fields if its structure changed."""
+    def change(self, make: Callable[[], Scenario], *, form: bool = True, note: str = "") -> None:
+        """Change the scenario and run it, with a note on the change; rebuild the fields if its structure changed."""
         state, folder = self.state, self.folder
 
         def run(progress: Callable[[str, float], None]) -> tuple[Scenario, dict[str, str | None], Kept, list[str]]:
@@ -194,7 +198,7 @@ class _Page(JobPage[Workbench]):
         def done(found: tuple[Scenario, dict[str, str | None], Kept, list[str]], heard: list[str]) -> None:
             state.scenario, state.options, state.current, remarks = found
             state.text, state.error = state.current.text, None
-            state.notes = [*remarks, *heard]
+            state.notes = [*filter(None, [note]), *remarks, *heard]
             state.form += form
 
         self.start_job(run, done)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.errors import ParameterError
-from mckibben.scenario import Scenario, with_values
+from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.study.benchmark import Suite, compare
 from mckibben.study.benchmark.statistics import FAILED, failed_runs, statistics
 from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
@@ -22,7 +22,7 @@ from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, w
 
 MOST_STEPS = 5e9
 """Most integration steps of a study of the page."""
-MOST_RUNS, MOST_GENERATIONS, MOST_STARTS, MOST_ITERATIONS = 512, 30, 8, 60
+MOST_RUNS, MOST_GENERATIONS, MOST_STARTS, MOST_ITERATIONS, MOST_SEED = 512, 30, 8, 60, 2**31 - 1
 _TRAINING, _POPULATION = 16, 8
 _TITLES = {
     "angle_rmse_deg": "angle RMSE [°]",
@@ -43,7 +43,10 @@ AUTOMATIC = "automatic"
 
 @dataclass
 class TuningRequest:
-    """Input of a tuning; `over` has one parameter and its range per line, all gains if empty."""
+    """Input of a tuning; `over` has one parameter and its range per line, all gains if empty.
+
+    The disk margin is that of the first gains if empty.
+    """
 
     cost: str = DEFAULT_COST
     gain_margin: float = DEFAULT_MARGIN
@@ -51,16 +54,27 @@ class TuningRequest:
     method: str = AUTOMATIC
     starts: int = 2
     iterations: int = 20
+    seed: int = 0
+    disk_margin: str = ""
 
 
 @dataclass
 class ComparisonRequest:
-    """Input of a comparison; `conditions` has one parameter and its range per line."""
+    """Input of a comparison; `conditions` has one parameter and its range per line, at first those `suggested`."""
 
     controllers: tuple[str, ...] = ("two PID loops", "model inversion (decoupling)")
-    conditions: str = "load.mass2=+-30 %"
+    conditions: str = ""
     runs: int = 64
     generations: int = 10
+    suggested: str = ""
+
+    def suggest(self, scenario: Scenario) -> None:
+        """Replace the suggested conditions by those of a scenario: another mass or inertia of its load."""
+        before, name = self.suggested, f"load.{scenario.load.adapted_mass or 'inertia'}"
+        known = any(one.name == name for one in list_parameters(scenario))
+        self.suggested = f"{name}=+-30 %" if known else ""
+        if self.conditions == before:
+            self.conditions = self.suggested
 
 
 @dataclass(frozen=True)
@@ -109,16 +123,22 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
     method = None if request.method == AUTOMATIC else Method(request.method)
+    try:
+        margin = float(request.disk_margin) if request.disk_margin.strip() else None
+    except ValueError:
+        message = f"disk margin: {request.disk_margin!r:.60} is not a number"
+        raise ParameterError(message, field="disk_margin", remedy=f"give one such as {DISK_MARGIN}") from None
     runs = request.starts * (1 + len(ranges)) if method is Method.GRADIENT else _POPULATION
     _check_budget(scenario, 2 * request.iterations * runs)
     found = tune(
         scenario,
         ranges,
-        parse_cost(request.cost, gain_margin=request.gain_margin, disk_margin=None),
+        parse_cost(request.cost, gain_margin=request.gain_margin, disk_margin=margin),
         method=method,
         starts=request.starts,
         iterations=request.iterations,
         population=_POPULATION,
+        seed=request.seed,
         progress=progress,
     )
     progress("runs before and after", 1.0)
@@ -138,7 +158,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     if found.at_bound:
         remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
     if lost := lost_margin(old["disk"], new["disk"]):
-        remarks.append(f"{lost}; raise the gain margin, or use `mckibben tune --disk-margin {DISK_MARGIN}`")
+        remarks.append(f"{lost}; raise the gain margin, or give a disk margin, such as {DISK_MARGIN}")
     if new["disk"] == 0:
         remarks.append(UNSTABLE)
     return Tuned(found.cost_before, found.cost, costs, parameters, metrics, after, found.disk_margin, remarks)

@@ -37,6 +37,7 @@ from mckibben.web.studies import (
     MOST_GENERATIONS,
     MOST_ITERATIONS,
     MOST_RUNS,
+    MOST_SEED,
     MOST_STARTS,
     MOST_STEPS,
     Compared,
@@ -47,7 +48,7 @@ from mckibben.web.studies import (
     compared,
     tuned,
 )
-from mckibben.web.workbench import CONTROLLERS, Workbench
+from mckibben.web.workbench import CONTROLLERS, START, Workbench
 
 
 @dataclass
@@ -74,6 +75,7 @@ class _Page(JobPage[StudyState]):
         super().__init__(state, folder)
         self.bench = bench
         tuning, comparison = state.tuning, state.comparison
+        comparison.suggest(bench.scenario or Scenario.parse(START))
         with side():
             with panel("Scenario"):
                 self.name = ui.label().classes("number").mark("scenario-name")
@@ -87,6 +89,9 @@ class _Page(JobPage[StudyState]):
                     _number("gain margin", tuning, "gain_margin", 1.0, 10.0)
                     _number("starts (gradient)", tuning, "starts", 1, MOST_STARTS)
                     _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS)
+                    _number("seed", tuning, "seed", 0, MOST_SEED)
+                    margin = ui.input("disk margin", placeholder="as now").props("dense").classes("w-full")
+                    margin.mark("disk_margin").bind_value(tuning, "disk_margin")
                 _lines("NAME=RANGE per line, or all gains", tuning, "over")
                 button("Tune", self.tune, "tune", main=True)
             with panel("Compare"):
@@ -187,6 +192,8 @@ class _Page(JobPage[StudyState]):
                 quiet("The search kept no disk margin.")
             costs = chart("evaluated point", "cost", height=220, yAxis={"type": "log"})
             number = np.arange(1, len(found.costs) + 1)
+            at = int(np.argmin(found.costs)) + 1
+            quiet(f"Point {at} has the lowest cost; the {len(found.costs) - at} points after it did not improve it.")
             draw(costs, [line("lowest so far", number, best_so_far(found.costs), BLUE)])
             table(("parameter", "before", "tuned"), found.parameters)
             table(("metric", "before", "tuned"), found.metrics)

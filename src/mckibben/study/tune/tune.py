@@ -112,6 +112,11 @@ class TuningHistory:
         """Trial of the lowest cost; among equals the first by its point, independent of their order."""
         return min(self._by_point.values(), key=lambda trial: (trial.cost, trial.point))
 
+    @property
+    def found_at(self) -> str:
+        """Number of the best trial among all, in words."""
+        return f"trial {self.trials.index(self.best) + 1} of {len(self._by_point)}"
+
     def find(self, point: Vector) -> Trial | None:
         """Trial at exactly this point."""
         return self._by_point.get(tuple(point.tolist()))
@@ -307,7 +312,8 @@ def tune(
             if progress:
                 found = past.trials and past.best.cost < FAILED_COST
                 step = "searching" if len(past.trials) > known_trials else "compiling"
-                progress(f"{step}, lowest cost {past.best.cost:.4g}" if found else step, part)
+                lowest = f", lowest cost {past.best.cost:.4g} at {past.found_at}" if found else ""
+                progress(step + lowest, part)
 
         report(0.0)
         first = problem.space.point(problem.space.nominal)
