@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mckibben.dataset.schema import format_range
-from mckibben.units import bar
+from mckibben.units import bar, percent
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -36,7 +36,8 @@ _TAIL = 0.8  # share of slack points without a taut point at a larger contractio
 _UPPERMOST = 0.95  # share of the slack muscle's readings, above which there may be friction
 _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
 _SURELY = 0.9  # the same, of few points, whose noise may explain much of it by chance
-_FALLING = 0.05  # probability of as many falls of the force from one slack point to the next
+_PULLING = 0.05  # probability of as many steps between slack points in which the force changes as that of a taut muscle
+_SAME_LENGTH = 0.1 * percent
 _ONE_POINT = 0.05  # of the range of contraction or pressure: slack points within it may be repeats of one point
 _QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
@@ -262,7 +263,7 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
         dependent = _SURELY if by_gap else _DEPENDENT
         if _explained(force[slack], contraction[slack], pressure[slack]) > dependent:
             continue
-        if not by_gap and _falls(force[slack], contraction[slack], passes[slack]):
+        if not by_gap and _pulls(force[slack], contraction[slack], pressure[slack], passes[slack]):
             continue
         above = (force - offset)[_beyond(slack, contraction, passes)]
         limit = max(_OUTSIDE * noise, float(above[above <= _FAR * noise].max(initial=0.0)))
@@ -344,14 +345,18 @@ def _above_line(force: Floats, contraction: Floats, pressure: Floats, slack: Boo
     return float(np.mean(force[slack] - np.polyval(line, pressure[slack]))) > margin
 
 
-def _falls(force: Floats, contraction: Floats, passes: Ints) -> bool:
-    """Whether forces may fall with the contraction: of five steps or more within passes, too many are falls."""
+def _pulls(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -> bool:
+    """Whether forces may fall with the contraction and rise with the pressure: in too many steps, or too few steps."""
     from scipy.special import bdtrc
 
-    order = np.lexsort((contraction, passes))
-    steps = (np.diff(passes[order]) == 0) & (np.diff(contraction[order]) > 0)
-    count, falls = np.count_nonzero(steps), np.count_nonzero(np.diff(force[order])[steps] < 0)
-    return count < _FEWEST_SLACK or bdtrc(falls - 1, count, 0.5) < _FALLING
+    count, taut = 0, 0
+    lengths = np.round(contraction / _SAME_LENGTH)
+    for group, along, sign in ((passes, contraction, -1), (lengths, pressure, 1)):
+        order = np.lexsort((along, group))
+        steps = (np.diff(group[order]) == 0) & (np.diff(along[order]) > 0)
+        count += np.count_nonzero(steps)
+        taut += np.count_nonzero(sign * np.diff(force[order])[steps] > 0)
+    return count < _FEWEST_SLACK or bdtrc(taut - 1, count, 0.5) < _PULLING
 
 
 def _explained(force: Floats, contraction: Floats, pressure: Floats) -> float:
