@@ -38,7 +38,6 @@ _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
 _SURELY = 0.9  # the same, of few points, whose noise may explain much of it by chance
 _PULLING = 0.05  # probability of as many steps between slack points in which the force changes as that of a taut muscle
 _SAME_LENGTH = 0.1 * percent
-_ONE_POINT = 0.05  # of the range of contraction or pressure: slack points within it may be repeats of one point
 _QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
@@ -252,9 +251,6 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
         slack = np.abs(force - offset) <= _OUTSIDE * noise
         if np.count_nonzero(slack) < _FEWEST_SLACK or offset == noise == 0:
             continue
-        at_one_point = all(np.ptp(axis[slack]) <= _ONE_POINT * np.ptp(axis) for axis in (contraction, pressure))
-        if at_one_point and not _above_line(force, contraction, pressure, slack, _OUTSIDE * noise):
-            continue  # repeats of one point, which may be taut
         if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
             continue
         behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
@@ -263,7 +259,11 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
         dependent = _SURELY if by_gap else _DEPENDENT
         if _explained(force[slack], contraction[slack], pressure[slack]) > dependent:
             continue
-        if not by_gap and _pulls(force[slack], contraction[slack], pressure[slack], passes[slack]):
+        if np.ptp(contraction[slack]) <= _SAME_LENGTH:
+            taut = not _above_line(force, contraction, pressure, slack, _OUTSIDE * noise)
+        else:
+            taut = not by_gap and _pulls(force[slack], contraction[slack], pressure[slack], passes[slack])
+        if taut:
             continue
         above = (force - offset)[_beyond(slack, contraction, passes)]
         limit = max(_OUTSIDE * noise, float(above[above <= _FAR * noise].max(initial=0.0)))
@@ -338,7 +338,7 @@ def _largest_taut(taut: Bools, contraction: Floats, pressure: Floats) -> Floats:
 
 def _above_line(force: Floats, contraction: Floats, pressure: Floats, slack: Bools, margin: float) -> bool:
     """Whether forces are above the line through those at the same length and other pressures, where a muscle pulls."""
-    same = ~slack & (np.abs(contraction - np.median(contraction[slack])) <= _ONE_POINT * np.ptp(contraction))
+    same = ~slack & (np.abs(contraction - np.median(contraction[slack])) <= _SAME_LENGTH)
     if len(np.unique(pressure[same])) < 2:
         return False
     line = np.polyfit(pressure[same], force[same], 1)
