@@ -108,7 +108,7 @@ def test_good_points_are_named_in_one_data_set_of_a_hundred(clipped):
         missed += bool(np.any(~data.slack & (points.force == 0)))
         named += bool(find_outliers(data))
     assert named <= 2
-    assert missed <= 4
+    assert missed <= 6
 
 
 # --- recovery -----------------------------------------------------------------------------------------------
