@@ -356,7 +356,7 @@ def _pulls(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -
         steps = (np.diff(group[order]) == 0) & (np.diff(along[order]) > 0)
         count += np.count_nonzero(steps)
         taut += np.count_nonzero(sign * np.diff(force[order])[steps] > 0)
-    return count < _FEWEST_SLACK or bdtrc(taut - 1, count, 0.5) < _PULLING
+    return bool(count < _FEWEST_SLACK or bdtrc(taut - 1, count, 0.5) < _PULLING)
 
 
 def _explained(force: Floats, contraction: Floats, pressure: Floats) -> float:
