@@ -275,6 +275,19 @@ def test_hysteresis_is_found_with_the_law(cli, tmp_path):
     assert "apply to a single law" in cli("identify", FESTO, "--law", "all", "--hysteresis").err
 
 
+@pytest.mark.parametrize("law", ["exponential", pytest.param("all", marks=pytest.mark.slow)])
+def test_outliers_can_be_kept(cli, tmp_path, law):
+    table = catalog.dataset("dmsp-10-250-martens2017").table
+    force = table["force"].to_numpy().copy()
+    force[20] *= 1.3
+    IsobaricDataset(table.assign(force=("point", force))).to_csv(tmp_path / "wrong.csv")
+    named, kept = (
+        json.loads(cli("identify", "wrong.csv", "--law", law, "--json", *more).out)["outliers"]
+        for more in ((), ("--keep-outliers",))
+    )
+    assert [one["row"] for one in named] == [21] and kept == []
+
+
 @pytest.mark.slow
 def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     """The muscle file has it; simulate, envelope, tune and stiffness use it, and mention small motion once."""

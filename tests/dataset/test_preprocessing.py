@@ -8,8 +8,8 @@ from mckibben.dataset import preprocessing
 from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import group_pressures, half_sample_mode, nominal_pressures, passes, slack_force
 from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning, RangeError
-from mckibben.muscle import forces
-from mckibben.units import bar, mm
+from mckibben.muscle import ChouLaw, forces
+from mckibben.units import bar, deg, mm
 
 TRUTH = {"a1": -200.0, "a2": 95.0, "b1": 1.0, "b2": -3.0, "c1": 170.0, "c2": -4.0, "decay": 0.36}  # bar, percent
 SI = {"a1": 1.0, "a2": 1e-5, "b1": 100.0, "b2": 1e-3, "c1": 1.0, "c2": 1e-5, "decay": 100.0}
@@ -138,6 +138,17 @@ def test_taut_points_are_no_slack_force():
     assert slack_force(force, contraction, np.round(pressure), np.round(pressure).astype(int)) is None
     chart = catalog.dataset("festo-tool-10mm")
     assert slack_force(chart.force, chart.contraction, chart.levels, chart.levels.astype(int)) is None
+
+
+@pytest.mark.parametrize("pressures", [5, 6])
+def test_the_last_taut_points_of_several_curves_are_no_slack_force(pressures):
+    """They scatter about a mode by the steps of the contraction, and fall with it."""
+    pressure, contraction = map(np.ravel, np.meshgrid(np.linspace(0, 6, pressures) * bar, np.linspace(0, 0.24, 9)))
+    force = forces(ChouLaw(28 * deg, 10 * mm), contraction, pressure) - 60.0
+    force = force + np.random.default_rng(1).normal(0, 0.05, force.size)
+    taut = force > 2.5
+    passes = np.round(pressure).astype(int)
+    assert slack_force(force[taut], contraction[taut], pressure[taut], passes[taut]) is None
 
 
 def test_published_data_are_not_changed():
@@ -392,13 +403,14 @@ def test_reversals_are_those_of_a_loop_over_the_rows(seed):
         assert list(preprocessing.one_way_parts(values)) == runs_row_by_row(values)
 
 
-def test_repeats_of_one_taut_point_are_not_slack():
+@pytest.mark.parametrize("zero", [0.0, -200.0])
+def test_repeats_of_one_taut_point_are_not_slack(zero):
     """Four lengths at three pressures, each five times: the least force is measured five times at one point."""
     contraction, pressure = (
         np.repeat(axis.ravel(), 5) for axis in np.meshgrid([0.0, 0.05, 0.1, 0.15], [4e5, 5e5, 6e5])
     )
     force = 1e-3 * pressure * (1 - 4 * contraction) + np.random.default_rng(1).normal(0, 0.3, contraction.size)
-    assert slack_force(force, contraction, pressure, np.zeros(contraction.size, int)) is None
+    assert slack_force(force + zero, contraction, pressure, np.zeros(contraction.size, int)) is None
 
 
 def test_a_muscle_that_only_begins_to_pull_is_not_slack():
@@ -409,9 +421,10 @@ def test_a_muscle_that_only_begins_to_pull_is_not_slack():
     assert slack_force(force, np.full(35, 0.04), pressure, np.zeros(35, int)) is None
 
 
-def test_repeats_below_zero_are_slack():
-    """A vented muscle at one length, of a sensor with an offset: no muscle pushes."""
+@pytest.mark.parametrize("zero", [-2.7, 2.7])
+def test_repeats_below_the_pressure_at_which_a_muscle_pulls_are_slack(zero):
+    """A vented muscle at one length, of a sensor with an offset."""
     pressure = np.r_[np.linspace(0.65, 0.75, 10), np.linspace(3.2, 5.7, 14)] * bar
-    force = np.maximum((pressure / bar - 3.0) * 45, 0) - 2.7 + np.random.default_rng(1).normal(0, 0.1, pressure.size)
+    force = np.maximum((pressure / bar - 3.0) * 45, 0) + zero + np.random.default_rng(1).normal(0, 0.1, pressure.size)
     found = slack_force(force, np.full(pressure.size, 0.09), pressure, np.zeros(pressure.size, int))
-    assert found is not None and found.offset == pytest.approx(-2.7, abs=0.1)
+    assert found is not None and found.offset == pytest.approx(zero, abs=0.1)

@@ -183,7 +183,9 @@ def test_the_conductance_of_a_tube_is_that_of_choked_flow_with_friction(diameter
     ("change", "factor"),
     [({"torque": 300.0}, "load"), ({"stiffness": (400.0, 500.0)}, "stiffness"), ({"longest": 0.1}, "angles")],
 )
-def test_an_impossible_requirement_names_the_nearest_that_is_possible(change, factor, twenty, coarse_search, without_nearest):
+def test_an_impossible_requirement_names_the_nearest_that_is_possible(
+    change, factor, twenty, coarse_search, without_nearest
+):
     need = dataclasses.replace(NEED, **change)
     with pytest.raises(UnreachableError) as caught:
         size(need, [twenty])

@@ -69,6 +69,9 @@ def identify(
         str, Option(metavar="LENGTH", help="Initial length of a specimen that --pool predicts: force and muscle.yaml.")
     ] = "",
     no_drift: Annotated[bool, Option("--no-drift", help="Do not estimate drift with the friction.")] = False,
+    keep_outliers: Annotated[
+        bool, Option("--keep-outliers", help="Fit all points, those off the surface through the others, too.")
+    ] = False,
     *,
     reading: Reading,
     json: Json = False,
@@ -106,7 +109,7 @@ def identify(
     if any(inner) and not out:
         raise ParameterError("--diameter and --fill apply to muscle.yaml", remedy="add --out DIR")
     if pool or for_length:
-        others = (profile, bootstrap, hysteresis, threshold, *inner, law_type is None or not pool)
+        others = (profile, bootstrap, hysteresis, threshold, keep_outliers, *inner, law_type is None or not pool)
         if any(other is not None and other is not False and other != 0 for other in others):
             raise ParameterError(
                 "--pool fits a single law, and applies to no other option of the fit",
@@ -120,16 +123,17 @@ def identify(
     points = reading.data(data)
     inner.check(points.table.attrs.get("initial_length"))
     if law_type is None:
-        _rank(data, points, reading.recipe, inner, json, out)
+        _rank(data, points, reading.recipe, inner, not keep_outliers, json, out)
         return
     from mckibben.identification import identify_threshold, identify_with_friction, shows_hysteresis
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
 
     if threshold and hysteresis is None and shows_hysteresis(points):
         hysteresis = True  # the misfit of the law without its threshold would hide the friction
-    found = identify_with_friction(law_type, points, friction=hysteresis, drift=not no_drift, form=form)
+    robust = not keep_outliers
+    found = identify_with_friction(law_type, points, friction=hysteresis, drift=not no_drift, form=form, robust=robust)
     fit, static, loops = found.fit, found.points, found.hysteresis
-    threshold_fit = identify_threshold(law_type, static) if threshold else None
+    threshold_fit = identify_threshold(law_type, static, robust=robust) if threshold else None
     fit, static = (threshold_fit.fit, threshold_fit.effective(static)) if threshold_fit else (fit, static)
     uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
     notes = points.table.attrs.get("preprocessing", "").splitlines()
@@ -300,11 +304,13 @@ def validate(
     show_results(out, numbers, validation.report(), json)
 
 
-def _rank(data: list[str], points: IsobaricDataset, how: Recipe, inner: _Inner, json: bool, out: Path | None) -> None:
+def _rank(
+    data: list[str], points: IsobaricDataset, how: Recipe, inner: _Inner, robust: bool, json: bool, out: Path | None
+) -> None:
     from mckibben.identification import rank
 
     with progress() as report_progress:
-        ranking = rank(points, progress=report_progress)
+        ranking = rank(points, robust=robust, progress=report_progress)
     best = ranking.best
     numbers = {
         "best": best.law,

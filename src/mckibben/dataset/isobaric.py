@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.plausibility import check_pressures
+from mckibben.dataset.preprocessing import with_slack_force
 from mckibben.dataset.schema import (
     VARIABLES,
     MeasuredTable,
@@ -127,7 +128,7 @@ class IsobaricDataset(MeasuredTable):
         specimen: str = "",
         initial_length: float | None = None,
         source: str = "",
-        slack_force: float = 0.0,
+        slack_force: float | None = None,
     ) -> Self:
         """Make a dataset from arrays in SI units; raises a `DatasetError` with every problem.
 
@@ -150,7 +151,8 @@ class IsobaricDataset(MeasuredTable):
         initial_length
             Length of the deflated muscle [m].
         slack_force
-            Force [N] up to which the muscle counts as slack. Set it above the noise of the rig.
+            Force [N] up to which the muscle counts as slack, above the noise of the rig. Default: from the noise of the
+            slack muscle about 0 N, otherwise 0.
         """
         variables = {
             "pressure": pressure,
@@ -171,9 +173,9 @@ class IsobaricDataset(MeasuredTable):
                 problems += [problem for problem, impossible in check_pressures(highest) if impossible]
         if problems:
             raise DatasetError("dataset", problems)
-        return cls(
-            table.assign_attrs(specimen=specimen, source=source, slack_force=slack_force, initial_length=initial_length)
-        )
+        attrs = {"specimen": specimen, "source": source, "slack_force": 0.0 if slack_force is None else slack_force}
+        found = cls(table.assign_attrs(attrs, initial_length=initial_length))
+        return cls(with_slack_force(found.table)) if slack_force is None and len(found) else found
 
     @property
     def contraction(self) -> NDArray[np.float64]:

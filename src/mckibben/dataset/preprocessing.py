@@ -16,7 +16,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from mckibben.dataset.schema import format_range
-from mckibben.units import bar
+from mckibben.units import bar, percent
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -36,7 +36,8 @@ _TAIL = 0.8  # share of slack points without a taut point at a larger contractio
 _UPPERMOST = 0.95  # share of the slack muscle's readings, above which there may be friction
 _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
 _SURELY = 0.9  # the same, of few points, whose noise may explain much of it by chance
-_ONE_POINT = 0.05  # of the range of contraction or pressure: slack points within it may be repeats of one point
+_PULLING = 0.05  # probability of as many steps between slack points in which the force changes as that of a taut muscle
+_SAME_LENGTH = 0.1 * percent
 _QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
@@ -94,17 +95,27 @@ def _levels(table: xr.Dataset) -> Floats:
 
 def without_offset(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     """Table with the slack muscle's force subtracted, and a note; unchanged and no note if it is not detected."""
+    if (slack := _slack_of(table)) is None:
+        return table, []
+    note = f"{slack}; this offset is subtracted, and forces up to {slack.limit:.3g} N count as slack"
+    return table.assign(force=table["force"] - slack.offset).assign_attrs(slack_force=slack.limit), [note]
+
+
+def with_slack_force(table: xr.Dataset) -> xr.Dataset:
+    """Table with the slack force from noise about 0 N, and a note; 0 N if there is none."""
+    slack = _slack_of(table)
+    if slack is None or slack.offset > slack.noise:  # forces of a taut muscle, or an offset, which is not subtracted
+        return table
+    limit = max(slack.offset + slack.limit, 0.0)
+    return with_notes(table.assign_attrs(slack_force=limit), [f"{slack}; forces up to {limit:.3g} N count as slack"])
+
+
+def _slack_of(table: xr.Dataset) -> Slack | None:
     contraction, force = (table[name].to_numpy() for name in ("contraction", "force"))
     levels = _levels(table)
     groups = np.unique(levels, return_inverse=True)[1]
     loading = table["direction"].to_numpy() == "loading" if "direction" in table else 0
-    if (slack := slack_force(force, contraction, levels, 2 * groups + loading)) is None:
-        return table, []
-    note = (
-        f"slack muscle: {slack.points} points with a force of {slack.offset:.3g} +- {slack.noise:.2g} N; this "
-        f"offset is subtracted, and forces up to {slack.limit:.3g} N count as slack"
-    )
-    return table.assign(force=table["force"] - slack.offset).assign_attrs(slack_force=slack.limit), [note]
+    return slack_force(force, contraction, levels, 2 * groups + loading)
 
 
 def with_notes(table: xr.Dataset, notes: list[str]) -> xr.Dataset:
@@ -219,6 +230,9 @@ class Slack(NamedTuple):
     limit: float
     """Largest force that counts as slack, above the offset [N]."""
 
+    def __str__(self) -> str:
+        return f"slack muscle: {self.points} points with a force of {self.offset:.3g} +- {self.noise:.2g} N"
+
 
 def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -> Slack | None:
     """Force of the slack muscle, which does not depend on the contraction; None if not detectable.
@@ -237,8 +251,6 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
         slack = np.abs(force - offset) <= _OUTSIDE * noise
         if np.count_nonzero(slack) < _FEWEST_SLACK or offset == noise == 0:
             continue
-        if offset >= 0 and all(np.ptp(axis[slack]) <= _ONE_POINT * np.ptp(axis) for axis in (contraction, pressure)):
-            continue  # repeats of one point, which may be taut
         if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
             continue
         behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
@@ -246,6 +258,12 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
             continue
         dependent = _SURELY if by_gap else _DEPENDENT
         if _explained(force[slack], contraction[slack], pressure[slack]) > dependent:
+            continue
+        if np.ptp(contraction[slack]) <= _SAME_LENGTH:
+            taut = not _above_line(force, contraction, pressure, slack, _OUTSIDE * noise)
+        else:
+            taut = not by_gap and _pulls(force[slack], contraction[slack], pressure[slack], passes[slack])
+        if taut:
             continue
         above = (force - offset)[_beyond(slack, contraction, passes)]
         limit = max(_OUTSIDE * noise, float(above[above <= _FAR * noise].max(initial=0.0)))
@@ -285,28 +303,27 @@ def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, f
     from scipy.special import ndtri
 
     floor = force.min()
-    if np.count_nonzero(force == floor) < _FEWEST_SLACK:
-        return None
-    beyond = _beyond(force == floor, contraction, passes)
-    if np.count_nonzero(force[beyond] == floor) < _FEWEST_SLACK:
-        return None
-    ranked = np.sort(force[beyond])
-    share = (np.arange(len(ranked)) + 0.5) / len(ranked)
-    used = (ranked > floor) & (share < _UPPERMOST)
-    if np.count_nonzero(used) < _FEWEST_SLACK:
-        return None
-    noise, offset = np.polyfit(ndtri(share[used]), ranked[used], 1)
-    return float(offset), float(noise)
+    for first in (2, 1):  # the second reading at the floor, as one may be a lost reading, or with few points the first
+        beyond = _beyond(force == floor, contraction, passes, first)
+        if min(np.count_nonzero(force == floor), np.count_nonzero(force[beyond] == floor)) < _FEWEST_SLACK:
+            continue
+        ranked = np.sort(force[beyond])
+        share = (np.arange(len(ranked)) + 0.5) / len(ranked)
+        used = (ranked > floor) & (share < _UPPERMOST)
+        if np.count_nonzero(used) >= _FEWEST_SLACK:
+            noise, offset = np.polyfit(ndtri(share[used]), ranked[used], 1)
+            return float(offset), float(noise)
+    return None
 
 
-def _beyond(marked: Bools, contraction: Floats, passes: Ints) -> Bools:
-    """Points from the second marked one of each pass on, in order of contraction."""
+def _beyond(marked: Bools, contraction: Floats, passes: Ints, first: int = 2) -> Bools:
+    """Points from the second marked one (or another one) of each pass on, in order of contraction."""
     order = np.lexsort((contraction, passes))
     found, starts = np.cumsum(marked[order]), np.flatnonzero(np.diff(passes[order], prepend=-1))
     sizes = np.diff(np.append(starts, len(order)))
     counts = np.add.reduceat(marked[order].astype(int), starts)
     before = np.repeat(np.cumsum(counts) - counts, sizes)
-    needed = np.repeat(np.clip(counts, 1, 2), sizes)
+    needed = np.repeat(np.clip(counts, 1, first), sizes)
     beyond = np.empty(len(order), bool)
     beyond[order] = found - before >= needed
     return beyond
@@ -317,6 +334,29 @@ def _largest_taut(taut: Bools, contraction: Floats, pressure: Floats) -> Floats:
     order = np.lexsort((contraction, pressure))
     largest = np.maximum.accumulate(np.where(taut, contraction, -np.inf)[order])
     return largest[np.searchsorted(pressure[order], pressure, side="right") - 1]
+
+
+def _above_line(force: Floats, contraction: Floats, pressure: Floats, slack: Bools, margin: float) -> bool:
+    """Whether forces are above the line through those at the same length and other pressures, where a muscle pulls."""
+    same = ~slack & (np.abs(contraction - np.median(contraction[slack])) <= _SAME_LENGTH)
+    if len(np.unique(pressure[same])) < 2:
+        return False
+    line = np.polyfit(pressure[same], force[same], 1)
+    return float(np.mean(force[slack] - np.polyval(line, pressure[slack]))) > margin
+
+
+def _pulls(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -> bool:
+    """Whether forces may fall with the contraction and rise with the pressure: in too many steps, or too few steps."""
+    from scipy.special import bdtrc
+
+    count, taut = 0, 0
+    lengths = np.round(contraction / _SAME_LENGTH)
+    for group, along, sign in ((passes, contraction, -1), (lengths, pressure, 1)):
+        order = np.lexsort((along, group))
+        steps = (np.diff(group[order]) == 0) & (np.diff(along[order]) > 0)
+        count += np.count_nonzero(steps)
+        taut += np.count_nonzero(sign * np.diff(force[order])[steps] > 0)
+    return bool(count < _FEWEST_SLACK or bdtrc(taut - 1, count, 0.5) < _PULLING)
 
 
 def _explained(force: Floats, contraction: Floats, pressure: Floats) -> float:

@@ -204,6 +204,7 @@ def identify_hysteresis(
     drift: bool = True,
     form: FrictionForm | None = None,
     elements: int = 6,
+    robust: bool = True,
 ) -> HysteresisFit:
     """Fit a law and its friction to all points of an isobaric test, in the order of time.
 
@@ -224,6 +225,8 @@ def identify_hysteresis(
         Form of the friction. Default: chosen by held-out loops.
     elements
         Number of Maxwell-slip elements.
+    robust
+        False to keep outliers.
 
     Raises
     ------
@@ -251,13 +254,15 @@ def identify_hysteresis(
     used = taut | (any(basis.has_offset for basis in bases) and not clipped(means))
     rate = paths.rate(means)
     used &= (rate is None) | ~paths.at_reversal(means)
-    outliers = find_outliers(means) if rate is None else ()  # friction that varies with the rate is not an outlier
+    outliers = (
+        find_outliers(means) if robust and rate is None else ()
+    )  # friction that varies with the rate is not an outlier
     used &= ~np.isin(np.arange(len(means)) + 1, [one.row for one in outliers])
     known = law if isinstance(law, ForceLaw) else None
     law_type = type(law) if isinstance(law, ForceLaw) else law
     levels = np.unique(means.levels[taut])
     half_gap = loop_half_width(means, taut)
-    template = known or identify(law_type, means).law
+    template = known or identify(law_type, means, robust=robust).law
     model = PathDependentModel(
         template, paths, means, bases[0], used, float(levels.mean()), elements, float(means.force[taut].mean()), rate
     )
@@ -269,7 +274,7 @@ def identify_hysteresis(
         friction = model.components(start)[1]
         corrected = IsobaricDataset(means.table.assign(force=("point", means.force - friction)))
         try:
-            model = dataclasses.replace(model, template=identify(law_type, corrected).law)
+            model = dataclasses.replace(model, template=identify(law_type, corrected, robust=robust).law)
         except (IdentificationError, np.linalg.LinAlgError):
             break  # the start is good enough
         model, start = _started(model, start)

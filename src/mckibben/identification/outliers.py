@@ -3,7 +3,7 @@
 The surface is Eq. 2 with a Gaussian process (`GaussianProcessLaw`), so that the misfit of a force law does not count.
 Each point is tested by its externally studentised residual, that of the fit without it, one point after the other (of
 thousands, one in a thousand at once); the last significant one is the last outlier, because outliers may mask each
-other.
+other. Where the surface itself misfits, neighbours of the point are off it, too: an outlier stands out from them.
 
 References
 ----------
@@ -14,6 +14,8 @@ and S. Weisberg, "Residuals and Influence in Regression", Chapman and Hall 1982,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,9 +26,12 @@ from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.smooth import Deviations
 from mckibben.identification.uncertainty import Bools, Floats, scatter_growth
 from mckibben.muscle import ExponentialLaw, GaussianProcessLaw
+from mckibben.units import percent
 
 _LEVEL = 0.01  # probability of any outlier among good points
 _SMALLEST = 0.005  # of the largest force: a smaller error is that of a load cell
+_CONTRACTION = 0.1 * percent  # an error that a smaller one of the contraction explains is that of its measurement
+_NEAREST, _ISOLATED = 8, 2.0  # an outlier is off the surface by as many times the residuals of the points around it
 _MOST = 0.05  # share of the points: more are not isolated errors
 _AHEAD = 2  # further points that are tested after the last significant one
 _TOGETHER = 1000  # points for each that is tested at once
@@ -38,22 +43,21 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     """Outliers among the taut plateau means of a dataset, in the order of its rows."""
     points = means.taut
     rows = np.flatnonzero(~means.slack)
-    forces = points.force
+    measured = points.force
     kept, found, pending, first, masked = np.ones(len(points), bool), [], [], [], False
     most, together = max(1, int(_MOST * len(points))), max(1, len(points) // _TOGETHER)
-    hyperparameters: Sequence[Floats] = ()
-    smallest = np.maximum(_SMALLEST * float(forces.max(initial=0.0)), _loop_widths(points))
+    starts: Sequence[Floats] = ()
+    smallest = np.maximum(_SMALLEST * float(measured.max(initial=0.0)), _loop_widths(points))
     while np.count_nonzero(kept) >= _FEWEST and len(found) + len(pending) < most + _AHEAD:
-        least = smallest[kept]
-        tested = _test(points, kept, least, hyperparameters)
+        tested = _test(points, kept, smallest[kept], starts)
         if tested is None:
             break
-        errors, statistics, freedom, hyperparameters = tested
-        sizes = np.where(np.abs(errors) > least, np.abs(statistics), 0.0)
+        errors, sizes = tested.errors, tested.sizes
+        starts = (tested.hyperparameters,) if tested.hyperparameters.size else ()
         order = np.argsort(-sizes, kind="stable")[:together]
         if not sizes[order[0]]:  # no error is large enough
             break
-        significant = order[sizes[order] > _limit(len(errors), freedom)]
+        significant = order[[tested.stands_out(i) for i in order.tolist()]]
         worst = significant if significant.size else order[:1]
         at = np.flatnonzero(kept)[worst]
         pending += zip(at.tolist(), errors[worst].tolist(), strict=True)
@@ -70,8 +74,8 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     if len(found) > most:
         return ()
     return tuple(
-        Outlier(int(rows[i]) + 1, float(points.pressure[i]), float(points.contraction[i]), float(forces[i]), force)
-        for i, force in sorted((i, float(forces[i]) - error) for i, error in found)
+        Outlier(int(rows[i]) + 1, float(points.pressure[i]), float(points.contraction[i]), float(measured[i]), force)
+        for i, force in sorted((i, float(measured[i]) - error) for i, error in found)
     )
 
 
@@ -87,22 +91,41 @@ def _limit(count: int, freedom: int) -> float:
     return float(stdtrit(freedom - 1, 1 - _LEVEL / (2 * count)))
 
 
-def _test(
-    points: IsobaricDataset, kept: Bools, smallest: Floats, starts: Sequence[Floats]
-) -> tuple[Floats, Floats, int, Sequence[Floats]] | None:
-    """Errors [N], studentised residuals, freedom and hyperparameters; None with small errors of Eq. 2 or few points."""
+class _Tested(NamedTuple):
+    """Surface through points, its errors [N] at each without it, and their studentised sizes, 0 for small errors."""
+
+    points: IsobaricDataset
+    model: MixedModel
+    hyperparameters: Floats
+    errors: Floats
+    sizes: Floats
+    weights: Floats  # of the studentised residuals, for a scatter that grows with the force
+
+    def stands_out(self, at: int) -> bool:
+        """Whether a residual is significant, and larger than those around it."""
+        if self.sizes[at] <= _limit(len(self.sizes), self.model.freedom):
+            return False
+        axes = [axis / (np.ptp(axis) or 1.0) for axis in (self.points.contraction, self.points.pressure)]
+        distances = np.sum([(axis - axis[at]) ** 2 for axis in axes], axis=0)
+        around = np.argsort(distances, kind="stable")[: _NEAREST + 1]
+        residuals = self.model.residuals_without(self.hyperparameters, at) * self.weights
+        return bool(self.sizes[at] > _ISOLATED * np.abs(residuals[around]).max())
+
+
+def _test(points: IsobaricDataset, kept: Bools, smallest: Floats, starts: Sequence[Floats]) -> _Tested | None:
+    """Test of the kept points; None with small errors of Eq. 2 or few points."""
     eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
-    base = solve(eq2, grid_search(eq2))
+    base, used = solve(eq2, grid_search(eq2)), points.select(kept)
+    moved = replace(eq2, contraction=eq2.contraction + _CONTRACTION).response(base.values)[0]
+    smallest = np.maximum(smallest, np.abs(moved - base.residuals))
     if not np.any(np.abs(base.residuals) > smallest):
         return None
-    used = points.select(kept)
     surface = len(used) >= _SURFACE and bool(np.ptp(used.contraction)) and bool(np.ptp(used.pressure))
     if surface:
         deviations = Deviations.of(GaussianProcessLaw, points, base)
         model = deviations.prior.model(*deviations.columns(base))
         model = MixedModel(np.hstack([model.fixed, _passes(used)]), model.random, model.residuals, model.scales)
         found = model.estimate(starts or deviations.prior.starts, deviations.prior.bounds)[0]
-        starts = (found,)
     else:
         residuals, columns = base.augmented
         none = np.empty((0, 0))
@@ -113,7 +136,9 @@ def _test(
     errors, statistics = model.deleted_residuals(found)
     growth = scatter_growth(used.force - model.residuals, errors)
     variance = 1 + growth * used.force**2
-    return errors, statistics * np.sqrt(np.mean(variance) / variance), model.freedom, starts
+    weights = np.sqrt(np.mean(variance) / variance)
+    sizes = np.where(np.abs(errors) > smallest, np.abs(statistics) * weights, 0.0)
+    return _Tested(used, model, found, errors, sizes, weights)
 
 
 def _loop_widths(points: IsobaricDataset) -> Floats:

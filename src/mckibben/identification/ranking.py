@@ -206,12 +206,16 @@ class Ranking:
 
 @checked_call
 def rank(
-    dataset: IsobaricDataset, laws: Iterable[type[ForceLaw]] = tuple(LAWS.values()), *, progress: Progress | None = None
+    dataset: IsobaricDataset,
+    laws: Iterable[type[ForceLaw]] = tuple(LAWS.values()),
+    *,
+    robust: bool = True,
+    progress: Progress | None = None,
 ) -> Ranking:
     """Fit laws to a dataset and rank them by their cross-validation errors.
 
-    Laws that the points do not determine are listed with the reason. `progress` is called with the current law and the
-    fraction done, 0 to 1; notebooks show a progress bar.
+    Laws that the points do not determine are listed with the reason. `robust` is that of `identify`. `progress` is
+    called with the current law and the fraction done, 0 to 1; notebooks show a progress bar.
 
     Raises
     ------
@@ -237,7 +241,7 @@ def rank(
         remedy = "give classes, such as [ExponentialLaw, SmoothLaw]; without them, all laws are ranked"
         raise IdentificationError(f"{described(wrong[0])} is not a class of laws", remedy=remedy)
     means = dataset.plateau_means()
-    outliers = find_outliers(means)
+    outliers = find_outliers(means) if robust else ()
     means = without_outliers(means, outliers)
     points = means.taut
     if not len(points):

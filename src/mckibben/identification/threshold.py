@@ -99,12 +99,12 @@ class ThresholdFit:
         return f"<ThresholdFit: {found}, {type(self.fit.law).__name__}>"
 
 
-def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset) -> ThresholdFit:
+def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, robust: bool = True) -> ThresholdFit:
     """Fit a law with a pressure threshold, and test the significance of the threshold.
 
     The threshold is searched; at each value, the law is fitted to the taut points at their effective pressures
     (`ThresholdLaw`). A law with a free offset absorbs a threshold far below all pressures: only points near it, such as
-    stretched plateaus at low pressures, determine it.
+    stretched plateaus at low pressures, determine it. `robust` is that of `identify`.
 
     Raises
     ------
@@ -126,9 +126,9 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset) -> Th
         raise IdentificationError(
             f"the deviations of {law_type.__name__} absorb a threshold", remedy="choose a law without them"
         )
-    plain = identify(law_type, dataset)
+    plain = identify(law_type, dataset, robust=robust)
     means = dataset.plateau_means()
-    points = without_outliers(means, find_outliers(means)).taut
+    points = without_outliers(means, find_outliers(means) if robust else ()).taut
     profile = _Profile(law_type, points)
     grid = np.geomspace(_LOWEST, _HIGHEST * float(points.pressure.max()), _GRID)
     without, solutions = profile.solution(0.0), [profile.solution(one) for one in grid]
@@ -148,7 +148,7 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset) -> Th
     significant = p_value < _SIGNIFICANT
     fit, law, warnings = plain, plain.law, list[str]()
     if significant:
-        fit = identify(law_type, _shifted(dataset, threshold))
+        fit = identify(law_type, _shifted(dataset, threshold), robust=robust)
         law = ThresholdLaw(law=fit.law, threshold=threshold)  # type: ignore[call-issue]
     if inflation > _ONE_GROUP:
         warnings.append("the points of one pressure determine the threshold: measure at several low pressures")

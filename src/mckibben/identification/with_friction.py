@@ -115,12 +115,13 @@ def identify_with_friction(
     friction: bool | None = None,
     drift: bool = True,
     form: FrictionForm | None = None,
+    robust: bool = True,
 ) -> FitWithFriction:
     """Fit a law, together with friction where the dataset shows it.
 
     Parameters
     ----------
-    law, dataset, drift, form
+    law, dataset, drift, form, robust
         As for `identify_hysteresis`.
     friction
         True or False to fit with or without friction. Default: with it if forces at the same pressure and contraction
@@ -139,7 +140,7 @@ def identify_with_friction(
         note = f"fitted without friction: {error}"
     if friction or gap:
         try:
-            found = identify_hysteresis(law, dataset, drift=drift, form=form)
+            found = identify_hysteresis(law, dataset, drift=drift, form=form, robust=robust)
         except IdentificationError as error:
             if friction:
                 raise
@@ -152,11 +153,12 @@ def identify_with_friction(
         found = None
     points = found.corrected(dataset) if found else dataset
     # the misfit of the friction, which is largest behind reversals, does not make a point an outlier
-    fit = fit_means(law, points, find_outliers(dataset.plateau_means())) if found else identify(law, points)
+    outliers = find_outliers(dataset.plateau_means()) if robust else ()
+    fit = fit_means(law, points, outliers) if found else identify(law, points, robust=robust)
     if found and gap:
         note = (
             f"loading and unloading differ: fitted with friction, RMSE {found.rmse:.3g} N; without friction it is "
-            f"{identify(law, dataset).rmse:.3g} N"
+            f"{identify(law, dataset, robust=robust).rmse:.3g} N"
         )
     return FitWithFriction(fit, found, points, note)
 
