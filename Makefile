@@ -10,7 +10,8 @@ WORKERS ?= 2
 COUNT  ?= 27
 SEED   ?= 0
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
-# A core each, and bytecode for the processes that tests start. A worker that dies is not replaced; otherwise a test that hangs would be repeated until all are dead.
+# A core each, and bytecode for the processes that tests start. A worker that dies is not replaced; otherwise a test that
+# hangs would be repeated until all are dead.
 PYTEST := env -u PYTHONDONTWRITEBYTECODE OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 .PHONY: reproduce test verify lint style types quick-tests all-tests format hooks mutants lock bench docs course wheel clean help
