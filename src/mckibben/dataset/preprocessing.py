@@ -243,12 +243,13 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
     lowest = np.sort(force[force <= force.min() + _LOWEST_FORCES * np.ptp(force)])
     if len(lowest) < _FEWEST_SLACK or not np.ptp(force):
         return None
-    for by_gap in (False, True):
-        found = _below_gap(force) if by_gap else _clipped(force, contraction, passes) or _mode(lowest)
-        if found is None:
+    *below_gap, number = _below_gap(force) or (0,)
+    for found in (_clipped(force, contraction, passes) or _mode(lowest), below_gap):
+        if not found:
             continue
         offset, noise = found
         slack = np.abs(force - offset) <= _OUTSIDE * noise
+        by_gap = found is below_gap or np.count_nonzero(slack) == number
         if np.count_nonzero(slack) < _FEWEST_SLACK or offset == noise == 0:
             continue
         if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
@@ -284,8 +285,8 @@ def _mode(lowest: Floats) -> tuple[float, float]:
     return offset, noise
 
 
-def _below_gap(force: Floats) -> tuple[float, float] | None:
-    """Mean and standard deviation of the lowest forces, below the first wide gap; None without one."""
+def _below_gap(force: Floats) -> tuple[float, float, int] | None:
+    """Mean, standard deviation and number of the lowest forces, below the first wide gap; None without one."""
     ranked = np.sort(force)
     above = ranked - ranked[0]
     counts = np.arange(1, len(ranked))
@@ -295,7 +296,7 @@ def _below_gap(force: Floats) -> tuple[float, float] | None:
     if not wide.any():
         return None
     first = int(np.argmax(wide))
-    return float(ranked[0] + totals[first] / counts[first]), float(noise[first])
+    return float(ranked[0] + totals[first] / counts[first]), float(noise[first]), int(counts[first])
 
 
 def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, float] | None:
