@@ -45,6 +45,8 @@ PART = Part(0.2)
         ({"mass": np.nan}, "mass", np.nan, 1e4),
         ({"mass": "1 kg"}, "mass", "1 kg", None),
         ({"mass": True}, "mass", True, None),
+        ({"mass": np.array([True])}, "mass", [True], None),
+        ({"mass": jnp.array(True)}, "mass", True, None),
         ({"mass": np.array([1.0, 2e4])}, "mass", 2e4, 1e4),
         ({"mass": jnp.array([1.0, 2e4])}, "mass", 2e4, 1e4),
         ({"lengths": (0.1, 20.0)}, "lengths", 20.0, 10.0),

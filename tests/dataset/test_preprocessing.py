@@ -151,6 +151,31 @@ def test_the_last_taut_points_of_several_curves_are_no_slack_force(pressures):
     assert slack_force(force[taut], contraction[taut], pressure[taut], passes[taut]) is None
 
 
+@pytest.mark.parametrize("noise", [0.1, 1.0])
+def test_strokes_that_end_at_one_force_are_not_slack(noise):
+    """A test that stops at 20 N."""
+    law, pressure = catalog.law("lei-mas-10-180n"), np.repeat(np.linspace(1.5, 6, 6) * bar, 10)
+    stroke = np.linspace(0, 0.35, 500)
+    ends = [np.interp(-20, -np.asarray(forces(law, stroke, one)), stroke) for one in pressure]
+    contraction = np.tile(np.linspace(0, 1, 10), 6) * ends
+    force = np.asarray(forces(law, contraction, pressure)) + np.random.default_rng(1).normal(0, noise, 60)
+    assert slack_force(force, contraction, pressure, np.round(pressure).astype(int)) is None
+
+
+def test_exact_zeros_have_no_noise():
+    pressure, contraction = map(np.ravel, np.meshgrid(np.linspace(1, 6, 3) * bar, np.linspace(0, 0.3, 5)))
+    force = np.maximum(forces(catalog.law("lei-mas-10-180n"), contraction, pressure), 0)
+    data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force)
+    assert np.array_equal(data.slack, force == 0)
+
+
+def test_arrays_keep_a_zero_error_of_the_load_cell_with_a_warning():
+    pressure, contraction, force, _ = measured(offset=5.0)
+    with pytest.warns(McKibbenWarning, match="4.82 "):
+        data = IsobaricDataset.of(pressure=pressure * bar, contraction=contraction, force=force)
+    assert np.array_equal(data.force, force)
+
+
 def test_published_data_are_not_changed():
     for name in catalog.names("datasets"):
         data = catalog.dataset(name)

@@ -204,6 +204,10 @@ def test_a_run_counts_until_it_diverges_if_all_solutions_diverge_alike():
     assert found.substeps.tolist() == [1, 16, 32] and found.error.tolist() == [0.0, 0.0, np.inf]
     assert found.resolved.tolist() == [True, True, False] and found.unresolved_from[2] == 1.0
     assert "too long" in resolution_of(Refinement(*(one[..., 2:] for one in found[:5]), 1), 1e-6).describe()
+    steps = refine_blocks({"x": np.arange(3.0)}, 3, lambda runs: found)
+    assert steps.error.tolist() == [0.0, 0.0, np.inf] and not steps.chaotic.any()
+    with pytest.warns(McKibbenWarning, match="1 runs"):
+        steps.warn_of(1e-6)
 
 
 @pytest.mark.parametrize("periods", [7, 20_000, 20_001, 3_600_000])

@@ -109,16 +109,16 @@ def identify(
     if any(inner) and not out:
         raise ParameterError("--diameter and --fill apply to muscle.yaml", remedy="add --out DIR")
     if pool or for_length:
-        others = (profile, bootstrap, hysteresis, threshold, keep_outliers, *inner, law_type is None or not pool)
+        others = (profile, bootstrap, hysteresis, threshold, *inner, law_type is None or not pool)
         if any(other is not None and other is not False and other != 0 for other in others):
             raise ParameterError(
                 "--pool fits a single law, and applies to no other option of the fit",
-                remedy="give --pool, --law, --for-length, --level and --out alone",
+                remedy="give --pool, --law, --for-length, --keep-outliers, --level and --out alone",
             )
         assert law_type is not None
         each = [reading.data([one]) for one in data]
         length = parse_positive("--for-length", for_length, "m") if for_length else None
-        _pool(law_type, each, length, level, json, out)
+        _pool(law_type, each, not keep_outliers, length, level, json, out)
         return
     points = reading.data(data)
     inner.check(points.table.attrs.get("initial_length"))
@@ -178,14 +178,20 @@ def identify(
 
 
 def _pool(
-    law: type[ForceLaw], data: list[IsobaricDataset], length: float | None, level: float, json: bool, out: Path | None
+    law: type[ForceLaw],
+    data: list[IsobaricDataset],
+    robust: bool,
+    length: float | None,
+    level: float,
+    json: bool,
+    out: Path | None,
 ) -> None:
     import numpy as np
 
     from mckibben.identification import identify_pooled
     from mckibben.scenario import muscle_text
 
-    found = identify_pooled(law, data)
+    found = identify_pooled(law, data, robust=robust)
     numbers, texts = found.numbers(), [found.report()]
     if length is not None:
         domain = found.law.domain

@@ -77,9 +77,10 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
 
 def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:
     """Numbers of a value or tuple, flat, no texts or flags; none of None, a tracer or a placeholder."""
-    if isinstance(value, str | bool | np.bool_):
+    if isinstance(value, str | bool | np.bool_) or (isinstance(value, np.ndarray) and value.dtype == bool):
         remedy = "give a number in SI units, such as 30 * mm with mckibben.units"
-        raise RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
+        shown = quoted(value) if isinstance(value, str) else value
+        raise RangeError(f"{owner}: {name} is {shown}", field=name, value=value, remedy=remedy)
     if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
     if isinstance(value, tuple | list) and all(type(one) is float for one in value):
@@ -92,4 +93,4 @@ def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:
     import jax.core
 
     concrete = isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
-    return np.asarray(value, float).ravel() if concrete else np.empty(0)
+    return known_numbers(owner, name, np.asarray(value)) if concrete else np.empty(0)

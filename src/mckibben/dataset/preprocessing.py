@@ -8,6 +8,7 @@ taut muscle's forces.
 from __future__ import annotations
 
 import itertools
+import warnings
 from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
@@ -15,7 +16,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from mckibben.component.calls import user_level
 from mckibben.dataset.schema import format_range
+from mckibben.errors import McKibbenWarning
 from mckibben.units import bar, percent
 
 Floats = NDArray[np.float64]
@@ -36,7 +39,7 @@ _TAIL = 0.8  # share of slack points without a taut point at a larger contractio
 _UPPERMOST = 0.95  # share of the slack muscle's readings, above which there may be friction
 _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
 _SURELY = 0.9  # the same, of few points, whose noise may explain much of it by chance
-_PULLING = 0.05  # probability of as many steps between slack points in which the force changes as that of a taut muscle
+_PULLING = 0.05  # significance of the share of steps between slack points that go the way of a taut muscle's force
 _SAME_LENGTH = 0.1 * percent
 _QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
@@ -103,8 +106,11 @@ def without_offset(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
 
 def with_slack_force(table: xr.Dataset) -> xr.Dataset:
     """Table with the slack force from noise about 0 N, and a note; 0 N if there is none."""
-    slack = _slack_of(table)
-    if slack is None or slack.offset > slack.noise:  # forces of a taut muscle, or an offset, which is not subtracted
+    if (slack := _slack_of(table)) is None:
+        return table
+    if slack.offset > slack.noise:
+        text = f"{slack}, which count as taut; if the muscle is slack there, subtract the zero error of the load cell"
+        warnings.warn(f"{text}, otherwise give slack_force=0.0", McKibbenWarning, stacklevel=user_level())
         return table
     limit = max(slack.offset + slack.limit, 0.0)
     return with_notes(table.assign_attrs(slack_force=limit), [f"{slack}; forces up to {limit:.3g} N count as slack"])
@@ -250,8 +256,10 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
         offset, noise = found
         slack = np.abs(force - offset) <= _OUTSIDE * noise
         by_gap = found is below_gap or np.count_nonzero(slack) == number
-        if np.count_nonzero(slack) < _FEWEST_SLACK or offset == noise == 0:
+        if np.count_nonzero(slack) < _FEWEST_SLACK:
             continue
+        if offset == noise == 0:  # of a model, or as a program has set them
+            return None
         if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
             continue
         behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
@@ -262,8 +270,10 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
             continue
         if np.ptp(contraction[slack]) <= _SAME_LENGTH:
             taut = not _above_line(force, contraction, pressure, slack, _OUTSIDE * noise)
+        elif by_gap:  # strokes that end at one force have one such point each
+            taut = len(np.unique(passes[slack])) == np.count_nonzero(slack)
         else:
-            taut = not by_gap and _pulls(force[slack], contraction[slack], pressure[slack], passes[slack])
+            taut = _pulls(force[slack], contraction[slack], pressure[slack], passes[slack])
         if taut:
             continue
         above = (force - offset)[_beyond(slack, contraction, passes)]
@@ -347,7 +357,7 @@ def _above_line(force: Floats, contraction: Floats, pressure: Floats, slack: Boo
 
 
 def _pulls(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -> bool:
-    """Whether forces may fall with the contraction and rise with the pressure: in too many steps, or too few steps."""
+    """Whether forces fall with the contraction or rise with the pressure; also if too few steps tell."""
     from scipy.special import bdtrc
 
     count, taut = 0, 0

@@ -295,7 +295,7 @@ class ColumnConverter:
             return
         apart = [(self._field(names[at]), place) for place, at in enumerate(order) if at != place]
         meant = {column: f"{names[place]}_{units[place]}" for column, place in apart}
-        looks = " and ".join(f"{column!r} looks like a {names[place]}" for column, place in apart)
+        looks = ", ".join(f"{column!r} looks like a {names[place]}" for column, place in apart)
         options = " ".join(f"--column '{column}={name}'" for column, name in meant.items())
         text = f"columns may be exchanged: by their numbers, {looks}"
         remedy = f"correct the header, or give columns={meant} (command line: {options})"

@@ -79,7 +79,7 @@ class Recording(MeasuredTable):
         specimen: str = "",
         initial_length: float | None = None,
         source: str = "",
-        slack_force: float = 0.0,
+        slack_force: float | None = None,
     ) -> Self:
         """Make a recording from arrays in SI units; raises a `DatasetError` with every problem.
 
@@ -89,8 +89,10 @@ class Recording(MeasuredTable):
             Shape (samples,): [s], gauge [Pa], [N]. Arrays of float64 are not copied.
         contraction, set_pressure
             Shape (samples,), or one number for all: [-], [Pa].
-        specimen, initial_length, source, slack_force
+        specimen, initial_length, source
             As for `IsobaricDataset.of`.
+        slack_force
+            Force [N] up to which the muscle counts as slack; without it, or with 0, `plateaus` estimates it.
         """
         length = np.size(time)
         variables: dict[str, ArrayLike | None] = {"time": time, "pressure": pressure, "force": force}
@@ -99,8 +101,8 @@ class Recording(MeasuredTable):
         table, problems = assemble(variables, RECORDED)
         if problems:
             raise DatasetError("recording", problems)
-        attrs = {"specimen": specimen, "source": source, "slack_force": slack_force, "initial_length": initial_length}
-        return cls(table.assign_attrs(attrs))
+        attrs = {"specimen": specimen, "source": source, "slack_force": slack_force or 0.0}
+        return cls(table.assign_attrs(attrs, initial_length=initial_length))
 
     @property
     def time(self) -> NDArray[np.float64]:

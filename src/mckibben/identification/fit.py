@@ -103,12 +103,15 @@ _MEANT = {
 """Suggestions for unknown attributes of a fit."""
 
 
+KEEP_OUTLIERS = "; to keep such points, give robust=False"
+
+
 def left_out(outliers: Sequence[Outlier]) -> list[str]:
     """Warnings of points that an identification leaves out: the first few, and the rows of the others."""
     shown, more = outliers[:_LISTED], [str(one.row) for one in outliers[_LISTED:]]
     found = [f"left out: off the smooth surface through the other points; check it: {one}" for one in shown]
     if found:
-        found[0] += "; to keep such points, give robust=False (command line: --keep-outliers)"
+        found[0] += f"{KEEP_OUTLIERS} (command line: --keep-outliers)"
     if more:
         rows = ", ".join(more[:_LISTED_ROWS]) + (", ..." if len(more) > _LISTED_ROWS else "")
         found.append(f"left out, off that surface too: {len(more)} more points, rows {rows}")

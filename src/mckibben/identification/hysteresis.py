@@ -254,9 +254,8 @@ def identify_hysteresis(
     used = taut | (any(basis.has_offset for basis in bases) and not clipped(means))
     rate = paths.rate(means)
     used &= (rate is None) | ~paths.at_reversal(means)
-    outliers = (
-        find_outliers(means) if robust and rate is None else ()
-    )  # friction that varies with the rate is not an outlier
+    # Friction that varies with the rate is not an outlier.
+    outliers = find_outliers(means) if robust and rate is None else ()
     used &= ~np.isin(np.arange(len(means)) + 1, [one.row for one in outliers])
     known = law if isinstance(law, ForceLaw) else None
     law_type = type(law) if isinstance(law, ForceLaw) else law

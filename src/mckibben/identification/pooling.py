@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -10,10 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from mckibben.component.calls import user_level
 from mckibben.component.checks import check_positive
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError
-from mckibben.identification.fit import Fit
+from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.identification.fit import Fit, left_out
 from mckibben.identification.fitting import identify
 from mckibben.identification.intervals import t_quantile
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
@@ -168,7 +170,7 @@ class PooledFit:
         return f"<PooledFit {type(self.law).__name__}: {count} specimens, {self.form.name}, RMSE {self.fit.rmse:.3g} N>"
 
 
-def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) -> PooledFit:
+def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset], *, robust: bool = True) -> PooledFit:
     """Fit one law to several specimens of one make: equal diameter and braid, several initial lengths.
 
     Two corrections are estimated if they lower the error at left-out lengths by more than 5 %: a dead length at the
@@ -180,6 +182,8 @@ def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) ->
         Class of the law, such as `ExponentialLaw`.
     datasets
         One per specimen, at least three, with their initial lengths.
+    robust
+        That of `identify`; a `McKibbenWarning` names the points that are left out.
 
     Raises
     ------
@@ -190,7 +194,7 @@ def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) ->
         message = f"{len(datasets)} specimens do not show how specimens differ"
         remedy = "give at least three datasets, one per specimen"
         raise IdentificationError(message, value=len(datasets), lower=3, remedy=remedy)
-    pool = _Pool.of(law, datasets)
+    pool = _Pool.of(law, datasets, robust)
     forms = [PoolForm(dead, strength) for dead in (False, True)[: 1 + pool.several] for strength in (False, True)]
     corrections = {form: pool.corrections(form) for form in forms}
     left_out_errors = {form: pool.left_out_lengths(form, dead) for form, (dead, _) in corrections.items()}
@@ -263,7 +267,7 @@ class _Pool:
     force: Floats
 
     @classmethod
-    def of(cls, law: type[ForceLaw], datasets: Sequence[IsobaricDataset]) -> _Pool:
+    def of(cls, law: type[ForceLaw], datasets: Sequence[IsobaricDataset], robust: bool) -> _Pool:
         parts = []
         for number, data in enumerate(datasets):
             if data.table.attrs.get("initial_length") is None:
@@ -272,7 +276,10 @@ class _Pool:
                     remedy="give each dataset its initial_length",
                 )
             means = data.plateau_means()
-            parts.append(without_outliers(means, find_outliers(means)).taut)
+            outliers = find_outliers(means) if robust else ()
+            for text in left_out(outliers):
+                warnings.warn(f"dataset {number + 1}: {text}", McKibbenWarning, stacklevel=user_level())
+            parts.append(without_outliers(means, outliers).taut)
         specimen = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         blocks, first = [], 0
         for part in parts:

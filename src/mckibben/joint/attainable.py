@@ -167,6 +167,8 @@ def unattainable(
             return error
     at = f"at {angle / deg:.4g} deg"
     remedy = "choose a smaller angle or load, other lengths of the geometry, or a series spring"
+    if pressure_limits is not None or minimum_tension:
+        remedy += "; wider pressure_limits or a lower minimum_tension, if given"
     low, high = map(float, torque_range(joint, angle, pressure_limits, minimum_tension))
     if low <= high and not low <= torque <= high:
         message = f"a torque of {torque + 0.0:.4g} N*m {at} is outside the attainable {low:.4g}..{high:.4g} N*m"
@@ -179,8 +181,8 @@ def warn_unattainable(joint: Joint, angle: ArrayLike, torque: ArrayLike, lowest:
     """Warn of a direct call without any attainable stiffness, and say why there is none at the first angle."""
     if isinstance(lowest, Tracer) or not lowest.size or not jnp.isnan(lowest).all():
         return
-    first, load = (float(np.ravel(one)[0]) for one in np.broadcast_arrays(np.asarray(angle), np.asarray(torque)))
-    text = f"no stiffness is attainable: {unattainable(joint, first, load, *limits)}"
+    first = jax.tree.map(lambda one: float(np.ravel(one)[0]), (angle, torque, *limits))
+    text = f"no stiffness is attainable: {unattainable(joint, *first)}"
     warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
 

@@ -76,7 +76,7 @@ class Envelope:
         if not self.static.exists:
             plant, angle = self.scenario.plant(), float(self.trackability.trajectory.angle[0])
             why = unattainable(plant.supplied_joint, angle, -float(plant.load.gravity_torque(angle)))
-            return f"the joint cannot hold its load at any angle, such as {angle / deg:.4g} deg: {why}"
+            return f"the joint cannot hold its load at any angle; at {angle / deg:.4g} deg, {why}"
         return self.trackability.describe()
 
     def rows(self) -> list[tuple[str, ...]]:

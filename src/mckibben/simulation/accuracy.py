@@ -86,8 +86,9 @@ class Resolution(NamedTuple):
             return f"estimated integration error of the angle: {self.error:.1e} rad ({steps})"
         if math.isinf(self.error):
             return (
-                f"not resolved: solutions with {self.substeps // 2} and {self.substeps} integration steps per control "
-                f"period diverge from {self.unresolved_from:.4g} s on: the steps are too long for the plant"
+                f"not resolved: from {self.unresolved_from:.4g} s on, solutions with {self.substeps // 2} and "
+                f"{self.substeps} integration steps per control period diverge differently: the plant is unstable, or "
+                "the steps are too long for it"
             )
         if not self.chaotic:
             since = f"from {self.unresolved_from:.4g} s on the angle is less accurate than asked"
@@ -166,7 +167,8 @@ def refine(
 ) -> Refinement:
     """Double the steps of so many runs until positions, `spacing` [s] apart, agree while finite and `meaningful`.
 
-    Two solutions that end early need to end alike: steps that are too long diverge, too, but each in its own way.
+    Two solutions that end early need to be close to each other there: steps that are too long diverge, too, but each
+    number of them in its own way.
     """
     runs, substeps = np.arange(count), first
     errors = np.full((_DOUBLINGS, count), np.nan)
@@ -226,7 +228,11 @@ class StepCounts(NamedTuple):
         """Warn of runs whose estimated error is above the accuracy [rad]."""
         count = int(np.sum(self.error > accuracy))
         if count:
-            text = f"{count} runs are less accurate than {accuracy:g} rad: up to {np.nanmax(self.error):.1e} rad"
+            worst = np.nanmax(self.error)
+            most = (
+                f"up to {worst:.1e} rad" if np.isfinite(worst) else "some diverge, at each number differently"
+            )
+            text = f"{count} runs are less accurate than {accuracy:g} rad: {most}"
             warnings.warn(f"{text}, with {int(self.substeps.max())} substeps at most", McKibbenWarning, stacklevel=3)
 
     def columns(self) -> dict[str, NDArray[Any]]:
@@ -272,8 +278,8 @@ def refine_blocks(
         errors = np.where(np.isnan(found.errors[doublings]), found.error, found.errors[doublings])
         steps.substeps[block] = first * 2**doublings
         steps.error[block] = errors[found.converges].max(initial=0.0) if found.converges.any() else np.nan
-        steps.error[runs] = np.where(found.converges, errors, np.nan)
-        steps.chaotic[runs] = ~found.converges
+        steps.error[runs] = np.where(found.converges, errors, np.where(np.isinf(found.error), np.inf, np.nan))
+        steps.chaotic[runs] = ~found.converges & np.isfinite(found.error)
     return steps
 
 

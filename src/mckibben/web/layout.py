@@ -19,6 +19,7 @@ from nicegui import events, ui
 from numpy.typing import ArrayLike
 
 from mckibben.errors import ON_COMMAND_LINE, DatasetError, FileError, McKibbenError, printable
+from mckibben.identification.fit import KEEP_OUTLIERS
 from mckibben.web import resource
 from mckibben.web.session import Jobs, JobState
 
@@ -135,7 +136,7 @@ def show_error(error: McKibbenError) -> None:
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
     text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", remedy))
-    text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
+    text = text.replace("columns={...}", "a line HEADER = NAME (columns)").replace(KEEP_OUTLIERS, "")
     text = _CHOICES.sub(r"\1: \2", text)
     return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
 

@@ -193,7 +193,7 @@ class _Page(JobPage[StudyState]):
             costs = chart("evaluated point", "cost", height=220, yAxis={"type": "log"})
             number = np.arange(1, len(found.costs) + 1)
             at = int(np.argmin(found.costs)) + 1
-            quiet(f"Point {at} has the lowest cost; the {len(found.costs) - at} points after it did not improve it.")
+            quiet(f"Point {at} of {len(found.costs)} has the lowest cost.")
             draw(costs, [line("lowest so far", number, best_so_far(found.costs), BLUE)])
             table(("parameter", "before", "tuned"), found.parameters)
             table(("metric", "before", "tuned"), found.metrics)
