@@ -229,9 +229,7 @@ class StepCounts(NamedTuple):
         count = int(np.sum(self.error > accuracy))
         if count:
             worst = np.nanmax(self.error)
-            most = (
-                f"up to {worst:.1e} rad" if np.isfinite(worst) else "some diverge, at each number differently"
-            )
+            most = f"up to {worst:.1e} rad" if np.isfinite(worst) else "some diverge, at each number differently"
             text = f"{count} runs are less accurate than {accuracy:g} rad: {most}"
             warnings.warn(f"{text}, with {int(self.substeps.max())} substeps at most", McKibbenWarning, stacklevel=3)
 
