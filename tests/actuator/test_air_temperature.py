@@ -155,6 +155,7 @@ def test_valves_without_a_wall_have_no_temperature():
     assert float(told["temperature1"]) == ROOM and "temperature2" not in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tendon", [None, SeriesSpring(stiffness=2e4, preload=0.0, travel=0.03)])
 def test_behind_shut_valves_the_mass_of_the_air_is_constant_and_no_air_is_consumed(knee, load, tendon):
     joint = knee if tendon is None else dataclasses.replace(knee, tendon=tendon)

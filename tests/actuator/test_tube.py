@@ -169,6 +169,7 @@ def test_at_its_target_a_pressure_stays_and_can_be_left_both_ways():
     assert float(lowest) < 3 * bar < float(highest)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", [2.3 * bar, 2.5 * bar, 2.8 * bar])
 def test_the_command_leads_the_pressure_of_the_muscle_to_a_target(target):
     pressure = jnp.asarray(2.5 * bar)

@@ -69,6 +69,7 @@ def virtual(file):
     file.create_virtual_dataset("force", layout)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [external_storage, external_link, virtual])
 def test_netcdf_never_leads_to_another_file(netcdf, make):
     replace_force(netcdf, make)

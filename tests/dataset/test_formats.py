@@ -302,6 +302,7 @@ def test_matrices_of_matlab_73_lie_on_their_side(put):
     is_the_six_points(read_dataset(path, columns={f"m(:,{i + 1})": name for i, name in enumerate(COLUMNS)}))
 
 
+@pytest.mark.slow
 def test_a_struct_of_a_billion_elements_without_fields_is_refused(put):
     def element(kind: int, content: bytes) -> bytes:
         return struct.pack("<2I", kind, len(content)) + content + bytes(-len(content) % 8)

@@ -158,6 +158,7 @@ def test_every_line_of_a_text_is_a_point_or_in_the_report(inserted, order, cut, 
     np.testing.assert_allclose(np.stack([data.pressure / 1e5, data.contraction, data.force], axis=1), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["rig.csv", "rig.lvm", "rig.tdms", "plain.mat"])
 @settings(SEEDED, max_examples=4)
 @given(seed=st.integers(0, 2**32))

@@ -129,6 +129,7 @@ def test_the_example_of_the_documentation_runs(newton):
     assert np.ptp(angles) > 1e-3
 
 
+@pytest.mark.slow
 def test_draws_of_a_fit_have_its_covariance_and_are_those_of_both_muscles():
     scenario = mk.Scenario.read(FIT[0])
     joint = plants_of(

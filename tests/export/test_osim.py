@@ -80,6 +80,7 @@ for file, angle, velocity in zip(*[iter(sys.argv[1:])] * 3):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", WRITTEN, indirect=True)
 @pytest.mark.skipif(find_spec("opensim") is None, reason="OpenSim has no wheel for this platform")
 def test_opensim_gives_the_same_acceleration(known, tmp_path):

@@ -50,6 +50,7 @@ def test_the_law_is_the_simplest_that_the_points_support(deviation, kind):
     assert regression.refit(regression.points.pressure < 6 * bar).problem.law_type is kind
 
 
+@pytest.mark.slow
 def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():
     eps, p = (axis.ravel() for axis in np.meshgrid(np.linspace(-0.02, 0.14, 9), np.linspace(2, 6, 13) * bar))
     force = forces(EQ_2, eps, p) + 8 * np.sin(2 * p / bar) * (1 + 2 * eps)
@@ -64,6 +65,7 @@ def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():
     assert found.leave_one_pressure_out.rmse < 0.2 * eq_2.leave_one_pressure_out.rmse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scatter", [0.0, 0.003])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_deviation_at_low_pressure_does_not_spoil_the_extrapolation(seed, scatter):

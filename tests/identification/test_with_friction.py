@@ -56,6 +56,7 @@ def test_directions_that_do_not_differ_show_no_friction():
     assert found.hysteresis is None and not found.note
 
 
+@pytest.mark.slow
 def test_a_law_that_fits_worse_than_the_loops_are_wide_gets_no_friction(rig):
     """Its misfit would be taken for friction: 22 N in place of 12 N."""
     found = identify_with_friction(ReynoldsLaw, rig)
@@ -110,6 +111,7 @@ def _slow_loop(tmp_path, *, wrong_row=None):
     return path
 
 
+@pytest.mark.slow
 def test_friction_that_reverses_makes_no_row_of_a_slow_loop_an_outlier(tmp_path):
     with warnings.catch_warnings(record=True) as heard:
         warnings.simplefilter("always")

@@ -34,6 +34,7 @@ def moving(freedom: str) -> tuple[Posture, Velocity]:
     return posture, velocity if freedom != "fixed" else velocity._replace(z=zero)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("freedom", ["fixed", "vertical", "planar", "free"])
 def test_energy_and_momentum_in_flight(pair: mk.AntagonisticJoint, freedom: str) -> None:
     leg = leg_of(pair, freedom)

@@ -83,6 +83,7 @@ def test_the_motion_is_that_of_a_stiff_solver(slip_speed: float) -> None:
         assert np.all(np.log2(np.array(errors[1:-1]) / errors[2:]) > 2.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("freedom", ["vertical", "fixed"])
 def test_friction_takes_energy_in_stages_of_any_length(freedom: str) -> None:
     rng = np.random.default_rng(5)

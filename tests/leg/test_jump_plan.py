@@ -45,6 +45,7 @@ def plan(plant: LegPlant) -> JumpPlan:
     return plan_jump(plant, SQUAT, TAKE_OFF, **HEIGHTS)
 
 
+@pytest.mark.slow
 def test_flight_is_ballistic_and_forces_are_newtons(plant: LegPlant, plan: JumpPlan) -> None:
     mass, gravity = float(plant.leg.total_mass), float(plant.gravity)
     flying = (plan.times > plan.take_off) & (plan.times < plan.touchdown)
@@ -199,6 +200,7 @@ def test_angle_beyond_a_stop(plant: LegPlant, squat: tuple[float, float], take_o
     assert caught.value.value == pytest.approx(8 * deg if squat != SQUAT else np.nan, nan_ok=True)
 
 
+@pytest.mark.slow
 def test_plan_within_the_supply(plant: LegPlant) -> None:
     weak = dataclasses.replace(plant, valve=catalog.valve("festo-mpye-5-m5", supply=3 * bar))
     with pytest.raises(UnreachableError) as caught:

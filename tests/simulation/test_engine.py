@@ -158,6 +158,7 @@ def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device, nvrtc):
         assert 0 < nvrtc.compile(source, 90).registers <= 255
 
 
+@pytest.mark.slow
 def test_in_32_bits_a_network_has_the_weights_of_its_seed():
     scenario = Scenario.read("examples/pre-contracted-step-backprop.yaml")
     plant = scenario.plant()

@@ -33,6 +33,7 @@ def linear(knee):
     )
 
 
+@pytest.mark.slow
 def test_the_optimum_of_a_linear_plant_is_that_of_least_squares_with_bounds(linear):
     lowest, highest = (float(linear.joint.stiffness(0.0, (p, p))) for p in (1 * bar, 5 * bar))
     slope = (highest - lowest) / (4 * bar)

@@ -90,6 +90,7 @@ def test_the_mode_is_that_of_damping_over_inertia_or_of_the_spring():
 SLIP, CREEP = MaxwellSlip(7.5, 0.5 * mm, viscous=200.0), MaxwellCreep(3000.0, 0.3, arms=2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("parts", "friction"),
     [

@@ -40,6 +40,7 @@ def parts_of(folder, *numbers):
     return [folder / f"{number}" for number in numbers]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("order", [(1, 2, 3), (3, 1, 2)])
 def test_merged_parts_are_the_undivided_sweep_byte_for_byte(kept, tmp_path, order):
     merged = merge(parts_of(kept, *order), tmp_path / "merged")

@@ -76,6 +76,7 @@ def made_up(count=400, lost=0.1, inputs=5, seed=0, metrics=Metrics._fields):
     return SweepResult(xr.Dataset(table, attrs={"title": "made up", "kind": "mckibben sweep"}))
 
 
+@pytest.mark.slow
 def test_the_statistics_are_those_of_numpy():
     swept = made_up()
     numbers = summary(swept)

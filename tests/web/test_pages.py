@@ -328,6 +328,7 @@ def test_a_tab_is_told_that_another_has_replaced_its_job(monkeypatch, same_tab):
     assert len(asyncio.run(visit())) == (0 if same_tab else 1)
 
 
+@pytest.mark.slow
 def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
     """Also if it is cancelled after its last evaluation; after a refused file it is grey, and nothing is fitted."""
     written = identify.keep_muscle
@@ -411,6 +412,7 @@ def test_data_of_two_tabs_are_two_files():
     assert not remains  # nobody asks for it any more
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["/identify", "/run", "/tune", "/rig", "/leg"])
 def test_a_page_is_freed_when_it_is_left(where):
     async def visit():

@@ -46,6 +46,7 @@ def test_gains_are_tuned_as_by_the_command_and_go_into_the_scenario(tmp_path):
     np.testing.assert_array_equal(best, [np.nan, 3, 3, 2])
 
 
+@pytest.mark.slow
 def test_a_single_gain_is_tuned_by_the_default_method(tmp_path):
     found = studies.tuned(SHORT, studies.TuningRequest(over="controller.position.kp", iterations=2), tmp_path, silent)
     assert [row[0] for row in found.parameters] == ["controller.position.kp"]

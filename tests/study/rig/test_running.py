@@ -257,6 +257,7 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path, monkeypatch):
         running._origin(card, tmp_path, killed, None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (10, 15, 24))])
 def test_the_air_is_identified_from_the_record_of_a_shut_valve(tmp_path, seed):
     """The example's test: h A of 0.1 W/K at 10 %, growing with the area of the wall; leak and dead volume.
