@@ -446,7 +446,8 @@ def narrow(contraction, pressure_max, diameter=20e-3):
     contraction, pressure = np.meshgrid(np.linspace(*contraction, 12), np.linspace(pressure_max / 6, pressure_max, 6))
     force = np.asarray(ChouLaw(25 * deg, diameter).force(contraction, pressure))
     force = force + np.random.default_rng(1).normal(0, 0.01 * force.max(), force.shape)
-    return IsobaricDataset.of(pressure=pressure.ravel(), contraction=contraction.ravel(), force=force.ravel())
+    columns = {"pressure": pressure, "contraction": contraction, "force": force}
+    return IsobaricDataset.of(**{name: values.ravel() for name, values in columns.items()}, slack_force=0.0)
 
 
 @pytest.mark.parametrize("window", [(0.0, 0.03), (0.10, 0.13)])

@@ -108,7 +108,7 @@ def with_slack_force(table: xr.Dataset) -> xr.Dataset:
     """Table with the slack force from noise about 0 N, and a note; 0 N if there is none."""
     if (slack := _slack_of(table)) is None:
         return table
-    if slack.offset > slack.noise:
+    if slack.offset > _OUTSIDE * slack.noise:
         text = f"{slack}, which count as taut; if the muscle is slack there, subtract the zero error of the load cell"
         warnings.warn(f"{text}, otherwise give slack_force=0.0", McKibbenWarning, stacklevel=user_level())
         return table
@@ -270,8 +270,9 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
             continue
         if np.ptp(contraction[slack]) <= _SAME_LENGTH:
             taut = not _above_line(force, contraction, pressure, slack, _OUTSIDE * noise)
-        elif by_gap:  # strokes that end at one force have one such point each
-            taut = len(np.unique(passes[slack])) == np.count_nonzero(slack)
+        elif by_gap:  # strokes that end at one force are there at one length each
+            groups = (contraction[slack & (passes == one)] for one in np.unique(passes[slack]))
+            taut = all(np.ptp(group) <= _SAME_LENGTH for group in groups)
         else:
             taut = _pulls(force[slack], contraction[slack], pressure[slack], passes[slack])
         if taut:
