@@ -91,7 +91,7 @@ def identify(
     )
     from mckibben.study.inputs import law_type_named
 
-    law_type = law_type_named(law) if law != _ALL else None
+    law_type, robust = law_type_named(law) if law != _ALL else None, not keep_outliers
     if friction_form or no_drift:
         if hysteresis is False:
             raise ParameterError("--friction and --no-drift need friction", remedy="leave out --no-hysteresis")
@@ -118,19 +118,18 @@ def identify(
         assert law_type is not None
         each = [reading.data([one]) for one in data]
         length = parse_positive("--for-length", for_length, "m") if for_length else None
-        _pool(law_type, each, not keep_outliers, length, level, json, out)
+        _pool(law_type, each, robust, length, level, json, out)
         return
     points = reading.data(data)
     inner.check(points.table.attrs.get("initial_length"))
     if law_type is None:
-        _rank(data, points, reading.recipe, inner, not keep_outliers, json, out)
+        _rank(data, points, reading.recipe, inner, robust, json, out)
         return
     from mckibben.identification import identify_threshold, identify_with_friction, shows_hysteresis
     from mckibben.identification.reporting import UncertaintyReport, fit_numbers, hysteresis_numbers
 
     if threshold and hysteresis is None and shows_hysteresis(points):
         hysteresis = True  # the misfit of the law without its threshold would hide the friction
-    robust = not keep_outliers
     found = identify_with_friction(law_type, points, friction=hysteresis, drift=not no_drift, form=form, robust=robust)
     fit, static, loops = found.fit, found.points, found.hysteresis
     threshold_fit = identify_threshold(law_type, static, robust=robust) if threshold else None

@@ -43,6 +43,15 @@ class PlantState(NamedTuple):
     sent: tuple[tuple[Scalar, Scalar], ...] = ()  # commands [Pa] on their way, the latest first
 
 
+def _rated(joint: AntagonisticJoint) -> tuple[Any, Any]:
+    return joint.muscle1.specimen.domain.pressure_max, joint.muscle2.specimen.domain.pressure_max
+
+
+def rated_for(joint: AntagonisticJoint, pressures: tuple[Any, ...]) -> AntagonisticJoint:
+    """Return the joint with its muscles rated for highest pressures [Pa]."""
+    return eqx.tree_at(_rated, joint, pressures)
+
+
 class JointPlant(Plant):
     """The simulated system: joint, load, valves, sensors and disturbance; controllers have no access to it.
 
@@ -85,13 +94,9 @@ class JointPlant(Plant):
         supplies = [getattr(self.valve.for_muscle(i), "supply", None) for i in (0, 1)]
         if supplies == [None, None]:
             return self.joint
-
-        def highest(joint: AntagonisticJoint) -> tuple[Any, Any]:
-            return joint.muscle1.specimen.domain.pressure_max, joint.muscle2.specimen.domain.pressure_max
-
-        both = zip(highest(self.joint), supplies, strict=True)
+        both = zip(_rated(self.joint), supplies, strict=True)
         limits = tuple(rated if supply is None else jnp.minimum(jnp.asarray(rated), supply) for rated, supply in both)
-        return eqx.tree_at(highest, self.joint, limits)
+        return rated_for(self.joint, limits)
 
     def with_ideal_io(self) -> JointPlant:
         """Return the plant with perfect sensors, and without disturbance and delay of the commands."""

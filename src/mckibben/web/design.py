@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -23,6 +22,7 @@ from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.joint.mechanism import SLENDER, Mechanism, Points, muscle_sizes
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import compiled
+from mckibben.plant.joint_plant import rated_for
 from mckibben.reachability.envelope import active_limits
 from mckibben.reachability.static import scan_points
 from mckibben.units import bar, deg, mm, percent
@@ -184,8 +184,7 @@ def limits_at(design: JointDesign, found: Designed) -> str:
     if not math.isfinite(float(here.stiffness[0])):
         return ""
     joint, ends = found.joint, [np.array(one)[:, None] for one in here.ends]
-    highest = lambda joint: (joint.muscle1.specimen.domain.pressure_max, joint.muscle2.specimen.domain.pressure_max)  # noqa: E731
-    supplied = eqx.tree_at(highest, joint, (design.pressure * bar,) * 2)
+    supplied = rated_for(joint, (design.pressure * bar,) * 2)
     texts = active_limits(supplied, (joint.muscle1, joint.muscle2), np.array([design.angle * deg]), ends)
     return "; ".join(one for one in texts if "stiffness: " in one)
 
