@@ -243,7 +243,9 @@ def problem_of(
     """The model, with friction added if it has none, and the scales of its corrections."""
     muscles, scales = [], []
     angle = np.concatenate([half.angle for half, _ in recordings])
-    for muscle, spring, path in zip((joint.muscle1, joint.muscle2), joint.springs, _paths(joint, angle), strict=True):
+    for muscle, spring, path in zip(
+        (joint.muscle1, joint.muscle2), joint.springs, path_lengths(joint, angle), strict=True
+    ):
         low, high, force, slope = map(float, _sweep(muscle, path.max(), path.min()))
         if high - low < 1e-3:
             raise IdentificationError("the joint is at rest in the recordings", remedy="record sweeps of its range")
@@ -264,7 +266,7 @@ def problem_of(
     return CalibrationProblem(joint, load, force, highest, centre, half_width, pressure, creep, laws, deviations)
 
 
-def _paths(joint: AntagonisticJoint, angle: Floats) -> list[Floats]:
+def path_lengths(joint: AntagonisticJoint, angle: Floats) -> list[Floats]:
     """Path lengths [m] of both muscles at angles [rad], from the program that also gives the moment arms."""
     return list(map(np.asarray, joint.geometry.paths_and_arms(angle)[0]))
 
@@ -422,7 +424,7 @@ def sliding_length(muscle: Any) -> float:
 def sliding_from(problem: CalibrationProblem, samples: JointSamples) -> int:
     """First sample at which the friction does not depend on its unknown initial state."""
     joint, first = problem.joint, 0
-    for muscle, path in zip((joint.muscle1, joint.muscle2), _paths(joint, samples.angle), strict=True):
+    for muscle, path in zip((joint.muscle1, joint.muscle2), path_lengths(joint, samples.angle), strict=True):
         travelled = np.maximum.accumulate(path) - np.minimum.accumulate(path)
         enough = travelled > sliding_length(muscle)
         if not enough.any() or int(np.argmax(enough)) > len(enough) // 2:

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
+from scipy.ndimage import gaussian_filter1d
 from scipy.special import chdtrc, chdtri
 
 from mckibben.calibration.equations import (
@@ -265,16 +266,13 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
 def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[Floats, Floats, float, float]:
     """Estimates and covariance of the parameters, the residual torque [N*m], and its noise."""
     count, edge, stride = parameters(problem), int(4 * _FILTER * RATE), int(_FILTER * RATE / 2)
-    starts = [sliding_from(problem, half) for half, _ in recordings]
-    weights = np.exp(-0.5 * (np.arange(-edge, edge + 1) / (_FILTER * RATE)) ** 2)
-    weights /= weights.sum()
+    starts = [sliding_from(problem, half) + edge for half, _ in recordings]
     groups = 1 + len(recordings[0][0].tensions)
     highest = np.asarray(problem.force).max()
     variances = np.full(groups, _START_VARIANCE) * np.array([1.0, highest**2, highest**2])[:groups]
 
     def filtered(column: Array, start: int) -> Floats:
-        """Every so many samples of the low-pass filtered column, as far as all of the filter is on samples."""
-        return np.lib.stride_tricks.sliding_window_view(np.asarray(column), weights.size, 0)[start::stride] @ weights
+        return gaussian_filter1d(np.asarray(column), _FILTER * RATE, axis=0)[start:-edge:stride]
 
     def raw(z: Floats) -> list[list[tuple[Floats, Floats]]]:
         """Errors, shape (samples, groups), and their Jacobians, of each recording, for both halves."""

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from mckibben.calibration.equations import JointPrior, JointRecording, sliding_length
+from mckibben.calibration.equations import JointPrior, JointRecording, path_lengths, sliding_length
 from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.component.schema import ENDINGS, independent, inherited_fields, origin_of, replaced, write_text
@@ -107,7 +107,7 @@ class Sweeps:
 
     def _check_travel(self, joint: AntagonisticJoint) -> None:
         """Raise `ParameterError` if a muscle moves too little for its friction to be known (`sliding_from`)."""
-        ends, _ = joint.geometry.paths_and_arms(np.array([self.lowest, self.highest]))
+        ends = path_lengths(joint, np.array([self.lowest, self.highest]))
         for muscle, path in zip((joint.muscle1, joint.muscle2), ends, strict=True):
             travel, least = float(np.ptp(path)), _TRAVEL * sliding_length(muscle)
             if travel < least:
