@@ -78,9 +78,7 @@ def check_points(
     elif len(force):
         for problem, impossible in (
             *found,
-            *_contractions(contraction, force > slack_force, initial_length),
-            *check_pressures(float(pressure.max())),
-            *_forces(pressure, force, specimen),
+            *_ranges(pressure, contraction, force, slack_force, initial_length, specimen),
             *_clipped("force", measured, 1.0, "N", pressure, contraction),
             *_clipped("pressure", pressure, bar, "bar"),
             *_clipped("contraction", contraction, percent, "%"),
@@ -93,6 +91,20 @@ def check_points(
             else:
                 warnings.append(str(problem))
     return Findings(problems, warnings)
+
+
+def _ranges(
+    pressure: Floats,
+    contraction: Floats,
+    force: Floats,
+    slack_force: float,
+    initial_length: float | None = None,
+    specimen: Specimen | None = None,
+) -> Iterator[tuple[Problem, bool]]:
+    """Messages for unusual ranges of points, and whether they are impossible."""
+    yield from _contractions(contraction, force > slack_force, initial_length)
+    yield from check_pressures(float(pressure.max()))
+    yield from _forces(pressure, force, specimen)
 
 
 def check_sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
@@ -158,9 +170,8 @@ def exchanged(
 
 def _is_possible(pressure: Floats, contraction: Floats, force: Floats) -> bool:
     """True for points without impossible values."""
-    taut = force > _SMALL_FORCE * np.abs(force).max()
-    checks = check_sign(force), _contractions(contraction, taut, None), check_pressures(float(pressure.max()))
-    impossible = any(wrong for found in (*checks, _forces(pressure, force, None)) for _, wrong in found)
+    ranges = _ranges(pressure, contraction, force, _SMALL_FORCE * float(np.abs(force).max()))
+    impossible = any(wrong for _, wrong in (*check_sign(force), *ranges))
     return bool(pressure.min() > VACUUM and np.abs(contraction).max() < 1 and not impossible)
 
 
