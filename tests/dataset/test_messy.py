@@ -94,6 +94,15 @@ def test_a_wrong_decimal_sign_is_one_problem(put):
     assert read_dataset(path, decimal=",").force.tolist() == [200.1, 300.2]
 
 
+@pytest.mark.parametrize("decimal", ["", ".", ","])
+def test_no_option_is_advised_for_two_decimal_signs(put, decimal):
+    path = put("pressure_bar;contraction_percent;force_N\n2,5;0;200,1\n3,5;0;300.2\n")
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path, decimal=decimal)
+    assert caught.value.problems
+    assert not any("--decimal" in (problem.remedy or "") for problem in caught.value.problems)
+
+
 def test_a_header_without_units_is_found_below_a_preamble(put):
     path = put("Rig 3;Muscle 12\nDate;12.11.2026\n\nDruck;Kraft;Weg\n2,5;200,1;0,0\n3,5;300,2;0,5\n")
     with pytest.raises(DatasetError) as caught:

@@ -201,7 +201,7 @@ break",unloading,1
         "line 8: has 4 cells, the header 5",
         "line 10, repeat: -1 is not an integer from 0 up",
         "line 11, pressure_bar: '2,5' has a decimal comma, but line 4 a decimal point; use one decimal sign in the "
-        "whole file, or give decimal (command line: --decimal)",
+        "whole file",
         "line 11, force_N: 'line\\nbreak' is not a number",
         "line 13, pressure_bar: '1_000' is not a number",
         "line 13, force_N: '1e999' is not a finite number",
@@ -227,7 +227,7 @@ def test_one_decimal_sign_through_the_whole_file(file):
     text = "pressure_bar;contraction_percent;force_N\n1;2;3\n1,5;2;3\n2.5;2;3\n1;2;1.000\n"
     assert problems(file(text)) == [
         "line 4, pressure_bar: '2.5' has a decimal point, but line 3 a decimal comma; "
-        "use one decimal sign in the whole file, or give decimal (command line: --decimal)",
+        "use one decimal sign in the whole file",
     ]
     assert read_dataset(file(text.replace("2.5", "2,5"))).force[-1] == 1000
 

@@ -174,6 +174,7 @@ _FEW = 10_000  # cells of a column whose problems are all listed
 _UNDECIDED = "?"
 _DIGITS = frozenset("0123456789+-eE \n")
 _NAMES = {".": "point", ",": "comma"}
+_ONE_DECIMAL_SIGN = "use one decimal sign in the whole file"
 
 
 @dataclass(frozen=True)
@@ -260,7 +261,8 @@ def _given_sign(columns: Sequence[RawColumn], given: str) -> tuple[DecimalSign, 
         return DecimalSign(given, given=True), None
     line, name, cell = min(wrong)
     text = f"decimal is {given!r}, but {len(wrong)} numbers have a decimal {_NAMES[other]}, first {cell!r}"
-    remedy = f"leave decimal out, or give decimal={other!r} (command line: --decimal '{other}')"
+    choice = f"leave decimal out, or give decimal={other!r} (command line: --decimal '{other}')"
+    remedy = choice if len(wrong) == len(texts) else _ONE_DECIMAL_SIGN
     return DecimalSign(other, given=True), Problem(text, line=line, field=name, remedy=remedy)
 
 
@@ -376,7 +378,7 @@ def _wrong(text: str, decimal: DecimalSign, place: str) -> tuple[str, str]:
         if decimal.line is None:
             return f"{shown} has a decimal {_NAMES[other]}", f"use a decimal {_NAMES[decimal.sign]}"
         has = f"{shown} has a decimal {_NAMES[other]}, but {place} {decimal.line} a decimal {_NAMES[decimal.sign]}"
-        return has, "use one decimal sign in the whole file, or give decimal (command line: --decimal)"
+        return has, _ONE_DECIMAL_SIGN
     if _THOUSANDS.fullmatch(text):
         return f"{shown} may contain a thousands separator", "write the number without it"
     if text.lower().lstrip("+-") in ("nan", "inf", "infinity"):
