@@ -161,7 +161,7 @@ def test_a_test_on_the_rig_is_drawn_and_vented(page):
     page("/rig", act, shows("vented by hand"))
 
 
-def test_a_refused_scenario_leaves_the_old_curves_greyed(page):
+def test_a_refused_scenario_leaves_the_old_curves_greyed_below_its_problem_in_view(page):
     def act(tab):
         tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
         set_text = """(area => {
@@ -170,7 +170,10 @@ def test_a_refused_scenario_leaves_the_old_curves_greyed(page):
         })(document.querySelector('textarea[aria-label=scenario]'))"""
         tab.evaluate(set_text)
         time.sleep(0.5)
+        tab.evaluate("document.body.style.paddingBottom = '1000px', window.scrollTo(0, 800)")
+        tab.wait("window.scrollY > 700")
         chrome.click(tab, "Run")
+        tab.wait("window.scrollY < 300")
 
     page("/run", act, shows("problem") + " && document.querySelector('.stale canvas')")
 

@@ -159,6 +159,7 @@ class JobPage(Generic[State]):
 
     def __init__(self, state: State, folder: Path) -> None:
         self.state, self.folder, self.shown, self.job = state, folder, -1, 0
+        self.seen: McKibbenError | None = None
 
     def start_job(self, compute: Callable[..., Any], done: Callable[[Any, list[str]], None]) -> None:
         """As `Jobs.start`; an error is stored in the state."""
@@ -178,13 +179,16 @@ class JobPage(Generic[State]):
         return new
 
     def show_remarks(self) -> None:
-        """Show the error of the last job, or its remarks."""
+        """Show the error of the last job, scrolling to a new one, or its remarks."""
         if self.state.error is not None:
-            with panel():
+            with panel() as shown:
                 show_error(self.state.error)
+            if self.state.error is not self.seen:  # on a phone, the button of the job is far below
+                ui.run_javascript(f"document.getElementById('{shown.html_id}').scrollIntoView({{block: 'center'}})")
         elif self.state.notes:
             with panel():
                 show_warnings(self.state.notes)
+        self.seen = self.state.error
 
 
 def show_warnings(texts: Iterable[str]) -> None:
