@@ -185,10 +185,10 @@ class JobPage(Generic[State]):
                 show_error(self.state.error)
             if self.state.error is not self.seen:  # on a phone, the button of the job is far below
                 ui.run_javascript(f"document.getElementById('{shown.html_id}').scrollIntoView({{block: 'center'}})")
+                self.seen = self.state.error
         elif self.state.notes:
             with panel():
                 show_warnings(self.state.notes)
-        self.seen = self.state.error
 
 
 def show_warnings(texts: Iterable[str]) -> None:
