@@ -189,6 +189,16 @@ def test_the_words_of_cc_after_its_first_are_options(use, monkeypatch):
     assert BatchFunction(double)("native", None, LANES)[1] == "native"
 
 
+@pytest.mark.parametrize(
+    ("version", "given"), [("Copyright (C) 2022 Free Software Foundation, Inc.", "y"), ("Debian clang version 14", "n")]
+)
+def test_a_pass_that_is_slow_for_long_programs_is_left_out_where_the_compiler_is_gcc(use, monkeypatch, version, given):
+    monkeypatch.setattr(native, "_SHORT", 0)
+    script = f'[ "$1" = --version ] && echo "{version}" && exit 0\nfound=n\n'
+    use(script + f'case "$*" in *-fdisable-rtl-combine*) found=y;; esac; [ $found = {given} ] && exec $REAL "$@"')
+    assert BatchFunction(double)("native", None, LANES)[1] == "native"
+
+
 def test_a_compiler_of_cc_that_is_not_found_is_reported(programs, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler -O3")
     compiler.cache_clear()

@@ -33,7 +33,7 @@ from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, rig, session, workbench
+from mckibben.web import app, design, identify, layout, rig, session, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -248,6 +248,25 @@ def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction()
     assert remarks[-1:] == scenario.joint.remarks
 
 
+def test_an_outlier_is_named_and_can_be_kept():
+    rows = [f"{p},{c},{float(MUSCLE.law.force(c / 100, p * bar))}" for p in (3, 4, 5, 6) for c in range(0, 12, 2)]
+    rows[7] = "4,2,400"  # the law has 280 N
+
+    async def visit():
+        async with visitor() as user:
+            await user.open("/identify")
+            await paste(user, "\n".join(["pressure_bar,contraction_percent,force_N", *rows]))
+            await user.should_see("24 points", retries=60)
+            user.find(marker="fit").click()
+            await user.should_see("23 points used", retries=100)
+            await user.should_see(layout.KEEP, kind=ui.label)
+            user.find(marker="keep").click()
+            user.find(marker="fit").click()
+            await user.should_see("24 points used", retries=100)
+
+    asyncio.run(visit())
+
+
 def test_problems_are_listed_by_line_and_shown_as_text():
     async def visit():
         async with visitor() as user:
@@ -310,7 +329,7 @@ def test_two_tabs_of_a_browser_show_the_same():
 @pytest.mark.parametrize("same_tab", [False, True])
 def test_a_tab_is_told_that_another_has_replaced_its_job(monkeypatch, same_tab):
     last = threading.Event()
-    monkeypatch.setattr(identify, "rank", lambda data, progress: last.wait(10.0))
+    monkeypatch.setattr(identify, "rank", lambda *_, **__: last.wait(10.0))
 
     async def visit():
         async with visitor() as user:

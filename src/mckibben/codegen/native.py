@@ -43,6 +43,7 @@ _FLAGS = tuple("-march=native -fno-math-errno -fno-trapping-math -fwrapv -frenam
 _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
+_FOR_LONG = ("-fdisable-rtl-combine",)  # gcc only: a pass that takes most of the time for a long program, for no speed
 _LONGEST = 3_000_000  # characters of a source
 _COMPILING = 60.0, 5000.0  # s of processor time for the compiler, plus a second per so many characters
 _TRYING = 20.0  # s of processor time for a first call
@@ -69,6 +70,16 @@ def compiler() -> str | None:
     if (path := shutil.which(name)) is None and name != "cc":
         warn_of_fallback(CompilerError(f"the compiler of the environment variable CC, {quoted(name)}, is not found"))
     return path
+
+
+def _is_gcc() -> bool:
+    """Whether the C compiler is GCC, by what it says of its version."""
+    command = [compiler() or "cc", *compiler_words()[1:], "--version"]
+    try:
+        said = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=_TRYING, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return False
+    return b"Free Software Foundation" in said.stdout
 
 
 def own_flags() -> list[str]:
@@ -162,7 +173,11 @@ class NativeFunction:
         return _compiler_state(), self._flags, "native"
 
     def _built(self, source: str, many: bool) -> bytes:
-        options = (*_FOR_LANES, *(_FOR_SHORT if len(source) < _SHORT else ())) if many else _ALONE
+        options = _FOR_LANES if many else _ALONE
+        if len(source) < _SHORT:
+            options += _FOR_SHORT if many else ()
+        elif _is_gcc():
+            options += _FOR_LONG
         return compile_library(source, (*options, *self._flags))
 
     def _loaded(self, program: bytes, leaves: Any, tree: Any) -> Compiled:
@@ -447,7 +462,7 @@ def _compiler_state() -> str:
         status = Path(name).resolve().stat()
     except OSError:  # removed since it was found
         return ""
-    options = compiler_words(), _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, own_flags()
+    options = compiler_words(), _FLAGS, _ALONE, _FOR_LANES, _FOR_SHORT, _FOR_LONG, own_flags()
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 

@@ -27,6 +27,7 @@ from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
 from mckibben.units import bar, factor, percent, quantity
 from mckibben.web.layout import (
+    KEEP,
     PALETTE,
     JobPage,
     button,
@@ -40,7 +41,6 @@ from mckibben.web.layout import (
     quiet,
     results_side,
     select,
-    show_error,
     show_warnings,
     side,
     table,
@@ -67,6 +67,7 @@ class IdentificationState(JobState):
     data: IsobaricDataset | None = None
     old: bool = False  # whether the data are of an earlier file than that of `name`, which is not read
     law: str = "ExponentialLaw"
+    keep_outliers: bool = False
     diameter: str = ""
     reading: ReadingFields = field(default_factory=ReadingFields)
     read_by: ReadingFields | None = None  # the fields by which the data were read; none for the catalog
@@ -167,6 +168,9 @@ class _Page(JobPage[IdentificationState]):
                 ui.input("inner diameter or fill, such as 14 mm or 30 mL").props("dense").classes("w-full").bind_value(
                     state, "diameter"
                 )
+                ui.checkbox(KEEP).props("dense").mark("keep").bind_value(state, "keep_outliers").tooltip(
+                    "fit all points, those off the surface through the others, too"
+                )
                 with ui.row().style("gap: 8px"):
                     button("Fit", self.fit, "fit", main=True)
                     button("Rank all laws", self.rank, "rank")
@@ -262,10 +266,10 @@ class _Page(JobPage[IdentificationState]):
         if (data := state.data) is None or state.old:
             ui.notify("give measured points first")
             return
-        law, diameter = law_types()[state.law], state.diameter
+        law, diameter, robust = law_types()[state.law], state.diameter, not state.keep_outliers
 
         def compute(_: Callable[[str, float], None]) -> tuple[FitWithFriction, Muscle | None, Path]:
-            found, kept = identify_with_friction(law, data), Path(tempfile.mkdtemp(dir=folder))
+            found, kept = identify_with_friction(law, data, robust=robust), Path(tempfile.mkdtemp(dir=folder))
             return found, keep_muscle(found.fit, found.hysteresis, data, kept, diameter), kept
 
         def done(found: tuple[FitWithFriction, Muscle | None, Path], heard: list[str]) -> None:
@@ -289,15 +293,15 @@ class _Page(JobPage[IdentificationState]):
         def done(found: Ranking, heard: list[str]) -> None:
             state.ranking, state.notes, state.error = found, heard, None
 
-        self.start_job(lambda progress: rank(data, progress=progress), done)
+        robust = not state.keep_outliers
+        self.start_job(lambda progress: rank(data, robust=robust, progress=progress), done)
 
     def show(self) -> None:
         """Show everything known."""
         state = self.state
         if state.error is not None:
             self.options.value |= state.data is None or state.old
-            with panel(state.name):
-                show_error(state.error)
+            self.show_failure(state.error, state.name)
         elif state.data is None and not state.jobs.busy:
             with panel("No points yet"):
                 quiet(

@@ -39,6 +39,7 @@ _ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|force_sign
 _CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
 _PAIR = re.compile(r"'([^']*)': '([^']*)'")
 _COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
+KEEP = "keep outliers"  # label of the checkbox that stands for an argument
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
@@ -136,7 +137,9 @@ def show_error(error: McKibbenError) -> None:
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
     text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", remedy))
-    text = text.replace("columns={...}", "a line HEADER = NAME (columns)").replace(KEEP_OUTLIERS, "")
+    text = text.replace("columns={...}", "a line HEADER = NAME (columns)").replace(
+        KEEP_OUTLIERS, f"; to keep such points, tick “{KEEP}”"
+    )
     text = _CHOICES.sub(r"\1: \2", text)
     return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
 
@@ -178,14 +181,18 @@ class JobPage(Generic[State]):
         new, self.shown = self.shown != jobs.version, jobs.version
         return new
 
+    def show_failure(self, error: McKibbenError, title: str = "") -> None:
+        """Show the error of the last job, scrolling to a new one."""
+        with panel(title) as shown:
+            show_error(error)
+        if error is not self.seen:  # on a phone, the button of the job is far below
+            ui.run_javascript(f"document.getElementById('{shown.html_id}').scrollIntoView({{block: 'center'}})")
+            self.seen = error
+
     def show_remarks(self) -> None:
-        """Show the error of the last job, scrolling to a new one, or its remarks."""
+        """Show the error of the last job, or its remarks."""
         if self.state.error is not None:
-            with panel() as shown:
-                show_error(self.state.error)
-            if self.state.error is not self.seen:  # on a phone, the button of the job is far below
-                ui.run_javascript(f"document.getElementById('{shown.html_id}').scrollIntoView({{block: 'center'}})")
-                self.seen = self.state.error
+            self.show_failure(self.state.error)
         elif self.state.notes:
             with panel():
                 show_warnings(self.state.notes)
