@@ -84,9 +84,9 @@ def pytest_unconfigure() -> None:
 def without_old_objects_in_collections():
     """What collects garbage, as a run on a rig does, does not go through the programs of earlier files.
 
-    The caches of JAX would keep them all: 9 GB for each worker at half of the tests.
+    The caches of JAX would keep them all: 9 GB for each worker at half of the tests. Without them, a file traces anew.
     """
-    if next(FILES) % 10 == 0:
+    if next(FILES) % 25 == 0:
         gc.unfreeze()
         jax.clear_caches()
         gc.collect()

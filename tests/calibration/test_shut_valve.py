@@ -72,6 +72,7 @@ def shut_valve_test(contraction, wall=WALL, leak=LEAK, dead=DEAD, watched=3.0, s
     return Recording.of(time=PERIOD * np.arange(gauge.size), pressure=gauge, force=0 * gauge, contraction=contraction)
 
 
+@pytest.mark.slow
 def test_wall_leak_and_dead_volume_are_found_from_two_lengths():
     found = identify_air(two_lengths(), SPECIMEN)
     assert len(found.phases) == 4

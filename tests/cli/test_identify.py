@@ -317,6 +317,7 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     assert tests["secant"][0] > 2 * tests["isobaric"]
 
 
+@pytest.mark.slow
 def test_a_home_made_muscle_gets_a_volume_from_its_diameter_or_a_measured_fill(cli, german, tmp_path):
     for option, volume in ((("--diameter", "20 mm"), np.pi / 4 * 0.02**2 * 0.18), (("--fill", "50 cm^3"), 50e-6)):
         cli("identify", german, *COLUMNS, "--initial-length", "180 mm", *option, "--out", option[0].strip("-"))

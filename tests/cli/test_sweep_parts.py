@@ -50,6 +50,7 @@ def test_a_part_goes_on_as_that_part(cli, here):
     assert SweepResult.from_netcdf(here / "2" / "sweep.nc").first == 16
 
 
+@pytest.mark.slow
 def test_merged_parts_are_the_undivided_sweep(cli, here):
     found = cli("merge", "1", "2", "--out", "merged", "--json")
     whole = SweepResult.from_netcdf(here / "whole" / "sweep.nc")

@@ -84,6 +84,7 @@ def test_a_step_too_fast_for_the_valves_is_braked_in_time(run, make):
         assert abs(result["angle"][-1] - 8 * deg) < 0.3 * deg
 
 
+@pytest.mark.slow
 def test_the_supply_of_the_model_limits_the_pressures(run, make):
     """At a stiffness that needs more than the supply the angle is kept, and no integral winds up."""
     valve = dataclasses.replace(VALVES[0.12], supply=4 * bar)

@@ -63,6 +63,7 @@ def test_all_compile_without_warnings(board, scenarios, tmp_path):
         assert not {"malloc", "calloc", "printf"} & set(symbols.split())
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("arm-none-eabi-gcc") is None, reason="there is no arm-none-eabi-gcc")
 def test_it_fits_a_cortex_m7_and_runs_there(board, scenarios, tmp_path):
     export(scenarios["PID"], "c", tmp_path, name="knee")

@@ -216,6 +216,7 @@ def commands(plant, end=0.4):
     return signal
 
 
+@pytest.mark.slow
 def test_model_exchange_agrees_with_co_simulation(folder, folder3, opened):
     signal = commands(opened(folder / "plant.fmu"))
     common = {"stop_time": 0.4, "output_interval": PERIOD, "input": signal, "output": ["angle", "tension1"]}

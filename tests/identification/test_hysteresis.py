@@ -71,6 +71,7 @@ def test_growth_and_drift_are_found_with_their_errors(drifting):
     np.testing.assert_allclose(np.diag(found.correlations)[known], 1.0)
 
 
+@pytest.mark.slow
 def test_the_parts_add_up_to_what_was_measured(drifting):
     data, found = drifting
     np.testing.assert_allclose(found.force + found.residuals, data.force, rtol=1e-12)

@@ -76,6 +76,7 @@ def test_a_wrong_number_changes_no_coefficient_by_more_than_its_standard_error(w
     assert plain.rmse > 2 * clean.rmse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", [40, 70, 80])
 def test_a_wrong_number_is_named_where_the_law_differs_from_a_smooth_surface(row):
     """Hunt's law does by more than this noise, at more than 5 % of the points."""
@@ -87,6 +88,7 @@ def test_a_wrong_number_is_named_where_the_law_differs_from_a_smooth_surface(row
     assert [one.row for one in found] == [row + 1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "noise", "seed"), [(13, 0.05, 0), (13, 0.05, 2), (16, 0.05, 0), (16, 0.3, 1)])
 def test_a_good_point_where_the_law_differs_from_a_smooth_surface_is_no_outlier(count, noise, seed):
     """Its error is that of a contraction that is 0.1 % off, or of a load cell."""

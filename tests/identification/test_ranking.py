@@ -53,6 +53,11 @@ def rankings():
     return {name: rank(catalog.dataset(name), kinds) for name in (MAP, CHART)}
 
 
+@pytest.fixture(scope="module")
+def small():
+    return rank(catalog.dataset(MAP), [ReynoldsLaw, ExponentialLaw])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "exponential", "ratio"), [(MAP, 1.34, 0.9), (CHART, 3.42, 0.3)], ids=["measured map", "maker's chart"]
@@ -150,6 +155,7 @@ def test_noise_leaves_no_pattern_and_a_wrong_law_does():
     assert residual_correlation(wrong.regression.points, wrong.residuals).pattern == "contraction and pressure"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [MAP, CHART])
 def test_ours_is_a_muscle_where_its_data_are(rankings, name):
     fit = rankings[name].of(OURS.__name__).fit
@@ -217,30 +223,28 @@ def test_points_of_no_known_direction_are_never_left_out():
     np.testing.assert_array_equal(np.isnan(cross_validated.residuals), found.points.table["direction"].to_numpy() == "")
 
 
-def test_the_best_is_no_bad_law_for_want_of_a_flag(rankings):
+def test_the_best_is_no_bad_law_for_want_of_a_flag(small):
     """A flag sets a law aside only for one that is nearly as good."""
 
     def entry(law, error, *flags):
-        one = rankings[MAP].of("ExponentialLaw")
+        one = small.of("ExponentialLaw")
         cross_validated = dataclasses.replace(one.cross_validation["pressure"], residuals=np.full(3, error))
         return dataclasses.replace(one, law=law, cross_validation={"pressure": cross_validated}, flags=flags)
 
     def best(*entries):
-        return dataclasses.replace(rankings[MAP], entries=entries).best.law
+        return dataclasses.replace(small, entries=entries).best.law
 
     assert best(entry("A", 1.0, "at a bound"), entry("B", 20.0)) == "A"
     assert best(entry("A", 1.0, "at a bound"), entry("B", 1.3)) == "B"
     assert best(entry("A", 1.0), entry("B", 0.9)) == "A"
 
 
-def test_without_held_out_blocks_a_flagged_law_yields_only_to_one_of_nearly_its_aicc(rankings):
+def test_without_held_out_blocks_a_flagged_law_yields_only_to_one_of_nearly_its_aicc(small):
     def entry(law, aicc, *flags):
-        return dataclasses.replace(
-            rankings[MAP].of("ExponentialLaw"), law=law, cross_validation={}, aicc=aicc, flags=flags
-        )
+        return dataclasses.replace(small.of("ExponentialLaw"), law=law, cross_validation={}, aicc=aicc, flags=flags)
 
     def best(*entries):
-        return dataclasses.replace(rankings[MAP], entries=entries).best.law
+        return dataclasses.replace(small, entries=entries).best.law
 
     assert best(entry("A", 10.0, "at a bound"), entry("B", 12.1)) == "A"
     assert best(entry("A", 10.0, "at a bound"), entry("B", 11.9)) == "B"
@@ -307,9 +311,8 @@ def test_a_contraction_beyond_the_validity_of_a_law_by_noise_counts_as_its_limit
         identify(HuntLaw, IsobaricDataset(data.table.assign(contraction=("point", contraction))))
 
 
-def test_a_notebook_shows_a_line_and_a_table(rankings):
-    ranking = rankings[MAP]
-    fit = ranking.of("ExponentialLaw").fit
-    assert len(repr(ranking)) < 120 and len(repr(fit)) < 120
+def test_a_notebook_shows_a_line_and_a_table(small):
+    fit = small.of("ExponentialLaw").fit
+    assert len(repr(small)) < 120 and len(repr(fit)) < 120
     assert fit._repr_html_().count("<tr>") == 1 + len(fit.estimates)
-    assert ranking._repr_html_().count("<tr>") == 1 + len(ranking.entries)
+    assert small._repr_html_().count("<tr>") == 1 + len(small.entries)

@@ -36,6 +36,7 @@ AFFINE = 10 * np.sin(40 * CONTRACTION) * PRESSURE / (6 * bar)
 QUADRATIC = AFFINE * PRESSURE / (3 * bar)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("deviation", "kind"), [(0.0, ExponentialLaw), (AFFINE, SmoothAffineLaw), (QUADRATIC, SmoothLaw)]
 )

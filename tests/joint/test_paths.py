@@ -96,6 +96,7 @@ def knee_arms(x: float) -> tuple[float, float]:
     return (r * (H * math.cos(x) + r * math.sin(x)) / length1, r * (H * math.cos(x) - r * math.sin(x)) / length2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["knee", "pulleys", "cams", "two bones", "tables", "arms and a pulley"])
 def test_mujoco_agrees_on_the_torque(name):
     """With the tensions of our muscles; the series of tables are the exact curves to 1e-6 m."""

@@ -63,6 +63,7 @@ def test_flight_is_ballistic_and_forces_are_newtons(plant: LegPlant, plan: JumpP
     assert plan.ground_force[[0, -1]] == pytest.approx([mass * gravity] * 2, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_muscles_do_the_work_of_the_plan(plant: LegPlant, plan: JumpPlan) -> None:
     """Power of the torques over the push-off is the energy at take-off and what damping takes."""
     pushed = plan.times <= plan.take_off

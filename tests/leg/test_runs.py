@@ -270,6 +270,7 @@ def test_batches_need_something_that_varies(plant: LegPlant, start: LegStart) ->
     assert "leg.trunk.mass" in caught.value.remedy
 
 
+@pytest.mark.slow
 def test_hopping_in_place_settles_to_equal_hops() -> None:
     example = runpy.run_path("examples/leg/hopping.py")
     run = example["hop"]()
@@ -348,6 +349,7 @@ def test_a_finished_run_has_the_metrics_of_a_batch(plant: LegPlant, start: LegSt
     assert batch._repr_html_().count("<tr>") == 1 + len(run.metrics) + 1  # the stops of two joints
 
 
+@pytest.mark.slow
 def test_steps_follow_from_the_accuracy_of_the_positions(plant: LegPlant, start: LegStart) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
     low = start._replace(clearance=0.0, upward_speed=-0.3)

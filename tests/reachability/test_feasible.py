@@ -102,6 +102,7 @@ def test_margins_are_kept(plant):
         nearest_references(plant, desired, margin=0.5)
 
 
+@pytest.mark.slow
 def test_an_infeasible_centre_is_shifted(plant):
     near = nearest(plant, Reference(Sine(5 * deg, 0.5, 50 * deg), 22.0))[Preserved.ANGLE]
     assert near.amplitude == 1

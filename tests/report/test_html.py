@@ -12,6 +12,8 @@ from mckibben.report.page import SOURCES, typeset
 from mckibben.report.tables import NAMES, number, with_error
 from mckibben.simulation import Result
 
+pytestmark = pytest.mark.slow  # they need the whole reproduction
+
 
 class Page(HTMLParser):
     """Tags with their attributes, and the cells of every table."""
@@ -152,7 +154,6 @@ def test_a_run_that_never_settles_is_said_so(text):
     assert "(never)" in text
 
 
-@pytest.mark.slow
 def test_the_scenarios_named_are_those_that_are_saved(reproduction, tmp_path, text, monkeypatch):
     monkeypatch.setattr(Result, "to_netcdf", lambda *_: None)  # that trajectories are kept is tested with the paper
     reproduction.save(tmp_path)
@@ -162,7 +163,6 @@ def test_the_scenarios_named_are_those_that_are_saved(reproduction, tmp_path, te
         assert name in text
 
 
-@pytest.mark.slow
 def test_the_page_is_the_same_every_time(reproduction, page, tmp_path):
     from mckibben.report import write_report
 

@@ -59,6 +59,7 @@ def test_what_is_drawn_is_where_mujoco_has_it(landing, side):
         np.testing.assert_allclose(data.geom("foot").xpos, points[number, -1], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_muscles_have_the_volume_of_their_contraction(landing):
     plant, run = landing
     shapes = muscle_shapes(plant, run.to_xarray(), 5e5)

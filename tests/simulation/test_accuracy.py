@@ -134,6 +134,7 @@ def test_the_resolution_is_kept_in_a_file(tmp_path):
 MANY = {"load.mass2": np.linspace(0.3, 0.7, 40)}
 
 
+@pytest.mark.slow
 def test_a_batch_has_the_steps_and_the_error_that_its_extreme_runs_need():
     batch = simulate_many(PLANT, CONTROL, SMOOTH, over=MANY, metrics=["angle_rmse"], keep=["angle"], **RUN)
     assert np.all(batch["substeps"] == 1) and np.all(batch["error_estimate"] < 1e-10) and not batch.chaotic.any()

@@ -108,6 +108,7 @@ def test_an_empty_mapping_is_filled():
     assert "start: {angle: 0 deg}" in edit_scenario(text, {"start.angle": 0.0})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "strange",
     [

@@ -131,6 +131,7 @@ def test_the_values_are_those_of_the_design(kept, scenario):
         np.testing.assert_array_equal(swept.table[name], column)
 
 
+@pytest.mark.slow
 def test_nothing_depends_on_the_number_of_threads(kept, scenario, tmp_path):
     sweep(scenario, OVER, out=tmp_path, workers=1, **SOME)
     assert table_of(tmp_path) == table_of(kept[1])

@@ -50,6 +50,7 @@ def test_merged_parts_are_the_undivided_sweep_byte_for_byte(kept, tmp_path, orde
     assert merged.table.load().identical(whole.table)
 
 
+@pytest.mark.slow
 def test_a_part_is_rows_of_the_undivided_sweep(kept):
     whole, first = SweepResult.from_netcdf(kept / "whole" / TABLE), 0
     for folder in parts_of(kept, 1, 2, 3):
