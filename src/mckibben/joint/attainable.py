@@ -186,29 +186,49 @@ def warn_unattainable(joint: Joint, angle: ArrayLike, torque: ArrayLike, lowest:
     warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
 
+class _Scan(NamedTuple):
+    """The last fraction of a scan and its stiffness, the extremes, and the bracket with the smallest step."""
+
+    fraction: Array
+    value: Array
+    lowest: Array
+    highest: Array
+    step: Array
+    low: Array
+    high: Array
+    increasing: Array
+
+
 def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: Array) -> StaticSolution:
     """Return the state along a segment with a given stiffness."""
 
     def stiffness_at(fraction: ArrayLike) -> Array:
         return profile(fraction)[1]
 
-    scanned = stiffness_at(fractions)
-    lowest, highest = jnp.min(scanned), jnp.max(scanned)
+    unspecified = jnp.isnan(stiffness)
+    wanted = jnp.where(unspecified, 0.0, stiffness)
 
     # Bracket by neighbours. A spring that reaches its stop makes the stiffness jump: take the smallest step.
-    wanted = jnp.where(jnp.isnan(stiffness), lowest, stiffness)
-    between = (scanned[1:] - wanted) * (scanned[:-1] - wanted) <= 0
-    first = jnp.argmin(jnp.where(between, jnp.abs(scanned[1:] - scanned[:-1]), jnp.inf))
-    increasing = scanned[first + 1] > scanned[first]
+    def scan(found: _Scan, fraction: Array) -> tuple[_Scan, None]:
+        value = stiffness_at(fraction)
+        held = lax.stop_gradient(value)
+        step = jnp.abs(held - found.value)
+        nearer = ((held - wanted) * (found.value - wanted) <= 0) & (step < found.step)
+        bracket = found.fraction, fraction, held > found.value
+        kept = (jnp.where(nearer, new, old) for new, old in zip((step, *bracket), found[4:], strict=True))
+        return _Scan(fraction, held, jnp.minimum(found.lowest, value), jnp.maximum(found.highest, value), *kept), None
+
+    infinite, unknown = jnp.full_like(fractions[0], jnp.inf), jnp.full_like(fractions[0], jnp.nan)
+    start = _Scan(fractions[0], unknown, infinite, -infinite, infinite, fractions[0], fractions[1], jnp.asarray(False))
+    found, _ = lax.scan(scan, start, fractions)
 
     def bisect(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = (low + high) / 2
-        beyond = (stiffness_at(middle) >= wanted) == increasing
+        beyond = (stiffness_at(middle) >= wanted) == found.increasing
         return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
-    low, high = lax.fori_loop(0, 60, bisect, (fractions[first], fractions[first + 1]))
-    unspecified = jnp.isnan(stiffness)
+    low, high = lax.fori_loop(0, 60, bisect, (found.low, found.high))
     root = lax.stop_gradient((low + high) / 2)
     # One Newton step makes the root differentiable with respect to the joint's parameters.
     value, slope = value_and_derivative(stiffness_at, root)
@@ -218,9 +238,9 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
     met = jnp.abs(reached - wanted) <= _TOLERANCE * jnp.abs(wanted)
     return StaticSolution(
         pressures,
-        feasible & (unspecified | (jnp.any(between) & met)),
-        jnp.where(feasible, lowest, jnp.nan),
-        jnp.where(feasible, highest, jnp.nan),
+        feasible & (unspecified | (jnp.isfinite(found.step) & met)),
+        jnp.where(feasible, found.lowest, jnp.nan),
+        jnp.where(feasible, found.highest, jnp.nan),
     )
 
 
@@ -229,13 +249,16 @@ def _range(segment: Segment, profile: Profile, amplitude: ArrayLike | None = Non
     fractions = _fractions(segment.joint)
     if amplitude is not None:  # the band of friction narrows where a muscle is nearly slack
         fractions = jnp.linspace(fractions[0], fractions[-1], _SCANNED_FRICTION)
-    pressures, stiffness = profile(_leading_axis(fractions, segment.angle))
-    if amplitude is not None:
-        stiffness = segment.joint.secant_stiffness(segment.angle, pressures, amplitude)
-    return (
-        jnp.where(segment.feasible, jnp.min(stiffness, axis=0), jnp.nan),
-        jnp.where(segment.feasible, jnp.max(stiffness, axis=0), jnp.nan),
-    )
+
+    def wider(found: Pair, fraction: Array) -> tuple[Pair, None]:
+        pressures, stiffness = profile(fraction)
+        if amplitude is not None:
+            stiffness = segment.joint.secant_stiffness(segment.angle, pressures, amplitude)
+        return (jnp.minimum(found[0], stiffness), jnp.maximum(found[1], stiffness)), None
+
+    infinite = jnp.full_like(segment.angle, jnp.inf)
+    (lowest, highest), _ = lax.scan(wider, (infinite, -infinite), fractions)
+    return jnp.where(segment.feasible, lowest, jnp.nan), jnp.where(segment.feasible, highest, jnp.nan)
 
 
 def _fractions(joint: Joint) -> Array:
