@@ -189,6 +189,13 @@ def test_the_words_of_cc_after_its_first_are_options(use, monkeypatch):
     assert BatchFunction(double)("native", None, LANES)[1] == "native"
 
 
+def test_a_program_that_is_too_large_is_left_to_xla(programs, monkeypatch):
+    monkeypatch.setattr(native, "_LARGEST", 0)
+    assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
+    with pytest.raises(ExportError):
+        BatchFunction(double)("native", None, LANES)
+
+
 @pytest.mark.parametrize(
     ("version", "given"), [("Copyright (C) 2022 Free Software Foundation, Inc.", "y"), ("Debian clang version 14", "n")]
 )

@@ -3,14 +3,18 @@
 import dataclasses
 import math
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from mckibben.codegen.native import write_native
 from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, SeriesSpring, TwoBonePath
+from mckibben.joint.attainable import _solve_static
 from mckibben.units import bar, deg
+from tests.muscle.test_law_contract import EXAMPLES
 
 
 @pytest.fixture(scope="module")
@@ -279,3 +283,18 @@ def test_a_stronger_specimen_attains_more(as_printed):
     )
     assert float(strong.attainable_torque(-8 * deg)[1]) > float(as_printed.attainable_torque(-8 * deg)[1])
     assert float(strong.attainable_torque(0.0)[1]) == float(as_printed.attainable_torque(0.0)[1])  # 585 N there
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("amplitude", [None, 0.1 * deg])
+def test_a_scan_of_a_segment_has_no_copies_of_the_law_for_its_401_states(knee, amplitude):
+    """With them, the program has 2.2 million characters for a law of many terms."""
+    law = EXAMPLES["GaussianProcessLaw"]()
+    joint = eqx.tree_at(lambda one: (one.muscle1.law, one.muscle2.law), knee, (law, law))
+
+    def computed(given, _):
+        angle, torque, stiffness = given
+        known = _solve_static(joint, angle, torque, stiffness)
+        return joint.attainable_stiffness(angle, torque, amplitude=amplitude), known
+
+    assert len(write_native(computed, [np.asarray(x) for x in (0.1, 1.0, 20.0)], []).source) < 400_000

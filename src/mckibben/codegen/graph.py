@@ -7,12 +7,15 @@ values that depend on parameters alone are computed once. Equal expressions are 
 from __future__ import annotations
 
 import enum
+import math
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+
+from mckibben.errors import ExportError
 
 
 class Kind(enum.Enum):
@@ -180,7 +183,13 @@ class Graph:
     """Statements in scopes; `scope` is the current one."""
 
     def __init__(
-        self, *, lanes: bool = False, single: bool = False, threads: bool = False, reciprocals: bool = False
+        self,
+        *,
+        lanes: bool = False,
+        single: bool = False,
+        threads: bool = False,
+        reciprocals: bool = False,
+        most: float = math.inf,
     ) -> None:
         self.root = Scope()
         self.scope = self.root
@@ -188,6 +197,7 @@ class Graph:
         self.threads = threads  # whether each run of a batch is a thread, instead of an element of a vector
         self.single = single  # whether values that differ between runs have 32 bits
         self.reciprocals = reciprocals  # whether divisors known further out become factors, computed there
+        self._room = most  # for more operations
         self._kept: list[Value] = []  # expressions are distinguished by the identities of values
 
     def constant(self, number: Any, kind: Kind) -> Value:
@@ -239,6 +249,9 @@ class Graph:
             if key in outer.known:
                 return outer.known[key]
             outer = outer.parent
+        self._room -= 1
+        if self._room < 0:
+            raise ExportError("a program of too many operations")
         scope.known[key] = value = make()
         scope.statements.append(value)
         return value

@@ -44,7 +44,7 @@ _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
 _FOR_LONG = ("-fdisable-rtl-combine",)  # gcc only: a pass that takes most of the time for a long program, for no speed
-_LONGEST = 3_000_000  # characters of a source
+_LONGEST, _LARGEST = 3_000_000, 300_000  # characters of a source, and operations, which have some 20 characters each
 _COMPILING = 60.0, 5000.0  # s of processor time for the compiler, plus a second per so many characters
 _TRYING = 20.0  # s of processor time for a first call
 _SIGXCPU = 24  # signal of this limit
@@ -282,7 +282,7 @@ def write_native(
     threads: bool = False,
 ) -> Written:
     """Write a function of arrays shared by all runs and arrays with an entry per run, as C or as a CUDA kernel."""
-    graph = Graph(lanes=bool(varying), single=single, threads=threads)
+    graph = Graph(lanes=bool(varying), single=single, threads=threads, most=_LARGEST)
     graph.scope = graph.root.inner()
     inputs = [_input_value(graph, f"in{n}", x, n < len(given)) for n, x in enumerate([*given, *varying])]
     results, shape = Lowering(graph).function(function, (given, varying), inputs)

@@ -209,8 +209,14 @@ def _fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) ->
 def _steepest_damping(muscle: Muscle, friction: MaxwellSlip, lengths: NDArray[np.float64]) -> float:
     """Largest slope [N*s/m] of the friction over the rate at lengths [m] and all pressures of the domain."""
     pressures = np.array([muscle.domain.pressure_min, muscle.domain.pressure_max], float)[:, None]
-    tension = np.asarray(muscle.tension(muscle.specimen.contraction_at(lengths), pressures))
-    return float(np.max(friction.steepest_damping(lengths, tension, pressures)))
+    return float(
+        np.max(friction.steepest_damping(lengths, np.asarray(_tensions(muscle, lengths, pressures)), pressures))
+    )
+
+
+@compiled
+def _tensions(muscle: Muscle, lengths: ArrayLike, pressures: ArrayLike) -> Array:
+    return muscle.tension(muscle.specimen.contraction_at(lengths), pressures)
 
 
 def _fastest_air(plant: JointPlant, angles: ArrayLike) -> float:
