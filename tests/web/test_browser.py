@@ -184,13 +184,17 @@ def test_a_study_is_computed_shown_and_cancelled(page):
         chrome.click(tab, "Compare")
         tab.wait(shows("Cancel"))
         chrome.click(tab, "Cancel")
+        tab.wait(shows("cancelled"))
         tab.wait(
             "![...document.querySelectorAll('button')].some(b => b.innerText.trim() === 'Cancel' && b.offsetParent)"
         )
         tab.evaluate(SET_NUMBER % ("iterations", 2))
         time.sleep(0.5)
+        tab.evaluate("document.body.style.paddingBottom = '1000px', window.scrollTo(0, 800)")
+        tab.wait("window.scrollY > 700")
         chrome.click(tab, "Tune")
         tab.wait(shows("points evaluated"), 240)
+        tab.wait("window.scrollY < 300")
 
     page("/tune", act, shows("points evaluated") + " && " + chrome.FIRST_CURVE)
 

@@ -33,7 +33,7 @@ from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, layout, rig, session, workbench
+from mckibben.web import app, design, identify, layout, rig, session, studies, tune, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -262,9 +262,23 @@ def test_an_outlier_is_named_and_can_be_kept():
             await user.should_see(layout.KEEP, kind=ui.label)
             user.find(marker="keep").click()
             user.find(marker="fit").click()
-            await user.should_see("24 points used", retries=100)
+            await user.should_see("24 points used, outliers kept", retries=100)
 
     asyncio.run(visit())
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("x: 1; identify the friction with identify_hysteresis (command line: --hysteresis)", layout.FRICTION),
+        ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
+        ("did you mean 'kp'? `mckibben sweep SCENARIO.yaml --list` shows all", "did you mean 'kp'?"),
+    ],
+)
+def test_advice_names_what_the_page_has(text, shown):
+    found = layout._on_page(text)
+    assert shown in found
+    assert not re.search("--|identify_hysteresis|mk[.]|`", found)
 
 
 def test_problems_are_listed_by_line_and_shown_as_text():
@@ -324,6 +338,34 @@ def test_two_tabs_of_a_browser_show_the_same():
             return kept.ranking
 
     assert asyncio.run(visit()) is None
+
+
+def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):
+    costs, scenario = np.array([2.0, 1.0]), Scenario.parse(workbench.START)
+    monkeypatch.setattr(
+        tune, "tuned", lambda text, *_: studies.Tuned(text, 2.0, 1.0, costs, [], [], scenario, 0.0, ["a remark"])
+    )
+
+    def is_grey(user):
+        return any("stale" in one.classes for one in user.find(ui.column).elements)
+
+    async def visit():
+        async with visitor() as user:
+            await user.open("/tune")
+            kept = state(tune.StudyState)
+            kept.error = ParameterError("of an earlier study")
+            the(user, ui.number, "iterations").set_value(500)
+            user.find(marker="tune").click()
+            await user.should_see("correct first: iterations")
+            assert not kept.jobs.busy
+            the(user, ui.number, "iterations").set_value(3)
+            user.find(marker="tune").click()
+            await user.should_see("2 points evaluated", retries=30)
+            assert kept.error is None and not is_grey(user)
+            state(workbench.Workbench).text += "\n# changed"
+            await until(lambda: is_grey(user))
+
+    asyncio.run(visit())
 
 
 @pytest.mark.parametrize("same_tab", [False, True])

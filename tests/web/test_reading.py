@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("nicegui")
 
 from mckibben.dataset import Recipe
-from mckibben.errors import DatasetError
+from mckibben.errors import DatasetError, McKibbenWarning
 from mckibben.web import reading
 
 
@@ -56,3 +56,14 @@ def test_the_files_of_a_test_give_their_pressures_by_name(tmp_path):
         reading.read(paths, reading.ReadingFields("220 mm", "lengthening", "183 mm"))
     (problem,) = caught.value.problems
     assert "from_name" in problem.remedy and caught.value.source == "m25_1bar.csv"
+
+
+def test_damaged_rows_are_left_out_if_asked(tmp_path):
+    rows = [f"{p},{c},{100 * p * (1 - c / 25)}" for p in (1, 2, 3) for c in range(0, 20, 5)]
+    rows[5] = "2,n/a,150"
+    path = tmp_path / "rig.csv"
+    path.write_text("\n".join(["pressure_bar,contraction_percent,force_N", *rows]), encoding="utf-8")
+    with pytest.raises(DatasetError):
+        reading.read([path], reading.ReadingFields())
+    with pytest.warns(McKibbenWarning, match="n/a"):
+        assert len(reading.read([path], reading.ReadingFields(skip=True))) == 11

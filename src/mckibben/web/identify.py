@@ -27,6 +27,7 @@ from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
 from mckibben.units import bar, factor, percent, quantity
 from mckibben.web.layout import (
+    FRICTION,
     KEEP,
     PALETTE,
     JobPage,
@@ -56,6 +57,7 @@ _MOST_CURVES = 12
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
 _MOST_FILES = 64
+_FRICTION = {"where the data show it": None, "with": True, "without": False}
 
 
 @dataclass
@@ -67,12 +69,14 @@ class IdentificationState(JobState):
     data: IsobaricDataset | None = None
     old: bool = False  # whether the data are of an earlier file than that of `name`, which is not read
     law: str = "ExponentialLaw"
+    friction: str = "where the data show it"
     keep_outliers: bool = False
     diameter: str = ""
     reading: ReadingFields = field(default_factory=ReadingFields)
     read_by: ReadingFields | None = None  # the fields by which the data were read; none for the catalog
     reading_notes: list[str] = field(default_factory=list)
     found: FitWithFriction | None = None
+    outliers_kept: bool = False  # in `found`
     ranking: Ranking | None = None
     muscle: Muscle | None = None
 
@@ -159,6 +163,7 @@ class _Page(JobPage[IdentificationState]):
                         state.reading, "displacement"
                     )
                     ui.checkbox("force sign: a pull is negative").props("dense").bind_value(state.reading, "negative")
+                    ui.checkbox("leave out damaged rows").props("dense").mark("skip").bind_value(state.reading, "skip")
                     ui.textarea("columns, one per line: HEADER = pressure_bar").props("dense autogrow").classes(
                         "w-full mono"
                     ).bind_value(state.reading, "columns")
@@ -168,6 +173,7 @@ class _Page(JobPage[IdentificationState]):
                 ui.input("inner diameter or fill, such as 14 mm or 30 mL").props("dense").classes("w-full").bind_value(
                     state, "diameter"
                 )
+                select(list(_FRICTION), FRICTION, "with-friction").bind_value(state, "friction")
                 ui.checkbox(KEEP).props("dense").mark("keep").bind_value(state, "keep_outliers").tooltip(
                     "fit all points, those off the surface through the others, too"
                 )
@@ -183,9 +189,7 @@ class _Page(JobPage[IdentificationState]):
         """Show progress, and new results as they appear."""
         self.progress()
         if self.news():
-            self.results.clear()
-            with self.results:
-                self.show()
+            self.show_results(self.results, self.show)
 
     async def uploaded(self, event: events.MultiUploadEventArguments) -> None:
         """Store the uploaded files of a test; a recipe fills the fields by which they, or earlier ones, are read."""
@@ -266,15 +270,19 @@ class _Page(JobPage[IdentificationState]):
         if (data := state.data) is None or state.old:
             ui.notify("give measured points first")
             return
-        law, diameter, robust = law_types()[state.law], state.diameter, not state.keep_outliers
+        law, diameter, keep = law_types()[state.law], state.diameter, state.keep_outliers
+        friction = _FRICTION[state.friction]
 
         def compute(_: Callable[[str, float], None]) -> tuple[FitWithFriction, Muscle | None, Path]:
-            found, kept = identify_with_friction(law, data, robust=robust), Path(tempfile.mkdtemp(dir=folder))
+            found, kept = (
+                identify_with_friction(law, data, friction=friction, robust=not keep),
+                Path(tempfile.mkdtemp(dir=folder)),
+            )
             return found, keep_muscle(found.fit, found.hysteresis, data, kept, diameter), kept
 
         def done(found: tuple[FitWithFriction, Muscle | None, Path], heard: list[str]) -> None:
             state.found, state.muscle, kept = found
-            state.notes, state.error = heard, None
+            state.notes, state.error, state.outliers_kept = heard, None, keep
             for name in ("fit.yaml", "muscle.yaml"):  # only now: a cancelled fit leaves the files of the last one
                 (folder / name).unlink(missing_ok=True)
                 if (kept / name).exists():
@@ -379,7 +387,7 @@ class _Page(JobPage[IdentificationState]):
             held_out = f"; {unseen.rmse:.3g} N at left-out pressures" if unseen else ""
             ui.label(
                 f"residuals: RMSE {fit.rmse:.3g} N, at most {fit.max_error:.3g} N{held_out}; "
-                f"{fit.points_used} points used"
+                f"{fit.points_used} points used{', outliers kept' if self.state.outliers_kept else ''}"
             ).classes("quiet number")
             show_warnings(fit.warnings)
             self.show_friction(found)

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.errors import ON_COMMAND_LINE, DatasetError, FileError, McKibbenError, printable
 from mckibben.identification.fit import KEEP_OUTLIERS
+from mckibben.scenario.parameters import LISTING
 from mckibben.web import resource
 from mckibben.web.session import Jobs, JobState
 
@@ -39,7 +40,16 @@ _ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|force_sign
 _CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
 _PAIR = re.compile(r"'([^']*)': '([^']*)'")
 _COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
-KEEP = "keep outliers"  # label of the checkbox that stands for an argument
+KEEP, FRICTION = "keep outliers", "friction"  # labels of what stands for arguments
+_INSTEAD = {
+    KEEP_OUTLIERS: f"; to keep such points, tick “{KEEP}”",
+    "identify the friction with identify_hysteresis": f"to identify the friction, choose “{FRICTION}: with”",
+    "(mk.rank, or --law all)": "(Rank all laws)",
+    f"; {LISTING}": "",
+    f" {LISTING}": "",
+    LISTING: "",
+}
+"""Parts of texts that name calls and options, with those for the page."""
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
@@ -97,10 +107,15 @@ def results_side() -> ui.column:
 
 def progress_row(jobs: Jobs) -> Callable[[], None]:
     """Panel with progress bar, step and button to cancel; returns the function that refreshes it."""
+
+    def cancel() -> None:
+        jobs.cancel()
+        ui.notify("cancelled")
+
     with panel(stays=True) as shown:
         with ui.row().classes("w-full items-center no-wrap"):
             bar = ui.linear_progress(0, show_value=False).props("instant-feedback").classes("w-full")
-            button("Cancel", jobs.cancel, "cancel").props("dense")
+            button("Cancel", cancel, "cancel").props("dense")
         step = ui.label().classes("quiet")
 
     def refresh() -> None:
@@ -137,9 +152,9 @@ def show_error(error: McKibbenError) -> None:
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
     text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", remedy))
-    text = text.replace("columns={...}", "a line HEADER = NAME (columns)").replace(
-        KEEP_OUTLIERS, f"; to keep such points, tick “{KEEP}”"
-    )
+    text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
+    for ours, shown in _INSTEAD.items():
+        text = text.replace(ours, shown)
     text = _CHOICES.sub(r"\1: \2", text)
     return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
 
@@ -163,10 +178,16 @@ class JobPage(Generic[State]):
     def __init__(self, state: State, folder: Path) -> None:
         self.state, self.folder, self.shown, self.job = state, folder, -1, 0
         self.seen: McKibbenError | None = None
+        self.ended = False
 
     def start_job(self, compute: Callable[..., Any], done: Callable[[Any, list[str]], None]) -> None:
         """As `Jobs.start`; an error is stored in the state."""
-        self.job = self.state.jobs.start(compute, done, self.fail)
+
+        def end(found: Any, heard: list[str]) -> None:
+            done(found, heard)
+            self.ended = True
+
+        self.job = self.state.jobs.start(compute, end, self.fail)
 
     def fail(self, error: McKibbenError) -> None:
         """Store an error for display."""
@@ -180,6 +201,18 @@ class JobPage(Generic[State]):
             self.job = 0
         new, self.shown = self.shown != jobs.version, jobs.version
         return new
+
+    def show_results(self, on: ui.column, show: Callable[[], None]) -> None:
+        """Replace the results, and scroll to those of a job that has just ended if they are not in view."""
+        on.clear()
+        with on:
+            show()
+        if self.ended:
+            self.ended = False
+            ui.run_javascript(
+                f"{{const e = document.getElementById('{on.html_id}'), top = e.getBoundingClientRect().top;"
+                "if (top < 0 || top > innerHeight / 2) e.scrollIntoView()}"
+            )
 
     def show_failure(self, error: McKibbenError, title: str = "") -> None:
         """Show the error of the last job, scrolling to a new one."""

@@ -36,6 +36,7 @@ class ReadingFields:
     decimal: str = ""
     specimen: str = ""
     negative: bool = False
+    skip: bool = False
     columns: str = ""
     others: dict[str, Any] = field(default_factory=dict)
     """Settings of a recipe without a field, which it keeps: those of recordings only, and a positive sign."""
@@ -90,6 +91,6 @@ def refusal(name: str, text: str | None) -> str | None:
 def read(paths: Sequence[Path], fields: ReadingFields) -> IsobaricDataset:
     """The points of the files of a test, read as the fields say; errors name them without their folder."""
     try:
-        return fields.recipe().dataset(paths)
+        return fields.recipe().dataset(paths, on_corrupt="report" if fields.skip else "raise")
     except DatasetError as error:
         raise DatasetError(Path(error.source).name.removeprefix("data-"), error.problems) from None

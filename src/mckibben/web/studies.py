@@ -79,8 +79,12 @@ class ComparisonRequest:
 
 @dataclass(frozen=True)
 class Tuned:
-    """Result of a tuning: parameters, metrics before and after, costs of the trials, scenario, and the kept margin."""
+    """Result of a tuning: parameters, metrics before and after, costs of the trials, scenario, and the kept margin.
 
+    `text` is that of the scenario before.
+    """
+
+    text: str
     cost_before: float
     cost: float
     costs: np.ndarray
@@ -95,9 +99,10 @@ class Tuned:
 class Compared:
     """Result of a comparison: table, that at no more air than the scenario's controller, errors, tuned scenarios.
 
-    The errors are median and 95th percentile of the angle error [deg].
+    The errors are median and 95th percentile of the angle error [deg]; `text` is that of the scenario.
     """
 
+    text: str
     headers: tuple[str, ...]
     rows: list[tuple[str, ...]]
     at_equal_air: list[tuple[str, ...]]
@@ -120,6 +125,7 @@ def _check_budget(scenario: Scenario, runs: float) -> None:
 
 def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Tuned:
     """Tune a scenario as `mckibben tune` does."""
+    progress("compiling", 0.0)
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
     method = None if request.method == AUTOMATIC else Method(request.method)
@@ -161,11 +167,12 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
         remarks.append(f"{lost}; raise the gain margin, or give a disk margin, such as {DISK_MARGIN}")
     if new["disk"] == 0:
         remarks.append(UNSTABLE)
-    return Tuned(found.cost_before, found.cost, costs, parameters, metrics, after, found.disk_margin, remarks)
+    return Tuned(text, found.cost_before, found.cost, costs, parameters, metrics, after, found.disk_margin, remarks)
 
 
 def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Compared:
     """Compare the controller of a scenario with other kinds as `mckibben compare` does, on its joint and reference."""
+    progress("compiling", 0.0)
     scenario = parse(text, folder)
     own = chosen_kinds(scenario)["controller"]
     kinds = [name for name in request.controllers if name != own]
@@ -213,7 +220,9 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     if numbers["no_start"]:
         remarks.append(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     equal = [row(*each) for each in at_air["controllers"].items()]
-    return Compared(headers, rows, equal, errors, scenarios, [*remarks, *scenario.joint.remarks])
+    if without := [title for name, title in shown.items() if equal and name not in at_air["controllers"]]:
+        remarks.append(f"no gains were found that take so little air: {', '.join(without)}")
+    return Compared(text, headers, rows, equal, errors, scenarios, [*remarks, *scenario.joint.remarks])
 
 
 def _number(value: float) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -73,7 +74,7 @@ class _Page(JobPage[StudyState]):
 
     def __init__(self, state: StudyState, bench: Workbench, folder: Path) -> None:
         super().__init__(state, folder)
-        self.bench = bench
+        self.bench, self.drawn = bench, ""
         tuning, comparison = state.tuning, state.comparison
         comparison.suggest(bench.scenario or Scenario.parse(START))
         with side():
@@ -86,10 +87,12 @@ class _Page(JobPage[StudyState]):
                 methods = [AUTOMATIC, *(one.value for one in Method)]
                 select(methods, "method", "method").bind_value(tuning, "method")
                 with ui.element("div").classes("fields"):
-                    _number("gain margin", tuning, "gain_margin", 1.0, 10.0)
-                    _number("starts (gradient)", tuning, "starts", 1, MOST_STARTS)
-                    _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS)
-                    _number("seed", tuning, "seed", 0, MOST_SEED)
+                    self.tuning_fields = [
+                        _number("gain margin", tuning, "gain_margin", 1.0, 10.0),
+                        _number("starts (gradient)", tuning, "starts", 1, MOST_STARTS),
+                        _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS),
+                        _number("seed", tuning, "seed", 0, MOST_SEED),
+                    ]
                     margin = ui.input("disk margin", placeholder="as now").props("dense").classes("w-full")
                     margin.mark("disk_margin").bind_value(tuning, "disk_margin")
                 _lines("NAME=RANGE per line, or all gains", tuning, "over")
@@ -104,8 +107,10 @@ class _Page(JobPage[StudyState]):
                     on_change=lambda event: setattr(comparison, "controllers", tuple(event.value or ())),
                 )
                 with ui.element("div").classes("fields"):
-                    _number("unseen runs", comparison, "runs", 2, MOST_RUNS)
-                    _number("generations", comparison, "generations", 1, MOST_GENERATIONS)
+                    self.comparison_fields = [
+                        _number("unseen runs", comparison, "runs", 2, MOST_RUNS),
+                        _number("generations", comparison, "generations", 1, MOST_GENERATIONS),
+                    ]
                 _lines("conditions, NAME=RANGE per line", comparison, "conditions")
                 button("Compare", self.compare, "compare", main=True)
             quiet(
@@ -122,10 +127,9 @@ class _Page(JobPage[StudyState]):
         self.progress()
         scenario = self.bench.scenario
         self.name.text = "the first one" if scenario is None else printable(scenario.name, 80)
-        if self.news():
-            self.results.clear()
-            with self.results:
-                self.show()
+        if self.news() or self.drawn != self.text():
+            self.drawn = self.text()
+            self.show_results(self.results, self.show)
 
     def text(self) -> str:
         """The scenario of the page Run, as it last ran."""
@@ -135,31 +139,35 @@ class _Page(JobPage[StudyState]):
         """Tune the scenario."""
 
         def done(found: Tuned, heard: list[str]) -> None:
-            self.state.tuned = found
-            self.end([*heard, *found.remarks])
+            self.state.tuned, self.state.notes = found, list(dict.fromkeys([*heard, *found.remarks]))
 
-        self.start(tuned, self.state.tuning, done)
+        self.start(tuned, self.state.tuning, self.tuning_fields, done)
 
     def compare(self) -> None:
         """Compare controllers."""
 
         def done(found: Compared, heard: list[str]) -> None:
-            self.state.compared = found
-            self.end([*heard, *found.remarks])
+            self.state.compared, self.state.notes = found, list(dict.fromkeys([*heard, *found.remarks]))
 
-        self.start(compared, self.state.comparison, done)
+        self.start(compared, self.state.comparison, self.comparison_fields, done)
 
-    def start(self, compute: Callable[..., Any], request: Any, done: Callable[[Any, list[str]], None]) -> None:
+    def start(
+        self,
+        compute: Callable[..., Any],
+        request: Any,
+        fields: list[NumberField],
+        done: Callable[[Any, list[str]], None],
+    ) -> None:
         """Compute a study; at most one at a time."""
         state, text, folder = self.state, self.text(), self.folder
+        if wrong := [one.label for one in fields if one.error]:
+            ui.notify(f"correct first: {', '.join(map(str, wrong))}", type="negative")
+            return
         if state.jobs.busy:
             ui.notify("a study is running: cancel it first")
             return
+        state.error, state.notes = None, []
         self.start_job(lambda progress: compute(text, request, folder, progress), done)
-
-    def end(self, notes: list[str]) -> None:
-        """Forget the error of an earlier study."""
-        self.state.error, self.state.notes = None, list(dict.fromkeys(notes))
 
     def run(self, scenario: Scenario) -> None:
         """Open a scenario on the page Run."""
@@ -170,11 +178,11 @@ class _Page(JobPage[StudyState]):
         """Show everything known."""
         state = self.state
         self.show_remarks()
-        old = "w-full" + (" stale" if state.error is not None else "")
-        with ui.column().classes(old).style("gap: 16px"):
-            if state.tuned is not None:
+        if state.tuned is not None:
+            with self.result_of(state.tuned.text):
                 self.show_tuned(state.tuned)
-            if state.compared is not None:
+        if state.compared is not None:
+            with self.result_of(state.compared.text):
                 self.show_compared(state.compared)
         if state.tuned is None and state.compared is None and state.error is None:
             with panel("No study yet"):
@@ -182,6 +190,15 @@ class _Page(JobPage[StudyState]):
                     "Tune searches the gains of the scenario for the lowest cost. Compare tunes its controller and "
                     "others with one budget, and compares them on the same unseen runs."
                 )
+
+    @contextmanager
+    def result_of(self, text: str) -> Iterator[None]:
+        """A column for the result of a scenario, grey if the scenario has been changed or a study has failed since."""
+        changed = text != self.text()
+        with ui.column().classes("w-full" + (" stale" if changed or self.state.error else "")).style("gap: 16px"):
+            if changed:
+                quiet("Result of the scenario before it was changed.")
+            yield
 
     def show_tuned(self, found: Tuned) -> None:
         """Costs of the search, gains and metrics."""
@@ -239,17 +256,18 @@ def _lines(label: str, on: Any, name: str) -> None:
     ui.textarea(label).props("dense autogrow maxlength=4000").classes("w-full mono").mark(name).bind_value(on, name)
 
 
-def _number(label: str, on: Any, name: str, low: float, high: float) -> None:
+def _number(label: str, on: Any, name: str, low: float, high: float) -> NumberField:
     """A number field of a request; whole if its limits are."""
     whole = isinstance(low, int)
 
     def changed(value: float) -> None:
         setattr(on, name, int(value) if whole else value)
 
-    NumberField(
+    made = NumberField(
         label,
         getattr(on, name),
         lambda value: low <= value <= high and (not whole or float(value).is_integer()),
         f"{'a whole number, ' if whole else ''}{low:g} to {high:g}",
         changed,
-    ).props("dense").classes("w-full").mark(name)
+    )
+    return made.props("dense").classes("w-full").mark(name)
