@@ -49,7 +49,7 @@ from mckibben.web.studies import (
     compared,
     tuned,
 )
-from mckibben.web.workbench import CONTROLLERS, START, Workbench
+from mckibben.web.workbench import CONTROLLERS, START, Workbench, parse
 
 
 @dataclass
@@ -194,7 +194,8 @@ class _Page(JobPage[StudyState]):
     @contextmanager
     def result_of(self, text: str) -> Iterator[None]:
         """A column for the result of a scenario, grey if the scenario has been changed or a study has failed since."""
-        changed = text != self.text()
+        now = self.text()  # the page Run writes a scenario that is the same with other spaces
+        changed = text != now and parse(text, self.folder) != parse(now, self.folder)
         with ui.column().classes("w-full" + (" stale" if changed or self.state.error else "")).style("gap: 16px"):
             if changed:
                 quiet("Result of the scenario before it was changed.")
