@@ -18,6 +18,7 @@ import numpy as np
 from nicegui import events, ui
 from numpy.typing import ArrayLike
 
+from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.errors import ON_COMMAND_LINE, DatasetError, FileError, McKibbenError, printable
 from mckibben.identification.fit import KEEP_OUTLIERS
 from mckibben.web import resource
@@ -136,7 +137,9 @@ def show_error(error: McKibbenError) -> None:
 
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
-    text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", remedy))
+    text = _COLUMNS.sub(
+        lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", remedy.replace(LEAVE_OUT, ""))
+    )
     text = text.replace("columns={...}", "a line HEADER = NAME (columns)").replace(
         KEEP_OUTLIERS, f"; to keep such points, tick “{KEEP}”"
     )
