@@ -161,6 +161,14 @@ def test_a_unit_that_is_the_last_word_of_a_header_is_proposed(file):
     assert "--column 'Supply kPa=pressure_kPa'" in found
 
 
+def test_the_remedy_of_a_wrong_unit_names_the_header_and_the_option(file):
+    rows = "".join(f"{p},{c},{100 * p - 200 * c / 10}\n" for p in (1, 2, 3, 4) for c in (0, 1, 2))
+    (found,) = problems(file(f"pressure_kPa,contraction_percent,force_N\n{rows}"))
+    assert "0.04 bar" in found
+    assert "header" in found
+    assert "--column" in found
+
+
 def test_a_column_of_directions_may_be_left_out(file):
     header, row = "pressure_bar,contraction_percent,force_N", "1,10,200"
     (found,) = problems(file(f"{header},direction\n{row},auf\n"))
