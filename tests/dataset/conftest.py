@@ -15,6 +15,7 @@ from nptdms import ChannelObject, TdmsWriter
 from scipy.io import savemat
 
 from mckibben.dataset import IsobaricDataset, read_dataset
+from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.errors import DatasetError
 
 PRESSURE = np.array([1.0, 2, 3, 4, 5, 6])  # bar
@@ -145,10 +146,10 @@ def is_the_six_points(data: IsobaricDataset) -> None:
 
 
 def said_of(path: Path, read=read_dataset, **more) -> list[str]:
-    """The problems of a file."""
+    """The problems of a file, without the remedy of all corrupt rows."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with pytest.raises(DatasetError) as caught:
             read(path, **more)
     assert caught.value.source == str(path)
-    return [str(problem) for problem in caught.value.problems]
+    return [str(problem).removesuffix(f"; correct it{LEAVE_OUT}") for problem in caught.value.problems]

@@ -12,6 +12,7 @@ from mckibben.dataset import formats, read_dataset, read_recording
 from mckibben.dataset.encodings import decode
 from mckibben.dataset.headers import parse_header
 from mckibben.dataset.large_text import read_large_text
+from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.dataset.text import read_text
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 from mckibben.units import bar
@@ -50,7 +51,7 @@ def problems(path, **more) -> list[str]:
     with pytest.raises(DatasetError) as caught:
         read_dataset(path, **more)
     assert caught.value.source == str(path)
-    return [str(problem) for problem in caught.value.problems]
+    return [str(problem).removesuffix(f"; correct it{LEAVE_OUT}") for problem in caught.value.problems]
 
 
 def test_a_measured_map_with_lengths_and_contractions(file):
@@ -140,7 +141,39 @@ def test_columns_name_the_headers_of_the_file(file):
     assert (data.pressure[0], data.contraction[0], data.force[0]) == pytest.approx((1.5e5, 0.1, 200))
     found = problems(path, columns=columns | {"Weg": "length_mm"})
     assert found == ["line 1: columns has 'Weg', the file 'Druck [bar]', 'Kürzung', 'Kraft, N'"]
-    assert "unknown name 'pressure' to 'Kürzung'; accepted are" in problems(path, columns={"Kürzung": "pressure"})[0]
+    assert (
+        "unknown name 'pressure' is assigned to 'Kürzung'; accepted are"
+        in problems(path, columns={"Kürzung": "pressure"})[0]
+    )
+
+
+def test_a_misspelled_name_is_one_problem_with_a_proposal(file):
+    path = file("Supply kPa,contraction_percent,force_N\n150,10,200\n")
+    (found,) = problems(path, columns={"Supply kPa": "presure_kPa"})
+    assert found.endswith("did you mean 'pressure_kPa'?")
+    (found,) = problems(path, columns={"Supply kPa": "pressure"})
+    assert "pressure_kPa" in found
+    assert "force" not in found
+
+
+def test_a_unit_that_is_the_last_word_of_a_header_is_proposed(file):
+    (found,) = problems(file("Supply kPa,contraction_percent,force_N\n150,10,200\n"))
+    assert "--column 'Supply kPa=pressure_kPa'" in found
+
+
+def test_the_remedy_of_a_wrong_unit_names_the_header_and_the_option(file):
+    rows = "".join(f"{p},{c},{100 * p - 200 * c / 10}\n" for p in (1, 2, 3, 4) for c in (0, 1, 2))
+    (found,) = problems(file(f"pressure_kPa,contraction_percent,force_N\n{rows}"))
+    assert "0.04 bar" in found
+    assert "header" in found
+    assert "--column" in found
+
+
+def test_a_column_of_directions_may_be_left_out(file):
+    header, row = "pressure_bar,contraction_percent,force_N", "1,10,200"
+    (found,) = problems(file(f"{header},direction\n{row},auf\n"))
+    assert "leave the column out" in found
+    assert len(read_dataset(file(f"{header}\n{row}\n"))) == 1
 
 
 def test_lengths_alone_need_the_initial_length(file):
@@ -186,7 +219,7 @@ inf,0.1,,up,1
 break",unloading,1
 1_000,0.1,1e999,unloading,99999999999999999999
 """
-    words = "write loading (being stretched) or unloading (shortening)"
+    words = "write loading (being stretched), unloading (shortening) or unknown, or leave the column out"
     assert problems(file(text)) == [
         "line 4, force_N: 'abc' is not a number",
         "line 5, pressure_bar: 'nan' is not a finite number",

@@ -27,6 +27,7 @@ from nicegui.testing import user_simulation
 
 import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
+from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.identification import identify_with_friction
 from mckibben.joint import KneeGeometry
@@ -271,6 +272,7 @@ def test_an_outlier_is_named_and_can_be_kept():
     ("text", "shown"),
     [
         ("x: 1; identify the friction with identify_hysteresis (command line: --hysteresis)", layout.FRICTION),
+        (f"correct it{LEAVE_OUT}", layout.SKIP),
         ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
         ("did you mean 'kp'? `mckibben sweep SCENARIO.yaml --list` shows all", "did you mean 'kp'?"),
     ],

@@ -68,6 +68,7 @@ def find_columns(
         **{v: k for k, v in mapping.items() if _swapped(k, v, header)},
     }
     asked: set[str] = set()
+    misspelled: set[str] = set()  # quantities
     units: dict[str, set[str]] = {}  # of the names before
     assigned: dict[int, str] = {}
     positions: set[int] = set()
@@ -83,7 +84,11 @@ def find_columns(
             meant = closest(given, header)
             problem(f"columns has {given!r}, the file {shown}", remedy=f"did you mean {meant!r}?" if meant else "")
         if column is None:
-            problem(f"columns assigns the unknown name {name!r} to {given!r}", remedy=f"accepted are {_accepted()}")
+            spelled = {f"{one}_{unit}" if unit else one: one for one in ACCEPTED for unit in ACCEPTED[one] or [""]}
+            meant = "" if name in ACCEPTED else closest(name, [*spelled])
+            misspelled |= {spelled.get(meant, name)}
+            remedy = f"did you mean {meant!r}?" if meant else f"accepted are {_accepted(name)}"
+            problem(f"the unknown name {name!r} is assigned to {given!r}", remedy=remedy)
         else:
             asked.add(column.quantity)
     columns = [
@@ -124,7 +129,7 @@ def find_columns(
             _compare_units(channel, column, layout, problem, mapped=mapped)
     for name in needed:
         kinds = {"contraction", "length", "displacement"} if name == "contraction" else {name}
-        if kinds & {*layout.places}:
+        if kinds & ({*layout.places} | misspelled):
             continue
         without = [
             (channel.name, found)
@@ -179,7 +184,7 @@ def _unit_of(quantity: str, sheet: RawTable, ignored: Collection[str]) -> tuple[
     """The only unread column with a unit of a quantity, and its name with that unit; None if there is none."""
     found = []
     for channel in sheet.channels:
-        unit = _stated_unit(channel)
+        unit = _stated_unit(channel) or "".join(channel.label[:LONGEST_NAME].split()[1:][-1:])
         known = next((one for one in ACCEPTED[quantity] if unit and same_unit(unit, one, quantity)), "")
         if channel.name in ignored and known:
             found.append((channel.name, f"{quantity}_{known}"))

@@ -50,7 +50,10 @@ UNEQUAL = (0.3, 0.15)  # of a force, and of the largest: more than friction and 
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _LENGTH = "check initial_length (command line: --initial-length)"
 _ZERO = "zero_length (command line: --zero-length) of displacements"
-_UNIT = "check the unit: arrays are in SI; for a file, give it by columns={...} (command line: --column 'HEADER=NAME')"
+_UNIT = (
+    "check the unit: arrays are in SI; of a file, correct the unit in its header or in columns={...} "
+    "(command line: --column 'HEADER=NAME')"
+)
 
 
 class Findings(NamedTuple):

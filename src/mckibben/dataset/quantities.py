@@ -60,6 +60,7 @@ _NO_DISPLACEMENT = (
     "displacement and zero_length (options --displacement, --zero-length) have no effect: no column is read as a "
     "displacement"
 )
+LEAVE_OUT = ", or leave such rows out by on_corrupt='report' (command line: --skip-corrupt)"
 _SLACK_REMEDY = "give a force of 0 N or more (command line: --slack-force '1 N')"
 _LENGTH_ROUNDING = 0.5e-3, 0.002  # m and fraction of the initial length: precision of a ruler and of a printed table
 _LONGEST = 20.0  # m
@@ -82,8 +83,8 @@ _MEANINGS: Mapping[str, Mapping[str, str]] = {
     },
 }
 _WORD_REMEDY = {
-    "direction": "write loading (being stretched) or unloading (shortening)",
-    "phase": "write filling or venting",
+    "direction": "write loading (being stretched), unloading (shortening) or unknown, or leave the column out",
+    "phase": "write filling, venting or unknown, or leave the column out",
 }
 
 
@@ -222,7 +223,9 @@ class ColumnConverter:
             text = f"{left_out} of {rows} rows are not numeric: more than half cannot be left out"
             self.problems.append(Problem(text))
         if self.problems or refused:
-            found = self._sorted(self.problems + self.corrupt)
+            remedy = "" if self.problems or 2 * left_out > rows else f"correct it{LEAVE_OUT}"  # where that suffices
+            corrupt = [replace(one, remedy=one.remedy or remedy) for one in self.corrupt]
+            found = self._sorted(self.problems + corrupt)
             more = [Problem(f"and {len(found) - _LISTED} more problems")] if len(found) > _LISTED else []
             raise DatasetError(str(path), found[:_LISTED] + more)
         for text in self.suspect:

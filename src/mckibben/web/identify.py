@@ -30,6 +30,7 @@ from mckibben.web.layout import (
     FRICTION,
     KEEP,
     PALETTE,
+    SKIP,
     JobPage,
     button,
     chart,
@@ -163,7 +164,7 @@ class _Page(JobPage[IdentificationState]):
                         state.reading, "displacement"
                     )
                     ui.checkbox("force sign: a pull is negative").props("dense").bind_value(state.reading, "negative")
-                    ui.checkbox("leave out damaged rows").props("dense").mark("skip").bind_value(state.reading, "skip")
+                    ui.checkbox(SKIP).props("dense").mark("skip").bind_value(state.reading, "skip")
                     ui.textarea("columns, one per line: HEADER = pressure_bar").props("dense autogrow").classes(
                         "w-full mono"
                     ).bind_value(state.reading, "columns")

@@ -18,6 +18,7 @@ import numpy as np
 from nicegui import events, ui
 from numpy.typing import ArrayLike
 
+from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.errors import ON_COMMAND_LINE, DatasetError, FileError, McKibbenError, printable
 from mckibben.identification.fit import KEEP_OUTLIERS
 from mckibben.scenario.parameters import LISTING
@@ -40,9 +41,10 @@ _ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|force_sign
 _CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
 _PAIR = re.compile(r"'([^']*)': '([^']*)'")
 _COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
-KEEP, FRICTION = "keep outliers", "friction"  # labels of what stands for arguments
+KEEP, FRICTION, SKIP = "keep outliers", "friction", "leave out damaged rows"  # labels of what stands for arguments
 _INSTEAD = {
     KEEP_OUTLIERS: f"; to keep such points, tick “{KEEP}”",
+    LEAVE_OUT: f", or tick “{SKIP}”",
     "identify the friction with identify_hysteresis": f"to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
     f"; {LISTING}": "",
@@ -151,10 +153,11 @@ def show_error(error: McKibbenError) -> None:
 
 def _on_page(remedy: str) -> str:
     """A remedy in terms of the fields of the page."""
-    text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", remedy))
-    text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
+    text = remedy
     for ours, shown in _INSTEAD.items():
         text = text.replace(ours, shown)
+    text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", text))
+    text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
     text = _CHOICES.sub(r"\1: \2", text)
     return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
 
