@@ -150,6 +150,8 @@ def test_a_mask_is_one_boolean_per_point(mask):
         ({"force_samples": np.zeros((12, 2)), "pressure_samples": np.zeros((12, 3))}, "number of samples"),
         ({"initial_length": -1.0}, "initial_length: -1 m is not above 0"),
         ({"slack_force": np.nan}, "slack_force: nan is not a finite number"),
+        ({"slack_force": True}, "slack_force: True is not a finite number"),
+        ({"initial_length": True}, "initial_length: True is not a finite number"),
     ],
 )
 def test_what_cannot_have_been_measured_is_refused(bad, message):

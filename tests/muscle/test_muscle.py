@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import DomainWarning, RangeError
-from mckibben.muscle import Domain, MaxwellCreep, MaxwellSlip, Muscle, Specimen
+from mckibben.muscle import Domain, MaxwellCreep, MaxwellSlip, Muscle, Specimen, forces
 
 
 @pytest.fixture(scope="module")
@@ -16,6 +16,13 @@ def muscle(specimen, law):
 
 def test_a_muscle_pulls_as_its_law_says(muscle, law):
     assert float(muscle.force(0.1, 6e5)) == float(law.force(0.1, 6e5)) > 0
+
+
+@pytest.mark.parametrize("point", [{"contraction": True, "pressure": 1e5}, {"contraction": 0.1, "pressure": "1 bar"}])
+def test_forces_are_of_numbers(law, point):
+    with pytest.raises(RangeError) as caught:
+        forces(law, **point)
+    assert caught.value.value in point.values()
 
 
 def test_a_muscle_never_pushes(muscle, law):

@@ -73,6 +73,15 @@ def test_times_are_positive_and_finite(plant, control, name, bad):
         simulate(plant, control, REFERENCE, **{name: bad})
 
 
+@pytest.mark.parametrize("bad", [True, np.True_, "2 s"])
+@pytest.mark.parametrize("name", ["duration", "control_period"])
+def test_times_are_numbers_of_seconds(plant, control, name, bad):
+    with pytest.raises(SimulationError, match=f"{name.replace('_', ' ')} is ") as caught:
+        simulate(plant, control, REFERENCE, **{name: bad})
+    assert caught.value.field == name
+    assert caught.value.remedy.startswith("give a number of seconds")
+
+
 @pytest.mark.parametrize("substeps", [0, -3])
 def test_substeps_are_at_least_one(plant, control, substeps):
     with pytest.raises(SimulationError, match=f"substeps is {substeps}") as caught:

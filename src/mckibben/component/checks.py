@@ -37,7 +37,7 @@ def whole_periods(duration: float, period: float) -> int | None:
 
 
 def check_number(owner: str, **values: object) -> None:
-    """Raise `RangeError` for texts in place of numbers."""
+    """Raise `RangeError` for texts and flags in place of numbers."""
     for name, value in values.items():
         known_numbers(owner, name, value)
 

@@ -92,7 +92,7 @@ def _normalize_attributes(attrs: Mapping[Hashable, Any]) -> tuple[dict[Hashable,
         if value is None:
             attrs.pop(name, None)
             continue
-        number = _finite(value)
+        number = None if isinstance(value, bool | np.bool_) else _finite(value)
         if number is None:
             problems.append(Problem(f"{value!r} is not a finite number", field=name))
         elif name == "initial_length" and number <= 0:

@@ -276,7 +276,7 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
         )
         remedy = ""
         if column == "direction" and "friction" not in points.table.attrs:
-            remedy = "; identify the friction with identify_hysteresis (command line: --hysteresis)"
+            remedy = WITH_FRICTION
         elif column == "phase":
             remedy = "; to identify the friction, record strokes in both directions at constant pressures as well"
         warnings.append(
@@ -286,6 +286,7 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
     return warnings
 
 
+WITH_FRICTION = "; identify the friction with identify_hysteresis (command line: --hysteresis)"
 _NO_CROSS_VALIDATION = "there is no cross-validation by pressure"
 
 

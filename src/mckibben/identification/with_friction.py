@@ -12,7 +12,7 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError, no_attribute
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import fit_means, identify
+from mckibben.identification.fitting import WITH_FRICTION, fit_means, identify
 from mckibben.identification.friction_forms import FrictionForm
 from mckibben.identification.hysteresis import HysteresisFit, identify_hysteresis
 from mckibben.identification.loading_path import ReversedDirectionsError, loop_half_width
@@ -147,14 +147,17 @@ def identify_with_friction(
             note = f"loading and unloading differ, but the friction is not identified: {error}"
     if found and gap and found.rmse > gap:
         note = (
-            f"loading and unloading differ by {2 * gap:.3g} N, but {law.__name__} leaves residuals of {found.rmse:.3g} "
-            "N, too large to identify friction: fitted without it"
+            f"loading and unloading differ from their mean by {gap:.3g} N, but {law.__name__} leaves residuals of "
+            f"{found.rmse:.3g} N, too large to identify friction: fitted without it; try a law that fits better, such as "
+            "SmoothLaw (command line: --law smooth)"
         )
         found = None
     points = found.corrected(dataset) if found else dataset
     # the misfit of the friction, which is largest behind reversals, does not make a point an outlier
     outliers = find_outliers(dataset.plateau_means()) if robust else ()
     fit = fit_means(law, points, outliers) if found else identify(law, points, robust=robust)
+    if note and not found:  # it says why there is no friction
+        fit = replace(fit, warnings=tuple(one.replace(WITH_FRICTION, "") for one in fit.warnings))
     if found and gap:
         note = (
             f"loading and unloading differ: fitted with friction, RMSE {found.rmse:.3g} N; without friction it is "

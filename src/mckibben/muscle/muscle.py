@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.base import Component
 from mckibben.component.calls import checked_call, user_level
+from mckibben.component.checks import check_number
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
 from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw, scaled_law
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
@@ -225,6 +226,7 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
     """Return the force [N] of a muscle or law at measured points as a NumPy array, compiled as one piece."""
+    check_number("forces", contraction=contraction, pressure=pressure)
     return _at_points(_force, of, contraction, pressure)
 
 

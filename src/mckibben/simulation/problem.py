@@ -227,10 +227,11 @@ def first_substeps(problem: SimulationProblem, times: NDArray[np.float64], perio
 def sampling_times(duration: float, period: float) -> NDArray[np.float64]:
     """Start times [s] of the control periods in a duration; raises as `sampled` does."""
     for name, value in (("duration", duration), ("control_period", period)):
-        if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
-            given = f"{value:g} s" if isinstance(value, Real) else repr(value)
-            text = f"the {name.replace('_', ' ')} is {given}"
-            raise SimulationError(text, field=name, value=value, lower=0.0, unit="s", remedy="give a positive time")
+        number = isinstance(value, Real) and not isinstance(value, bool)
+        if not (number and math.isfinite(value) and value > 0):
+            text = f"the {name.replace('_', ' ')} is {f'{value:g} s' if number else described(value)}"
+            remedy = "give a positive time" if number else "give a number of seconds, such as 2.0"
+            raise SimulationError(text, field=name, value=value, lower=0.0, unit="s", remedy=remedy)
     periods = whole_periods(duration, period)
     if periods is None:
         message = f"a duration of {duration:.12g} s is not a multiple of the control period of {period:.12g} s"
