@@ -148,8 +148,8 @@ def identify_with_friction(
     if found and gap and found.rmse > gap:
         note = (
             f"loading and unloading differ from their mean by {gap:.3g} N, but {law.__name__} leaves residuals of "
-            f"{found.rmse:.3g} N, too large to identify friction: fitted without it; try a law that fits better, such as "
-            "SmoothLaw (command line: --law smooth)"
+            f"{found.rmse:.3g} N, too large to identify friction: fitted without it; try a law that fits better, such "
+            "as SmoothLaw (command line: --law smooth)"
         )
         found = None
     points = found.corrected(dataset) if found else dataset
