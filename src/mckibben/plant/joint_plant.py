@@ -209,9 +209,8 @@ def _fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) ->
 def _steepest_damping(muscle: Muscle, friction: MaxwellSlip, lengths: NDArray[np.float64]) -> float:
     """Largest slope [N*s/m] of the friction over the rate at lengths [m] and all pressures of the domain."""
     pressures = np.array([muscle.domain.pressure_min, muscle.domain.pressure_max], float)[:, None]
-    return float(
-        np.max(friction.steepest_damping(lengths, np.asarray(_tensions(muscle, lengths, pressures)), pressures))
-    )
+    tension = np.asarray(_tensions(muscle, lengths, pressures))
+    return float(np.max(friction.steepest_damping(lengths, tension, pressures)))
 
 
 @compiled

@@ -275,10 +275,8 @@ class _Page(JobPage[IdentificationState]):
         friction = _FRICTION[state.friction]
 
         def compute(_: Callable[[str, float], None]) -> tuple[FitWithFriction, Muscle | None, Path]:
-            found, kept = (
-                identify_with_friction(law, data, friction=friction, robust=not keep),
-                Path(tempfile.mkdtemp(dir=folder)),
-            )
+            found = identify_with_friction(law, data, friction=friction, robust=not keep)
+            kept = Path(tempfile.mkdtemp(dir=folder))
             return found, keep_muscle(found.fit, found.hysteresis, data, kept, diameter), kept
 
         def done(found: tuple[FitWithFriction, Muscle | None, Path], heard: list[str]) -> None:

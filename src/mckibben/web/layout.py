@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.errors import ON_COMMAND_LINE, DatasetError, FileError, McKibbenError, printable
 from mckibben.identification.fit import KEEP_OUTLIERS
+from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.scenario.parameters import LISTING
 from mckibben.web import resource
 from mckibben.web.session import Jobs, JobState
@@ -45,7 +46,7 @@ KEEP, FRICTION, SKIP = "keep outliers", "friction", "leave out damaged rows"  # 
 _INSTEAD = {
     KEEP_OUTLIERS: f"; to keep such points, tick “{KEEP}”",
     LEAVE_OUT: f", or tick “{SKIP}”",
-    "identify the friction with identify_hysteresis": f"to identify the friction, choose “{FRICTION}: with”",
+    WITH_FRICTION: f"; to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
     f"; {LISTING}": "",
     f" {LISTING}": "",

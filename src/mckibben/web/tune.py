@@ -137,28 +137,14 @@ class _Page(JobPage[StudyState]):
 
     def tune(self) -> None:
         """Tune the scenario."""
-
-        def done(found: Tuned, heard: list[str]) -> None:
-            self.state.tuned, self.state.notes = found, list(dict.fromkeys([*heard, *found.remarks]))
-
-        self.start(tuned, self.state.tuning, self.tuning_fields, done)
+        self.start("tuned", tuned, self.state.tuning, self.tuning_fields)
 
     def compare(self) -> None:
         """Compare controllers."""
+        self.start("compared", compared, self.state.comparison, self.comparison_fields)
 
-        def done(found: Compared, heard: list[str]) -> None:
-            self.state.compared, self.state.notes = found, list(dict.fromkeys([*heard, *found.remarks]))
-
-        self.start(compared, self.state.comparison, self.comparison_fields, done)
-
-    def start(
-        self,
-        compute: Callable[..., Any],
-        request: Any,
-        fields: list[NumberField],
-        done: Callable[[Any, list[str]], None],
-    ) -> None:
-        """Compute a study; at most one at a time."""
+    def start(self, name: str, compute: Callable[..., Any], request: Any, fields: list[NumberField]) -> None:
+        """Compute a study, at most one at a time, and store its result in the state under a name."""
         state, text, folder = self.state, self.text(), self.folder
         if wrong := [one.label for one in fields if one.error]:
             ui.notify(f"correct first: {', '.join(map(str, wrong))}", type="negative")
@@ -166,6 +152,11 @@ class _Page(JobPage[StudyState]):
         if state.jobs.busy:
             ui.notify("a study is running: cancel it first")
             return
+
+        def done(found: Tuned | Compared, heard: list[str]) -> None:
+            setattr(state, name, found)
+            state.notes = list(dict.fromkeys([*heard, *found.remarks]))
+
         state.error, state.notes = None, []
         self.start_job(lambda progress: compute(text, request, folder, progress), done)
 
