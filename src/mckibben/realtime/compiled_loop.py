@@ -16,7 +16,14 @@ from jaxtyping import Array
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import EXACT, NativeFunction
-from mckibben.realtime.compiled_step import ControlProgram, FlatTree, advance_flat, step_flat
+from mckibben.realtime.compiled_step import (
+    ControlProgram,
+    FlatTree,
+    LimitCycleDetection,
+    advance_flat,
+    detect_flat,
+    step_flat,
+)
 from mckibben.realtime.simulated import SimulatedJoint
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.safety import JointMonitor
@@ -38,6 +45,7 @@ class Periods(NamedTuple):
 
     counts: Any  # whether it is one: the others fill the chunk
     raising: Any  # whether the commands are given
+    step: Any  # number of the controller's step, from 0
     ramp: tuple[Any, Any]  # given commands [Pa]
     reference: tuple[Any, Any]
     noise: tuple[Any, Any]  # of the pressures [Pa]
@@ -48,6 +56,7 @@ class LoopState(NamedTuple):
 
     plant: Any
     controller: Any
+    detection: Any  # of limit cycles
     commands: tuple[Any, Any]  # [Pa], of the host
     valves: tuple[Any, Any]  # [Pa], as the valves have them
     errors: tuple[Any, Any]  # of the pressures from their commands [Pa], filtered
@@ -62,6 +71,7 @@ class PeriodRecord(NamedTuple):
     wanted: Any
     commands: Any
     telemetry: Any
+    cycle: Any  # amplitude [rad] and period [s] of the limit cycle so far
 
 
 class Joint(NamedTuple):
@@ -71,6 +81,8 @@ class Joint(NamedTuple):
     plant: Any
     controller_layouts: tuple[FlatTree, FlatTree]
     plant_layouts: tuple[FlatTree, FlatTree, int]
+    detection_layout: FlatTree
+    resolution: Any  # of the angle [rad], for the detection
     telemetry: int  # number of its values
     period: Any
 
@@ -106,25 +118,29 @@ def _run(parts: tuple[Joint, Channels, LoopState, Periods], _: None) -> tuple[Lo
             )
         )
 
-        def controlled(memory: Array) -> tuple[Array, Array]:
+        def controlled(memory: Array, detection: Array) -> tuple[Array, ...]:
             inputs = jnp.stack([*at.reference, *reading, joint.period])
-            return step_flat(*joint.controller_layouts, joint.controller, memory, inputs)
+            seen = jnp.stack([reading[0], at.reference[0], at.step, joint.period, joint.resolution])
+            return (
+                *step_flat(*joint.controller_layouts, joint.controller, memory, inputs),
+                *detect_flat(joint.detection_layout, detection, seen),
+            )
 
-        def raised(memory: Array) -> tuple[Array, Array]:
+        def raised(memory: Array, detection: Array) -> tuple[Array, ...]:
             nothing = jnp.full(joint.telemetry, jnp.nan)
-            return memory, jnp.concatenate([jnp.stack(at.ramp), nothing])
+            return memory, jnp.concatenate([jnp.stack(at.ramp), nothing]), detection, jnp.zeros(2)
 
-        memory, values = lax.cond(at.raising, raised, controlled, state.controller)
+        memory, values, detection, cycle = lax.cond(at.raising, raised, controlled, state.controller, state.detection)
         wanted = values[0], values[1]
         commands = tuple(_clip(one, *limits) for one, limits in zip(wanted, channels.limits, strict=True))
         valves = tuple(
             _clip((_clip((command + tare) / gain + offset, low, high) - offset) * gain - tare, least, most)
             for command, (gain, offset, tare, low, high, least, most) in zip(commands, channels.valves, strict=True)
         )
-        new = LoopState(plant, memory, commands, valves, errors)  # type: ignore[arg-type]
+        new = LoopState(plant, memory, detection, commands, valves, errors)  # type: ignore[arg-type]
         new = LoopState(*(_chosen(at.counts, *pair) for pair in zip(new, state, strict=True)))
         reported = tuple(values[2 + i] for i in range(joint.telemetry))
-        return new, PeriodRecord(tuple(volts), tuple(reading), errors, wanted, commands, reported)
+        return new, PeriodRecord(tuple(volts), tuple(reading), errors, wanted, commands, reported, (cycle[0], cycle[1]))
 
     return lax.scan(period, start, periods)
 
@@ -145,6 +161,8 @@ def compute_periods(
     monitor: JointMonitor,
     limits: tuple[tuple[float, float], tuple[float, float]],
     memory: NDArray[np.float64] | None,
+    detection: LimitCycleDetection,
+    steps: NDArray[np.int64],
     commands: tuple[float, float],
     ramp: NDArray[np.float64],
     references: NDArray[np.float64],
@@ -154,12 +172,14 @@ def compute_periods(
 ) -> tuple[PeriodRecord, LoopState]:
     """Compute up to `size` periods after a command [Pa], with a controller's state, or without one on a ramp [Pa].
 
+    The steps of the controller are numbered for the detection of limit cycles, whose state is that before the periods.
     Returns their record, of shape (periods, ...), and the state after them; `ExportError` if it cannot be compiled.
     """
     count, raising, start = len(references), memory is None, backend.ahead(len(references))
     memory = np.zeros(program.layouts[1].size) if memory is None else memory
     plant, period, telemetry = backend.program, start.period, len(program.telemetry)
-    joint = Joint(program.numbers, plant.numbers, program.layouts, plant.layouts, telemetry, period)
+    layouts = program.layouts, plant.layouts, detection.layout
+    joint = Joint(program.numbers, plant.numbers, *layouts, detection.resolution, telemetry, period)
     of_sensors, valves = backend.channels()
     working = [one.working_volts(channel) for one, channel in zip(sensors, backend.inputs, strict=True)]
     channels = Channels(
@@ -172,8 +192,9 @@ def compute_periods(
     )
     columns = [_filled(column, size) for column in (*ramp.T, *references.T, *start.noise.T)]
     pairs = zip(columns[::2], columns[1::2], strict=True)
-    periods = Periods(np.arange(size) < count, np.full(size, raising), *pairs)
-    state = LoopState(start.state, memory, commands, start.commands, tuple(monitor.errors))  # type: ignore[arg-type]
+    periods = Periods(np.arange(size) < count, np.full(size, raising), _filled(steps.astype(float), size), *pairs)
+    errors: Any = tuple(monitor.errors)
+    state = LoopState(start.state, memory, detection.memory, commands, start.commands, errors)
     parts = jax.tree.map(_as_array, (joint, channels, state, periods))  # other numbers compile nothing
     after, record = run_periods(parts)
     parts = (np.array([column[:count] for column in part]).reshape(len(part), count).T for part in record)

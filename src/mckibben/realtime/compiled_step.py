@@ -168,18 +168,23 @@ class LimitCycleDetection:
 
     def __init__(self, period: float, resolution: float) -> None:
         empty = Oscillation.empty(jnp.zeros(()))
-        states = FlatTree.like(empty)
-        self._memory: Any = states.pack(empty)
-        self._step = flat_program(detect_flat, states.size, 5, static=(states,))
+        self.layout, self.resolution = FlatTree.like(empty), resolution
+        self.memory: Any = self.layout.pack(empty)
+        self._step = flat_program(detect_flat, self.layout.size, 5, static=(self.layout,))
         self._inputs = np.array([0.0, 0.0, 0.0, period, resolution])
-        self._step(self._memory, self._inputs)  # compiles it, if XLA does
+        self._step(self.memory, self._inputs)  # compiles it, if XLA does
 
     def after(self, angle: float, desired: float, index: int) -> LimitCycle | None:
         """Limit cycle after the measured angle and the reference [rad] of a period, counted from 0; None for none."""
         self._inputs[:3] = angle, desired, index
-        self._memory, found = self._step(self._memory, self._inputs)
-        amplitude, period = np.asarray(found).tolist()
-        return LimitCycle(amplitude, period) if amplitude > 0 else None
+        self.memory, found = self._step(self.memory, self._inputs)
+        return limit_cycle_of(found)
+
+
+def limit_cycle_of(found: ArrayLike) -> LimitCycle | None:
+    """Limit cycle of an amplitude [rad] and a period [s]; None without an amplitude."""
+    amplitude, period = np.asarray(found).tolist()
+    return LimitCycle(amplitude, period) if amplitude > 0 else None
 
 
 def detect_flat(states: FlatTree, memory: Array, inputs: Array) -> tuple[Array, Array]:

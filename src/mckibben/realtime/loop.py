@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mckibben.codegen.native import warn_of_fallback
 from mckibben.errors import ExportError, McKibbenError, RigError, StoppedError
 from mckibben.realtime.compiled_loop import compute_periods
-from mckibben.realtime.compiled_step import ControlProgram, LimitCycleDetection
+from mckibben.realtime.compiled_step import ControlProgram, LimitCycleDetection, limit_cycle_of
 from mckibben.realtime.record import Phase, RowBuffer
 from mckibben.realtime.simulated import SimulatedJoint
 from mckibben.realtime.wiring import Connected, JointReading
@@ -296,7 +296,8 @@ class ControlLoop:
             part = ((numbers + 1) / plan.raising)[:, np.newaxis]
             ramp = self._ramp_start + part * (np.array(plan.pressures) - self._ramp_start)
         memory = None if raising else self._state
-        inputs = self._program, backend, self.monitor, plan.command_limits, memory, self._commands, ramp, references
+        program = self._program, backend, self.monitor, plan.command_limits
+        inputs = *program, memory, self._detection, numbers - self._first, self._commands, ramp, references
         try:
             found, after = compute_periods(*inputs, self._connected.wiring.sensors, size=most)
         except ExportError as error:
@@ -310,8 +311,10 @@ class ControlLoop:
         self._next, self._commands = first + count, (float(found.commands[-1, 0]), float(found.commands[-1, 1]))
         if not raising:
             self._state, self._stepped = after.controller, first + count - 1
-            for number, angle, reference in zip(numbers, found.reading[:, 0], references[:, 0], strict=True):
-                self._detect(int(number) - self._first, float(angle), float(reference))
+            self._detection.memory = after.detection
+            changes = np.flatnonzero(np.diff(found.cycle[:, 0] > 0)) + 1
+            for row in (0, *changes, -1):
+                self._note(limit_cycle_of(found.cycle[row]))
         references = np.full((count, 2), np.nan) if raising else references
         own = {
             "sample": numbers,
@@ -407,12 +410,11 @@ class ControlLoop:
         self._state, values = self._program.step(self._state, inputs)
         commands, limited = self._command(values[:2].tolist())
         self.rows.commanded(row, reference, commands, limited, values[2:])
-        self._detect(number - self._first, angle, float(reference[0]))
+        self._note(self._detection.after(angle, float(reference[0]), number - self._first))
         return float(reference[0])
 
-    def _detect(self, index: int, angle: float, reference: float) -> None:
+    def _note(self, found: LimitCycle | None) -> None:
         """Record the limit cycle of the closed loop when it is first found."""
-        found = self._detection.after(angle, reference, index)
         if found is not None and self._limit_cycle is None:
             amplitude, period = map(float, found)
             text = f"the angle oscillates by {amplitude / deg:.3g} deg either way with a period of {period:.3g} s"
