@@ -6,7 +6,9 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 OUT    ?= build/report
-WORKERS ?= 2
+# Up to four processes for tests: one for each core, and for each 3 GB of memory.
+WORKERS ?= $(shell $(PYTHON) -c 'import os; cores = len(getattr(os, "sched_getaffinity", lambda _: range(os.cpu_count()))(0)); \
+  print(max(min(4, cores, os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 3_000_000_000), 1))')
 COUNT  ?= 27
 SEED   ?= 0
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
