@@ -118,6 +118,8 @@ def test_leaving_the_domain_is_said_as_the_house_says_it():
         "contraction -6.5 % is outside -3..25 % of MAS-10-180N-AA-MC-O; give the joint a series spring"
     )
     assert (caught.value.value, caught.value.lower, caught.value.upper) == (-0.065, -0.03, 0.25)
+    with pytest.raises(RangeError, match=r"contraction 25\.0003 % is outside -3\.\.25 %"):
+        domain.check_contraction(0.250003, owner="M")
 
 
 def test_a_domain_prints_in_percent_and_bar():
