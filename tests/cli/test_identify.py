@@ -286,6 +286,9 @@ def test_outliers_can_be_kept(cli, tmp_path, law):
         for more in ((), ("--keep-outliers",))
     )
     assert [one["row"] for one in named] == [21] and kept == []
+    lines = (tmp_path / "wrong.csv").read_text().splitlines()
+    header = next(number for number, line in enumerate(lines, 1) if not line.startswith("#"))
+    assert named[0]["place"] == f"line {header + 21}"
 
 
 @pytest.mark.slow

@@ -544,3 +544,16 @@ def test_a_wrong_initial_length_is_not_a_problem_of_each_row(file):
     (problem,) = caught.value.problems
     assert (problem.line, problem.field) == (2, "length_mm") and "29" in problem.message
     assert "initial_length" in problem.remedy
+
+
+def test_points_know_their_lines(tmp_path):
+    first, second = tmp_path / "a.csv", tmp_path / "b.csv"
+    first.write_text(f"# a test\n{MARTENS}")
+    second.write_text(MARTENS.replace("360000,0.25,0.0", "360000,0.25,x"))
+    data = read_dataset(first)
+    assert (data.place(0), data.place(5)) == ("line 3", "line 8")
+    assert data.taut.place(0) == "row 1"  # a row of its own, no longer of the file
+    with pytest.warns(McKibbenWarning, match="left out"):
+        both = read_dataset([first, second], on_corrupt="report")
+    expected = [f"line 3 of {first}", f"line 3 of {second}", f"line 5 of {second}"]
+    assert [both.place(row) for row in (0, 7, 8)] == expected

@@ -244,7 +244,7 @@ class ColumnConverter:
             more = f" ... and {len(found) - _WARNED} more, all in the attribute repairs" if len(found) > _WARNED else ""
             text = f"{path}: {left_out} of {rows} rows are left out: {first}{more}"
             warnings.warn(text, McKibbenWarning, stacklevel=user_level())
-            data = {name: values[kept] for name, values in data.items()}
+            data, self.lines = {name: values[kept] for name, values in data.items()}, lines[kept].tolist()
         return data, attrs
 
     def _leave_out_summaries(self, data: Mapping[str, np.ndarray]) -> None:
