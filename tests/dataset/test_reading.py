@@ -557,3 +557,17 @@ def test_points_know_their_lines(tmp_path):
         both = read_dataset([first, second], on_corrupt="report")
     expected = [f"line 3 of {first}", f"line 3 of {second}", f"line 5 of {second}"]
     assert [both.place(row) for row in (0, 7, 8)] == expected
+
+
+@pytest.mark.parametrize(
+    ("units", "field", "advice"), [(("kPa", "N"), "pressure", "6 kPa"), (("bar", "kN"), "force", "540 kN")]
+)
+def test_the_unit_in_which_a_number_would_be_usual_is_proposed(tmp_path, units, field, advice):
+    rows = [f"{p},{c},{p * (30 - c) * 3}" for p in (2, 4, 6) for c in (0, 5, 10, 15)]
+    path = tmp_path / "wrong.csv"
+    path.write_text("\n".join([f"pressure_{units[0]},contraction_percent,force_{units[1]}", *rows]))
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path)
+    (problem,) = caught.value.problems
+    usual = {"pressure": "bar", "force": "N"}[field]
+    assert problem.field == field and f"{advice} would be usual in {usual}" in problem.remedy

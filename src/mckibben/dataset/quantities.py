@@ -159,6 +159,11 @@ class ColumnConverter:
             both = alone.message.partition(";")[0]
             self.suspect.append(f"{alone.field}: {both}, and only a column that is not read decides; {alone.remedy}")
 
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each quantity that has one."""
+        return {name: column.unit for name, (_, column) in self.places.items() if column.unit}
+
     def line_numbers(self) -> NDArray[np.int64]:
         """Line number of each row."""
         lines = self.lines

@@ -19,6 +19,7 @@ from mckibben.dataset.consistency import check_dataset
 from mckibben.dataset.file_names import add_from_name, check_pattern
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.plausibility import check_pressures
 from mckibben.dataset.preprocessing import preprocess, with_notes, without_offset
 from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt, impossible_settings
 from mckibben.dataset.recording import Recording
@@ -182,8 +183,8 @@ def _read_points(path: Path, asked: _Options) -> tuple[IsobaricDataset, bool, bo
     file = asked.converter(one_row_per_point(asked.table(path), asked.columns), _NEEDED)
     attrs = file.attributes(path, asked.specimen, asked.slack_force)
     data, found = file.settle(path, file.columns(asked.force_sign), asked.on_corrupt)
-    dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
-    dataset = replace(dataset, lines=(FileLines(file.sheet.unit, file.lines),))
+    dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found, file.units)
+    dataset = replace(dataset, lines=(FileLines(file.sheet.unit, file.lines, file.units),))
     slack_known = asked.slack_force is not None or "slack_force" in file.sheet.comments
     return dataset, written_by_us(file.sheet.names, file.sheet.comments), slack_known
 
@@ -211,13 +212,27 @@ def _paths(path: FilePaths) -> list[Path]:
 
 
 def _made(
-    kind: type[Kind], path: Path, data: Mapping[str, Any], attrs: Mapping[str, Any], found: Mapping[str, str]
+    kind: type[Kind],
+    path: Path,
+    data: Mapping[str, Any],
+    attrs: Mapping[str, Any],
+    found: Mapping[str, str],
+    units: Mapping[str, str],
 ) -> Kind:
-    """Dataset or recording from the columns of a file; an argument error names the file."""
+    """Dataset or recording from the columns of a file; an argument error names the file and the unit of its column."""
     try:
         made = kind.of(**data, **attrs)
     except DatasetError as error:
-        raise DatasetError(str(path), error.problems) from None
+        problems = [
+            problem
+            for one in error.problems
+            for problem, _ in (
+                check_pressures(float(one.value), units["pressure"])
+                if one.field == "pressure" and isinstance(one.value, float)
+                else [(one, True)]
+            )
+        ]
+        raise DatasetError(str(path), problems) from None
     return kind(made.table.assign_attrs(found)) if found else made
 
 
@@ -255,7 +270,7 @@ def _joined(parts: Sequence[Kind], path: FilePaths, slack_known: Sequence[bool])
     if "time" in kept:
         tables = _one_after_another(tables, apart=isinstance(parts[0], Recording))
     joined = xr.concat(tables, next(iter(parts[0].schema.values())).dims[0])
-    read = [part.lines or (FileLines("row", range(1, len(part) + 1)),) for part in parts]
+    read = [part.lines or (FileLines("row", range(1, len(part) + 1), {}),) for part in parts]
     lines = (one._replace(file=name) for name, (one,) in zip(names, read, strict=True))
     return type(parts[0])(joined.assign_attrs(attrs), tuple(lines)), source
 
@@ -402,4 +417,4 @@ def _read_samples(path: Path, asked: _Options) -> Recording:
     data, found = file.settle(path, data, asked.on_corrupt)
     if contraction is not None:
         data["contraction"] = np.full(len(data["pressure"]), contraction)
-    return _made(Recording, path, data, {"initial_length": file.initial_length, **attrs}, found)
+    return _made(Recording, path, data, {"initial_length": file.initial_length, **attrs}, found, file.units)

@@ -275,10 +275,14 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
 
 
 class FileLines(NamedTuple):
-    """Lines, or rows of a table, from which the points of a file were read; `file` is empty for a single file."""
+    """Lines, or rows of a table, from which the points of a file were read; `file` is empty for a single file.
+
+    `units` are those of its columns, by quantity.
+    """
 
     unit: str
     numbers: Sequence[int]
+    units: Mapping[str, str]
     file: str = ""
 
 
