@@ -117,7 +117,7 @@ def _remedy(value: object, kinds: list[type], others: list[Any]) -> str:
     if kinds == [Mapping]:
         return "give values by name, such as {'name': value}"
     if not any(_is_ours(one) or one in _CERTAIN for one in kinds):
-        return "give a number in SI units, such as 30 * mm with mckibben.units"
+        return "give a number in SI units"
     remedy = f"give {with_article(' or '.join(_NAMES.get(one, one.__name__) for one in kinds))}"
     if reading := _reading(kinds[0], value):
         return f"{remedy}: {reading}"
