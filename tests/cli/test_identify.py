@@ -315,7 +315,7 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     ):
         answer = cli(*command)
         assert answer.code == 0, answer.err
-        assert (answer.out + answer.err).count("has friction, which") == 1
+        assert (answer.out + answer.err).count("muscle1 and muscle2 have friction, which") == 1
     tests = json.loads(cli("stiffness", "joint.yaml", "--amplitude", "0.1..1 deg", "--json").out)
     assert tests["secant"][0] > 2 * tests["isobaric"]
 
