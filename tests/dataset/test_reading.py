@@ -103,7 +103,7 @@ def test_semicolons_decimal_commas_bom_crlf_comments_and_blank_lines(file):
         "# specimen: MAS-10\r\n# initial_length: 180 mm\r\n# slack_force: 2 N\r\n# free words\r\n\r\n"
         "Pressure_KPA;Contraction_PERCENT;force_kN;Direction;REPEAT;time_ms;set_pressure_bar;note\r\n"
         "150,5;2,5;0,1;Stretching;1;500;1,5;first\r\n\r\n;;;;;;;\r\n"
-        "200;-3;1e-3;unload;2;1000;;a,b.c\r\n"
+        "200;-3;1e-3;Entlastung;2;1000;;a,b.c\r\n"
     )
     data = read_dataset(file(b"\xef\xbb\xbf" + text.encode()))
     np.testing.assert_allclose(data.pressure, [150500, 200000])

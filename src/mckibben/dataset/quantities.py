@@ -72,8 +72,10 @@ _ROWS = 3  # of impossible lengths that are listed
 
 _MEANINGS: Mapping[str, Mapping[str, str]] = {
     "direction": {
-        **dict.fromkeys(("loading", "load", "stretching", "lengthening", "dehnen", "strecken", "belasten"), "loading"),
-        **dict.fromkeys(("unloading", "unload", "shortening", "verkürzen", "entlasten"), "unloading"),
+        **dict.fromkeys(("loading", "load", "stretching", "lengthening"), "loading"),
+        **dict.fromkeys(("dehnen", "dehnung", "strecken", "verlängern", "belasten", "belastung"), "loading"),
+        **dict.fromkeys(("unloading", "unload", "shortening"), "unloading"),
+        **dict.fromkeys(("verkürzen", "verkürzung", "entlasten", "entlastung"), "unloading"),
         "unknown": "",
     },
     "phase": {
