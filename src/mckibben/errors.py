@@ -41,11 +41,14 @@ def with_article(noun: str) -> str:
     return f"a{'n' * noun.startswith(('A', 'E', 'I', 'O', 'a', 'e', 'i', 'o'))} {noun}"
 
 
-def described(value: object) -> str:
-    """Describe a value in a message: numbers and texts are quoted, other objects are named by their class."""
+def described(value: object, *, of_file: bool = False) -> str:
+    """Describe a value in a message: numbers and texts are quoted, other objects are named by their class.
+
+    A list of a file may have become a tuple.
+    """
     if isinstance(value, str | Number | None):
         return quoted(value)
-    names: dict[type, str] = {tuple: "list", list: "list", dict: "mapping"}
+    names: dict[type, str] = {dict: "mapping", **({tuple: "list"} if of_file else {})}
     name = names.get(type(value), type(value).__name__)
     return with_article("array" if name == "ndarray" else name)
 

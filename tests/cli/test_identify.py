@@ -286,6 +286,9 @@ def test_outliers_can_be_kept(cli, tmp_path, law):
         for more in ((), ("--keep-outliers",))
     )
     assert [one["row"] for one in named] == [21] and kept == []
+    lines = (tmp_path / "wrong.csv").read_text().splitlines()
+    header = next(number for number, line in enumerate(lines, 1) if not line.startswith("#"))
+    assert named[0]["place"] == f"line {header + 21}"
 
 
 @pytest.mark.slow
@@ -312,7 +315,7 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     ):
         answer = cli(*command)
         assert answer.code == 0, answer.err
-        assert (answer.out + answer.err).count("has friction, which") == 1
+        assert (answer.out + answer.err).count("muscle1 and muscle2 have friction, which") == 1
     tests = json.loads(cli("stiffness", "joint.yaml", "--amplitude", "0.1..1 deg", "--json").out)
     assert tests["secant"][0] > 2 * tests["isobaric"]
 

@@ -14,7 +14,7 @@ import pytest
 from mckibben.component.base import Component, field_quantities
 from mckibben.errors import RangeError
 from mckibben.joint import PendulumLoad
-from mckibben.muscle import Domain
+from mckibben.muscle import Domain, Specimen
 from mckibben.units import BoundedInt, Length, Mass, Quantity
 
 
@@ -110,3 +110,25 @@ def test_an_infinite_default_may_be_in_an_array():
     assert dataclasses.replace(limits, contraction_max=np.array([0.3, np.inf])).contraction_min == -np.inf
     with pytest.raises(RangeError):
         dataclasses.replace(limits, contraction_max=np.array([30.0, np.inf]))
+
+
+class Gains(Component):
+    stiffness: Annotated[float, Quantity("N*m/rad")]
+    ratio: Annotated[float, Quantity("1", "percent")]
+    share: Annotated[float, Quantity("1")]
+
+
+@pytest.mark.parametrize(
+    ("field", "remedy"), [("stiffness", "3 * N*m/rad"), ("ratio", "3 * percent"), ("share", "give a number")]
+)
+def test_the_remedy_of_a_text_has_the_unit_of_its_field(field, remedy):
+    with pytest.raises(RangeError) as caught:
+        Gains(**{"stiffness": 3.0, "ratio": 0.4, "share": 0.5, field: "3"})
+    assert caught.value.field == field and remedy in caught.value.remedy and "mm" not in caught.value.remedy
+
+
+@pytest.mark.parametrize(("given", "name"), [((0, 0.2), "a tuple"), ([0, 0.2], "a list"), ({}, "a mapping")])
+def test_a_collection_is_named_as_it_was_given(given, name):
+    with pytest.raises(RangeError, match=f"domain is {name}") as caught:
+        Specimen("M", 0.2, domain=given)
+    assert caught.value.field == "domain" and "Domain" in caught.value.remedy

@@ -103,7 +103,7 @@ def test_semicolons_decimal_commas_bom_crlf_comments_and_blank_lines(file):
         "# specimen: MAS-10\r\n# initial_length: 180 mm\r\n# slack_force: 2 N\r\n# free words\r\n\r\n"
         "Pressure_KPA;Contraction_PERCENT;force_kN;Direction;REPEAT;time_ms;set_pressure_bar;note\r\n"
         "150,5;2,5;0,1;Stretching;1;500;1,5;first\r\n\r\n;;;;;;;\r\n"
-        "200;-3;1e-3;unload;2;1000;;a,b.c\r\n"
+        "200;-3;1e-3;Entlastung;2;1000;;a,b.c\r\n"
     )
     data = read_dataset(file(b"\xef\xbb\xbf" + text.encode()))
     np.testing.assert_allclose(data.pressure, [150500, 200000])
@@ -544,3 +544,30 @@ def test_a_wrong_initial_length_is_not_a_problem_of_each_row(file):
     (problem,) = caught.value.problems
     assert (problem.line, problem.field) == (2, "length_mm") and "29" in problem.message
     assert "initial_length" in problem.remedy
+
+
+def test_points_know_their_lines(tmp_path):
+    first, second = tmp_path / "a.csv", tmp_path / "b.csv"
+    first.write_text(f"# a test\n{MARTENS}")
+    second.write_text(MARTENS.replace("360000,0.25,0.0", "360000,0.25,x"))
+    data = read_dataset(first)
+    assert (data.place(0), data.place(5)) == ("line 3", "line 8")
+    assert data.taut.place(0) == "row 1"  # a row of its own, no longer of the file
+    with pytest.warns(McKibbenWarning, match="left out"):
+        both = read_dataset([first, second], on_corrupt="report")
+    expected = [f"line 3 of {first}", f"line 3 of {second}", f"line 5 of {second}"]
+    assert [both.place(row) for row in (0, 7, 8)] == expected
+
+
+@pytest.mark.parametrize(
+    ("units", "field", "advice"), [(("kPa", "N"), "pressure", "6 kPa"), (("bar", "kN"), "force", "540 kN")]
+)
+def test_the_unit_in_which_a_number_would_be_usual_is_proposed(tmp_path, units, field, advice):
+    rows = [f"{p},{c},{p * (30 - c) * 3}" for p in (2, 4, 6) for c in (0, 5, 10, 15)]
+    path = tmp_path / "wrong.csv"
+    path.write_text("\n".join([f"pressure_{units[0]},contraction_percent,force_{units[1]}", *rows]))
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path)
+    (problem,) = caught.value.problems
+    usual = {"pressure": "bar", "force": "N"}[field]
+    assert problem.field == field and f"{advice} would be usual in {usual}" in problem.remedy

@@ -316,3 +316,19 @@ def test_a_notebook_shows_a_line_and_a_table(small):
     assert len(repr(small)) < 120 and len(repr(fit)) < 120
     assert fit._repr_html_().count("<tr>") == 1 + len(fit.estimates)
     assert small._repr_html_().count("<tr>") == 1 + len(small.entries)
+
+
+def test_laws_that_the_data_do_not_tell_apart_are_named():
+    ranking = rank(made_by(catalog.law("lei-mas-10-180n"), noise=1.0), [ExponentialLaw, SmoothLaw, ReynoldsLaw])
+    (alike,) = [text for text in ranking.remarks() if "apart" in text]
+    assert "ExponentialLaw" in alike and "SmoothLaw" in alike and "ReynoldsLaw" not in alike
+
+
+def test_the_advice_to_fit_one_law_with_friction_names_the_option():
+    law = catalog.law("lei-mas-10-180n")
+    data = made_by(law, noise=0.5, repeats=4)
+    loading = data.table["repeat"].to_numpy() % 2
+    force = ("point", data.force + np.where(loading, 10.0, -10.0) * (data.force > 20))
+    direction = ("point", np.where(loading, "loading", "unloading"))
+    ranking = rank(IsobaricDataset(data.table.assign(force=force, direction=direction)), [ExponentialLaw, ReynoldsLaw])
+    assert any("(command line: --law Exponential)" in text for text in ranking.remarks())

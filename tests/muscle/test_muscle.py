@@ -43,7 +43,7 @@ def test_a_slack_muscle_has_no_slope_and_a_taut_one_that_of_its_law(muscle, law)
 def test_outside_its_domain_a_muscle_says_so(muscle, method):
     asked = getattr(muscle, method)
     with pytest.warns(
-        DomainWarning, match=r"^MAS-10\S+: contraction -8 % and pressure 6 bar are outside contr"
+        DomainWarning, match=r"^muscle MAS-10\S+: contraction -8 % and pressure 6 bar are outside contr"
     ) as said:
         asked(-0.08, 6e5)
     assert "from -3 % to 25 %, pressure from 0 bar to 6 bar" in str(said[0].message)
@@ -118,6 +118,8 @@ def test_leaving_the_domain_is_said_as_the_house_says_it():
         "contraction -6.5 % is outside -3..25 % of MAS-10-180N-AA-MC-O; give the joint a series spring"
     )
     assert (caught.value.value, caught.value.lower, caught.value.upper) == (-0.065, -0.03, 0.25)
+    with pytest.raises(RangeError, match=r"contraction 25\.0003 % is outside -3\.\.25 %"):
+        domain.check_contraction(0.250003, owner="M")
 
 
 def test_a_domain_prints_in_percent_and_bar():

@@ -135,7 +135,8 @@ def test_an_infeasible_reference_is_described_with_its_numbers(as_printed, load)
     found = on(JointPlant(as_printed, load, FirstOrderValve(0.02)), Reference(Sine(20 * deg, 0.5), 72.5))
     assert not found.trackable
     said = found.describe()
-    assert said.startswith("not even statically trackable: no pressures within limits give the torque for 6")
+    assert said.startswith("not even statically trackable: the joint cannot give the torque for 6")
+    assert "outside -3..25 %" in found.cause and found.cause in said
     assert "desired 72.5, attainable 1" in said and "N*m/rad at -10." in said
 
 

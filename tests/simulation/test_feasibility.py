@@ -3,6 +3,7 @@
 import inspect
 import re
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -74,7 +75,8 @@ def test_as_printed_20_deg_cannot_be_held_and_it_says_when_and_by_how_much(print
 
     text = reach.describe()
     first = np.arcsin(10.38 / 20) / np.pi
-    assert re.search(r"no pressures within limits hold the desired angle for 65% of the run", text)
+    assert re.search(r"the joint cannot hold the desired angle for 65% of the run", text)
+    assert "contraction -3.01 % is outside -3..25 % of" in reach.cause and reach.cause in text
     assert float(re.search(r"first at ([\d.]+) s", text)[1]) == pytest.approx(first, abs=2e-3)
     assert float(re.search(r"first at [\d.]+ s \(([\d.]+) deg\)", text)[1]) == pytest.approx(10.4, abs=0.05)
 
@@ -84,6 +86,12 @@ def test_as_printed_20_deg_cannot_be_held_and_it_says_when_and_by_how_much(print
     assert short[worst] == pytest.approx(max(low - 72.5, 72.5 - high), abs=2e-3)
     assert f"{short[worst]:.3g} N*m/rad at {reach.times[worst]:.3g} s" in text
     assert "72.5" in text
+
+
+def test_a_load_that_is_too_heavy_is_no_muscle_outside_its_domain(plant):
+    reach = check_reference(eqx.tree_at(lambda p: p.load.mass2, plant, 50.0), reference(10.0, 15.0), **GRID)
+    assert np.isnan(reach.lowest).all() and not reach.cause
+    assert reach.describe().startswith("no pressures within limits hold the desired angle for 100% of the run")
 
 
 def test_a_short_stiffness_alone_names_no_angle(printed_plant):

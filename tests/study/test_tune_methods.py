@@ -80,6 +80,7 @@ def test_what_is_told_of_a_search(method, found, said):
     assert said[method] == sorted(said[method])
     first, *others = said[method, "steps"]
     assert first == "compiling"  # there is no cost at the very beginning
+    assert others[-1].startswith("evaluating")
     least = [float(step.split()[3]) for step in others]
     assert least == sorted(least, reverse=True)
     assert least[-1] == float(f"{min(trial.cost for trial in found.trials):.4g}")

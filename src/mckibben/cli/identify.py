@@ -373,7 +373,7 @@ def _show(ranking: Ranking) -> None:
     rows = [row(entry) for entry in fitted]
     table(f"{specimen}: {len(ranking.points)} taut points, {ranking.slack} slack excluded", headers, rows)
     for text in ranking.remarks():
-        echo(text)
+        echo(on_command_line(text))
     for entry in ranking.entries:
         for what, texts in (("not fitted", [entry.refused]), ("flagged", entry.flags), ("note on", entry.remarks)):
             if any(texts):

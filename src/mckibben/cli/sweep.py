@@ -250,6 +250,7 @@ def tune(
     from mckibben.study.parameters import parse_sweeps, sample
     from mckibben.study.tune import parse_cost, parse_ranges
     from mckibben.study.tune import tune as run
+    from mckibben.study.tune.margin import metrics_and_margins
 
     ranges = parse_ranges(parameters or [], read[0])
     late = parse_quantity("--delay-margin", delay_margin, "s")
@@ -283,15 +284,20 @@ def tune(
             engine=engine,
             progress=bar,
         )
-    within = (
-        [_in_conditions(one, tuned, percentile or 90.0, drawn, followed) for one in tuned.scenarios] if drawn else []
-    )
-    _show_tuned(tuned, read, scenarios, ranges, drawn, within, out, json)
+        pairs = zip(read, tuned.scenarios, strict=True)
+        runs = [(metrics_and_margins(old), metrics_and_margins(new)) for old, new in pairs]
+        within = (
+            [_in_conditions(one, tuned, percentile or 90.0, drawn, followed) for one in tuned.scenarios]
+            if drawn
+            else []
+        )
+    _show_tuned(tuned, read, runs, scenarios, ranges, drawn, within, out, json)
 
 
 def _show_tuned(
     tuned: TuningResult,
     before: list[Scenario],
+    found: list[Any],
     paths: list[Path],
     ranges: Any,
     drawn: Table,
@@ -300,11 +306,10 @@ def _show_tuned(
     json: bool,
 ) -> None:
     from mckibben import report
-    from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins
+    from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin
 
     runs: list[dict[str, Any]] = []
-    for old, new in zip(before, tuned.scenarios, strict=True):
-        (was, had), (now, has) = metrics_and_margins(old), metrics_and_margins(new)
+    for old, ((was, had), (now, has)) in zip(before, found, strict=True):
         margins = {"before": had, "tuned": has}
         runs.append({"scenario": old.name, "before": was, "tuned": now, "least_margins": margins})
     shown_values = {each.name: each.parameter.show(tuned.values[each.name]) for each in ranges}

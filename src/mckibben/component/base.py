@@ -173,8 +173,9 @@ def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
             elif isinstance(mark, BoundedInt) and isinstance(value, Real) and not _whole(value):
                 yield RangeError(f"{owner}: {name} is {value}, not a whole number", field=name, value=value)
             elif mark:
-                numbers = known_numbers(owner, name, value)
                 mark = units.get(mark.unit, mark)
+                shown = mark.shown if isinstance(mark, Quantity) and mark.unit not in SYMBOLS else ""
+                numbers = known_numbers(owner, name, value, shown)
                 if isinstance(field.default, Real):  # infinite: no limit
                     numbers = numbers[numbers != field.default]
                 if mark.unit not in SYMBOLS and not (right := mark.holds(numbers)).all():

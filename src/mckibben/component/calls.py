@@ -21,6 +21,7 @@ _EXPLAINED = TypeError, AttributeError, ValueError
 _CERTAIN = NoneType, str, Mapping, os.PathLike
 _READERS = "read", "from_yaml"  # class methods that read a file
 _NAMES = {Sequence: "list", Mapping: "mapping", str: "string"}
+_OPTIONS = {"keep_outliers": "robust=False"}  # of the command line, with another name in Python
 _BY_NAME = inspect.Parameter.POSITIONAL_OR_KEYWORD, inspect.Parameter.KEYWORD_ONLY
 
 
@@ -100,6 +101,8 @@ def _unbound(
     forms = [one.name if one.kind is _BY_NAME[0] else f"{one.name}=..." for one in needed]
     call = f"write {of}({', '.join([*forms, '...'] if len(names) > len(needed) else forms)})"
     if unknown := next((one for one in named if one not in names), ""):
+        if (option := _OPTIONS.get(unknown, "")) and option.partition("=")[0] in names:
+            return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=f"write {option}")
         meant = closest(unknown, [one for one in names if one not in named])
         remedy = f"did you mean {meant!r}?" if meant else f"known are {', '.join(names)}" if names else call
         return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=remedy)
@@ -117,7 +120,7 @@ def _remedy(value: object, kinds: list[type], others: list[Any]) -> str:
     if kinds == [Mapping]:
         return "give values by name, such as {'name': value}"
     if not any(_is_ours(one) or one in _CERTAIN for one in kinds):
-        return "give a number in SI units, such as 30 * mm with mckibben.units"
+        return "give a number in SI units"
     remedy = f"give {with_article(' or '.join(_NAMES.get(one, one.__name__) for one in kinds))}"
     if reading := _reading(kinds[0], value):
         return f"{remedy}: {reading}"

@@ -15,7 +15,7 @@ from mckibben.errors import RangeError, described, quoted, with_article
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
     """Raise `RangeError` unless all numbers are finite and above 0 (or 0, where allowed)."""
     for name, value in values.items():
-        numbers = known_numbers(owner, name, value)
+        numbers = known_numbers(owner, name, value, unit)
         right = np.isfinite(numbers) & ((numbers > 0) | (zero & (numbers == 0)))
         if not right.all():
             kind = "0 or above" if zero else "above 0"
@@ -45,7 +45,7 @@ def check_number(owner: str, **values: object) -> None:
 def check_within(owner: str, lower: float, upper: float, unit: str = "", *, remedy: str = "", **values: object) -> None:
     """Raise `RangeError` unless all numbers lie in a closed range."""
     for name, value in values.items():
-        numbers = known_numbers(owner, name, value)
+        numbers = known_numbers(owner, name, value, unit)
         right = (numbers >= lower) & (numbers <= upper)
         if not right.all():
             wrong = float(numbers[~right][0])
@@ -75,10 +75,15 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
         raise RangeError(f"{owner}: {name} is {described(value)}", field=name, value=value, remedy=remedy)
 
 
-def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:
-    """Numbers of a value or tuple, flat, no texts or flags; none of None, a tracer or a placeholder."""
+def known_numbers(owner: str, name: str, value: object, unit: str = "") -> NDArray[np.float64]:
+    """Numbers of a value or tuple, flat, no texts or flags; none of None, a tracer or a placeholder.
+
+    `unit` is that of the remedy.
+    """
     if isinstance(value, str | bool | np.bool_) or (isinstance(value, np.ndarray) and value.dtype == bool):
-        remedy = "give a number in SI units, such as 30 * mm with mckibben.units"
+        remedy = "give a number" if unit == "1" else "give a number in SI units"
+        if unit not in ("", "1"):
+            remedy += f", such as 3 * {unit.replace('^', '**').replace('%', 'percent')} with mckibben.units"
         shown = quoted(value) if isinstance(value, str) else value
         raise RangeError(f"{owner}: {name} is {shown}", field=name, value=value, remedy=remedy)
     if isinstance(value, Real | np.ndarray):
@@ -86,11 +91,11 @@ def known_numbers(owner: str, name: str, value: object) -> NDArray[np.float64]:
     if isinstance(value, tuple | list) and all(type(one) is float for one in value):
         return np.asarray(value, float)
     if isinstance(value, tuple | list):
-        return np.concatenate([np.empty(0), *(known_numbers(owner, name, one) for one in value)])
+        return np.concatenate([np.empty(0), *(known_numbers(owner, name, one, unit) for one in value)])
     if value is None:
         return np.empty(0)
     import jax  # slow; not needed for plain numbers
     import jax.core
 
     concrete = isinstance(value, jax.Array) and not isinstance(value, jax.core.Tracer)
-    return known_numbers(owner, name, np.asarray(value)) if concrete else np.empty(0)
+    return known_numbers(owner, name, np.asarray(value), unit) if concrete else np.empty(0)

@@ -321,7 +321,10 @@ class Part:
             return "has no value", "write one, or leave the key out"
         if isinstance(value, Component | Checked):  # in Python
             return f"is {described(value)}", f"give {with_article(self.base.__name__)}"
-        return f"{described(value)} is given where keys and values are expected", f"give a mapping of {keys}"
+        return (
+            f"{described(value, of_file=True)} is given where keys and values are expected",
+            f"give a mapping of {keys}",
+        )
 
 
 def _remedy_without_class(default: type | None, known: Mapping[str, type], keys: set[str]) -> str:

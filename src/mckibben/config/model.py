@@ -340,7 +340,7 @@ class _Diagnosis:
             message, remedy = "has no value", "write one, or leave the key out"
         elif kind in _EXPECTED:
             expected, remedy = _EXPECTED[kind]
-            message = f"{described(value)} is given where {expected}"
+            message = f"{described(value, of_file=True)} is given where {expected}"
             keys = ", ".join(_keys_of(self.model_at(place)))
             if not place and isinstance(value, str):  # of the whole file
                 message = f"has no keys, and begins with {value[:_BEGINNING]!r}: it is another kind of file"

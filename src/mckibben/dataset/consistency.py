@@ -84,6 +84,7 @@ def check_dataset(
         attrs.get("initial_length"),
         specimen,
         measured,
+        dict(set.intersection(*(set(one.units.items()) for one in dataset.lines))) if dataset.lines else {},
     )
     if found.problems and not only_warn:
         raise DatasetError(source, found.problems)

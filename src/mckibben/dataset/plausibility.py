@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import permutations
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from mckibben.dataset.headers import ACCEPTED
 from mckibben.dataset.schema import VACUUM
 from mckibben.errors import Problem
 from mckibben.muscle import Specimen
-from mckibben.units import bar, mm, percent
+from mckibben.units import bar, factor, mm, percent
 
 Floats = NDArray[np.float64]
 
@@ -48,6 +50,7 @@ _STEADY = 0.01  # largest relative change from row to row of a value that marks 
 REPEATED = 0.01  # of the highest pressure: pressures of repeated points
 UNEQUAL = (0.3, 0.15)  # of a force, and of the largest: more than friction and creep
 _MANY = 10_000  # values, beyond which marks are compared exactly
+_SI = MappingProxyType({"pressure": "Pa", "force": "N"})
 _LENGTH = "check initial_length (command line: --initial-length)"
 _ZERO = "zero_length (command line: --zero-length) of displacements"
 _UNIT = (
@@ -71,8 +74,12 @@ def check_points(
     initial_length: float | None,
     specimen: Specimen | None = None,
     measured: Floats | None = None,
+    units: Mapping[str, str] = _SI,
 ) -> Findings:
-    """Check points of a muscle, and of its specimen where it is known; `measured` are forces with their offset."""
+    """Check points of a muscle, and of its specimen where it is known; `measured` are forces with their offset.
+
+    `units` are those in which pressure and force were given.
+    """
     problems, warnings = [], []
     measured = force if measured is None else measured
     found = list(check_sign(force))
@@ -81,7 +88,7 @@ def check_points(
     elif len(force):
         for problem, impossible in (
             *found,
-            *_ranges(pressure, contraction, force, slack_force, initial_length, specimen),
+            *_ranges(pressure, contraction, force, slack_force, initial_length, specimen, units),
             *_clipped("force", measured, 1.0, "N", pressure, contraction),
             *_clipped("pressure", pressure, bar, "bar"),
             *_clipped("contraction", contraction, percent, "%"),
@@ -103,11 +110,12 @@ def _ranges(
     slack_force: float,
     initial_length: float | None = None,
     specimen: Specimen | None = None,
+    units: Mapping[str, str] = _SI,
 ) -> Iterator[tuple[Problem, bool]]:
     """Messages for unusual ranges of points, and whether they are impossible."""
     yield from _contractions(contraction, force > slack_force, initial_length)
-    yield from check_pressures(float(pressure.max()))
-    yield from _forces(pressure, force, specimen)
+    yield from check_pressures(float(pressure.max()), units.get("pressure", "Pa"))
+    yield from _forces(pressure, force, specimen, units.get("force", "N"))
 
 
 def check_sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
@@ -143,12 +151,20 @@ def _contractions(
         yield Problem(text, field="contraction", remedy=f"{_LENGTH}, and the unit"), high > _SHORTEST
 
 
-def check_pressures(highest: float) -> Iterator[tuple[Problem, bool]]:
-    """Message for an unusual highest pressure [Pa], and whether it is impossible."""
+def check_pressures(highest: float, unit: str = "Pa") -> Iterator[tuple[Problem, bool]]:
+    """Message for an unusual highest pressure [Pa], given in a unit, and whether it is impossible."""
     lowest, least, most, limit = _PRESSURES
     if highest > 0 and not least <= highest <= most:
         text = f"the highest pressure is {highest / bar:.3g} bar, but pneumatic muscles are tested at 1 to 8 bar"
-        yield Problem(text, field="pressure", remedy=_UNIT), not lowest <= highest <= limit
+        remedy = _unit_remedy("pressure", highest, unit, lambda value: least <= value <= most)
+        yield Problem(text, field="pressure", remedy=remedy, value=highest, unit="Pa"), not lowest <= highest <= limit
+
+
+def _unit_remedy(quantity: str, value: float, unit: str, fits: Callable[[float], bool]) -> str:
+    """Remedy for a value [SI] given in a unit: the units in which it would be usual."""
+    number = value / factor(unit)
+    fitting = [one for one in ACCEPTED[quantity] if one != unit and fits(number * factor(one))]
+    return f"{number:.4g} {unit} would be usual in {' or '.join(fitting[:2])}: {_UNIT}" if fitting else _UNIT
 
 
 def exchanged(
@@ -398,18 +414,24 @@ def implied_diameter(pressure: Floats, force: Floats) -> float | None:
         return math.sqrt(4 * force[at] / (math.pi * _BLOCKED_FORCE * pressure[at]))
 
 
-def _forces(pressure: Floats, force: Floats, specimen: Specimen | None) -> Iterator[tuple[Problem, bool]]:
+def _forces(pressure: Floats, force: Floats, specimen: Specimen | None, unit: str) -> Iterator[tuple[Problem, bool]]:
     at, diameter = int(np.argmax(force)), implied_diameter(pressure, force)
     if diameter is None:
         return
     text = f"{force[at]:.4g} N at {pressure[at] / bar:.3g} bar is the force of a muscle of about {diameter / mm:.2g} mm"
     smallest, least, most, largest = _DIAMETERS
+    low, high, limit = _LIKE_SPECIMEN
+    given = specimen.initial_diameter if specimen is not None else None
+    usual = (low * given, high * given) if given else (least, most)
+    # the implied diameter is proportional to the square root of the force
+    remedy = _unit_remedy(
+        "force", force[at], unit, lambda value: usual[0] <= diameter * math.sqrt(value / force[at]) <= usual[1]
+    )
     if not smallest <= diameter <= largest:
-        yield Problem(text, field="force", remedy=_UNIT), True
-    elif specimen is not None and (given := specimen.initial_diameter):
-        low, high, limit = _LIKE_SPECIMEN
+        yield Problem(text, field="force", remedy=remedy), True
+    elif specimen is not None and given:
         if not low <= diameter / given <= high:
             text = f"{text}, but {specimen.name} has {given / mm:.3g} mm"
-            yield Problem(text, field="force", remedy=f"{_UNIT}; also for pressures"), diameter / given > limit
+            yield Problem(text, field="force", remedy=f"{remedy}; also for pressures"), diameter / given > limit
     elif not least <= diameter <= most:
-        yield Problem(text, field="force", remedy=_UNIT), False
+        yield Problem(text, field="force", remedy=remedy), False

@@ -72,8 +72,10 @@ _ROWS = 3  # of impossible lengths that are listed
 
 _MEANINGS: Mapping[str, Mapping[str, str]] = {
     "direction": {
-        **dict.fromkeys(("loading", "load", "stretching", "lengthening", "dehnen", "strecken", "belasten"), "loading"),
-        **dict.fromkeys(("unloading", "unload", "shortening", "verkürzen", "entlasten"), "unloading"),
+        **dict.fromkeys(("loading", "load", "stretching", "lengthening"), "loading"),
+        **dict.fromkeys(("dehnen", "dehnung", "strecken", "verlängern", "belasten", "belastung"), "loading"),
+        **dict.fromkeys(("unloading", "unload", "shortening"), "unloading"),
+        **dict.fromkeys(("verkürzen", "verkürzung", "entlasten", "entlastung"), "unloading"),
         "unknown": "",
     },
     "phase": {
@@ -158,6 +160,11 @@ class ColumnConverter:
         elif (alone := decimal_sign(numeric, (), sheet.delimiter, decimal)[1]) is not None:
             both = alone.message.partition(";")[0]
             self.suspect.append(f"{alone.field}: {both}, and only a column that is not read decides; {alone.remedy}")
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of each quantity that has one."""
+        return {name: column.unit for name, (_, column) in self.places.items() if column.unit}
 
     def line_numbers(self) -> NDArray[np.int64]:
         """Line number of each row."""
@@ -244,7 +251,7 @@ class ColumnConverter:
             more = f" ... and {len(found) - _WARNED} more, all in the attribute repairs" if len(found) > _WARNED else ""
             text = f"{path}: {left_out} of {rows} rows are left out: {first}{more}"
             warnings.warn(text, McKibbenWarning, stacklevel=user_level())
-            data = {name: values[kept] for name, values in data.items()}
+            data, self.lines = {name: values[kept] for name, values in data.items()}, lines[kept].tolist()
         return data, attrs
 
     def _leave_out_summaries(self, data: Mapping[str, np.ndarray]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
@@ -19,10 +19,11 @@ from mckibben.dataset.consistency import check_dataset
 from mckibben.dataset.file_names import add_from_name, check_pattern
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.plausibility import check_pressures
 from mckibben.dataset.preprocessing import preprocess, with_notes, without_offset
 from mckibben.dataset.quantities import ColumnConverter, Decimal, Displacement, OnCorrupt, impossible_settings
 from mckibben.dataset.recording import Recording
-from mckibben.dataset.schema import OF_FILE, written_by_us
+from mckibben.dataset.schema import OF_FILE, FileLines, written_by_us
 from mckibben.dataset.sheet import RawTable
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError, described
 from mckibben.units import mm
@@ -115,11 +116,11 @@ def read_dataset(
     if all(ours):
         if len(parts) > 1 and slack_force is None and not dataset.table.attrs["slack_force"]:
             table, notes = without_offset(dataset.table)  # one length may not show it
-            dataset = IsobaricDataset(with_notes(table, notes))
+            dataset = replace(dataset, table=with_notes(table, notes))
         return check_dataset(dataset, source, only_warn=True)
     files, measured = np.repeat(np.arange(len(parts)), list(map(len, parts))), dataset.force
     del read, parts  # as large as the result
-    dataset = IsobaricDataset(preprocess(dataset.table, slack_known=all(slack_known), files=files))
+    dataset = replace(dataset, table=preprocess(dataset.table, slack_known=all(slack_known), files=files))
     return check_dataset(dataset, source, measured=measured)
 
 
@@ -182,7 +183,8 @@ def _read_points(path: Path, asked: _Options) -> tuple[IsobaricDataset, bool, bo
     file = asked.converter(one_row_per_point(asked.table(path), asked.columns), _NEEDED)
     attrs = file.attributes(path, asked.specimen, asked.slack_force)
     data, found = file.settle(path, file.columns(asked.force_sign), asked.on_corrupt)
-    dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found)
+    dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found, file.units)
+    dataset = replace(dataset, lines=(FileLines(file.sheet.unit, file.lines, file.units),))
     slack_known = asked.slack_force is not None or "slack_force" in file.sheet.comments
     return dataset, written_by_us(file.sheet.names, file.sheet.comments), slack_known
 
@@ -210,13 +212,27 @@ def _paths(path: FilePaths) -> list[Path]:
 
 
 def _made(
-    kind: type[Kind], path: Path, data: Mapping[str, Any], attrs: Mapping[str, Any], found: Mapping[str, str]
+    kind: type[Kind],
+    path: Path,
+    data: Mapping[str, Any],
+    attrs: Mapping[str, Any],
+    found: Mapping[str, str],
+    units: Mapping[str, str],
 ) -> Kind:
-    """Dataset or recording from the columns of a file; an argument error names the file."""
+    """Dataset or recording from the columns of a file; an argument error names the file and the unit of its column."""
     try:
         made = kind.of(**data, **attrs)
     except DatasetError as error:
-        raise DatasetError(str(path), error.problems) from None
+        problems = [
+            problem
+            for one in error.problems
+            for problem, _ in (
+                check_pressures(float(one.value), units["pressure"])
+                if one.field == "pressure" and isinstance(one.value, float)
+                else [(one, True)]
+            )
+        ]
+        raise DatasetError(str(path), problems) from None
     return kind(made.table.assign_attrs(found)) if found else made
 
 
@@ -254,7 +270,9 @@ def _joined(parts: Sequence[Kind], path: FilePaths, slack_known: Sequence[bool])
     if "time" in kept:
         tables = _one_after_another(tables, apart=isinstance(parts[0], Recording))
     joined = xr.concat(tables, next(iter(parts[0].schema.values())).dims[0])
-    return type(parts[0])(joined.assign_attrs(attrs)), source
+    read = [part.lines or (FileLines("row", range(1, len(part) + 1), {}),) for part in parts]
+    lines = (one._replace(file=name) for name, (one,) in zip(names, read, strict=True))
+    return type(parts[0])(joined.assign_attrs(attrs), tuple(lines)), source
 
 
 _DIFFERENT_REMEDY = {
@@ -399,4 +417,4 @@ def _read_samples(path: Path, asked: _Options) -> Recording:
     data, found = file.settle(path, data, asked.on_corrupt)
     if contraction is not None:
         data["contraction"] = np.full(len(data["pressure"]), contraction)
-    return _made(Recording, path, data, {"initial_length": file.initial_length, **attrs}, found)
+    return _made(Recording, path, data, {"initial_length": file.initial_length, **attrs}, found, file.units)

@@ -274,6 +274,18 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
         raise DatasetError(str(path), error.problems) from None
 
 
+class FileLines(NamedTuple):
+    """Lines, or rows of a table, from which the points of a file were read; `file` is empty for a single file.
+
+    `units` are those of its columns, by quantity.
+    """
+
+    unit: str
+    numbers: Sequence[int]
+    units: Mapping[str, str]
+    file: str = ""
+
+
 _MEANT = dict.fromkeys(("fit", "identify"), "mk.identify(mk.ExponentialLaw, data)") | {"save": "to_netcdf(path)"}
 """Suggestions for unknown attributes of a dataset."""
 
@@ -286,6 +298,8 @@ class MeasuredTable:
     ----------
     table
         Variables of `schema` with ``units`` and ``long_name``, read-only, and attributes of the test.
+    lines
+        Lines of the files from which it was read; empty for a dataset of arrays, or of selected points.
     """
 
     schema: ClassVar[Mapping[str, Variable]]
@@ -294,6 +308,7 @@ class MeasuredTable:
     """Name in errors."""
 
     table: xr.Dataset
+    lines: tuple[FileLines, ...] = ()
 
     if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
 
@@ -322,6 +337,15 @@ class MeasuredTable:
 
     def __len__(self) -> int:
         return self.pressure.size
+
+    def place(self, row: int) -> str:
+        """Line of a point in its file, or its row from 1, as text; `row` is counted from 0."""
+        at = row
+        for part in self.lines:
+            if at < len(part.numbers):
+                return f"{part.unit} {part.numbers[at]}{f' of {part.file}' if part.file else ''}"
+            at -= len(part.numbers)
+        return f"row {row + 1}"
 
     def _repr_html_(self) -> str:
         read = str(self.table.attrs.get("columns_read", ""))

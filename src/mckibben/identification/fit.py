@@ -78,6 +78,8 @@ class Outlier:
         Measured pressure [Pa], contraction [-] and force [N].
     expected
         Force [N] from the surface through all other points.
+    place
+        Its line in the file from which it was read, as text; its row in a dataset of arrays.
     """
 
     row: int
@@ -85,10 +87,12 @@ class Outlier:
     contraction: float
     force: float
     expected: float
+    place: str = ""
 
     def __str__(self) -> str:
         where = f"{show(self.pressure, 'bar', 4)} and {self.contraction / percent:.4g} %"
-        return f"row {self.row}: {show(self.force, 'N', 4)} at {where}, where {show(self.expected, 'N', 4)} is expected"
+        place = self.place or f"row {self.row}"
+        return f"{place}: {show(self.force, 'N', 4)} at {where}, where {show(self.expected, 'N', 4)} is expected"
 
 
 _LISTED, _LISTED_ROWS = 3, 12  # outliers in full, and rows of others, in warnings
@@ -108,13 +112,13 @@ KEEP_OUTLIERS = "; to keep such points, give robust=False"
 
 def left_out(outliers: Sequence[Outlier]) -> list[str]:
     """Warnings of points that an identification leaves out: the first few, and the rows of the others."""
-    shown, more = outliers[:_LISTED], [str(one.row) for one in outliers[_LISTED:]]
+    shown, more = outliers[:_LISTED], [one.place or f"row {one.row}" for one in outliers[_LISTED:]]
     found = [f"left out: off the smooth surface through the other points; check it: {one}" for one in shown]
     if found:
         found[0] += f"{KEEP_OUTLIERS} (command line: --keep-outliers)"
     if more:
         rows = ", ".join(more[:_LISTED_ROWS]) + (", ..." if len(more) > _LISTED_ROWS else "")
-        found.append(f"left out, off that surface too: {len(more)} more points, rows {rows}")
+        found.append(f"left out, off that surface too: {len(more)} more points: {rows}")
     return found
 
 

@@ -74,8 +74,15 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     if len(found) > most:
         return ()
     return tuple(
-        Outlier(int(rows[i]) + 1, float(points.pressure[i]), float(points.contraction[i]), float(measured[i]), force)
-        for i, force in sorted((i, float(measured[i]) - error) for i, error in found)
+        Outlier(
+            int(rows[i]) + 1,
+            float(points.pressure[i]),
+            float(points.contraction[i]),
+            float(measured[i]),
+            float(measured[i]) - error,
+            means.place(int(rows[i])),
+        )
+        for i, error in sorted(found)
     )
 
 

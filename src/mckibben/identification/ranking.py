@@ -159,8 +159,19 @@ class Ranking:
         best, first = self.best.law, self.entries[0].law
         if shows_hysteresis(self.points):
             found.append(
-                f"loading and unloading differ; laws are ranked without friction; fit {best} alone, with friction"
+                f"loading and unloading differ; laws are ranked without friction; fit {best} alone, with friction, by "
+                f"identify_with_friction (command line: --law {best.removesuffix('Law')})"
             )
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for entry in self.entries:
+            if entry.fit:
+                errors = (entry.fit, *entry.cross_validation.values())
+                alike.setdefault(tuple(f"{one.rmse:.2f}" for one in errors), []).append(entry.law)
+        found += [
+            f"{', '.join(laws)}: equal errors to the digits shown; the data do not tell these laws apart"
+            for laws in alike.values()
+            if len(laws) > 1
+        ]
         found += [f"no cross-validation over {name}s: {reason}" for name, reason in self.missing.items()]
         if not self.blocks:
             found.append("no block of points could be held out: ranked by AICc")

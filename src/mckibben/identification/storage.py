@@ -265,6 +265,7 @@ class _Outlier(ConfigModel):
     contraction: Annotated[float, Number()]
     force: Annotated[float, Number()]
     expected: Annotated[float, Number()]
+    place: str = ""
 
 
 class _Data(ConfigModel):

@@ -151,6 +151,8 @@ def identify_with_friction(
             f"{found.rmse:.3g} N, too large to identify friction: fitted without it; try a law that fits better, such "
             "as SmoothLaw (command line: --law smooth)"
         )
+        if drift and "time" not in dataset.table:
+            note += ", or give the time of each point: without it, the drift of the sensor is not told from friction"
         found = None
     points = found.corrected(dataset) if found else dataset
     # the misfit of the friction, which is largest behind reversals, does not make a point an outlier

@@ -158,7 +158,7 @@ class AntagonisticJoint(Component):
         muscles = self.muscle1, self.muscle2
         found = list(dict.fromkeys(muscle.extrapolation for muscle in muscles if muscle.extrapolation))
         if self.has_friction:
-            names = [*dict.fromkeys(one.specimen.name for one in muscles if one.has_friction)]
+            names = [f"muscle{number}" for number, one in enumerate(muscles, 1) if one.has_friction]
             have = "have" if len(names) > 1 else "has"
             found.append(
                 f"{' and '.join(names)} {have} friction, which the isobaric stiffness leaves out; the small-motion "

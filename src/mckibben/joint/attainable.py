@@ -153,6 +153,29 @@ def unattainable(
     minimum_tension: float = 0.0,
 ) -> RangeError | UnreachableError:
     """Return the error that says why a torque is not attainable at an angle, and which range it leaves."""
+    if error := _outside_domain(joint, angle):
+        return error
+    at = f"at {angle / deg:.4g} deg"
+    remedy = "choose a smaller angle or load, other lengths of the geometry, or a series spring"
+    if pressure_limits is not None or minimum_tension:
+        remedy += "; wider pressure_limits or a lower minimum_tension, if given"
+    low, high = map(float, torque_range(joint, angle, pressure_limits, minimum_tension))
+    if low <= high and not low <= torque <= high:
+        message = f"a torque of {torque + 0.0:.4g} N*m {at} is outside the attainable {low:.4g}..{high:.4g} N*m"
+        return UnreachableError(message, value=torque, lower=low, upper=high, unit="N*m", remedy=remedy)
+    message = f"no pressures and tensions within limits hold the joint {at} with a torque of {torque + 0.0:.4g} N*m"
+    return UnreachableError(message, value=angle, unit="rad", remedy=remedy)
+
+
+def leaves_domain(joint: Joint, angles: ArrayLike, unheld: ArrayLike) -> str:
+    """Which muscle leaves its domain at the first angle [rad] that is not held, and a remedy; empty if neither does."""
+    first = np.asarray(angles)[np.asarray(unheld)][:1]
+    error = _outside_domain(joint, float(first[0])) if first.size else None
+    return f"at {first[0] / deg:.4g} deg, {error}" if error else ""
+
+
+def _outside_domain(joint: Joint, angle: float) -> RangeError | None:
+    """Return the error of a contraction that leaves its muscle's domain at an angle; None if neither does."""
     contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
     for number, (muscle, contraction) in enumerate(zip((joint.muscle1, joint.muscle2), contractions, strict=True), 1):
         stretched = float(contraction) < float(muscle.domain.contraction_min)
@@ -165,16 +188,7 @@ def unattainable(
             )
         except RangeError as error:
             return error
-    at = f"at {angle / deg:.4g} deg"
-    remedy = "choose a smaller angle or load, other lengths of the geometry, or a series spring"
-    if pressure_limits is not None or minimum_tension:
-        remedy += "; wider pressure_limits or a lower minimum_tension, if given"
-    low, high = map(float, torque_range(joint, angle, pressure_limits, minimum_tension))
-    if low <= high and not low <= torque <= high:
-        message = f"a torque of {torque + 0.0:.4g} N*m {at} is outside the attainable {low:.4g}..{high:.4g} N*m"
-        return UnreachableError(message, value=torque, lower=low, upper=high, unit="N*m", remedy=remedy)
-    message = f"no pressures and tensions within limits hold the joint {at} with a torque of {torque + 0.0:.4g} N*m"
-    return UnreachableError(message, value=angle, unit="rad", remedy=remedy)
+    return None
 
 
 def warn_unattainable(joint: Joint, angle: ArrayLike, torque: ArrayLike, lowest: Array, *limits: Any) -> None:

@@ -93,10 +93,10 @@ class Domain(Component):
         """Raise `RangeError` with value, range and remedy if a contraction lies outside."""
         if not bool(self.contains_contraction(contraction)):
             lower, upper = float(self.contraction_min), float(self.contraction_max)
-            message = (
-                f"contraction {contraction / percent:.1f} % is outside "
-                f"{lower / percent:g}..{upper / percent:g} % of {owner}"
-            )
+            value = contraction / percent
+            texts = (f"{value:.{digits}f}" for digits in range(1, 9))  # as many as show that it is outside
+            shown = next((text for text in texts if not self.contains_contraction(float(text) * percent)), f"{value}")
+            message = f"contraction {shown} % is outside {lower / percent:g}..{upper / percent:g} % of {owner}"
             raise RangeError(message, value=contraction, lower=lower, upper=upper, unit="1", remedy=remedy)
 
     def bounds(self) -> str:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.control import Reference, Step
 from mckibben.errors import RangeError
-from mckibben.joint.attainable import cocontraction_segment, is_affine
+from mckibben.joint.attainable import cocontraction_segment, is_affine, leaves_domain
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import compiled
 from mckibben.numerics.elementary import floating
@@ -144,6 +144,7 @@ class Trackability:
     breakpoints: Values  # times of jumps and corners [s]
     smoothing_sufficient: bool  # whether they are trackable when smoothed
     deviation: float  # largest of the angle due to smoothing, away from jumps [rad]
+    cause: str = ""  # which muscle leaves its domain at the first angle that cannot be held, if one does
 
     def __repr__(self) -> str:
         return f"<Trackability: {self.describe()}>"
@@ -165,7 +166,8 @@ class Trackability:
         sentences = []
         at_rest = ~(static == 0) & ~(dynamic == 0)
         if at_rest.any():
-            sentences.append(f"not even statically trackable: {self._violations(bands.static, static, at_rest)}")
+            violations = self._violations(bands.static, static, at_rest)
+            sentences += filter(None, [f"not even statically trackable: {violations}", self.cause])
         moving = (static == 0) & ~(dynamic == 0)
         if moving.any():
             most = float(np.abs(bands.torque[moving]).max())
@@ -198,7 +200,8 @@ class Trackability:
         """Violations of a band at the given samples, with their times and sizes."""
         reference, missing = self.trajectory, np.where(where, violation, 0.0)
         run = reference.times, reference.angle, reference.stiffness, band.lowest, band.highest
-        return " and ".join(shortcomings(*run, missing, "give the torque"))
+        failure = f"{'the joint cannot' if self.cause else 'no pressures within limits'} give the torque"
+        return " and ".join(shortcomings(*run, missing, failure))
 
 
 def check_trackability(
@@ -240,7 +243,9 @@ def check_trackability(
     >>> found.trackable
     False
     >>> print(found.describe())
-    not even statically trackable: no pressures within limits give the torque for 65% of the run, ...
+    not even statically trackable: the joint cannot give the torque for 65% of the run, ...
+    >>> print(found.cause)
+    at 10.72 deg, contraction -3.1 % is outside -3..25 % of MAS-10-180N-AA-MC-O (muscle 1); give the joint a longer ...
     """
     return TrackabilityChecker.of(plant, duration, control_period).check(reference, smoothing)
 
@@ -319,4 +324,7 @@ class TrackabilityChecker:
         jumps = breakpoints(reference.angle, self.times) if isinstance(reference.angle, Step) else np.empty(0)
         change = np.abs(smoothed(reference.angle, self.times, width)[self.checked] - angle) if at.size else 0 * angle
         deviation = float(np.max(change, where=~is_near(trajectory.times, jumps, width), initial=0.0))
-        return Trackability(trajectory, bands_along(self.plant, trajectory), at, sufficient, deviation)
+        bands = bands_along(self.plant, trajectory)
+        unheld = np.isnan(bands.static.lowest) & np.isnan(bands.dynamic.lowest)
+        cause = leaves_domain(self.plant.supplied_joint, trajectory.angle, unheld)
+        return Trackability(trajectory, bands, at, sufficient, deviation, cause)

@@ -19,6 +19,7 @@ from mckibben.component.calls import checked_call, user_level
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
+from mckibben.joint.attainable import leaves_domain
 from mckibben.notebook import draw, html_table
 from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant, PlantState
@@ -59,7 +60,7 @@ class Feasibility:
     """A reference compared with the attainable stiffness at each control period: [s], [rad], [N*m/rad].
 
     The attainable stiffness is that at the desired angle while the muscles balance gravity; NaN where no pressures
-    within limits hold the angle.
+    within limits hold the angle. `cause` says which muscle leaves its domain at the first such angle, if one does.
     """
 
     times: NDArray[np.float64]
@@ -67,6 +68,7 @@ class Feasibility:
     desired_stiffness: NDArray[np.float64]
     lowest: NDArray[np.float64]
     highest: NDArray[np.float64]
+    cause: str = ""
 
     @property
     def shortfall(self) -> NDArray[np.float64]:
@@ -104,7 +106,8 @@ class Feasibility:
         if self.feasible:
             return "the reference is statically feasible throughout"
         run = self.times, self.desired_angle, self.desired_stiffness, self.lowest, self.highest
-        return "; ".join(shortcomings(*run, self.shortfall, "hold the desired angle"))
+        failure = f"{'the joint cannot' if self.cause else 'no pressures within limits'} hold the desired angle"
+        return "; ".join(filter(None, [*shortcomings(*run, self.shortfall, failure), self.cause]))
 
 
 def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np.float64]:
@@ -114,14 +117,14 @@ def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np
 
 
 def shortcomings(
-    times: NDArray, angle: NDArray, stiffness: NDArray, low: NDArray, high: NDArray, missing: NDArray, cannot: str
+    times: NDArray, angle: NDArray, stiffness: NDArray, low: NDArray, high: NDArray, missing: NDArray, failure: str
 ) -> list[str]:
-    """When, and by how much, a stiffness is missed; `missing` is NaN where no pressures within limits do something."""
+    """When, and by how much, a stiffness is missed; `failure` says what happens where `missing` is NaN."""
     sentences, unheld, short = [], np.isnan(missing), np.nan_to_num(missing) > 0
     if unheld.any():
         at = int(unheld.argmax())
         when = f"{_span(times, unheld)}, first at {times[at]:.3g} s ({angle[at] / deg:.3g} deg)"
-        sentences.append(f"no pressures within limits {cannot} {when}")
+        sentences.append(f"{failure} {when}")
     if short.any():
         at = int(np.nanargmax(missing))
         sentences.append(
@@ -147,13 +150,13 @@ def check_reference(
     `SimulationError` if duration [s] and control period do not fit together.
     """
     times, setpoints = sampled(reference, duration, control_period)
-    return _feasibility(times, setpoints, _band(plant, setpoints.angle, stiffness_amplitude))
+    return _feasibility(plant, times, setpoints, _band(plant, setpoints.angle, stiffness_amplitude))
 
 
-def _feasibility(times: NDArray[np.float64], setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
+def _feasibility(plant: JointPlant, times: NDArray, setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
     """Feasibility of setpoints, from the attainable stiffness at them and the angles of their padding."""
-    columns = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
-    return Feasibility(times, *columns)
+    angle, *others = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
+    return Feasibility(times, angle, *others, leaves_domain(plant.supplied_joint, angle, np.isnan(others[-1])))
 
 
 def attainable_band(
@@ -297,7 +300,8 @@ def checked_run(
     setpoints = sampled_reference(problem.reference, times)
     without: Any = {"controller": None, "reference": None}  # others compile nothing new
     start, exists = start_of(problem._replace(**without), setpoints, engine=engine)
-    feasibility = _feasibility(times, setpoints, _band(problem.plant, setpoints.angle, amplitude, engine=engine))
+    band = _band(problem.plant, setpoints.angle, amplitude, engine=engine)
+    feasibility = _feasibility(plant, times, setpoints, band)
     for name, signal in (("angle", reference.angle), ("stiffness", reference.stiffness)):
         if mismatch := time_range_mismatch(signal, duration):
             warnings.warn(f"reference of the {name}: {mismatch}", McKibbenWarning, stacklevel=user_level())
@@ -319,7 +323,7 @@ def checked_run(
         )
     tension = getattr(controller, "minimum_tension", None)
     if tension and feasibility.feasible:
-        limited = _feasibility(times, setpoints, _band(plant, setpoints.angle, amplitude, tension))
+        limited = _feasibility(plant, times, setpoints, _band(plant, setpoints.angle, amplitude, tension))
         if not limited.feasible:
             text = f"with the controller's minimum tension of {float(tension):g} N {limited.describe()}"
             warnings.warn(f"{text}; lower minimum_tension", ReachabilityWarning, stacklevel=user_level())

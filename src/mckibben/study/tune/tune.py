@@ -308,10 +308,10 @@ def tune(
     with TuningHistory.open(history, about, resume=resume) as past:
         known_trials = len(past.trials)
 
-        def report(part: float) -> None:
+        def report(part: float, step: str = "") -> None:
             if progress:
                 found = past.trials and past.best.cost < FAILED_COST
-                step = "searching" if len(past.trials) > known_trials else "compiling"
+                step = step or ("searching" if len(past.trials) > known_trials else "compiling")
                 lowest = f", lowest cost {past.best.cost:.4g} at {past.found_at}" if found else ""
                 progress(step + lowest, part)
 
@@ -328,6 +328,7 @@ def tune(
             evaluator = Evaluator(problem.space, past, population, lambda values: Evaluated(problem.costs(values)))
             search = by_cma if method is Method.CMA else by_evolution
             search(evaluator.costs, first, population=population, generations=iterations, seed=seed, progress=report)
+        report(1.0, "evaluating")
         return _result(problem, past, evaluator.cost)
 
 
