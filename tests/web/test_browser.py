@@ -103,7 +103,12 @@ def unnamed(tab):
 
 
 def shows(text):
-    return f"document.body.innerText.includes({json.dumps(text)})"
+    return f"document.body?.innerText.includes({json.dumps(text)})"
+
+
+def scroll_down(tab):
+    tab.evaluate("document.body.style.paddingBottom = '1000px', window.scrollTo(0, 800)")
+    tab.wait("window.scrollY > 700")
 
 
 def test_a_slider_of_the_joint_moves_curve_and_drawing_by_keys(page):
@@ -144,6 +149,12 @@ def test_a_run_is_computed_changed_kept_and_played(page):
         tab.evaluate(DRAWS)
         time.sleep(1.0)
         assert tab.evaluate("window.draws") == 0  # nothing moves
+        scroll_down(tab)
+        tab.evaluate(SET_NUMBER % ("angle amplitude", 9))
+        tab.wait("document.querySelector('textarea').value.includes('amplitude: 9 deg')")
+        assert tab.evaluate("window.scrollY") > 700  # the next field can be changed
+        chrome.click(tab, "Run")
+        tab.wait("window.scrollY < 300")
         tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
         tab.wait(shows("0.50 s"))
         assert tab.evaluate("window.draws") > 0
@@ -164,14 +175,9 @@ def test_a_test_on_the_rig_is_drawn_and_vented(page):
 def test_a_refused_scenario_leaves_the_old_curves_greyed_below_its_problem_in_view(page):
     def act(tab):
         tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
-        set_text = """(area => {
-          Object.getOwnPropertyDescriptor(HTMLTextAreaElement.prototype, 'value').set.call(area, 'name: x');
-          area.dispatchEvent(new Event('input', {bubbles: true}));
-        })(document.querySelector('textarea[aria-label=scenario]'))"""
-        tab.evaluate(set_text)
+        tab.evaluate(chrome.PASTE % json.dumps(workbench.START.replace("amplitude: 10 deg", "amplitude: 10 kg")))
         time.sleep(0.5)
-        tab.evaluate("document.body.style.paddingBottom = '1000px', window.scrollTo(0, 800)")
-        tab.wait("window.scrollY > 700")
+        scroll_down(tab)
         chrome.click(tab, "Run")
         tab.wait("window.scrollY < 300")
 
@@ -190,8 +196,7 @@ def test_a_study_is_computed_shown_and_cancelled(page):
         )
         tab.evaluate(SET_NUMBER % ("iterations", 2))
         time.sleep(0.5)
-        tab.evaluate("document.body.style.paddingBottom = '1000px', window.scrollTo(0, 800)")
-        tab.wait("window.scrollY > 700")
+        scroll_down(tab)
         chrome.click(tab, "Tune")
         tab.wait(shows("points evaluated"), 240)
         tab.wait("window.scrollY < 300")
@@ -225,8 +230,10 @@ def test_a_project_is_uploaded_runs_and_is_offered_for_download(page, tmp_path):
 
     def act(tab):
         tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
+        scroll_down(tab)
         chrome.upload(tab, tmp_path / "project.zip", "input[accept='.zip']")
         tab.wait("document.querySelector('textarea[aria-label=scenario]').value.includes('of a project')")
+        tab.wait("window.scrollY < 300")
         chrome.click(tab, "Download project")
 
     page("/run", act, shows("completed") + " && document.querySelector('textarea').value.includes('7 deg')")

@@ -312,9 +312,7 @@ class _Page(JobPage[LegPageState]):
         self.progress()
         if not self.news():
             return
-        self.remarks.clear()
-        with self.remarks:
-            self.show_remarks()
+        self.show_results(self.remarks, self.show_remarks)
         self.results.visible, self.nothing.visible = bool(state.films), not state.films
         self.results.classes(**{"add" if state.error is not None else "remove": "stale"})
         if state.films:

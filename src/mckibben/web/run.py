@@ -173,11 +173,7 @@ class _Page(JobPage[Workbench]):
         if self.news():
             if self.text != state.text:  # otherwise it may be being edited
                 self.text = self.yaml.value = state.text
-            self.remarks.clear()
-            with self.remarks:
-                self.show_remarks()
-                if state.error is not None and state.current is not None:
-                    quiet("The fields and curves are those of the last scenario that ran.")
+            self.show_results(self.remarks, self.show)
             if state.scenario is not None and not state.jobs.busy:
                 for label, kind in state.options.items():
                     self.selects[label].value = kind
@@ -186,7 +182,13 @@ class _Page(JobPage[Workbench]):
             if state.current is not None:
                 self.plot(state.current)
 
-    def change(self, make: Callable[[], Scenario], *, form: bool = True, note: str = "") -> None:
+    def show(self) -> None:
+        """Show the error or the remarks of the last run."""
+        self.show_remarks()
+        if self.state.error is not None and self.state.current is not None:
+            quiet("The fields and curves are those of the last scenario that ran.")
+
+    def change(self, make: Callable[[], Scenario], *, form: bool = True, note: str = "", scroll: bool = False) -> None:
         """Change the scenario and run it, with a note on the change; rebuild the fields if its structure changed."""
         state, folder = self.state, self.folder
 
@@ -201,12 +203,12 @@ class _Page(JobPage[Workbench]):
             state.notes = [*filter(None, [note]), *remarks, *heard]
             state.form += form
 
-        self.start_job(run, done)
+        self.start_job(run, done, scroll=scroll)  # not from a field or a select, which may be changed again
 
     def apply_text(self, text: str) -> None:
         """Run the scenario in a text."""
         self.state.text = text
-        self.change(lambda: parse(text, self.folder))
+        self.change(lambda: parse(text, self.folder), scroll=True)
 
     def apply(self) -> None:
         """Run the text on the page."""
