@@ -185,6 +185,11 @@ def test_a_refused_scenario_leaves_the_old_curves_greyed_below_its_problem_in_vi
 
 
 def test_a_study_is_computed_shown_and_cancelled(page):
+        hint = "getComputedStyle(document.querySelector('.q-table__middle')).backgroundAttachment"
+        assert tab.evaluate(hint) == "local, local, scroll, scroll"  # a shadow where the table continues
+        parts = "[...document.querySelectorAll('.q-table td')[1].childNodes].filter(n => n.data).map(n => n.data)"
+        assert tab.evaluate(parts) == ["reference.", "angle.", "amplitude"]
+        assert tab.evaluate("document.querySelectorAll('.q-table td')[1].innerText") == "reference.angle.amplitude"
     def act(tab):
         tab.wait(shows("No study yet"))
         chrome.click(tab, "Compare")
@@ -225,15 +230,15 @@ def test_a_leg_lands_in_space_and_is_played(page):
 
 
 def test_a_project_is_uploaded_runs_and_is_offered_for_download(page, tmp_path):
+        scroll_down(tab)
     text = workbench.START.replace("name: knee", "name: of a project").replace("amplitude: 10 deg", "amplitude: 7 deg")
     (tmp_path / "project.zip").write_bytes(project.pack(tmp_path, text, None))
+        tab.wait("window.scrollY < 300")
 
     def act(tab):
         tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
-        scroll_down(tab)
         chrome.upload(tab, tmp_path / "project.zip", "input[accept='.zip']")
         tab.wait("document.querySelector('textarea[aria-label=scenario]').value.includes('of a project')")
-        tab.wait("window.scrollY < 300")
         chrome.click(tab, "Download project")
 
     page("/run", act, shows("completed") + " && document.querySelector('textarea').value.includes('7 deg')")

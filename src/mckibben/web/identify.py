@@ -337,9 +337,7 @@ class _Page(JobPage[IdentificationState]):
                 for low, high in [np.array([f(data.table[name].to_numpy()) for f in (np.min, np.max)]) / factor(unit)]
             ]
             if read := attrs.get("columns_read"):
-                ui.label(self.named(read)).classes("quiet").style(
-                    "white-space: pre; overflow-x: auto; font-family: monospace"
-                )
+                ui.label(self.named(read)).classes("quiet scrolls").style("white-space: pre; font-family: monospace")
             recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
             table(("column", "unit", "from", "to"), rows, left=2)
             lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []

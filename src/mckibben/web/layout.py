@@ -250,7 +250,15 @@ def show_warnings(texts: Iterable[str]) -> None:
     for text in texts:
         with ui.row().classes("no-wrap items-start").style("gap: 8px"):
             ui.icon("warning_amber", color=ORANGE).style("font-size: 18px")
-            quiet(printable(_on_page(text), 1000))
+            quiet(printable(text, 1000))
+
+
+_BREAKS_AT_DOTS = r"""
+<q-td :props="props">
+  <template v-for="part in String(props.value).split(/(?<=[._])(?=[A-Za-z])/)">{{part}}<wbr></template>
+</q-td>
+"""
+"""A cell whose dotted names may continue on the next line; copied text has no additional characters."""
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int = 1) -> ui.table:
@@ -262,6 +270,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int 
     cells = [{"key": k, **{str(i): cell for i, cell in enumerate(row)}} for k, row in enumerate(rows)]
     made = ui.table(columns=columns, rows=cells, row_key="key").props("flat dense hide-pagination wrap-cells")
     return made.classes("w-full number").props("rows-per-page-options=[0]")
+    made.add_slot("body-cell", _BREAKS_AT_DOTS)
 
 
 def text_area(label: str, longest: int, height: int, **options: Any) -> ui.textarea:

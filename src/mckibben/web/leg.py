@@ -269,7 +269,7 @@ class _Page(JobPage[LegPageState]):
                     with panel("Joints"):
                         self.angles = chart("time [s]", "angle [°]", height=240)
                 with panel("Numbers"):
-                    self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
+                    self.numbers = ui.column().classes("w-full")
             with panel() as self.nothing:
                 quiet("Choose a leg and press Compute: its landings or jumps appear here in 3-D.")
         self.results.visible = False

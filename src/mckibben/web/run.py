@@ -137,7 +137,7 @@ class _Page(JobPage[Workbench]):
                     with panel("Joint"):
                         self.scene = JointScene()
                 with panel("Numbers"):
-                    self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
+                    self.numbers = ui.column().classes("w-full")
         ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
         ui.timer(0.1, self.refresh)
 

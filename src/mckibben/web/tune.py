@@ -212,11 +212,10 @@ class _Page(JobPage[StudyState]):
         """Errors as bars and table."""
         with panel("Compared on the same unseen runs, each controller tuned with the same budget"):
             bars(found.errors)
-            with ui.element("div").classes("w-full").style("overflow-x: auto"):
-                table(found.headers, found.rows)
-                if found.at_equal_air:
-                    quiet("With gains that take no more air than the scenario's controller in the training runs:")
-                    table(found.headers, found.at_equal_air)
+            table(found.headers, found.rows)
+            if found.at_equal_air:
+                quiet("With gains that take no more air than the scenario's controller in the training runs:")
+                table(found.headers, found.at_equal_air)
             with ui.row().classes("items-center").style("gap: 12px"):
                 chosen = ui.select(list(found.scenarios), value=next(iter(found.scenarios)), label="controller")
                 chosen.props("dense").style("min-width: 180px")
