@@ -199,6 +199,11 @@ def test_a_study_is_computed_shown_and_cancelled(page):
         tab.wait(
             "![...document.querySelectorAll('button')].some(b => b.innerText.trim() === 'Cancel' && b.offsetParent)"
         )
+        tab.resize(WIDTHS["phone"], 900)
+        tab.wait(
+            "(r => r.height && r.top > innerHeight / 2)(document.querySelector('.progress').getBoundingClientRect())"
+        )
+        tab.resize(WIDTHS["wide"], 900)
         tab.evaluate(SET_NUMBER % ("iterations", 2))
         time.sleep(0.5)
         scroll_down(tab)
@@ -225,15 +230,15 @@ def test_a_leg_lands_in_space_and_is_played(page):
         tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
         tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
         tab.wait("/0\\.0[1-9]\\d s/.test(document.body.innerText)")
+        scroll_down(tab)
 
     page("/leg", act, shows("Motion") + " && " + chrome.FIRST_CURVE)
+        tab.wait("window.scrollY < 300")
 
 
 def test_a_project_is_uploaded_runs_and_is_offered_for_download(page, tmp_path):
-        scroll_down(tab)
     text = workbench.START.replace("name: knee", "name: of a project").replace("amplitude: 10 deg", "amplitude: 7 deg")
     (tmp_path / "project.zip").write_bytes(project.pack(tmp_path, text, None))
-        tab.wait("window.scrollY < 300")
 
     def act(tab):
         tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))

@@ -115,7 +115,8 @@ def progress_row(jobs: Jobs) -> Callable[[], None]:
         jobs.cancel()
         ui.notify("cancelled")
 
-    with panel(stays=True) as shown:
+    with panel() as shown:
+        shown.classes("progress")
         with ui.row().classes("w-full items-center no-wrap"):
             bar = ui.linear_progress(0, show_value=False).props("instant-feedback").classes("w-full")
             button("Cancel", cancel, "cancel").props("dense")
@@ -269,8 +270,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int 
     ]
     cells = [{"key": k, **{str(i): cell for i, cell in enumerate(row)}} for k, row in enumerate(rows)]
     made = ui.table(columns=columns, rows=cells, row_key="key").props("flat dense hide-pagination wrap-cells")
-    return made.classes("w-full number").props("rows-per-page-options=[0]")
     made.add_slot("body-cell", _BREAKS_AT_DOTS)
+    return made.classes("w-full number").props("rows-per-page-options=[0]")
 
 
 def text_area(label: str, longest: int, height: int, **options: Any) -> ui.textarea:
