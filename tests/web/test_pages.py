@@ -261,9 +261,14 @@ def test_an_outlier_is_named_and_can_be_kept():
             user.find(marker="fit").click()
             await user.should_see("23 points used", retries=100)
             await user.should_see(layout.KEEP, kind=ui.label)
+            forces, residuals = charts(user)
+            assert series(forces, "left out")["data"] == [[2.0, 400.0]]
+            assert series(residuals, "left out")["data"][0][1] > 100
+            assert [2.0, 400.0] not in series(forces, "4 bar")["data"]
             user.find(marker="keep").click()
             user.find(marker="fit").click()
             await user.should_see("24 points used, outliers kept", retries=100)
+            assert "left out" not in [one["name"] for one in charts(user)[0].options["series"]]
 
     asyncio.run(visit())
 

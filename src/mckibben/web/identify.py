@@ -27,6 +27,7 @@ from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
 from mckibben.units import bar, factor, percent, quantity
 from mckibben.web.layout import (
+    BLACK,
     FRICTION,
     KEEP,
     PALETTE,
@@ -58,6 +59,8 @@ _MOST_CURVES = 12
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
 _MOST_FILES = 64
+_LEFT_OUT = "left out"
+NEEDS_MUSCLE = "It needs muscle.yaml and fit.yaml in its folder: “Download project” on the page Run gives all files."
 _FRICTION = {"where the data show it": None, "with": True, "without": False}
 
 
@@ -130,6 +133,11 @@ def keep_muscle(
         return None
     (folder / "muscle.yaml").write_text(text, encoding="utf-8")
     return read_component(Muscle, folder / "muscle.yaml")
+
+
+def _residuals(fit: Fit, points: IsobaricDataset) -> tuple[np.ndarray, np.ndarray]:
+    """Contractions [%] and residuals [N], of the forces as measured."""
+    return points.contraction / percent, points.force - np.asarray(fit.law.force(points.contraction, points.pressure))
 
 
 def page() -> None:
@@ -358,17 +366,19 @@ class _Page(JobPage[IdentificationState]):
             levels = means.pressures
             chosen = levels[evenly_spaced(len(levels), _MOST_CURVES)]
             eps = np.linspace(fit.law.domain.contraction_min, fit.law.domain.contraction_max, 80)
-            curves, left = [], []
+            curves, left, out = [], [], np.isin(np.arange(len(means)) + 1, [one.row for one in fit.outliers])
             for i, level in enumerate(chosen):
                 color, name = PALETTE[i % len(PALETTE)], f"{level / bar:.3g} bar"
-                points = means.select(means.levels == level)
-                x, y, taut = points.contraction, points.force, points.taut
-                curves.append(dots(name, x / percent, y, color))
+                points = means.select((means.levels == level) & ~out)
+                curves.append(dots(name, points.contraction / percent, points.force, color))
                 curves.append(
                     line(name, eps / percent, np.asarray(fit.law.force(eps, level)).clip(min=0), color, width=1.5)
                 )
-                left_over = taut.force - np.asarray(fit.law.force(taut.contraction, taut.pressure))  # as measured
-                left.append(dots(name, taut.contraction / percent, left_over, color))
+                left.append(dots(name, *_residuals(fit, points.taut), color))
+            if out.any():
+                points, look = means.select(out), {"symbol": "diamond", "symbolSize": 12, "z": 4}
+                curves.insert(0, dots(_LEFT_OUT, points.contraction / percent, points.force, BLACK) | look)
+                left.insert(0, dots(_LEFT_OUT, *_residuals(fit, points), BLACK) | look)
             draw(forces, curves)
             draw(residuals, left)
             intervals = fit.intervals()

@@ -464,9 +464,10 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
         "legend": {
             "top": 0,
             "type": "scroll",
-            "icon": "roundRect",
+            "icon": "path://M0,0M16,14M0,5h16v4h-16z",  # as high as the texts, which a legend with pages cuts to it
             "itemWidth": 16,
-            "itemHeight": 4,
+            "itemHeight": 14,
+            "itemStyle": {"opacity": 1},
             "textStyle": text,
             "data": [],
         },
