@@ -5,12 +5,17 @@ from __future__ import annotations
 import importlib.util
 import json
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("nicegui")
 
+from mckibben import Scenario
+from mckibben.component.schema import read_component
+from mckibben.dataset import Recipe
+from mckibben.muscle import Muscle
 from mckibben.web import project, workbench
 
 ROOT = Path(__file__).parents[2]
@@ -144,17 +149,17 @@ def test_a_run_is_computed_changed_kept_and_played(page):
         tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
         chrome.click(tab, "Keep this run")
         tab.wait(shows("run 1"))
-        tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
-        time.sleep(2.0)
-        tab.evaluate(DRAWS)
-        time.sleep(1.0)
-        assert tab.evaluate("window.draws") == 0  # nothing moves
         scroll_down(tab)
         tab.evaluate(SET_NUMBER % ("angle amplitude", 9))
         tab.wait("document.querySelector('textarea').value.includes('amplitude: 9 deg')")
         assert tab.evaluate("window.scrollY") > 700  # the next field can be changed
         chrome.click(tab, "Run")
         tab.wait("window.scrollY < 300")
+        tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
+        time.sleep(2.0)
+        tab.evaluate(DRAWS)
+        time.sleep(1.0)
+        assert tab.evaluate("window.draws") == 0  # nothing moves
         tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
         tab.wait(shows("0.50 s"))
         assert tab.evaluate("window.draws") > 0
@@ -180,30 +185,30 @@ def test_a_refused_scenario_leaves_the_old_curves_greyed_below_its_problem_in_vi
         scroll_down(tab)
         chrome.click(tab, "Run")
         tab.wait("window.scrollY < 300")
-
-    page("/run", act, shows("problem") + " && document.querySelector('.stale canvas')")
-
-
-def test_a_study_is_computed_shown_and_cancelled(page):
         hint = "getComputedStyle(document.querySelector('.q-table__middle')).backgroundAttachment"
         assert tab.evaluate(hint) == "local, local, scroll, scroll"  # a shadow where the table continues
         parts = "[...document.querySelectorAll('.q-table td')[1].childNodes].filter(n => n.data).map(n => n.data)"
         assert tab.evaluate(parts) == ["reference.", "angle.", "amplitude"]
         assert tab.evaluate("document.querySelectorAll('.q-table td')[1].innerText") == "reference.angle.amplitude"
+
+    page("/run", act, shows("problem") + " && document.querySelector('.stale canvas')")
+
+
+def test_a_study_is_computed_shown_and_cancelled(page):
     def act(tab):
         tab.wait(shows("No study yet"))
         chrome.click(tab, "Compare")
         tab.wait(shows("Cancel"))
-        chrome.click(tab, "Cancel")
-        tab.wait(shows("cancelled"))
-        tab.wait(
-            "![...document.querySelectorAll('button')].some(b => b.innerText.trim() === 'Cancel' && b.offsetParent)"
-        )
         tab.resize(WIDTHS["phone"], 900)
         tab.wait(
             "(r => r.height && r.top > innerHeight / 2)(document.querySelector('.progress').getBoundingClientRect())"
         )
         tab.resize(WIDTHS["wide"], 900)
+        chrome.click(tab, "Cancel")
+        tab.wait(shows("cancelled"))
+        tab.wait(
+            "![...document.querySelectorAll('button')].some(b => b.innerText.trim() === 'Cancel' && b.offsetParent)"
+        )
         tab.evaluate(SET_NUMBER % ("iterations", 2))
         time.sleep(0.5)
         scroll_down(tab)
@@ -225,15 +230,57 @@ SET_NUMBER = """((label, value) => {
 def test_a_leg_lands_in_space_and_is_played(page):
     def act(tab):
         time.sleep(0.5)
+        scroll_down(tab)
         chrome.click(tab, "Compute")
         tab.wait(shows("Motion"), 300)
+        tab.wait("window.scrollY < 300")
         tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
         tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
         tab.wait("/0\\.0[1-9]\\d s/.test(document.body.innerText)")
-        scroll_down(tab)
 
     page("/leg", act, shows("Motion") + " && " + chrome.FIRST_CURVE)
-        tab.wait("window.scrollY < 300")
+
+
+def test_an_own_muscle_goes_from_points_to_joint_run_and_study_and_its_downloads_are_read(page, tmp_path):
+    def act(tab):
+        tab.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+        tab.wait("document.querySelector('input[type=file]')")
+        time.sleep(1.0)
+        chrome.upload(tab, chrome.DATA)
+        tab.wait(shows("204 points, 31 slack"))
+        chrome.click(tab, "Fit")
+        tab.wait(shows("Design a joint with it"))
+        chrome.click(tab, "Download muscle")
+        chrome.click(tab, "Design a joint with it")
+        tab.wait("location.pathname === '/' && " + chrome.DRAWING)
+        tab.wait(shows("the load is held"))
+        chrome.click(tab, "Download YAML")
+        tab.wait(shows("It needs muscle.yaml"))
+        chrome.click(tab, "Run this joint")
+        tab.wait("location.pathname === '/run' && " + shows("completed"), 120)
+        chrome.click(tab, "Download project")
+        tab.open(tab.evaluate("location.origin") + "/tune")
+        tab.wait(shows("No study yet") + " || " + shows("points evaluated"))
+        time.sleep(0.5)
+        tab.evaluate(SET_NUMBER % ("iterations", 1))
+        time.sleep(0.5)
+        chrome.click(tab, "Tune")
+        tab.wait("document.querySelector('.progress').getBoundingClientRect().height")
+        tab.wait("!document.querySelector('.progress').getBoundingClientRect().height", 240)
+        chrome.click(tab, "Run the tuned scenario")
+        tab.wait("location.pathname === '/run' && " + shows("completed"), 120)
+        tab.open(tab.evaluate("location.origin") + "/identify")
+
+    page("/identify", act, shows("Design a joint with it"))
+    for name in ("muscle", "project"):
+        (tmp_path / name).mkdir()
+        with zipfile.ZipFile(tmp_path / f"{name}.zip") as packed:
+            packed.extractall(tmp_path / name)
+    muscle, kept = (read_component(Muscle, tmp_path / name / "muscle.yaml") for name in ("muscle", "project"))
+    assert muscle == kept == Scenario.read(tmp_path / "project" / "scenario.yaml").joint.muscle1
+    recipe = Recipe.parse((tmp_path / "muscle" / "recipe.yaml").read_text(encoding="utf-8"))
+    assert len(recipe.dataset(chrome.DATA)) == 204
+    assert (tmp_path / "joint.yaml").read_text().startswith("joint:")
 
 
 def test_a_project_is_uploaded_runs_and_is_offered_for_download(page, tmp_path):

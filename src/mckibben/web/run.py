@@ -14,7 +14,7 @@ from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import printable
 from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
 from mckibben.units import bar, deg, factor
-from mckibben.web.identify import IdentificationState
+from mckibben.web.identify import NEEDS_MUSCLE, IdentificationState
 from mckibben.web.layout import (
     BLACK,
     BLUE,
@@ -39,7 +39,7 @@ from mckibben.web.layout import (
     upload,
 )
 from mckibben.web.parts import CHOICES
-from mckibben.web.project import Project, adopt, pack, unpack
+from mckibben.web.project import MUSCLE, Project, adopt, pack, unpack
 from mckibben.web.scene import JointScene
 from mckibben.web.security import LARGEST
 from mckibben.web.session import session
@@ -222,6 +222,8 @@ class _Page(JobPage[Workbench]):
     def download(self) -> None:
         """Offer the shown scenario for download."""
         ui.download.content(self.state.text, "scenario.yaml")
+        if MUSCLE in self.state.text:
+            ui.notify(NEEDS_MUSCLE, multi_line=True)
 
     def pack(self) -> None:
         """Offer the project for download."""
