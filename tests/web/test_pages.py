@@ -352,6 +352,11 @@ def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(m
     monkeypatch.setattr(
         tune, "tuned", lambda text, *_: studies.Tuned(text, 2.0, 1.0, costs, [], [], scenario, 0.0, ["a remark"])
     )
+    monkeypatch.setattr(
+        tune,
+        "compared",
+        lambda text, *_: studies.Compared(text, ("a",), [], [], {}, {"a": scenario}, ["another remark"]),
+    )
 
     def is_grey(user):
         return any("stale" in one.classes for one in user.find(ui.column).elements)
@@ -371,6 +376,9 @@ def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(m
             state(workbench.Workbench).text += "\n# a remark"
             await asyncio.sleep(0.5)
             assert kept.error is None and not is_grey(user)
+            user.find(marker="compare").click()
+            await user.should_see("another remark", retries=30)
+            await user.should_see("a remark", kind=ui.label)  # still, of the tuning
             state(workbench.Workbench).text = workbench.START.replace("duration: 6 s", "duration: 5 s")
             await until(lambda: is_grey(user))
 

@@ -179,9 +179,9 @@ class _Page(JobPage[IdentificationState]):
                     button("Read again", self.read)
             with panel("Force law"):
                 select(sorted(law_types()), "law", "law").bind_value(state, "law")
-                ui.input("inner diameter or fill, such as 14 mm or 30 mL").props("dense").classes("w-full").bind_value(
-                    state, "diameter"
-                )
+                ui.input("inner diameter or fill", placeholder="such as 14 mm or 30 mL").props(
+                    "dense stack-label"
+                ).classes("w-full").bind_value(state, "diameter")
                 select(list(_FRICTION), FRICTION, "with-friction").bind_value(state, "friction")
                 ui.checkbox(KEEP).props("dense").mark("keep").bind_value(state, "keep_outliers").tooltip(
                     "fit all points, those off the surface through the others, too"
@@ -413,7 +413,7 @@ class _Page(JobPage[IdentificationState]):
         if found.hysteresis is not None:
             rows = found.hysteresis.rows()
             table(("friction", "estimate", "standard error", "unit"), rows, left=1)
-            show_warnings(found.hysteresis.warnings)
+            show_warnings(one for one in found.hysteresis.warnings if one not in found.fit.warnings)
 
     def show_ranking(self, found: Ranking) -> None:
         """Laws, best first."""
