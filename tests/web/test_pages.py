@@ -379,6 +379,8 @@ def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(m
             user.find(marker="compare").click()
             await user.should_see("another remark", retries=30)
             await user.should_see("a remark", kind=ui.label)  # still, of the tuning
+            newest, older = (the(user, ui.button, f"use-{name}").id for name in ("compared", "tuned"))
+            assert newest < older
             state(workbench.Workbench).text = workbench.START.replace("duration: 6 s", "duration: 5 s")
             await until(lambda: is_grey(user))
 

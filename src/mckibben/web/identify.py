@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from nicegui import events, ui
@@ -82,6 +83,7 @@ class IdentificationState(JobState):
     found: FitWithFriction | None = None
     outliers_kept: bool = False  # in `found`
     ranking: Ranking | None = None
+    ranked_last: bool = False  # after the fit: the newest result is shown first
     muscle: Muscle | None = None
 
     def use(
@@ -289,7 +291,7 @@ class _Page(JobPage[IdentificationState]):
 
         def done(found: tuple[FitWithFriction, Muscle | None, Path], heard: list[str]) -> None:
             state.found, state.muscle, kept = found
-            state.notes, state.error, state.outliers_kept = heard, None, keep
+            state.notes, state.error, state.outliers_kept, state.ranked_last = heard, None, keep, False
             for name in ("fit.yaml", "muscle.yaml"):  # only now: a cancelled fit leaves the files of the last one
                 (folder / name).unlink(missing_ok=True)
                 if (kept / name).exists():
@@ -306,7 +308,7 @@ class _Page(JobPage[IdentificationState]):
             return
 
         def done(found: Ranking, heard: list[str]) -> None:
-            state.ranking, state.notes, state.error = found, heard, None
+            state.ranking, state.notes, state.error, state.ranked_last = found, heard, None, True
 
         robust = not state.keep_outliers
         self.start_job(lambda progress: rank(data, robust=robust, progress=progress), done)
@@ -327,10 +329,11 @@ class _Page(JobPage[IdentificationState]):
             with panel():
                 show_warnings(notes)
         with ui.column().classes("w-full" + (" stale" if state.old else "")).style("gap: 16px"):
-            if state.found is not None:
-                self.show_fit(state.found)
-            if state.ranking is not None:
-                self.show_ranking(state.ranking)
+            results: list[tuple[Any, Callable[[Any], None]]]
+            results = [(state.found, self.show_fit), (state.ranking, self.show_ranking)]
+            for found, show in reversed(results) if state.ranked_last else results:
+                if found is not None:
+                    show(found)
             if state.data is not None and not state.old:
                 self.show_data(state.data)
 

@@ -61,6 +61,7 @@ class StudyState(JobState):
     comparison: ComparisonRequest = field(default_factory=ComparisonRequest)
     tuned: Tuned | None = None
     compared: Compared | None = None
+    newest: str = "tuned"  # of both, which is shown first
 
 
 def page() -> None:
@@ -156,6 +157,7 @@ class _Page(JobPage[StudyState]):
 
         def done(found: Tuned | Compared, heard: list[str]) -> None:
             setattr(state, name, found)
+            state.newest = name
             state.notes = [one for one in heard if one not in found.remarks]
 
         state.error, state.notes = None, []
@@ -170,12 +172,11 @@ class _Page(JobPage[StudyState]):
         """Show everything known."""
         state = self.state
         self.show_remarks()
-        if state.tuned is not None:
-            with self.result_of(state.tuned.text):
-                self.show_tuned(state.tuned)
-        if state.compared is not None:
-            with self.result_of(state.compared.text):
-                self.show_compared(state.compared)
+        results: dict[str, Callable[[Any], None]] = {"tuned": self.show_tuned, "compared": self.show_compared}
+        for name in sorted(results, key=lambda one: one != state.newest):
+            if (found := getattr(state, name)) is not None:
+                with self.result_of(found.text):
+                    results[name](found)
         if state.tuned is None and state.compared is None and state.error is None:
             with panel("No study yet"):
                 quiet(
