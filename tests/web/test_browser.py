@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import shutil
 import time
 import zipfile
 from pathlib import Path
@@ -246,14 +247,14 @@ def test_an_own_muscle_goes_from_points_to_joint_run_and_study_and_its_downloads
         tab.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
         tab.wait("document.querySelector('input[type=file]')")
         time.sleep(1.0)
-        chrome.upload(tab, chrome.DATA)
-        tab.wait(shows("204 points, 31 slack"))
+        chrome.upload(tab, shutil.copy(chrome.DATA, tmp_path / "own.csv"))
+        tab.wait(shows("own.csv") + " && " + shows("204 points, 31 slack") + " && !" + shows("Design a joint with it"))
         chrome.click(tab, "Fit")
         tab.wait(shows("Design a joint with it"))
         chrome.click(tab, "Download muscle")
         chrome.click(tab, "Design a joint with it")
-        tab.wait("location.pathname === '/' && " + chrome.DRAWING)
-        tab.wait(shows("the load is held"))
+        tab.wait("location.pathname === '/' && " + chrome.DRAWING, 120)
+        tab.wait(shows("the load is held"), 120)
         chrome.click(tab, "Download YAML")
         tab.wait(shows("It needs muscle.yaml"))
         chrome.click(tab, "Run this joint")
