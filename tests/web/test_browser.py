@@ -235,7 +235,7 @@ def test_a_leg_lands_in_space_and_is_played(page):
         chrome.click(tab, "Compute")
         tab.wait(shows("Motion"), 300)
         tab.wait("window.scrollY < 300")
-        tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
+        tab.wait("document.querySelector('canvas[data-engine^=\"three\"]').width > 0")  # hidden before
         tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
         tab.wait("/0\\.0[1-9]\\d s/.test(document.body.innerText)")
 
