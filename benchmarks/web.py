@@ -129,13 +129,17 @@ class Tab:
 
     def open(self, address: str, width: int = 1200, height: int = 900, *, wait: bool = True) -> None:
         """Open an address in a window of a size, and wait for the connection to the server."""
-        self.send(
-            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
-        )
+        self.resize(width, height)
         self.send("Emulation.setScrollbarsHidden", hidden=True)
         self.send("Page.navigate", url=address)
         if wait:
             self.wait("document.readyState === 'complete' && window.did_handshake !== false")
+
+    def resize(self, width: int, height: int) -> None:
+        """Change the size of the window."""
+        self.send(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 500
+        )
 
     def press(self, key: str, code: int) -> None:
         """Press and release a key."""

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import shutil
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
 
 pytest.importorskip("nicegui")
 
+from mckibben import Scenario
+from mckibben.component.schema import read_component
+from mckibben.dataset import Recipe
+from mckibben.muscle import Muscle
 from mckibben.web import project, workbench
 
 ROOT = Path(__file__).parents[2]
@@ -103,7 +109,12 @@ def unnamed(tab):
 
 
 def shows(text):
-    return f"document.body.innerText.includes({json.dumps(text)})"
+    return f"document.body?.innerText.includes({json.dumps(text)})"
+
+
+def scroll_down(tab):
+    tab.evaluate("document.body.style.paddingBottom = '1000px', window.scrollTo(0, 800)")
+    tab.wait("window.scrollY > 700")
 
 
 def test_a_slider_of_the_joint_moves_curve_and_drawing_by_keys(page):
@@ -139,6 +150,12 @@ def test_a_run_is_computed_changed_kept_and_played(page):
         tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
         chrome.click(tab, "Keep this run")
         tab.wait(shows("run 1"))
+        scroll_down(tab)
+        tab.evaluate(SET_NUMBER % ("angle amplitude", 9))
+        tab.wait("document.querySelector('textarea').value.includes('amplitude: 9 deg')")
+        assert tab.evaluate("window.scrollY") > 700  # the next field can be changed
+        chrome.click(tab, "Run")
+        tab.wait("window.scrollY < 300")
         tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
         time.sleep(2.0)
         tab.evaluate(DRAWS)
@@ -164,16 +181,16 @@ def test_a_test_on_the_rig_is_drawn_and_vented(page):
 def test_a_refused_scenario_leaves_the_old_curves_greyed_below_its_problem_in_view(page):
     def act(tab):
         tab.wait(chrome.FIRST_CURVE + " && " + shows("completed"))
-        set_text = """(area => {
-          Object.getOwnPropertyDescriptor(HTMLTextAreaElement.prototype, 'value').set.call(area, 'name: x');
-          area.dispatchEvent(new Event('input', {bubbles: true}));
-        })(document.querySelector('textarea[aria-label=scenario]'))"""
-        tab.evaluate(set_text)
+        tab.evaluate(chrome.PASTE % json.dumps(workbench.START.replace("amplitude: 10 deg", "amplitude: 10 kg")))
         time.sleep(0.5)
-        tab.evaluate("document.body.style.paddingBottom = '1000px', window.scrollTo(0, 800)")
-        tab.wait("window.scrollY > 700")
+        scroll_down(tab)
         chrome.click(tab, "Run")
         tab.wait("window.scrollY < 300")
+        hint = "getComputedStyle(document.querySelector('.q-table__middle')).backgroundAttachment"
+        assert tab.evaluate(hint) == "local, local, scroll, scroll"  # a shadow where the table continues
+        parts = "[...document.querySelectorAll('.q-table td')[1].childNodes].filter(n => n.data).map(n => n.data)"
+        assert tab.evaluate(parts) == ["reference.", "angle.", "amplitude"]
+        assert tab.evaluate("document.querySelectorAll('.q-table td')[1].innerText") == "reference.angle.amplitude"
 
     page("/run", act, shows("problem") + " && document.querySelector('.stale canvas')")
 
@@ -183,6 +200,11 @@ def test_a_study_is_computed_shown_and_cancelled(page):
         tab.wait(shows("No study yet"))
         chrome.click(tab, "Compare")
         tab.wait(shows("Cancel"))
+        tab.resize(WIDTHS["phone"], 900)
+        tab.wait(
+            "(r => r.height && r.top > innerHeight / 2)(document.querySelector('.progress').getBoundingClientRect())"
+        )
+        tab.resize(WIDTHS["wide"], 900)
         chrome.click(tab, "Cancel")
         tab.wait(shows("cancelled"))
         tab.wait(
@@ -190,8 +212,7 @@ def test_a_study_is_computed_shown_and_cancelled(page):
         )
         tab.evaluate(SET_NUMBER % ("iterations", 2))
         time.sleep(0.5)
-        tab.evaluate("document.body.style.paddingBottom = '1000px', window.scrollTo(0, 800)")
-        tab.wait("window.scrollY > 700")
+        scroll_down(tab)
         chrome.click(tab, "Tune")
         tab.wait(shows("points evaluated"), 240)
         tab.wait("window.scrollY < 300")
@@ -210,13 +231,57 @@ SET_NUMBER = """((label, value) => {
 def test_a_leg_lands_in_space_and_is_played(page):
     def act(tab):
         time.sleep(0.5)
+        scroll_down(tab)
         chrome.click(tab, "Compute")
         tab.wait(shows("Motion"), 300)
-        tab.wait("document.querySelector('canvas[data-engine^=\"three\"]')")
+        tab.wait("window.scrollY < 300")
+        tab.wait("document.querySelector('canvas[data-engine^=\"three\"]').width > 0")  # hidden before
         tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
         tab.wait("/0\\.0[1-9]\\d s/.test(document.body.innerText)")
 
     page("/leg", act, shows("Motion") + " && " + chrome.FIRST_CURVE)
+
+
+def test_an_own_muscle_goes_from_points_to_joint_run_and_study_and_its_downloads_are_read(page, tmp_path):
+    def act(tab):
+        tab.send("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+        tab.wait("document.querySelector('input[type=file]')")
+        time.sleep(1.0)
+        chrome.upload(tab, shutil.copy(chrome.DATA, tmp_path / "own.csv"))
+        tab.wait(shows("own.csv") + " && " + shows("204 points, 31 slack") + " && !" + shows("Design a joint with it"))
+        chrome.click(tab, "Fit")
+        tab.wait(shows("Design a joint with it"))
+        chrome.click(tab, "Download muscle")
+        chrome.click(tab, "Design a joint with it")
+        tab.wait("location.pathname === '/' && " + chrome.DRAWING, 120)
+        tab.wait(shows("the load is held"), 120)
+        chrome.click(tab, "Download YAML")
+        tab.wait(shows("It needs muscle.yaml"))
+        chrome.click(tab, "Run this joint")
+        tab.wait("location.pathname === '/run' && " + shows("completed"), 120)
+        chrome.click(tab, "Download project")
+        tab.open(tab.evaluate("location.origin") + "/tune")
+        tab.wait(shows("No study yet") + " || " + shows("points evaluated"))
+        time.sleep(0.5)
+        tab.evaluate(SET_NUMBER % ("iterations", 1))
+        time.sleep(0.5)
+        chrome.click(tab, "Tune")
+        tab.wait("document.querySelector('.progress').getBoundingClientRect().height")
+        tab.wait("!document.querySelector('.progress').getBoundingClientRect().height", 240)
+        chrome.click(tab, "Run the tuned scenario")
+        tab.wait("location.pathname === '/run' && " + shows("completed"), 120)
+        tab.open(tab.evaluate("location.origin") + "/identify")
+
+    page("/identify", act, shows("Design a joint with it"))
+    for name in ("muscle", "project"):
+        (tmp_path / name).mkdir()
+        with zipfile.ZipFile(tmp_path / f"{name}.zip") as packed:
+            packed.extractall(tmp_path / name)
+    muscle, kept = (read_component(Muscle, tmp_path / name / "muscle.yaml") for name in ("muscle", "project"))
+    assert muscle == kept == Scenario.read(tmp_path / "project" / "scenario.yaml").joint.muscle1
+    recipe = Recipe.parse((tmp_path / "muscle" / "recipe.yaml").read_text(encoding="utf-8"))
+    assert len(recipe.dataset(chrome.DATA)) == 204
+    assert (tmp_path / "joint.yaml").read_text().startswith("joint:")
 
 
 def test_a_project_is_uploaded_runs_and_is_offered_for_download(page, tmp_path):

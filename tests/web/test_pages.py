@@ -261,9 +261,14 @@ def test_an_outlier_is_named_and_can_be_kept():
             user.find(marker="fit").click()
             await user.should_see("23 points used", retries=100)
             await user.should_see(layout.KEEP, kind=ui.label)
+            forces, residuals = charts(user)
+            assert series(forces, "left out")["data"] == [[2.0, 400.0]]
+            assert series(residuals, "left out")["data"][0][1] > 100
+            assert [2.0, 400.0] not in series(forces, "4 bar")["data"]
             user.find(marker="keep").click()
             user.find(marker="fit").click()
             await user.should_see("24 points used, outliers kept", retries=100)
+            assert "left out" not in [one["name"] for one in charts(user)[0].options["series"]]
 
     asyncio.run(visit())
 
@@ -347,6 +352,11 @@ def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(m
     monkeypatch.setattr(
         tune, "tuned", lambda text, *_: studies.Tuned(text, 2.0, 1.0, costs, [], [], scenario, 0.0, ["a remark"])
     )
+    monkeypatch.setattr(
+        tune,
+        "compared",
+        lambda text, *_: studies.Compared(text, ("a",), [], [], {}, {"a": scenario}, ["another remark"]),
+    )
 
     def is_grey(user):
         return any("stale" in one.classes for one in user.find(ui.column).elements)
@@ -366,6 +376,11 @@ def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(m
             state(workbench.Workbench).text += "\n# a remark"
             await asyncio.sleep(0.5)
             assert kept.error is None and not is_grey(user)
+            user.find(marker="compare").click()
+            await user.should_see("another remark", retries=30)
+            await user.should_see("a remark", kind=ui.label)  # still, of the tuning
+            newest, older = (the(user, ui.button, f"use-{name}").id for name in ("compared", "tuned"))
+            assert newest < older
             state(workbench.Workbench).text = workbench.START.replace("duration: 6 s", "duration: 5 s")
             await until(lambda: is_grey(user))
 

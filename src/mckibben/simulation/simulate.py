@@ -156,7 +156,7 @@ def check_reference(
 def _feasibility(plant: JointPlant, times: NDArray, setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
     """Feasibility of setpoints, from the attainable stiffness at them and the angles of their padding."""
     angle, *others = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
-    return Feasibility(times, angle, *others, leaves_domain(plant.supplied_joint, angle, np.isnan(others[-1])))
+    return Feasibility(times, angle, *others, cause=leaves_domain(plant.supplied_joint, angle, np.isnan(others[-1])))
 
 
 def attainable_band(

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from nicegui import events, ui
@@ -27,6 +28,7 @@ from mckibben.numerics.calculus import evenly_spaced
 from mckibben.scenario import muscle_text
 from mckibben.units import bar, factor, percent, quantity
 from mckibben.web.layout import (
+    BLACK,
     FRICTION,
     KEEP,
     PALETTE,
@@ -58,6 +60,8 @@ _MOST_CURVES = 12
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
 _MOST_FILES = 64
+_LEFT_OUT = "left out"
+NEEDS_MUSCLE = "It needs muscle.yaml and fit.yaml in its folder: “Download project” on the page Run gives all files."
 _FRICTION = {"where the data show it": None, "with": True, "without": False}
 
 
@@ -79,6 +83,7 @@ class IdentificationState(JobState):
     found: FitWithFriction | None = None
     outliers_kept: bool = False  # in `found`
     ranking: Ranking | None = None
+    ranked_last: bool = False  # after the fit: the newest result is shown first
     muscle: Muscle | None = None
 
     def use(
@@ -132,6 +137,11 @@ def keep_muscle(
     return read_component(Muscle, folder / "muscle.yaml")
 
 
+def _residuals(fit: Fit, points: IsobaricDataset) -> tuple[np.ndarray, np.ndarray]:
+    """Contractions [%] and residuals [N], of the forces as measured."""
+    return points.contraction / percent, points.force - np.asarray(fit.law.force(points.contraction, points.pressure))
+
+
 def page() -> None:
     """The page."""
     kept = session()
@@ -171,9 +181,9 @@ class _Page(JobPage[IdentificationState]):
                     button("Read again", self.read)
             with panel("Force law"):
                 select(sorted(law_types()), "law", "law").bind_value(state, "law")
-                ui.input("inner diameter or fill, such as 14 mm or 30 mL").props("dense").classes("w-full").bind_value(
-                    state, "diameter"
-                )
+                ui.input("inner diameter or fill", placeholder="such as 14 mm or 30 mL").props(
+                    "dense stack-label"
+                ).classes("w-full").bind_value(state, "diameter")
                 select(list(_FRICTION), FRICTION, "with-friction").bind_value(state, "friction")
                 ui.checkbox(KEEP).props("dense").mark("keep").bind_value(state, "keep_outliers").tooltip(
                     "fit all points, those off the surface through the others, too"
@@ -281,7 +291,7 @@ class _Page(JobPage[IdentificationState]):
 
         def done(found: tuple[FitWithFriction, Muscle | None, Path], heard: list[str]) -> None:
             state.found, state.muscle, kept = found
-            state.notes, state.error, state.outliers_kept = heard, None, keep
+            state.notes, state.error, state.outliers_kept, state.ranked_last = heard, None, keep, False
             for name in ("fit.yaml", "muscle.yaml"):  # only now: a cancelled fit leaves the files of the last one
                 (folder / name).unlink(missing_ok=True)
                 if (kept / name).exists():
@@ -298,7 +308,7 @@ class _Page(JobPage[IdentificationState]):
             return
 
         def done(found: Ranking, heard: list[str]) -> None:
-            state.ranking, state.notes, state.error = found, heard, None
+            state.ranking, state.notes, state.error, state.ranked_last = found, heard, None, True
 
         robust = not state.keep_outliers
         self.start_job(lambda progress: rank(data, robust=robust, progress=progress), done)
@@ -319,10 +329,11 @@ class _Page(JobPage[IdentificationState]):
             with panel():
                 show_warnings(notes)
         with ui.column().classes("w-full" + (" stale" if state.old else "")).style("gap: 16px"):
-            if state.found is not None:
-                self.show_fit(state.found)
-            if state.ranking is not None:
-                self.show_ranking(state.ranking)
+            results: list[tuple[Any, Callable[[Any], None]]]
+            results = [(state.found, self.show_fit), (state.ranking, self.show_ranking)]
+            for found, show in reversed(results) if state.ranked_last else results:
+                if found is not None:
+                    show(found)
             if state.data is not None and not state.old:
                 self.show_data(state.data)
 
@@ -337,9 +348,7 @@ class _Page(JobPage[IdentificationState]):
                 for low, high in [np.array([f(data.table[name].to_numpy()) for f in (np.min, np.max)]) / factor(unit)]
             ]
             if read := attrs.get("columns_read"):
-                ui.label(self.named(read)).classes("quiet").style(
-                    "white-space: pre; overflow-x: auto; font-family: monospace"
-                )
+                ui.label(self.named(read)).classes("quiet scrolls").style("white-space: pre; font-family: monospace")
             recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
             table(("column", "unit", "from", "to"), rows, left=2)
             lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []
@@ -360,17 +369,19 @@ class _Page(JobPage[IdentificationState]):
             levels = means.pressures
             chosen = levels[evenly_spaced(len(levels), _MOST_CURVES)]
             eps = np.linspace(fit.law.domain.contraction_min, fit.law.domain.contraction_max, 80)
-            curves, left = [], []
+            curves, left, out = [], [], np.isin(np.arange(len(means)) + 1, [one.row for one in fit.outliers])
             for i, level in enumerate(chosen):
                 color, name = PALETTE[i % len(PALETTE)], f"{level / bar:.3g} bar"
-                points = means.select(means.levels == level)
-                x, y, taut = points.contraction, points.force, points.taut
-                curves.append(dots(name, x / percent, y, color))
+                points = means.select((means.levels == level) & ~out)
+                curves.append(dots(name, points.contraction / percent, points.force, color))
                 curves.append(
                     line(name, eps / percent, np.asarray(fit.law.force(eps, level)).clip(min=0), color, width=1.5)
                 )
-                left_over = taut.force - np.asarray(fit.law.force(taut.contraction, taut.pressure))  # as measured
-                left.append(dots(name, taut.contraction / percent, left_over, color))
+                left.append(dots(name, *_residuals(fit, points.taut), color))
+            if out.any():
+                points, look = means.select(out), {"symbol": "diamond", "symbolSize": 12, "z": 4}
+                curves.insert(0, dots(_LEFT_OUT, points.contraction / percent, points.force, BLACK) | look)
+                left.insert(0, dots(_LEFT_OUT, *_residuals(fit, points), BLACK) | look)
             draw(forces, curves)
             draw(residuals, left)
             intervals = fit.intervals()
@@ -405,7 +416,7 @@ class _Page(JobPage[IdentificationState]):
         if found.hysteresis is not None:
             rows = found.hysteresis.rows()
             table(("friction", "estimate", "standard error", "unit"), rows, left=1)
-            show_warnings(found.hysteresis.warnings)
+            show_warnings(one for one in found.hysteresis.warnings if one not in found.fit.warnings)
 
     def show_ranking(self, found: Ranking) -> None:
         """Laws, best first."""

@@ -16,6 +16,7 @@ from mckibben.web.design import (
     ANGLES,
     KINDS,
     POSE,
+    YOURS,
     Designed,
     JointDesign,
     compute,
@@ -27,7 +28,7 @@ from mckibben.web.design import (
     pressure_limits,
     scenario_lines,
 )
-from mckibben.web.identify import IdentificationState
+from mckibben.web.identify import NEEDS_MUSCLE, IdentificationState
 from mckibben.web.layout import (
     BLACK,
     BLUE,
@@ -268,6 +269,8 @@ class _Page:
         """Offer the joint as a scenario section for download."""
         text = scenario_lines(self.design, self.known[self.design.muscle])
         ui.download.content(text, "joint.yaml")
+        if self.design.muscle == YOURS:
+            ui.notify(NEEDS_MUSCLE, multi_line=True)
 
     def run(self) -> None:
         """Use the joint on the page of runs."""

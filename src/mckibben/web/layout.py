@@ -99,8 +99,8 @@ def select(options: Any, label: str, mark: str = "", **others: Any) -> ui.select
 
 
 def quiet(text: str) -> ui.label:
-    """A remark in small grey letters."""
-    return ui.label(_quotes(text)).classes("quiet")
+    """A remark in small grey letters, in terms of the page."""
+    return ui.label(_on_page(text)).classes("quiet")
 
 
 def results_side() -> ui.column:
@@ -115,7 +115,8 @@ def progress_row(jobs: Jobs) -> Callable[[], None]:
         jobs.cancel()
         ui.notify("cancelled")
 
-    with panel(stays=True) as shown:
+    with panel() as shown:
+        shown.classes("progress")
         with ui.row().classes("w-full items-center no-wrap"):
             bar = ui.linear_progress(0, show_value=False).props("instant-feedback").classes("w-full")
             button("Cancel", cancel, "cancel").props("dense")
@@ -173,7 +174,15 @@ def _message(message: str, remedy: str) -> None:
         for line in printable(_quotes(message), 4000).splitlines():
             ui.label(line)
         if remedy:
-            ui.label(printable(_on_page(remedy), 1000)).classes("quiet")
+            quiet(printable(remedy, 1000))
+
+
+_TO_RESULTS = """
+while (!e.getClientRects().length) e = e.nextElementSibling;
+const at = e.getBoundingClientRect(), seen = document.elementFromPoint(at.left + at.width / 2, at.top + 1);
+if (at.top > innerHeight / 2 || !e.contains(seen)) e.scrollIntoView();
+"""
+"""Scrolls to an element, or to the next one that is shown, if its top is not in view or is covered."""
 
 
 class JobPage(Generic[State]):
@@ -184,12 +193,14 @@ class JobPage(Generic[State]):
         self.seen: McKibbenError | None = None
         self.ended = False
 
-    def start_job(self, compute: Callable[..., Any], done: Callable[[Any, list[str]], None]) -> None:
-        """As `Jobs.start`; an error is stored in the state."""
+    def start_job(
+        self, compute: Callable[..., Any], done: Callable[[Any, list[str]], None], *, scroll: bool = True
+    ) -> None:
+        """As `Jobs.start`; an error is stored in the state. The page scrolls to the results, or stays where it is."""
 
         def end(found: Any, heard: list[str]) -> None:
             done(found, heard)
-            self.ended = True
+            self.ended = scroll
 
         self.job = self.state.jobs.start(compute, end, self.fail)
 
@@ -207,16 +218,16 @@ class JobPage(Generic[State]):
         return new
 
     def show_results(self, on: ui.column, show: Callable[[], None]) -> None:
-        """Replace the results, and scroll to those of a job that has just ended if they are not in view."""
+        """Replace the results, and scroll to those of a job that has just ended if they are not in view.
+
+        They are those below `on` if it is empty.
+        """
         on.clear()
         with on:
             show()
         if self.ended:
             self.ended = False
-            ui.run_javascript(
-                f"{{const e = document.getElementById('{on.html_id}'), top = e.getBoundingClientRect().top;"
-                "if (top < 0 || top > innerHeight / 2) e.scrollIntoView()}"
-            )
+            ui.run_javascript(f"{{let e = document.getElementById('{on.html_id}');{_TO_RESULTS}}}")
 
     def show_failure(self, error: McKibbenError, title: str = "") -> None:
         """Show the error of the last job, scrolling to a new one."""
@@ -240,7 +251,15 @@ def show_warnings(texts: Iterable[str]) -> None:
     for text in texts:
         with ui.row().classes("no-wrap items-start").style("gap: 8px"):
             ui.icon("warning_amber", color=ORANGE).style("font-size: 18px")
-            quiet(printable(_on_page(text), 1000))
+            quiet(printable(text, 1000))
+
+
+_BREAKS_AT_DOTS = r"""
+<q-td :props="props">
+  <template v-for="part in String(props.value).split(/(?<=[._])(?=[A-Za-z])/)">{{part}}<wbr></template>
+</q-td>
+"""
+"""A cell whose dotted names may continue on the next line; copied text has no additional characters."""
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int = 1) -> ui.table:
@@ -251,6 +270,7 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int 
     ]
     cells = [{"key": k, **{str(i): cell for i, cell in enumerate(row)}} for k, row in enumerate(rows)]
     made = ui.table(columns=columns, rows=cells, row_key="key").props("flat dense hide-pagination wrap-cells")
+    made.add_slot("body-cell", _BREAKS_AT_DOTS)
     return made.classes("w-full number").props("rows-per-page-options=[0]")
 
 
@@ -444,9 +464,10 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
         "legend": {
             "top": 0,
             "type": "scroll",
-            "icon": "roundRect",
+            "icon": "path://M0,0M16,14M0,5h16v4h-16z",  # as high as the texts, which a legend with pages cuts to it
             "itemWidth": 16,
-            "itemHeight": 4,
+            "itemHeight": 14,
+            "itemStyle": {"opacity": 1},
             "textStyle": text,
             "data": [],
         },

@@ -269,7 +269,7 @@ class _Page(JobPage[LegPageState]):
                     with panel("Joints"):
                         self.angles = chart("time [s]", "angle [°]", height=240)
                 with panel("Numbers"):
-                    self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
+                    self.numbers = ui.column().classes("w-full")
             with panel() as self.nothing:
                 quiet("Choose a leg and press Compute: its landings or jumps appear here in 3-D.")
         self.results.visible = False
@@ -312,9 +312,7 @@ class _Page(JobPage[LegPageState]):
         self.progress()
         if not self.news():
             return
-        self.remarks.clear()
-        with self.remarks:
-            self.show_remarks()
+        self.show_results(self.remarks, self.show_remarks)
         self.results.visible, self.nothing.visible = bool(state.films), not state.films
         self.results.classes(**{"add" if state.error is not None else "remove": "stale"})
         if state.films:

@@ -145,12 +145,14 @@ class _Page(JobPage[RigState]):
         if self.news():
             for one in self.charts:
                 one.classes(**{"add" if state.old and state.error is not None else "remove": "stale"})
-            self.results.clear()
-            with self.results:
-                self.show_remarks()
-                if state.data is not None:
-                    with panel(f"{len(state.data)} points measured"):
-                        button("Identify the muscle", self.identify, main=True)
+            self.show_results(self.results, self.show)
+
+    def show(self) -> None:
+        """Show the error or the remarks of the test, and what can be done with its points."""
+        self.show_remarks()
+        if (data := self.state.data) is not None:
+            with panel(f"{len(data)} points measured"):
+                button("Identify the muscle", self.identify, main=True)
 
     def start(self) -> None:
         """Run the test; at most one at a time."""

@@ -14,7 +14,7 @@ from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import printable
 from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
 from mckibben.units import bar, deg, factor
-from mckibben.web.identify import IdentificationState
+from mckibben.web.identify import NEEDS_MUSCLE, IdentificationState
 from mckibben.web.layout import (
     BLACK,
     BLUE,
@@ -39,7 +39,7 @@ from mckibben.web.layout import (
     upload,
 )
 from mckibben.web.parts import CHOICES
-from mckibben.web.project import Project, adopt, pack, unpack
+from mckibben.web.project import MUSCLE, Project, adopt, pack, unpack
 from mckibben.web.scene import JointScene
 from mckibben.web.security import LARGEST
 from mckibben.web.session import session
@@ -137,7 +137,7 @@ class _Page(JobPage[Workbench]):
                     with panel("Joint"):
                         self.scene = JointScene()
                 with panel("Numbers"):
-                    self.numbers = ui.column().classes("w-full").style("overflow-x: auto")
+                    self.numbers = ui.column().classes("w-full")
         ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
         ui.timer(0.1, self.refresh)
 
@@ -173,11 +173,7 @@ class _Page(JobPage[Workbench]):
         if self.news():
             if self.text != state.text:  # otherwise it may be being edited
                 self.text = self.yaml.value = state.text
-            self.remarks.clear()
-            with self.remarks:
-                self.show_remarks()
-                if state.error is not None and state.current is not None:
-                    quiet("The fields and curves are those of the last scenario that ran.")
+            self.show_results(self.remarks, self.show)
             if state.scenario is not None and not state.jobs.busy:
                 for label, kind in state.options.items():
                     self.selects[label].value = kind
@@ -186,7 +182,13 @@ class _Page(JobPage[Workbench]):
             if state.current is not None:
                 self.plot(state.current)
 
-    def change(self, make: Callable[[], Scenario], *, form: bool = True, note: str = "") -> None:
+    def show(self) -> None:
+        """Show the error or the remarks of the last run."""
+        self.show_remarks()
+        if self.state.error is not None and self.state.current is not None:
+            quiet("The fields and curves are those of the last scenario that ran.")
+
+    def change(self, make: Callable[[], Scenario], *, form: bool = True, note: str = "", scroll: bool = False) -> None:
         """Change the scenario and run it, with a note on the change; rebuild the fields if its structure changed."""
         state, folder = self.state, self.folder
 
@@ -201,12 +203,12 @@ class _Page(JobPage[Workbench]):
             state.notes = [*filter(None, [note]), *remarks, *heard]
             state.form += form
 
-        self.start_job(run, done)
+        self.start_job(run, done, scroll=scroll)  # not from a field or a select, which may be changed again
 
     def apply_text(self, text: str) -> None:
         """Run the scenario in a text."""
         self.state.text = text
-        self.change(lambda: parse(text, self.folder))
+        self.change(lambda: parse(text, self.folder), scroll=True)
 
     def apply(self) -> None:
         """Run the text on the page."""
@@ -220,6 +222,8 @@ class _Page(JobPage[Workbench]):
     def download(self) -> None:
         """Offer the shown scenario for download."""
         ui.download.content(self.state.text, "scenario.yaml")
+        if MUSCLE in self.state.text:
+            ui.notify(NEEDS_MUSCLE, multi_line=True)
 
     def pack(self) -> None:
         """Offer the project for download."""

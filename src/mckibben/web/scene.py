@@ -20,8 +20,10 @@ _RATE = 12  # frames per second
 _SLACK, _FULL = np.array([0xCC, 0xD9, 0xE6]), np.array([0xD5, 0x5E, 0x00])
 BONE, CABLE = "#b9c2cb", "#555f69"
 # The library draws every frame: draw only if the camera, the size or an object differs from the last drawn frame.
+# It takes its size from the window's events: a scene that is hidden at first would keep a size of 0.
 _ON_DEMAND = """() => {
-  const { renderer } = getElement(ID), draw = renderer.render.bind(renderer), size = renderer.setSize.bind(renderer);
+  const view = getElement(ID), { renderer } = view;
+  const draw = renderer.render.bind(renderer), size = renderer.setSize.bind(renderer);
   let drawn = "";
   renderer.setSize = (...sides) => { drawn = ""; size(...sides); };
   renderer.render = (scene, camera) => {
@@ -33,6 +35,7 @@ _ON_DEMAND = """() => {
     const now = JSON.stringify(shown, (_, value) => value.toFixed ? Math.round(1e4 * value) : value);  // it drifts
     if (now !== drawn) { drawn = now; draw(scene, camera); }
   };
+  new ResizeObserver(() => view.resize()).observe(view.$el);
 }"""
 
 

@@ -29,6 +29,7 @@ from mckibben.web.layout import (
     quiet,
     results_side,
     select,
+    show_warnings,
     side,
     table,
 )
@@ -60,6 +61,7 @@ class StudyState(JobState):
     comparison: ComparisonRequest = field(default_factory=ComparisonRequest)
     tuned: Tuned | None = None
     compared: Compared | None = None
+    newest: str = "tuned"  # of both, which is shown first
 
 
 def page() -> None:
@@ -93,7 +95,7 @@ class _Page(JobPage[StudyState]):
                         _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS),
                         _number("seed", tuning, "seed", 0, MOST_SEED),
                     ]
-                    margin = ui.input("disk margin", placeholder="as now").props("dense").classes("w-full")
+                    margin = ui.input("disk margin", placeholder="as now").props("dense stack-label").classes("w-full")
                     margin.mark("disk_margin").bind_value(tuning, "disk_margin")
                 _lines("NAME=RANGE per line, or all gains", tuning, "over")
                 button("Tune", self.tune, "tune", main=True)
@@ -155,7 +157,8 @@ class _Page(JobPage[StudyState]):
 
         def done(found: Tuned | Compared, heard: list[str]) -> None:
             setattr(state, name, found)
-            state.notes = list(dict.fromkeys([*heard, *found.remarks]))
+            state.newest = name
+            state.notes = [one for one in heard if one not in found.remarks]
 
         state.error, state.notes = None, []
         self.start_job(lambda progress: compute(text, request, folder, progress), done)
@@ -169,12 +172,11 @@ class _Page(JobPage[StudyState]):
         """Show everything known."""
         state = self.state
         self.show_remarks()
-        if state.tuned is not None:
-            with self.result_of(state.tuned.text):
-                self.show_tuned(state.tuned)
-        if state.compared is not None:
-            with self.result_of(state.compared.text):
-                self.show_compared(state.compared)
+        results: dict[str, Callable[[Any], None]] = {"tuned": self.show_tuned, "compared": self.show_compared}
+        for name in sorted(results, key=lambda one: one != state.newest):
+            if (found := getattr(state, name)) is not None:
+                with self.result_of(found.text):
+                    results[name](found)
         if state.tuned is None and state.compared is None and state.error is None:
             with panel("No study yet"):
                 quiet(
@@ -199,7 +201,8 @@ class _Page(JobPage[StudyState]):
                 quiet(f"The search kept a disk margin of at least {found.disk_margin:g}.")
             else:
                 quiet("The search kept no disk margin.")
-            costs = chart("evaluated point", "cost", height=220, yAxis={"type": "log"})
+            show_warnings(found.remarks)
+            costs = chart("evaluated point", "cost", height=220, yAxis=_cost_axis(found.costs))
             number = np.arange(1, len(found.costs) + 1)
             at = int(np.argmin(found.costs)) + 1
             quiet(f"Point {at} of {len(found.costs)} has the lowest cost.")
@@ -211,17 +214,24 @@ class _Page(JobPage[StudyState]):
     def show_compared(self, found: Compared) -> None:
         """Errors as bars and table."""
         with panel("Compared on the same unseen runs, each controller tuned with the same budget"):
+            show_warnings(found.remarks)
             bars(found.errors)
-            with ui.element("div").classes("w-full").style("overflow-x: auto"):
-                table(found.headers, found.rows)
-                if found.at_equal_air:
-                    quiet("With gains that take no more air than the scenario's controller in the training runs:")
-                    table(found.headers, found.at_equal_air)
+            table(found.headers, found.rows)
+            if found.at_equal_air:
+                quiet("With gains that take no more air than the scenario's controller in the training runs:")
+                table(found.headers, found.at_equal_air)
             with ui.row().classes("items-center").style("gap: 12px"):
                 chosen = ui.select(list(found.scenarios), value=next(iter(found.scenarios)), label="controller")
                 chosen.props("dense").style("min-width: 180px")
                 scenarios = found.scenarios
                 button("Run it", lambda: self.run(scenarios[str(chosen.value)]), "use-compared", main=True)
+
+
+def _cost_axis(costs: np.ndarray) -> dict[str, str]:
+    """A logarithmic axis, unless the lowest costs so far are within a decade: it would show all of that."""
+    shown = best_so_far(costs)
+    shown = shown[np.isfinite(shown)]
+    return {"type": "log" if shown.size and shown[0] > 10.0 * shown[-1] else "value"}
 
 
 def bars(errors: dict[str, tuple[float, float]]) -> ui.echart:
