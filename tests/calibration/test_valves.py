@@ -11,13 +11,14 @@ from scipy.integrate import odeint
 
 from mckibben import catalog
 from mckibben.actuator import FirstOrderValve, FlowValve, IdealValve, PressureRegulator, Tube, UnequalValves
-from mckibben.calibration import JointPrior, JointRecording, calibrate_valves
+from mckibben.calibration import JointPrior, JointRecording, ValveExperiment, calibrate_valves
 from mckibben.calibration.valve_experiment import valve_statements
 from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import return_spring
 from mckibben.muscle.air import L_PER_S_BAR
-from mckibben.units import bar, cm, kPa, ms
+from mckibben.scenario import Scenario
+from mckibben.units import bar, cm, deg, kPa, ms
 
 pytestmark = pytest.mark.usefixtures("optimized")  # programs run hundreds of times
 PERIOD, NOISE, OFFSET = 8 * ms, 1 * kPa, (0.6 * kPa, -0.9 * kPa)
@@ -152,7 +153,8 @@ def test_a_regulator_is_found_within_the_intervals(regulators):
             assert one.determined
     assert found.residual == pytest.approx(NOISE, rel=0.05)
     assert found.noise == pytest.approx(NOISE, rel=0.05)
-    assert valve_statements(found) == []
+    (said,) = valve_statements(found)  # none differs or is far from the data sheet
+    assert "valve1.dead_volume" in said and "valve1.conductance" not in said
 
 
 NAMES = ("conductance", "exhaust_conductance", "band", "time_constant", "dead_zone", "leak")
@@ -189,6 +191,31 @@ def test_unequal_valves_are_told_apart():
     assert isinstance(again.valve, UnequalValves)
     alike = calibrate_valves(catalog.joint("knee-table-2"), FirstOrderValve(0.1), [first_order((40 * ms, 40 * ms))])
     assert alike.valve.time_constant == pytest.approx(40 * ms, rel=0.02) and alike.differing == ()
+    assert alike.surprising(2.5) == {} and valve_statements(alike) == []
+
+
+@pytest.mark.slow
+def test_a_valve_far_from_its_first_model_is_named():
+    found = calibrate_valves(catalog.joint("knee-table-2"), FirstOrderValve(4 * ms), [first_order((40 * ms, 40 * ms))])
+    assert found.surprising(2.5) == pytest.approx(dict.fromkeys(ESTIMATED, math.log(10) / 0.7), rel=0.02)
+    assert all(any(one.startswith(name) for one in valve_statements(found)) for name in ESTIMATED)
+
+
+ESTIMATED = ("valve1.time_constant", "valve2.time_constant")
+
+
+@pytest.mark.slow
+def test_commands_are_narrowed_by_the_limits_of_the_joint_alone():
+    scenario = Scenario.read("examples/calibration/valves.yaml")
+
+    def span(strength):
+        parts = ValveExperiment(-10 * deg, 10 * deg, 10.0, strength=strength).scenarios(scenario)
+        steps = parts["steps"].controller.pressure1
+        return steps.high - steps.low
+
+    whole = span(0.1)
+    with pytest.warns(McKibbenWarning, match="range"):  # a stronger muscle holds the joint at 5 to 10 deg
+        assert 0.3 * whole < span(0.3) < whole
 
 
 def with_one_muscle():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,22 +13,24 @@ import numpy as np
 from mckibben.actuator import Actuator
 from mckibben.calibration.equations import JointPrior, JointRecording
 from mckibben.calibration.experiment import SHOWN, field_of, holds, load_of, model_of, with_fields
-from mckibben.calibration.valves import ValveCalibration, calibrate_valves
+from mckibben.calibration.valves import NUISANCES, ValveCalibration, calibrate_valves
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
-from mckibben.errors import ParameterError
+from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Muscle
 from mckibben.plant import JointPlant
 from mckibben.rig.bench import JointLimits
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import simulate
-from mckibben.units import show
+from mckibben.units import bar, deg, show
 
 _INSIDE = 0.05  # part of the stiffness range that is left out at both ends
 _DWELL = (0.4, 2.5)  # s, of the steps
 _FREQUENCIES = (0.1, 0.23, 0.47, 0.97, 1.9, 3.7, 7.3)  # Hz
 _DIFFERENCE = ((0.17, 0.41), 0.1)  # Hz, and amplitudes relative to the range: of opposite sign, to move the joint
 _SHRINK, _TRIES = 0.8, 10
+_NARROW = 0.5  # share of the range below which fewer quantities may be determined
+_SURPRISING = 2.5  # prior standard deviations from the first model
 
 
 @dataclass(frozen=True)
@@ -51,12 +54,13 @@ class ValveExperiment:
 
         The commands lie between those of the lowest and the highest stiffness in the middle of the angles, or with a
         return spring, between those of both angles. The range is narrowed until the model stays within all limits.
-        Raises `ParameterError` if it does not.
+        Raises `ParameterError` if it does not, and warns where less than half of the range is left.
         """
         model, middle = model_of(scenario), (self.lowest + self.highest) / 2
         plant = scenario.model_copy(update={"joint": model, "load": load_of(scenario)}).plant()
         ends, rest = self._ends(plant, middle), plant.equilibrium(middle)
         signals = Reference(middle, float(plant.stiffness(middle, rest.pressures)))
+        kept, reason = 1.0, ""
         for _ in range(_TRIES):
             parts = {
                 name: scenario.model_copy(
@@ -70,13 +74,21 @@ class ValveExperiment:
                 )
                 for name, commands in _commands(ends).items()
             }
-            if all(self._stays(part, joint) for joint in self._joints(model) for part in parts.values()):
+            tried = (self._excess(part, joint) for joint in self._joints(model) for part in parts.values())
+            found = next(filter(None, tried), "")
+            if not found:
+                if kept < _NARROW:
+                    text = (
+                        f"the commands have {kept:.0%} of the range of the attainable stiffness, as otherwise {reason}"
+                    )
+                    remedy = "wider --angles or a smaller --strength-error may determine more quantities of the valves"
+                    warnings.warn(f"{text}: {remedy}", McKibbenWarning, stacklevel=2)
                 return parts
-            centre = ends.mean(axis=0)
+            centre, reason, kept = ends.mean(axis=0), found, _SHRINK * kept
             ends = centre + _SHRINK * (ends - centre)
         raise ParameterError(
-            "by the model, the commands move the joint beyond the angles, or the valves are too slow for them",
-            remedy="give wider --angles, or a valve closer to the real one",
+            f"even commands of {kept:.0%} of the range are too wide: {reason}",
+            remedy="give wider --angles, a smaller --strength-error, or a valve closer to the real one",
         )
 
     def _half(self, scenario: Scenario) -> float:
@@ -106,8 +118,8 @@ class ValveExperiment:
             for error in (0.0, self.strength, -self.strength)
         ]
 
-    def _stays(self, part: Scenario, model: AntagonisticJoint) -> bool:
-        """Whether a joint stays within the limits in a simulation."""
+    def _excess(self, part: Scenario, model: AntagonisticJoint) -> str:
+        """What is beyond the limits in a simulation; empty if nothing is."""
         from scipy.signal import lfilter  # 1 s
 
         plant = part.model_copy(update={"joint": model, "load": load_of(part)}).plant()
@@ -124,8 +136,12 @@ class ValveExperiment:
         angle, share = ran["angle"], min(1.0, part.control_period / self.following)
         errors = (ran[f"pressure{i}"] - ran[f"command{i}"] for i in (1, 2))
         late = max(float(np.abs(lfilter([share], [1, share - 1], error)).max()) for error in errors)
-        inside = self.lowest <= angle.min() <= angle.max() <= self.highest
-        return not ran.outcome.diverged and bool(inside) and late <= self.pressure_error / 2
+        lowest, highest = angle.min() / deg, angle.max() / deg
+        if not self.lowest <= angle.min() <= angle.max() <= self.highest:  # not a number where the run diverges
+            return f"the joint of the model, or one with unequal muscles, moves from {lowest:.1f} to {highest:.1f} deg"
+        if not late <= self.pressure_error / 2:
+            return f"the pressures are up to {late / bar:.2g} bar from their commands, as the valves are too slow"
+        return ""
 
 
 def _commands(ends: Any) -> dict[str, tuple[Any, Any]]:
@@ -181,11 +197,23 @@ def valve_for(scenario: Scenario, found: ValveCalibration) -> Actuator:
 
 
 def valve_statements(found: ValveCalibration, valve: Actuator | None = None) -> list[str]:
-    """Return a sentence per quantity in which the valves differ; `valve` is the model, by default the found one."""
+    """Return a sentence per quantity in which the valves differ or that is far from the first model, and on others.
+
+    `valve` is the model, by default the found one.
+    """
     said, pair = [], (valve or found.valve).muscle_count
     for name in found.differing:
         both = [found.quantities[f"valve{number}.{name}"] for number in (1, 2)]
         texts = " and ".join(show(one.value, SHOWN[one.unit], 3) for one in both)
         model = "both" if pair and name != "delay" else "the mean of both"
         said.append(f"the valves differ: {name} is {texts}; the model has {model}")
+    for name, distance in found.surprising(_SURPRISING).items():
+        one = found.quantities[name]
+        said.append(
+            f"{name} is {show(one.value, SHOWN[one.unit], 3)}, {distance:.1f} prior standard deviations from the first "
+            "model: check its value there, and the class of the valve"
+        )
+    own = {name: one for name, one in found.quantities.items() if name.partition(".")[2] not in NUISANCES}
+    if unknown := [name for name, one in own.items() if not one.determined]:
+        said.append(f"not determined by the recordings, and about as in the first model: {', '.join(unknown)}")
     return said

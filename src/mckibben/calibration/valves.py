@@ -42,13 +42,13 @@ _WINDOW = 0.05  # s, of the local cubic fits of the angle
 _MARGIN = 2.0  # of the integration step to the stable one, as the estimates may be faster than the first model
 _FIRST_VARIANCE, _LEAST_VARIANCE = (5 * kPa) ** 2, (0.05 * kPa) ** 2
 _STAGES, _ITERATIONS, _TOLERANCE = 3, 25, 1e-4
-_UNEXPLAINED = 3.0  # ratio of residual to noise above which the model does not describe the recordings
+_UNEXPLAINED = 2.0  # ratio of residual to noise above which the model does not describe the recordings
 _NEGLIGIBLE = 2e-3  # ratio of residual to the highest pressure up to which that is irrelevant
 _KNOWN = frozenset({"period", "compensation", "reservoir_volume", "line_conductance"})  # not estimated
 _PRIORS = {"supply": "supply", "polytropic_index": "polytropic_index", "critical_ratio": "critical_ratio"}
 _SCALES = {"dead_volume": 10 * cm**3, "leak": 3e-11, "delay": 20 * ms, "opening_delay": 2 * ms}
 _DEAD_ZONE = {"1": 0.05, "Pa": 0.1 * bar}  # scale by unit
-_NUISANCES = ("pressure_zero", "zero", "arm_scale", "volume")
+NUISANCES = ("pressure_zero", "zero", "arm_scale", "volume")
 _ZEROS = {"pressure_zero": "Pa", "zero": "rad"}  # units of those that are not factors
 _SHOWN = 2.0  # standard deviations from zero of what the first model lacks
 _APART, _DIFFERENT = 3.0, 1.1  # standard deviations and ratio beyond which two valves differ
@@ -142,6 +142,15 @@ class ValveCalibration:
                 found.append(name)
         return tuple(found)
 
+    def surprising(self, most: float) -> dict[str, float]:
+        """Distances from the first model in prior standard deviations that are above a number, by quantity."""
+        return {
+            f"valve{muscle + 1}.{one.name}": abs(float(at))
+            for (muscle, problem), z in zip(self._problems.items(), self._estimates, strict=True)
+            for one, at in zip(problem.parameters, z, strict=False)
+            if one.deviation and abs(at) > most
+        }
+
     @property
     def muscles(self) -> tuple[int, ...]:
         """Index of the muscle of each valve: 0 and 1, or one of them with a return spring."""
@@ -173,7 +182,7 @@ class _Problem(NamedTuple):
     joint: AntagonisticJoint
     valve: Actuator
     parameters: tuple[_Parameter, ...]  # fields of the valve, and last the delay
-    nuisances: tuple[float, ...]  # standard deviations of `_NUISANCES`; only the first for valves without a volume
+    nuisances: tuple[float, ...]  # standard deviations of `NUISANCES`; only the first for valves without a volume
 
     @property
     def size(self) -> int:
@@ -222,7 +231,7 @@ def calibrate_valves(
     Warns
     -----
     McKibbenWarning
-        If the residual is above three times the noise and 0.2 % of the highest pressure: the intervals are too narrow.
+        If the residual is above twice the noise and 0.2 % of the highest pressure: the intervals are too narrow.
 
     References
     ----------
@@ -295,7 +304,7 @@ def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, de
         elif scale is not None:
             parameters.append(_Parameter(name, unit, scale, 0.0))
     parameters.append(_Parameter("delay", "s", delay or _SCALES["delay"], prior.delay if delay else 0.0))
-    nuisances = tuple(getattr(prior, name) for name in (_NUISANCES if valve.holds_air else _NUISANCES[:1]))
+    nuisances = tuple(getattr(prior, name) for name in (NUISANCES if valve.holds_air else NUISANCES[:1]))
     return _Problem(joint, valve, tuple(parameters), nuisances)
 
 
@@ -483,7 +492,7 @@ def _quantities(
         for number, one in enumerate(problem.parameters):
             found[f"valve{muscle + 1}.{one.name}"] = one.estimate(float(row[number]), float(wide[number]))
         for number, (name, scale) in enumerate(
-            zip(_NUISANCES, problem.nuisances, strict=False), len(problem.parameters)
+            zip(NUISANCES, problem.nuisances, strict=False), len(problem.parameters)
         ):
             value, unit = scale * float(row[number]) + (name not in _ZEROS), _ZEROS.get(name, "1")
             found[f"valve{muscle + 1}.{name}"] = JointEstimate(value, scale * float(wide[number]), scale, unit)
