@@ -151,6 +151,15 @@ def test_two_equal_largest_forces_are_reported(heard):
     assert any("saturated" in one for one in heard(pressure, contraction, np.minimum(force, 255.0))[1])
 
 
+@pytest.mark.parametrize(("highest", "reported"), [(255.0, True), (1000.0, False)])
+def test_three_equal_largest_forces_are_reported_where_two_others_are_equal_by_chance(heard, highest, reported):
+    pressure, contraction = np.repeat([2.0, 3.0, 4.0], 5), np.tile(np.arange(0, 15, 3.0), 3)
+    force = 90.7 * pressure * (1 - contraction / 32) ** 2
+    force[2] = force[6]
+    told = heard(pressure, contraction, np.minimum(np.round(force, 1), highest))[1]
+    assert any("saturated" in one for one in told) == reported
+
+
 def test_a_dead_band_is_no_offset_of_the_pressure(heard):
     pressure, contraction, force = points((0, 0.3, 1, 2, 3, 4, 5))
     dead = np.where(pressure < 0.8, np.minimum(force, 0.4), force * (pressure - 0.8) / np.maximum(pressure, 0.8))

@@ -111,6 +111,15 @@ def test_a_header_without_units_is_found_below_a_preamble(put):
     assert found == [(4, "Druck"), (4, "Kraft"), (4, "Weg")]
 
 
+@pytest.mark.parametrize("units", ["", "bar\tN\tmm\t\n"])
+def test_a_header_of_unknown_names_is_found_above_the_rows_as_wide(put, units):
+    rows = "".join(f"{p}\t{100 * p},5\t{k}\tup\n" for p in (2, 3) for k in range(8))
+    path = put(f"Bench; No 17\nJ. Martin\nP1\tA2\tA3\tWay\n{units}{rows}")
+    with pytest.raises(DatasetError) as caught:
+        read_dataset(path)
+    assert {one.line for one in caught.value.problems} == {3}
+
+
 @pytest.mark.parametrize("order", [one for one in permutations(range(3)) if one != (0, 1, 2)])
 @pytest.mark.parametrize("third", ["contraction_percent", "length_mm"])
 def test_exchanged_columns_are_one_problem_with_the_names_that_are_meant(put, order, third):

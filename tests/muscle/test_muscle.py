@@ -1,12 +1,14 @@
 import dataclasses
+import warnings
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.errors import DomainWarning, RangeError
+from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
 from mckibben.muscle import Domain, MaxwellCreep, MaxwellSlip, Muscle, Specimen, forces
+from mckibben.muscle.air import inner_volume, volume_terms
 
 
 @pytest.fixture(scope="module")
@@ -146,6 +148,15 @@ def test_the_volume_is_known_by_the_braid_or_as_a_polynomial(specimen):
         assert not dataclasses.replace(specimen, **{name: None}).has_volume
     assert specimen.has_volume and not dataclasses.replace(specimen, **unknown).has_volume
     assert dataclasses.replace(specimen, **unknown, volume_terms=(2e-5, 1e-4)).has_volume
+
+
+@pytest.mark.parametrize(("diameter", "warned"), [(8e-3, False), (20e-3, False), (0.1, True), (1e-3, True)])
+def test_a_volume_that_does_not_fit_the_force_is_warned_of(law, diameter, warned):
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        terms = volume_terms(law, 0.18, inner_volume(0.18, diameter))
+    assert terms[0] == pytest.approx(inner_volume(0.18, diameter))
+    assert [one.category for one in heard] == [McKibbenWarning] * warned
 
 
 def test_friction_and_creep_are_known_by_their_parts(specimen, law):

@@ -71,7 +71,7 @@ _NAMES: Mapping[str, str] = {
         ("length", ("длина", "길이")),
         ("displacement", ("перемещение", "변위")),
         ("time", ("время", "시간")),
-        ("force", ("kraft", "zugkraft", "standardkraft", "forza", "fuerza", "força", "力", "拉力", "張力")),
+        ("force", ("kraft", "zugkraft", "standardkraft", "forza", "fuerza", "força", "effort", "力", "拉力", "張力")),
         (
             "contraction",
             (
@@ -89,7 +89,10 @@ _NAMES: Mapping[str, str] = {
                 "収縮率",
             ),
         ),
-        ("displacement", ("stroke", "travel", "weg", "hub", "verschiebung", "déplacement", "spostamento", "corsa")),
+        (
+            "displacement",
+            ("stroke", "travel", "weg", "hub", "verschiebung", "déplacement", "course", "spostamento", "corsa"),
+        ),
         ("displacement", ("desplazamiento", "deslocamento", "位移", "変位")),
         (
             "length",

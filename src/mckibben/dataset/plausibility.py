@@ -16,6 +16,7 @@ from mckibben.dataset.headers import ACCEPTED
 from mckibben.dataset.schema import VACUUM
 from mckibben.errors import Problem
 from mckibben.muscle import Specimen
+from mckibben.muscle.air import BLOCKED_FORCE
 from mckibben.units import bar, factor, mm, percent
 
 Floats = NDArray[np.float64]
@@ -24,11 +25,6 @@ _PRESSURES = (0.08 * bar, 0.9 * bar, 12 * bar, 16 * bar)
 """Highest pressure of a muscle test: impossible below, usual from, usual to, impossible above."""
 _DIAMETERS = (0.8 * mm, 1.7 * mm, 80 * mm, 120 * mm)
 """Implied diameter: impossible below, usual from, usual to, impossible above. Thin muscles are sold from 1.8 mm."""
-_BLOCKED_FORCE = 8.2
-"""Force of a muscle at its initial length over p pi d^2/4 at a braid angle of 25 deg; 14 at 20 deg, 5 at 30 deg.
-
-C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90-102.
-"""
 _LIKE_SPECIMEN = (0.4, 2.0, 3.0)  # implied over given diameter: usual from, usual to, impossible above
 _STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contractions of a taut muscle
 _FIRST = 0.1  # smallest contraction of a test that begins near the initial length
@@ -288,17 +284,20 @@ def _continuous(values: Floats, marks: NDArray[np.bool_], usual: NDArray[np.bool
 def _clipped(
     name: str, values: Floats, unit: float, symbol: str, *conditions: Floats
 ) -> Iterator[tuple[Problem, bool]]:
-    """Message on a largest value that repeats, or occurs twice under different conditions, where no other does."""
+    """Message on a largest value that repeats, or occurs more often than others under different conditions."""
     levels, counts = np.unique(values, return_counts=True)
     low = _CLEARLY * levels[-1]  # readings of a slack muscle repeat
     others = counts[:-1][levels[:-1] > low].max(initial=1)
     at = values == levels[-1]
-    twice = others == 1 < counts[-1] and any(np.ptp(one[at]) > _APART * np.ptp(one) for one in conditions)
+    twice = 3 > others < counts[-1] and any(np.ptp(one[at]) > _APART * np.ptp(one) for one in conditions)
     twice = twice and resolution(values) * _FINE < levels[-1]
     often = counts[-1] > max(2 * others, _REPEATED - 1) or counts[-1] >= 2 * max(others, _REPEATED)
     if len(levels) > 2 and (often or twice or (name == "pressure" and _is_cut_off(values))):
         text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
-        yield Problem(text, field=name, remedy="check the range of the sensor"), False
+        yield (
+            Problem(text, field=name, remedy="check the range of the sensor, and leave out the rows at its end"),
+            False,
+        )
 
 
 def _is_cut_off(values: Floats) -> bool:
@@ -411,7 +410,7 @@ def implied_diameter(pressure: Floats, force: Floats) -> float | None:
     if not (force[at] > 0 and pressure[at] > 0):
         return None
     with np.errstate(over="ignore"):
-        return math.sqrt(4 * force[at] / (math.pi * _BLOCKED_FORCE * pressure[at]))
+        return math.sqrt(4 * force[at] / (math.pi * BLOCKED_FORCE * pressure[at]))
 
 
 def _forces(pressure: Floats, force: Floats, specimen: Specimen | None, unit: str) -> Iterator[tuple[Problem, bool]]:

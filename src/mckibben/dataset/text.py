@@ -169,7 +169,9 @@ def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list
             return [candidate, lines[index - 1], *lines[index + 1 :]], number + index - 1  # units over the names
         numbered = not index and cells == [str(at) for at in range(1, len(cells) + 1)]  # columns, above their names
         if not numbered and max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
-            break  # a row: the following lines cannot be a header
+            alike = [len(_split(line, delimiter)) == len(cells) for line in lines[:index]]
+            unitless = unitless or next((at for at in range(index) if all(alike[at:])), 0)
+            break  # a row: the header is among the lines above it that are as wide
         unitless = unitless or (index if sum(bool(named_quantity(cell)) for cell in cells) >= 2 else 0)
     return lines[unitless:], number + unitless
 
