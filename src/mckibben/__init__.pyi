@@ -44,6 +44,7 @@ from .identification import (
     identify_pooled as identify_pooled,
     identify_with_friction as identify_with_friction,
     rank as rank,
+    read_law as read_law,
     validate as validate,
 )
 from .joint import (
@@ -82,6 +83,7 @@ from .plant import (
     JointFriction as JointFriction,
     JointPlant as JointPlant,
     PressureRegulator as PressureRegulator,
+    SampledSensors as SampledSensors,
     SwitchingValves as SwitchingValves,
     Tube as Tube,
     UnequalValves as UnequalValves,

@@ -58,12 +58,16 @@ def closest(name: str, known: Sequence[str]) -> str:
 
     >>> closest("MAS10", ["DMSP-10-250", "MAS-10-180N-AA-MC-O"])
     'MAS-10-180N-AA-MC-O'
+    >>> closest("encoder_resolution", ["encoder", "encoder_offset"])
+    'encoder'
     """
-    close = difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=0.6)
-    plain = _plain(name)
-    same = [one for one in known if _plain(one) == plain]
-    begun = [one for one in known if len(plain) > 2 and (_plain(one).startswith(plain) or _plain(one).endswith(plain))]
-    return next(iter([*same, *close, *begun]), "")
+    close = [difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=least) for least in (0.8, 0.6)]
+    plain, words = _plain(name), {one: _plain(one) for one in known}
+    same = [one for one, word in words.items() if word == plain]
+    begun = sorted((one for one, word in words.items() if len(plain) > 2 and word.startswith(plain)), key=len)
+    stems = sorted((one for one, word in words.items() if len(word) > 3 and plain.startswith(word)), key=len)
+    ended = [one for one, word in words.items() if len(plain) > 2 and word.endswith(plain)]
+    return next(iter([*same, *begun, *close[0], *stems[::-1], *close[1], *ended]), "")
 
 
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:

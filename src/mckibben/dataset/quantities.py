@@ -230,7 +230,7 @@ class ColumnConverter:
             text = f"{left_out} of {rows} rows are not numeric: more than half cannot be left out"
             self.problems.append(Problem(text))
         if self.problems or refused:
-            remedy = "" if self.problems or 2 * left_out > rows else f"correct it{LEAVE_OUT}"  # where that suffices
+            remedy = "" if 2 * left_out > rows else f"correct it{LEAVE_OUT}"  # more than half are a misread file
             corrupt = [replace(one, remedy=one.remedy or remedy) for one in self.corrupt]
             found = self._sorted(self.problems + corrupt)
             more = [Problem(f"and {len(found) - _LISTED} more problems")] if len(found) > _LISTED else []
