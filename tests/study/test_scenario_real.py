@@ -109,7 +109,7 @@ def test_all_its_numbers_are_listed_with_what_they_are(real):
     nominal = {each.name: each.nominal for each in list_parameters(real)}
     assert {name: nominal[name] for name in NUMBERS} == pytest.approx(NUMBERS)
     shown = {each["name"]: (each["nominal"], each["range"], each["unit"]) for each in parameter_rows(real)}
-    assert shown["sensors.encoder"] == ("0.022 deg", "0 to 90 deg", "deg")
+    assert shown["sensors.encoder"] == ("0.022 deg", "0 to 10 deg", "deg")
     assert shown["sensors.pressure_noise"] == ("4 kPa", "0 to 100000 kPa", "kPa")
     assert shown["controller.adaptation.strength_spread"] == ("0.08", "above 0 to 0.3", "1")
 
@@ -177,7 +177,7 @@ def test_what_is_not_there_cannot_be_varied(name, what):
         (text(strength=0), "joint.muscle.strength", "outside above 0 to 100"),
         (text(strength="93 N"), "joint.muscle.strength", "N"),
         (text(sensors="sensors: {delay: 2}\n"), "sensors.delay", "outside 0 to 1"),
-        (text(sensors="sensors: {encoder: -1 deg}\n"), "sensors.encoder", "outside 0 to 90 deg"),
+        (text(sensors="sensors: {encoder: -1 deg}\n"), "sensors.encoder", "outside 0 to 10 deg"),
         (text(sensors="sensors: {encoder: 1 mm}\n"), "sensors.encoder", "unit"),
         (text(sensors="sensors: {seed: 1.5}\n"), "sensors.seed", "1.5"),
         (text(sensors="sensors: {noise: 1 kPa}\n"), "sensors.noise", "is not a known key"),

@@ -22,10 +22,10 @@ from mckibben.units import (
     Conductance,
     HeatConductance,
     Percent,
-    PositivePressure,
     PressureScale,
     Quantity,
     ShortTime,
+    SupplyPressure,
     ValveTime,
     Volume,
     bar,
@@ -83,7 +83,7 @@ class AirValve(AirActuator):
     }
 
     conductance: Conductance
-    supply: PositivePressure
+    supply: SupplyPressure
     exhaust_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
     critical_ratio: CriticalRatio = eqx.field(kw_only=True, default=0.3)
     band: PressureScale = eqx.field(kw_only=True, default=1 * bar)

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.actuator.base import Scalar
 from mckibben.actuator.valve import Valve
 from mckibben.numerics.elementary import floating
-from mckibben.units import Bandwidth, PositivePressure, Quantity
+from mckibben.units import Bandwidth, Quantity, SupplyPressure
 
 DampingRatio = Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)]
 
@@ -38,7 +38,7 @@ class SecondOrderValve(Valve):
 
     bandwidth: Bandwidth
     damping: DampingRatio = eqx.field(kw_only=True, default=0.7)
-    supply: PositivePressure | None = eqx.field(kw_only=True, default=None)
+    supply: SupplyPressure | None = eqx.field(kw_only=True, default=None)
 
     @property
     def is_linear(self) -> bool:

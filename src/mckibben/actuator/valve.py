@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import Actuator, AirVolume, Attainable, CommandRange, Scalar
-from mckibben.units import PositivePressure, PressureRate, ValveTime
+from mckibben.units import PressureRate, SupplyPressure, ValveTime
 
 
 class Valve(Actuator):
@@ -79,7 +79,7 @@ class FirstOrderValve(Valve):
     is_first_order = True
 
     time_constant: ValveTime
-    supply: PositivePressure | None = eqx.field(kw_only=True, default=None)
+    supply: SupplyPressure | None = eqx.field(kw_only=True, default=None)
     rate: PressureRate | None = eqx.field(kw_only=True, default=None)
 
     @property
