@@ -34,7 +34,7 @@ from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, layout, rig, session, studies, tune, workbench
+from mckibben.web import app, design, identify, joint, layout, rig, session, studies, tune, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -138,6 +138,13 @@ def test_the_page_names_the_binding_limits_as_the_command_does():
     assert "the supply (5 bar)" in design.limits_at(made, design.compute(made, MUSCLE))
     made = dataclasses.replace(made, torque=20.0)
     assert design.limits_at(made, design.compute(made, MUSCLE)) == ""
+
+
+@pytest.mark.parametrize(
+    ("held", "least"), [([1, 1, 1], True), ([0, 1, 1], True), ([1, 0, 0], True), ([0, 1, 0], False), ([0, 0, 0], False)]
+)
+def test_a_load_held_at_an_end_of_the_chart_may_be_held_beyond(held, least):
+    assert ("at least" in joint._held(np.array([-40.0, 0.0, 40.0]), np.array(held, bool))) == least
 
 
 @pytest.mark.parametrize("most", [0.4, 0.8, 6.0])

@@ -53,6 +53,14 @@ from mckibben.web.session import Latest, in_thread, session
 _COMPILING = "computing; a new kind of joint or law compiles for a few seconds"
 
 
+def _held(angles: np.ndarray, holds: np.ndarray) -> str:
+    """Range of the angles [deg] at which the load is held; it may go on beyond the ends of the charts."""
+    if not holds.any():
+        return "no pressures hold the load at any angle"
+    least = "at least " if holds[0] or holds[-1] else ""
+    return f"the load is held {least}from {angles[holds][0]:.0f}° to {angles[holds][-1]:.0f}°"
+
+
 def page() -> None:
     """The page."""
     kept = session()
@@ -222,12 +230,7 @@ class _Page:
         lower, upper = (line(name, angles, edge, GREEN) for name, edge in (("lowest", least), ("highest", most)))
         curves = [*band("attainable", angles, least, most, GREEN), lower | self.mark(), upper, load]
         draw(self.torque, curves, legend=("attainable", "load"))
-        reached = np.flatnonzero(np.isfinite(found.stiffness[0]))
-        self.note.text = (
-            f"the load is held from {angles[reached[0]]:.0f}° to {angles[reached[-1]]:.0f}°"
-            if len(reached)
-            else "no pressures hold the load at any angle"
-        )
+        self.note.text = _held(angles, np.isfinite(found.stiffness[0]))
         self.limits.text, _ = await in_thread(limits_at, design, found)
         least, most = pressure_limits(muscle)
         measured = f"The law was measured from {least:g} to {most:g} bar; with extrapolate: true, scenarios go beyond."
