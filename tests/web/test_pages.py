@@ -185,6 +185,13 @@ def test_another_kind_of_joint_has_its_own_sliders():
             await until(lambda: "stale" in chart.classes)
             the(user, ui.select, "kind").set_value("pulleys")
             await until(lambda: "stale" not in chart.classes)
+            field = the(user, ui.number, "radius-of-the-pulleys-field")
+            for refused in (130, None):
+                field.set_value(refused)
+                assert "stale" in chart.classes
+                field.set_value(30)
+                assert "stale" not in chart.classes
+            await asyncio.sleep(0.1)  # the handlers of the field set the slider
             await until(lambda: there(user, "radius-of-the-pulleys") and not there(user, "from-hip-to-joint-axis"))
             the(user, ui.slider, "radius-of-the-pulleys").set_value(60)
             await until(lambda: any("60.0 and 60.0 mm" in one.text for one in user.find(ui.label).elements))
