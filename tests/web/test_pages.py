@@ -28,13 +28,13 @@ from nicegui.testing import user_simulation
 import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
 from mckibben.dataset.quantities import LEAVE_OUT
-from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
+from mckibben.errors import DatasetError, McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.identification import identify_with_friction
 from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, joint, layout, rig, session, studies, tune, workbench
+from mckibben.web import app, design, identify, joint, layout, reading, rig, session, studies, tune, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -300,6 +300,14 @@ def test_advice_names_what_the_page_has(text, shown):
     found = layout._on_page(text)
     assert shown in found
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
+
+
+def test_the_remedy_of_a_displacement_names_the_choices_of_the_page(tmp_path):
+    (tmp_path / "rig.csv").write_text("pressure_bar,displacement_mm,force_N\n1,0,10\n1,5,5\n", encoding="utf-8")
+    with pytest.raises(DatasetError) as found:
+        read_dataset(tmp_path / "rig.csv", initial_length=0.2)
+    remedy = layout._on_page(found.value.problems[0].remedy)
+    assert all(f"displacement: {choice}" in remedy for value, choice in reading.DISPLACEMENTS.items() if value)
 
 
 def test_problems_are_listed_by_line_and_shown_as_text():

@@ -170,7 +170,7 @@ class _Page(JobPage[IdentificationState]):
                         ui.input(label, validation=partial(refusal, name)).props("dense hide-bottom-space").classes(
                             "w-full"
                         ).mark(name).bind_value(state.reading, name)
-                    select(DISPLACEMENTS, "displacement: positive if the muscle", "displacement").bind_value(
+                    select(DISPLACEMENTS, "displacement: positive direction", "displacement").bind_value(
                         state.reading, "displacement"
                     )
                     ui.checkbox("force sign: a pull is negative").props("dense").bind_value(state.reading, "negative")

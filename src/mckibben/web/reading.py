@@ -21,7 +21,7 @@ TEXTS = {
 }
 """Labels of the fields for texts, by the names of a recipe."""
 _UNITS = {"initial_length": "mm", "zero_length": "mm", "slack_force": "N"}
-DISPLACEMENTS = {"": "no displacement", "shortening": "shortens", "lengthening": "lengthens"}
+DISPLACEMENTS = {"": "not given", "shortening": "shortening", "lengthening": "lengthening"}
 
 
 @dataclass
