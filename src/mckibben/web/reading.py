@@ -65,6 +65,18 @@ class ReadingFields:
         return Recipe(**given)
 
 
+def rows_read(text: str) -> tuple[list[tuple[str, ...]], str]:
+    """Cells of the table of columns that were read, without those of its header, and the line below it."""
+    header, *lines, last = text.split("\n")
+    starts = [0, *map(header.index, ("quantity", "unit", "unit from", "range"))]
+    rows = []
+    for one in lines:
+        *cells, end = (one[start:stop].strip() for start, stop in zip(starts, [*starts[1:], None], strict=True))
+        found, _, remark = end.partition("  ")
+        rows.append((*cells, found, remark.strip()))
+    return rows, last
+
+
 def column_names(text: str) -> dict[str, str]:
     """Headers of a file to names, from lines such as ``Druck [bar] = pressure_bar``."""
     found = {}
