@@ -268,7 +268,8 @@ class TestTuning:
         parts = [part for _, part in told]
         assert parts == sorted(parts)
         assert told[-1] == ("done", 1.0)
-        assert {what.split(":")[0] for what, _ in told} == {*suite.controllers, "done"}
+        counted = [f"{name} ({number} of 3)" for number, name in enumerate(suite.controllers, start=1)]
+        assert {what.split(":")[0] for what, _ in told} == {*counted, "done"}
 
     def test_runs_that_cannot_begin_are_no_fault_of_anyone(self, contest):
         lags = contest.runs.conditions["valve.time_constant"]

@@ -14,7 +14,7 @@ from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.storage.files import to_json
 from mckibben.study.benchmark import BenchmarkResult, Suite, draw
-from mckibben.study.benchmark.statistics import air_of, front, pooled, statistics, trial_at_air
+from mckibben.study.benchmark.statistics import air_of, front, left_out_at_air, pooled, statistics, trial_at_air
 from mckibben.study.benchmark.table import write_table
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.tune import Trial
@@ -144,6 +144,18 @@ def test_at_equal_air_ratios_are_to_the_first_as_tuned(contest, numbers):
     for key in ("metrics", "diverged", "ratio_to_first", "by_reference"):
         assert found["controllers"][FIRST][key] == numbers["controllers"][SECOND][key]
     assert numbers["at_air_of_first"] is None
+
+
+def test_controllers_left_out_at_equal_air_are_named_with_the_least_air_of_their_trials(contest, numbers):
+    def trial(air):
+        return Trial((0.5,), 1.0, metrics={"air": air * litre, "angle_rmse": deg / air, "stiffness_rmse": 1.0})
+
+    at_air = replace(contest, batches={FIRST: contest.batches[FIRST]})
+    trials = {FIRST: (trial(0.2),), SECOND: (trial(0.5), trial(0.3))}
+    tuned = {**contest.tuned, SECOND: contest.tuned[FIRST]}
+    text = left_out_at_air(statistics(replace(contest, at_air=at_air, trials=trials, tuned=tuned)), {SECOND: "other"})
+    assert "0.2 L" in text and "other (at least 0.3 L)" in text and THIRD not in text
+    assert left_out_at_air(numbers) == ""
 
 
 def test_setups_are_pooled_and_a_controller_that_one_lacks_at_equal_air_is_left_out(contest, numbers):

@@ -28,13 +28,13 @@ from nicegui.testing import user_simulation
 import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
 from mckibben.dataset.quantities import LEAVE_OUT
-from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
+from mckibben.errors import DatasetError, McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.identification import identify_with_friction
 from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, layout, rig, session, studies, tune, workbench
+from mckibben.web import app, design, identify, joint, layout, reading, rig, session, studies, tune, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -140,6 +140,13 @@ def test_the_page_names_the_binding_limits_as_the_command_does():
     assert design.limits_at(made, design.compute(made, MUSCLE)) == ""
 
 
+@pytest.mark.parametrize(
+    ("held", "least"), [([1, 1, 1], True), ([0, 1, 1], True), ([1, 0, 0], True), ([0, 1, 0], False), ([0, 0, 0], False)]
+)
+def test_a_load_held_at_an_end_of_the_chart_may_be_held_beyond(held, least):
+    assert ("at least" in joint._held(np.array([-40.0, 0.0, 40.0]), np.array(held, bool))) == least
+
+
 @pytest.mark.parametrize("most", [0.4, 0.8, 6.0])
 def test_the_highest_pressure_is_chosen_in_the_domain_of_the_muscle(most):
     muscle = mk.Muscle(mk.Specimen("x", 0.2, domain=mk.Domain(0.0, 0.2, 0.0, most * bar)), MUSCLE.law)
@@ -178,6 +185,13 @@ def test_another_kind_of_joint_has_its_own_sliders():
             await until(lambda: "stale" in chart.classes)
             the(user, ui.select, "kind").set_value("pulleys")
             await until(lambda: "stale" not in chart.classes)
+            field = the(user, ui.number, "radius-of-the-pulleys-field")
+            for refused in (130, None):
+                field.set_value(refused)
+                assert "stale" in chart.classes
+                field.set_value(30)
+                assert "stale" not in chart.classes
+            await asyncio.sleep(0.1)  # the handlers of the field set the slider
             await until(lambda: there(user, "radius-of-the-pulleys") and not there(user, "from-hip-to-joint-axis"))
             the(user, ui.slider, "radius-of-the-pulleys").set_value(60)
             await until(lambda: any("60.0 and 60.0 mm" in one.text for one in user.find(ui.label).elements))
@@ -286,6 +300,14 @@ def test_advice_names_what_the_page_has(text, shown):
     found = layout._on_page(text)
     assert shown in found
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
+
+
+def test_the_remedy_of_a_displacement_names_the_choices_of_the_page(tmp_path):
+    (tmp_path / "rig.csv").write_text("pressure_bar,displacement_mm,force_N\n1,0,10\n1,5,5\n", encoding="utf-8")
+    with pytest.raises(DatasetError) as found:
+        read_dataset(tmp_path / "rig.csv", initial_length=0.2)
+    remedy = layout._on_page(found.value.problems[0].remedy)
+    assert all(f"displacement: {choice}" in remedy for value, choice in reading.DISPLACEMENTS.items() if value)
 
 
 def test_problems_are_listed_by_line_and_shown_as_text():

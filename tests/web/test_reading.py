@@ -14,6 +14,20 @@ from mckibben.errors import DatasetError, McKibbenWarning
 from mckibben.web import reading
 
 
+def test_the_columns_that_were_read_are_cells_of_a_table(tmp_path):
+    path = tmp_path / "rig.csv"
+    lines = ("2;0;9;unloading;0", "2;10;5;loading;1", "3;0;13;unloading;2", "3;10;8;loading;3")
+    path.write_text("\n".join(["Druck  [bar];Weg [mm];Kraft [N];Richtung;time [s]", *lines]), encoding="utf-8")
+    fields = reading.ReadingFields("220 mm", "shortening", "200 mm", columns="Richtung = direction")
+    rows, last = reading.rows_read(reading.read([path], fields).table.attrs["columns_read"])
+    found = {row[0]: row[1:] for row in rows}
+    assert found["Druck  [bar]"] == ("pressure", "bar", "header", "2..3", "")
+    assert found["Richtung"] == ("direction", "", "", "", "")
+    assert found["Weg [mm]"][:4] == ("displacement", "mm", "header", "0..10")
+    assert "220 mm" in found["Weg [mm]"][4] and "shortening is positive, 0 at 200 mm" in found["Weg [mm]"][4]
+    assert last.startswith("4 rows")
+
+
 def test_displacements_are_read_as_the_fields_say(tmp_path):
     lines = [
         f"{p};{0.1 * (3 - p) - 20 * p * (0.2 - e) / 0.2:.3f};{37 - 220 * e:.2f}"

@@ -57,7 +57,9 @@ def test_a_single_gain_is_tuned_by_the_default_method(tmp_path):
 def test_controllers_are_compared_on_the_same_runs(tmp_path):
     kinds = ("model inversion (decoupling)",)
     request = studies.ComparisonRequest(("two PID loops", *kinds), "load.mass2=+-20 %", runs=8, generations=1)
-    found = studies.compared(SHORT, request, tmp_path, silent)
+    steps = []
+    found = studies.compared(SHORT, request, tmp_path, lambda step, _: steps.append(step))
+    assert any("(2 of 2): evaluation runs, the last part" in step for step in steps)
     assert {row[0] for row in found.rows} == set(found.errors) == set(found.scenarios) == {"two PID loops", *kinds}
     assert found.at_equal_air[0][0] == "two PID loops" and all(len(row) == 7 for row in found.at_equal_air)
     assert all(0 < median <= late for median, late in found.errors.values())

@@ -199,7 +199,7 @@ def _show_pooled(numbers: dict[str, Any], out: Path, json: bool) -> None:
 
 
 def _tables(numbers: dict[str, Any]) -> None:
-    from mckibben.study.benchmark.statistics import FAILED, failed_runs
+    from mckibben.study.benchmark.statistics import FAILED, failed_runs, left_out_at_air
 
     found = numbers["controllers"]
 
@@ -236,8 +236,8 @@ def _tables(numbers: dict[str, Any]) -> None:
                 for name, each in at_air["controllers"].items()
             ],
         )
-        if left_out := [name for name in found if found[name]["tuned"] and name not in at_air["controllers"]]:
-            echo(f"without {' and '.join(left_out)}, of which no trial takes as little air")
+        if left_out := left_out_at_air(numbers):
+            echo(left_out)
     if numbers["no_start"]:
         echo(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     for name, each in found.items():

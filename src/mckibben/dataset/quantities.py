@@ -330,7 +330,7 @@ class ColumnConverter:
             origin = "columns" if channel.name in self.mapping else "header"
             if origin == "header" and parse_header(channel.label) is None:
                 origin = "file"
-            rows.append((channel.name, name, column.unit, origin if column.unit else "", shown, remark))
+            rows.append((printable(channel.name), name, column.unit, origin if column.unit else "", shown, remark))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         last = f"{int(kept.sum())} rows"

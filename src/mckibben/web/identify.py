@@ -51,7 +51,7 @@ from mckibben.web.layout import (
     text_area,
     upload,
 )
-from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal
+from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal, rows_read
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
 
@@ -170,7 +170,7 @@ class _Page(JobPage[IdentificationState]):
                         ui.input(label, validation=partial(refusal, name)).props("dense hide-bottom-space").classes(
                             "w-full"
                         ).mark(name).bind_value(state.reading, name)
-                    select(DISPLACEMENTS, "displacement: positive if the muscle", "displacement").bind_value(
+                    select(DISPLACEMENTS, "displacement: positive direction", "displacement").bind_value(
                         state.reading, "displacement"
                     )
                     ui.checkbox("force sign: a pull is negative").props("dense").bind_value(state.reading, "negative")
@@ -348,7 +348,10 @@ class _Page(JobPage[IdentificationState]):
                 for low, high in [np.array([f(data.table[name].to_numpy()) for f in (np.min, np.max)]) / factor(unit)]
             ]
             if read := attrs.get("columns_read"):
-                ui.label(self.named(read)).classes("quiet scrolls").style("white-space: pre; font-family: monospace")
+                cells, last = rows_read(read)
+                titles = ("column", "quantity", "unit", "unit from", "range", "remark")
+                table(titles, [[*map(self.named, row)] for row in cells], left=6).classes("understood").mark("read")
+                quiet(self.named(last))
             recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
             table(("column", "unit", "from", "to"), rows, left=2)
             lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []

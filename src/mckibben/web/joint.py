@@ -35,6 +35,7 @@ from mckibben.web.layout import (
     GREEN,
     LATER,
     VERMILLION,
+    NumberField,
     NumberSlider,
     band,
     button,
@@ -53,6 +54,14 @@ from mckibben.web.session import Latest, in_thread, session
 _COMPILING = "computing; a new kind of joint or law compiles for a few seconds"
 
 
+def _held(angles: np.ndarray, holds: np.ndarray) -> str:
+    """Range of the angles [deg] at which the load is held; it may go on beyond the ends of the charts."""
+    if not holds.any():
+        return "no pressures hold the load at any angle"
+    least = "at least " if holds[0] or holds[-1] else ""
+    return f"the load is held {least}from {angles[holds][0]:.0f}° to {angles[holds][-1]:.0f}°"
+
+
 def page() -> None:
     """The page."""
     kept = session()
@@ -69,6 +78,8 @@ class _Page:
     def __init__(self, design: JointDesign, known: dict[str, Muscle]) -> None:
         self.design, self.known = design, known
         self.latest = Latest(compute, self.show, self.fail)
+        self.fields: list[NumberField] = []
+        self.old = False  # whether the results are not those of the sliders
         with side():
             with panel("Joint"):
                 select(list(known), "muscles", "muscle", value=design.muscle, on_change=self.choose)
@@ -125,14 +136,19 @@ class _Page:
             ui.label(name).classes("quiet")
             return ui.label().classes("fact")
 
-    def number(self, label: str, unit: str, name: str, limits: tuple[float, float], step: float) -> NumberSlider:
+    def number(self, label: str, unit: str, name: str, limits: tuple[float, float], step: float) -> None:
         """A slider for a number of the design."""
 
         async def changed(value: float) -> None:
             setattr(self.design, name, value)
             await self.again()
 
-        return NumberSlider(label, unit, limits, step, getattr(self.design, name), changed)
+        self.slider(NumberSlider(label, unit, limits, step, getattr(self.design, name), changed))
+
+    def slider(self, made: NumberSlider) -> None:
+        """Keep the field of a new slider: the results are grey while it shows a value that is refused."""
+        self.fields = [*(one for one in self.fields if not one.is_deleted), made.field]
+        made.field.on_value_change(self.grey)
 
     def form(self) -> None:
         """Sliders for the dimensions of this kind of joint."""
@@ -144,7 +160,8 @@ class _Page:
                     self.design.dimensions[name] = value
                     await self.again()
 
-                NumberSlider(one.label, one.unit, one.limits, one.step, self.design.dimensions[name], changed)
+                value = self.design.dimensions[name]
+                self.slider(NumberSlider(one.label, one.unit, one.limits, one.step, value, changed))
 
     def pressure_form(self) -> None:
         """Slider for the highest pressure, in the range of the muscle."""
@@ -157,8 +174,16 @@ class _Page:
     def wait(self) -> None:
         """Grey what belongs to another kind of joint or muscle until the new one is computed."""
         self.note.text, self.limits.text = _COMPILING, ""
+        self.grey(old=True)
+
+    def grey(self, _: Any = None, *, old: bool | None = None) -> None:
+        """Grey the results if they are old, or if the value of a field is refused; otherwise show their colours."""
+        self.old = self.old if old is None else old
+        refused = any(not one.validate() for one in self.fields if not one.is_deleted)
         for one in self.shown:
-            one.classes("stale")
+            one.classes(**{"add" if self.old or refused else "remove": "stale"})
+        for text in (self.note, self.limits):
+            text.classes(**{"add" if refused else "remove": "stale"})
 
     async def reshape(self, event: events.ValueChangeEventArguments) -> None:
         """Change the kind of joint."""
@@ -187,8 +212,7 @@ class _Page:
 
     def show(self, found: Designed) -> None:
         """Draw the stiffness; `show_rest` draws the rest."""
-        for one in self.shown:
-            one.classes(remove="stale")
+        self.grey(old=False)
         angles = ANGLES / deg
         low, high = found.stiffness
         lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
@@ -222,12 +246,7 @@ class _Page:
         lower, upper = (line(name, angles, edge, GREEN) for name, edge in (("lowest", least), ("highest", most)))
         curves = [*band("attainable", angles, least, most, GREEN), lower | self.mark(), upper, load]
         draw(self.torque, curves, legend=("attainable", "load"))
-        reached = np.flatnonzero(np.isfinite(found.stiffness[0]))
-        self.note.text = (
-            f"the load is held from {angles[reached[0]]:.0f}° to {angles[reached[-1]]:.0f}°"
-            if len(reached)
-            else "no pressures hold the load at any angle"
-        )
+        self.note.text = _held(angles, np.isfinite(found.stiffness[0]))
         self.limits.text, _ = await in_thread(limits_at, design, found)
         least, most = pressure_limits(muscle)
         measured = f"The law was measured from {least:g} to {most:g} bar; with extrapolate: true, scenarios go beyond."
@@ -249,8 +268,7 @@ class _Page:
         """Show why this joint is impossible; the results of the last possible one turn grey."""
         assert isinstance(error, McKibbenError)
         self.found, self.note.text, self.limits.text = None, "", ""
-        for one in self.shown:
-            one.classes("stale")
+        self.grey(old=True)
         self.errors.clear()
         with self.errors:
             show_error(error)

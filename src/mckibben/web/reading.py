@@ -21,7 +21,7 @@ TEXTS = {
 }
 """Labels of the fields for texts, by the names of a recipe."""
 _UNITS = {"initial_length": "mm", "zero_length": "mm", "slack_force": "N"}
-DISPLACEMENTS = {"": "no displacement", "shortening": "shortens", "lengthening": "lengthens"}
+DISPLACEMENTS = {"": "not given", "shortening": "shortening", "lengthening": "lengthening"}
 
 
 @dataclass
@@ -63,6 +63,18 @@ class ReadingFields:
         given |= {"columns": names} if (names := column_names(self.columns)) else {}
         given |= self.others | ({"force_sign": -1} if self.negative else {})
         return Recipe(**given)
+
+
+def rows_read(text: str) -> tuple[list[tuple[str, ...]], str]:
+    """Cells of the table of columns that were read, without those of its header, and the line below it."""
+    header, *lines, last = text.split("\n")
+    starts = [0, *map(header.index, ("quantity", "unit", "unit from", "range"))]
+    rows = []
+    for one in lines:
+        *cells, end = (one[start:stop].strip() for start, stop in zip(starts, [*starts[1:], None], strict=True))
+        found, _, remark = end.partition("  ")
+        rows.append((*cells, found, remark.strip()))
+    return rows, last
 
 
 def column_names(text: str) -> dict[str, str]:

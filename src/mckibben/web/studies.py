@@ -12,7 +12,7 @@ import numpy as np
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.study.benchmark import Suite, compare
-from mckibben.study.benchmark.statistics import FAILED, failed_runs, statistics
+from mckibben.study.benchmark.statistics import FAILED, failed_runs, left_out_at_air, statistics
 from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import Method, parse_cost, parse_ranges, tune
 from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins
@@ -220,8 +220,7 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     if numbers["no_start"]:
         remarks.append(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
     equal = [row(*each) for each in at_air["controllers"].items()]
-    if without := [title for name, title in shown.items() if equal and name not in at_air["controllers"]]:
-        remarks.append(f"no gains were found that take so little air: {', '.join(without)}")
+    remarks += filter(None, [left_out_at_air(numbers, shown)])
     return Compared(text, headers, rows, equal, errors, scenarios, [*remarks, *scenario.joint.remarks])
 
 

@@ -116,9 +116,10 @@ class _Page(JobPage[StudyState]):
                 _lines("conditions, NAME=RANGE per line", comparison, "conditions")
                 button("Compare", self.compare, "compare", main=True)
             quiet(
-                "With the first settings of the page, tuning takes about a minute and comparing one to two, half of it "
-                f"compiling. At most {MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and "
-                "`mckibben compare` have no limit."
+                "Both take minutes, part of them for compiling, and more on a busy computer. The time of tuning grows "
+                "with starts and iterations, that of comparing with controllers, generations and unseen runs. At most "
+                f"{MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and `mckibben compare` have no "
+                "limit."
             )
         with results_side():
             self.results = ui.column().classes("w-full").style("gap: 16px")

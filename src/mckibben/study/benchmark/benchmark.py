@@ -143,7 +143,7 @@ def compare(
 
         def report(task: str, part: float, name: str = name, number: int = number) -> None:
             if progress:
-                progress(f"{name}: {task}", (number + part) / len(names))
+                progress(f"{name} ({number + 1} of {len(names)}): {task}", (number + part) / len(names))
 
         swept = suite.tuned_over(name)
         result.tuned[name], result.at_bound[name] = {}, ()
@@ -156,7 +156,7 @@ def compare(
             trial = trial_at_air(result.trials[name], air_of(result.trials.get(names[0], ())))
             if trial is not None:
                 at_air.tuned[name] = task.values(trial)
-        report("evaluation runs", _TUNING)
+        report("evaluation runs, the last part", _TUNING)
         for each in (result, at_air):
             if name in each.tuned:
                 each.batches[name] = evaluate(evaluation, name, each.tuned[name])

@@ -53,6 +53,22 @@ def statistics(result: BenchmarkResult) -> dict[str, Any]:
     }
 
 
+def left_out_at_air(numbers: Mapping[str, Any], titles: Mapping[str, str] | None = None) -> str:
+    """Text on the tuned controllers of which no gains take as little air as the first; empty if there are none."""
+    if (at_air := numbers["at_air_of_first"]) is None:
+        return ""
+    found = numbers["controllers"]
+    shown = {name: name for name in found} | dict(titles or {})
+    left_out = [
+        shown[name] + (f" (at least {each['front'][0]['air_L']:.4g} L)" if each["front"] else "")
+        for name, each in found.items()
+        if each["tuned"] and name not in at_air["controllers"]
+    ]
+    first = shown[next(iter(found))]
+    limit = f"{at_air['air_L']:.4g} L of air, the median of {first} in the training runs"
+    return f"no gains were found that take at most {limit}: {', '.join(left_out)}" if left_out else ""
+
+
 def pooled(results: Mapping[str, BenchmarkResult]) -> dict[str, Any]:
     """Errors over the runs of all setups together, for JSON: as tuned, and at the air of the first controller."""
     every = [(result, result) for result in results.values()]
