@@ -1,15 +1,16 @@
 """The documented procedure on labs that share no code with the plants of the toolkit.
 
     python benchmarks/foreign_lab.py regulator|spool|switching|pair|servo --out DIR
-        [--runs 24] [--seed 11] [--only STEP]
+        [--air '0.3 L'] [--runs 24] [--seed 11] [--only STEP]
 
-The steps are 1 to 6 of docs/compare.md, "For your joint and valves", and all but the last are commands of `mckibben` on
-the rig of benchmarks/foreign_rig.py, or for `pair` and `servo` on that of benchmarks/foreign_elbow.py: a test of one
-muscle, its force law, the joint with a weight of 500 g (2 kg on the elbow), the valves, and a comparison with short
-searches on the calibrated model, in which the PIDs have ten times the budget of the others.
-The last step runs the tuned controllers on the foreign plant, with other loads, supplies, friction, disturbances and
-references in each run, and prints the median angle RMSE, in which failed runs count as infinite, diverged runs + limit
-cycles, and the air that the plant used. `--only` repeats one step: files, identify, joint, valves, compare or evaluate.
+The steps are 1 to 6 of docs/compare.md, "For your joint and valves", and all but the last are commands of `mckibben`
+on the rig of benchmarks/foreign_rig.py, or for `pair` and `servo` on that of benchmarks/foreign_elbow.py: a test of
+one muscle, its force law, the joint with a weight of 500 g (2 kg on the elbow), the valves, and a comparison with
+short searches on the calibrated model, in which the PIDs have ten times the budget of the others. The last step runs
+the tuned controllers on the foreign plant, with other loads, supplies, friction, disturbances and references in each
+run, and prints the median angle RMSE, in which failed runs count as infinite, diverged runs + limit cycles, and the
+air that the plant used. `--air` is the scale of the air in the cost of the search. `--only` repeats one step: files,
+identify, joint, valves, compare or evaluate.
 """
 
 import argparse
@@ -213,14 +214,14 @@ def mckibben(kind, folder, *words):
     subprocess.run(command, cwd=folder, check=True, input="y\n" * 9, text=True)
 
 
-def suite_of(kind, folder):
+def suite_of(kind, folder, air):
     """Write the suite: that of the real valves, with joint, load, valve and delay of the calibration."""
     text = (EXAMPLES / "comparison" / "valves.yaml").read_text(encoding="utf-8")
     known = VALVES[kind]
     lab = known.lab
     for old, new in lab.references.items():
         text = text.replace(old, new)
-    suite = yaml.safe_load(text)
+    suite = yaml.safe_load(text.replace("air/0.3 L", f"air/{air}"))
     control = yaml.safe_load((folder / "valves" / "scenario.yaml").read_text(encoding="utf-8"))["controller"]
     valve, delay = control["valve"], float(control["command_delay"].split()[0])
     first, second = ("valve.muscle1", "valve.muscle2") if valve["class"] == "unequal" else ("valve", "valve")
@@ -328,6 +329,7 @@ def main():
     options = argparse.ArgumentParser()
     options.add_argument("valves", choices=VALVES)
     options.add_argument("--out", type=Path, required=True)
+    options.add_argument("--air", default="0.3 L")
     options.add_argument("--runs", type=int, default=24)
     options.add_argument("--seed", type=int, default=11)
     options.add_argument("--only", default="")
@@ -340,7 +342,7 @@ def main():
     size = ("--initial-length", length, "--diameter", diameter)
 
     def compare():
-        suite_of(kind, folder)
+        suite_of(kind, folder, given.air)
         mckibben(kind, folder, "compare", "suite.yaml", "--quick", "--resume", "--out", "comparison")
 
     def calibrate(scenario, out, *more):
