@@ -13,6 +13,7 @@ RIG.yaml: `rig: {class: ForeignRig, valves: regulator}`, or `spool`, `switching`
 tunes and evaluates controllers on it.
 """
 
+import sys
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -71,6 +72,18 @@ def law(n, contraction, pressure, strength=1.0):
     k = contraction
     force = (p * 1e-3 + n["a1"] * 1e-3) * jnp.exp(n["a2"] * k) + n["a3"] * p * k + n["a4"] * p + n["a5"]
     return strength * jnp.maximum(force, 0.0)
+
+
+def drag(n, force, side, travel):
+    """Friction [N] in a test of the muscle that shortens (side -1) or lengthens; it slides wherever it is."""
+    return side * (n["coulomb"] + n["by_force"] * force)
+
+
+def weighted(n, weight):
+    """Numbers with a weight [kg] clipped on at 200 mm."""
+    moment = n["mass"] * n["arm"] + weight * 0.2
+    arm = (n["mass"] * n["arm"] ** 2 + weight * 0.2**2) / moment
+    return {**n, "arm": arm, "mass": moment / arm}
 
 
 def braid_volume(n, contraction):
@@ -212,24 +225,21 @@ def sensed(n, s, noise):
 
 
 class ForeignJoint(Backend):
-    """A foreign plant as a joint rig that is faster than real time; `weight` [kg] is clipped on at 200 mm."""
+    """A foreign plant, a module like this one, as a joint rig that is faster than real time, with a weight [kg]."""
 
     physical = True
 
-    def __init__(self, kind, seed, period, patience, weight=0.0):
+    def __init__(self, module, kind, seed, period, patience, weight=0.0):
         if abs(period - PERIOD) > 1e-12:
             raise ValueError(f"the control period is {period:g} s, that of this rig {PERIOD:g} s")
         self.rate, self.patience, self.kind, self.wiring = 1 / period, patience, kind, Wiring()
-        plant = numbers(kind)
-        moment = plant["mass"] * plant["arm"] + weight * 0.2
-        plant["arm"] = (plant["mass"] * plant["arm"] ** 2 + weight * 0.2**2) / moment
-        plant["mass"] = moment / plant["arm"]
-        first, unravel = ravel_pytree(start(plant))
+        plant = module.weighted(module.numbers(kind), weight)
+        first, unravel = ravel_pytree(module.start(plant))
         self.first, self.random = np.asarray(first), np.random.default_rng(seed)
 
         def step(state, given):
-            after = advance(kind, plant, unravel(state), (given[0], given[1]))
-            angle, read = sensed(plant, after, given[2:])
+            after = module.advance(kind, plant, unravel(state), (given[0], given[1]))
+            angle, read = module.sensed(plant, after, given[2:])
             return ravel_pytree(after)[0], jnp.stack([angle, read[0], read[1]])
 
         self.step = compile_alone(step, first.size, 4)
@@ -302,7 +312,7 @@ WEIGHTS = []  # kg, to be clipped on for the coming sessions
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignRig(JointHardware):
-    """A foreign plant by its valves; in a calibration, `weight` [g] is on the second session."""
+    """The plant of a class's module by its valves; in a calibration, `weight` [g] is on the second session."""
 
     valves: str
     seed: Annotated[int, BoundedInt(0, 10**6)] = 0
@@ -311,4 +321,5 @@ class ForeignRig(JointHardware):
     def backend(self, plant, run):
         """Return the joint."""
         WEIGHTS.append(1e-3 * self.weight if WEIGHTS else 0.0)
-        return ForeignJoint(self.valves, self.seed, run.period, run.patience, WEIGHTS[-1])
+        module = sys.modules[type(self).__module__]
+        return ForeignJoint(module, self.valves, self.seed, run.period, run.patience, WEIGHTS[-1])
