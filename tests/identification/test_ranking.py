@@ -320,7 +320,7 @@ def test_a_notebook_shows_a_line_and_a_table(small):
 
 def test_laws_that_the_data_do_not_tell_apart_are_named():
     ranking = rank(made_by(catalog.law("lei-mas-10-180n"), noise=1.0), [ExponentialLaw, SmoothLaw, ReynoldsLaw])
-    (alike,) = [text for text in ranking.remarks() if "apart" in text]
+    (alike,) = [text for text in ranking.remarks() if "distinguish" in text]
     assert "ExponentialLaw" in alike and "SmoothLaw" in alike and "ReynoldsLaw" not in alike
 
 

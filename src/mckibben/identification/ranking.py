@@ -168,7 +168,7 @@ class Ranking:
                 errors = (entry.fit, *entry.cross_validation.values())
                 alike.setdefault(tuple(f"{one.rmse:.2f}" for one in errors), []).append(entry.law)
         found += [
-            f"{', '.join(laws)}: equal errors to the digits shown; the data do not tell these laws apart"
+            f"{', '.join(laws)}: equal errors to the digits shown; the data do not distinguish these laws"
             for laws in alike.values()
             if len(laws) > 1
         ]
