@@ -159,8 +159,8 @@ class Ranking:
         best, first = self.best.law, self.entries[0].law
         if shows_hysteresis(self.points):
             found.append(
-                f"loading and unloading differ; laws are ranked without friction; fit {best} alone, with friction, by "
-                f"identify_with_friction (command line: --law {best.removesuffix('Law')})"
+                f"loading and unloading differ; laws are ranked without friction; fit {best} alone, with friction "
+                f"(command line: --law {best.removesuffix('Law')})"
             )
         alike: dict[tuple[str, ...], list[str]] = {}
         for entry in self.entries:
