@@ -191,13 +191,13 @@ def test_unequal_valves_are_told_apart():
     assert isinstance(again.valve, UnequalValves)
     alike = calibrate_valves(catalog.joint("knee-table-2"), FirstOrderValve(0.1), [first_order((40 * ms, 40 * ms))])
     assert alike.valve.time_constant == pytest.approx(40 * ms, rel=0.02) and alike.differing == ()
-    assert alike.surprising(2.5) == {} and valve_statements(alike) == []
+    assert alike.prior_conflicts(2.5) == {} and valve_statements(alike) == []
 
 
 @pytest.mark.slow
 def test_a_valve_far_from_its_first_model_is_named():
     found = calibrate_valves(catalog.joint("knee-table-2"), FirstOrderValve(4 * ms), [first_order((40 * ms, 40 * ms))])
-    assert found.surprising(2.5) == pytest.approx(dict.fromkeys(ESTIMATED, math.log(10) / 0.7), rel=0.02)
+    assert found.prior_conflicts(2.5) == pytest.approx(dict.fromkeys(ESTIMATED, math.log(10) / 0.7), rel=0.02)
     assert all(any(one.startswith(name) for one in valve_statements(found)) for name in ESTIMATED)
 
 

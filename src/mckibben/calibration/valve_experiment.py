@@ -30,7 +30,7 @@ _FREQUENCIES = (0.1, 0.23, 0.47, 0.97, 1.9, 3.7, 7.3)  # Hz
 _DIFFERENCE = ((0.17, 0.41), 0.1)  # Hz, and amplitudes relative to the range: of opposite sign, to move the joint
 _SHRINK, _TRIES = 0.8, 10
 _NARROW = 0.5  # share of the range below which fewer quantities may be determined
-_SURPRISING = 2.5  # prior standard deviations from the first model
+_CONFLICT = 2.5  # prior standard deviations from the first model
 
 
 @dataclass(frozen=True)
@@ -119,7 +119,7 @@ class ValveExperiment:
         ]
 
     def _excess(self, part: Scenario, model: AntagonisticJoint) -> str:
-        """What is beyond the limits in a simulation; empty if nothing is."""
+        """Violated limit of a simulated run, as text; empty if there is none."""
         from scipy.signal import lfilter  # 1 s
 
         plant = part.model_copy(update={"joint": model, "load": load_of(part)}).plant()
@@ -197,7 +197,7 @@ def valve_for(scenario: Scenario, found: ValveCalibration) -> Actuator:
 
 
 def valve_statements(found: ValveCalibration, valve: Actuator | None = None) -> list[str]:
-    """Return a sentence per quantity in which the valves differ or that is far from the first model, and on others.
+    """Return sentences on quantities that differ between the valves, conflict with the prior or are not determined.
 
     `valve` is the model, by default the found one.
     """
@@ -207,7 +207,7 @@ def valve_statements(found: ValveCalibration, valve: Actuator | None = None) -> 
         texts = " and ".join(show(one.value, SHOWN[one.unit], 3) for one in both)
         model = "both" if pair and name != "delay" else "the mean of both"
         said.append(f"the valves differ: {name} is {texts}; the model has {model}")
-    for name, distance in found.surprising(_SURPRISING).items():
+    for name, distance in found.prior_conflicts(_CONFLICT).items():
         one = found.quantities[name]
         said.append(
             f"{name} is {show(one.value, SHOWN[one.unit], 3)}, {distance:.1f} prior standard deviations from the first "

@@ -142,8 +142,8 @@ class ValveCalibration:
                 found.append(name)
         return tuple(found)
 
-    def surprising(self, most: float) -> dict[str, float]:
-        """Distances from the first model in prior standard deviations that are above a number, by quantity."""
+    def prior_conflicts(self, most: float) -> dict[str, float]:
+        """Distances of estimates from the first model above a number of prior standard deviations, by quantity."""
         return {
             f"valve{muscle + 1}.{one.name}": abs(float(at))
             for (muscle, problem), z in zip(self._problems.items(), self._estimates, strict=True)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from mckibben.dataset.headers import ACCEPTED
 from mckibben.dataset.schema import VACUUM
 from mckibben.errors import Problem
-from mckibben.muscle import Specimen
-from mckibben.muscle.air import BLOCKED_FORCE
+from mckibben.muscle import Specimen, air
 from mckibben.units import bar, factor, mm, percent
 
 Floats = NDArray[np.float64]
@@ -25,7 +24,7 @@ _PRESSURES = (0.08 * bar, 0.9 * bar, 12 * bar, 16 * bar)
 """Highest pressure of a muscle test: impossible below, usual from, usual to, impossible above."""
 _DIAMETERS = (0.8 * mm, 1.7 * mm, 80 * mm, 120 * mm)
 """Implied diameter: impossible below, usual from, usual to, impossible above. Thin muscles are sold from 1.8 mm."""
-_LIKE_SPECIMEN = (0.4, 2.0, 3.0)  # implied over given diameter: usual from, usual to, impossible above
+_LIKE_SPECIMEN = (*air.USUAL_DIAMETERS, 3.0)  # implied over given diameter: usual from, usual to, impossible above
 _STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contractions of a taut muscle
 _FIRST = 0.1  # smallest contraction of a test that begins near the initial length
 _COPIED = 4  # repeated rows in the same order that count as copies
@@ -410,7 +409,7 @@ def implied_diameter(pressure: Floats, force: Floats) -> float | None:
     if not (force[at] > 0 and pressure[at] > 0):
         return None
     with np.errstate(over="ignore"):
-        return math.sqrt(4 * force[at] / (math.pi * BLOCKED_FORCE * pressure[at]))
+        return air.implied_diameter(force[at] / pressure[at])
 
 
 def _forces(pressure: Floats, force: Floats, specimen: Specimen | None, unit: str) -> Iterator[tuple[Problem, bool]]:

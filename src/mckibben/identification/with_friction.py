@@ -152,7 +152,7 @@ def identify_with_friction(
             "as SmoothLaw (command line: --law smooth)"
         )
         if drift and "time" not in dataset.table:
-            note += ", or give the time of each point: without it, the sensor's drift is taken for friction"
+            note += ", or give the time of each point: without times, sensor drift is confounded with friction"
         found = None
     points = found.corrected(dataset) if found else dataset
     # the misfit of the friction, which is largest behind reversals, does not make a point an outlier

@@ -168,7 +168,7 @@ def unattainable(
 
 
 def leaves_domain(joint: Joint, angles: ArrayLike, unheld: ArrayLike) -> str:
-    """Which muscle leaves its domain at the first angle [rad] that is not held, and a remedy; empty if neither does."""
+    """Error text of a muscle that leaves its domain at the first infeasible angle [rad]; empty if there is none."""
     first = np.asarray(angles)[np.asarray(unheld)][:1]
     error = _outside_domain(joint, float(first[0])) if first.size else None
     return f"at {first[0] / deg:.4g} deg, {error}" if error else ""

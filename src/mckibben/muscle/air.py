@@ -42,7 +42,8 @@ BLOCKED_FORCE = 8.2
 C.-P. Chou and B. Hannaford, IEEE Trans. Robotics and Automation 12 (1996) 90-102.
 """
 
-_USUAL = (0.4, 2.0)  # ratios of the diameter that the force implies to that of the volume
+USUAL_DIAMETERS = (0.4, 2.0)
+"""Usual ratios of the diameter that the force of a muscle implies to its own."""
 
 HEAT_CAPACITY_RATIO = 1.4
 """Ratio kappa of the specific heat capacities of air."""
@@ -52,6 +53,11 @@ LAMINAR = 0.999
 
 FLOATS = SimpleNamespace(maximum=max, minimum=min, sqrt=math.sqrt)
 """Arithmetic of Python floats for `mass_flow`, a hundred times faster than `jax.numpy` outside of compiled code."""
+
+
+def implied_diameter(force_per_pressure: float) -> float:
+    """Diameter [m] of a muscle with a force per pressure [m^2] at its initial length."""
+    return math.sqrt(4 * force_per_pressure / (math.pi * BLOCKED_FORCE))
 
 
 def inner_volume(length: float, diameter: float) -> float:
@@ -102,9 +108,9 @@ def volume_terms(law: ForceLaw, initial_length: float, volume: float, degree: in
         raise RangeError(f"the domain of the law, {box.bounds()}, is not finite", remedy="give the law a domain")
     contraction = np.linspace(min(bounds[0], 0.0), bounds[1], 201)
     gain = np.asarray(derivative(lambda p: law.force(contraction, p), jnp.full(contraction.shape, np.mean(bounds[2:]))))
-    given = math.sqrt(volume / initial_length / (math.pi / 4))
-    implied = math.sqrt(max(float(np.interp(0.0, contraction, gain)), 0.0) / BLOCKED_FORCE / (math.pi / 4))
-    if not _USUAL[0] <= implied / given <= _USUAL[1]:
+    given = math.sqrt(4 * volume / (math.pi * initial_length))
+    implied = implied_diameter(max(float(np.interp(0.0, contraction, gain)), 0.0))
+    if not USUAL_DIAMETERS[0] <= implied / given <= USUAL_DIAMETERS[1]:
         text = f"the volume is that of a diameter of {given / mm:.3g} mm, the force that of about {implied / mm:.2g} mm"
         warnings.warn(f"{text}: check the unit of the diameter, or of the volume", McKibbenWarning, stacklevel=2)
     work = np.polynomial.Polynomial.fit(contraction, gain, degree - 1).convert().integ()
