@@ -88,7 +88,7 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     assert numbers["cost"] <= numbers["cost_before"]
     tried = read_trials(kept / "history.journal")
     assert numbers["evaluated"] == len(tried)
-    assert f"searching, lowest cost {min(trial.cost for trial in tried):.4g}" in found.err
+    assert f", lowest cost {min(trial.cost for trial in tried):.4g}" in found.err
     (run,) = numbers["runs"]
     assert set(run["before"]) == set(run["tuned"]) == set(METRICS)
     assert run["scenario"] == "pre-contracted knee, stiffness step, PID"
