@@ -47,7 +47,7 @@ style: $(VENV)/.installed-dev
 	$(BIN)/lint-imports --no-cache
 
 types: $(VENV)/.installed-dev
-	$(BIN)/pyright
+	$(BIN)/pyrefly check
 
 quick-tests: $(VENV)/.installed-dev
 	$(PYTEST) -m "not slow"
@@ -55,11 +55,9 @@ quick-tests: $(VENV)/.installed-dev
 all-tests: $(VENV)/.installed-dev
 	$(PYTEST)
 
-test: style
-	@$(MAKE) --no-print-directory --jobs 2 types quick-tests  # the checker of types leaves all cores but one idle
+test: lint quick-tests
 
-verify: style
-	@$(MAKE) --no-print-directory --jobs 2 types all-tests
+verify: lint all-tests
 
 #   make format      put the code in its house style
 format: $(VENV)/.installed-dev

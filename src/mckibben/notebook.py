@@ -46,7 +46,7 @@ def notebook_progress() -> Progress | None:
     python = sys.modules.get("IPython")
     if python is None or not hasattr(python.get_ipython(), "kernel"):
         return None
-    from IPython.display import HTML, display  # pyright: ignore[reportMissingImports]
+    from IPython.display import HTML, display
 
     shown: Any = display(HTML(""), display_id=True)
     last = 0.0

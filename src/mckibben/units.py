@@ -191,7 +191,7 @@ def quantity(text: str, unit: str) -> float:
             ...
         mckibben.errors.UnitError: '4,5 bar' is not a number and a unit; write it like '4.5 bar'
     """
-    if not isinstance(text, str):  # type: ignore[unnecessary-isinstance]  # YAML hands over numbers too
+    if not isinstance(text, str):  # YAML hands over numbers too
         raise UnitError(f"{quoted(text)} has no unit", value=text, unit=unit, remedy=f"write it like '{text} {unit}'")
     stripped = text.strip()
     number = NUMBER.match(stripped)

@@ -144,7 +144,7 @@ class AirValve(AirActuator):
             flows = (*flows, -self.leakage(pressure))
         if temperature is not None:
             flows = tuple(flow_of_warm_air(flow, temperature) for flow in flows)
-        return Exchange(flows, self.rate(state, command, pressure), jnp.where(opening > 0, flows[0], 0.0))
+        return Exchange(flows, self.rate(state, command, pressure), jnp.where(opening > 0, flows[0], 0.0))  # pyrefly: ignore[bad-argument-type]
 
     def flow(self, opening: ArrayLike, inlet: ArrayLike, pressure: ArrayLike) -> Array:
         """Return the mass flow [kg/s] into a muscle at a gauge pressure [Pa], from an absolute pressure [Pa]."""

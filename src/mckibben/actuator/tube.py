@@ -138,7 +138,7 @@ class Tube(AirActuator):
             flows = tuple(flow_of_warm_air(flow, temperature) for flow in flows)
         at_valve = AirVolume(self.dead_volume, self._growth(flows[0], outlet))
         tube, valve, drawn = self._tight.muscle_rate(state.pressure, state.valve, command, at_valve, inlet)
-        return Exchange(flows, TubeState(valve, tube), drawn)
+        return Exchange(flows, TubeState(valve, tube), drawn)  # pyrefly: ignore[bad-argument-type]
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike, volume: AirVolume) -> Array:
         absolute = jnp.asarray(pressure) + ATMOSPHERE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_solve, cholesky
@@ -152,7 +152,7 @@ class GaussianProcess(NamedTuple):
         target, lengths = (output - mean) / spread, inputs.shape[1]
         apart = (given[:, None] - given) ** 2
 
-        def solved(values: Floats) -> tuple[Floats, Floats, Floats]:
+        def solved(values: Floats) -> tuple[Any, Any, Any]:
             signal = np.exp(2 * values[0] - apart @ np.exp(-2 * values[1:-1]) / 2)
             noise = np.exp(2 * values[-1]) + _JITTER * np.exp(2 * values[0])
             factor = cholesky(signal + noise * np.eye(len(given)), lower=True)

@@ -48,7 +48,7 @@ class BenchTable:
 
     def rows(self) -> list[tuple[str, ...]]:
         """Rows of the table as text."""
-        found = []
+        found: list[tuple[str, ...]] = []
         for one in self.entries:
             error, relative = _shown(one.score.nrmse if one.score else None), _shown(one.relative)
             found.append((one.task, one.method, *error, *relative, f"{one.seconds:.1f}", one.reason))

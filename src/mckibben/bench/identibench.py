@@ -68,7 +68,7 @@ def identibench_model(fit: Fit, name: str) -> Callable[[Any], Callable[..., Floa
 
 def _package() -> Any:
     try:
-        import identibench  # pyright: ignore[reportMissingImports]  # of users who compare there
+        import identibench  # of users who compare there
     except ImportError:
         raise ParameterError(
             "IdentiBench is not installed", field="identibench", remedy="run: pip install identibench"

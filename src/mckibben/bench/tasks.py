@@ -62,7 +62,7 @@ def _published_map(name: str, entry: str) -> Task:
         "braid_angle": specimen.braid_angle,
     }
     parts = (data.contraction[taut], data.pressure[taut], data.force[taut])
-    return split_map(name, *parts, source=catalog.cite(entry).partition("\n")[0], facts=facts)
+    return split_map(name, *parts, source=catalog.cite(entry).partition("\n")[0], facts=facts)  # pyrefly: ignore[bad-argument-type]
 
 
 def _grid(contractions: ArrayLike, pressures: ArrayLike) -> tuple[Floats, Floats]:

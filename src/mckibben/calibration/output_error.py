@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -334,9 +334,9 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     base, load, friction = problem.base, problem.base.load, problem.friction
     joint, _, added, zero, _ = corrected(base, _full(base, z))
     factors = jnp.exp(_own_deviations(problem) * z[-len(problem.medians) :])
-    own = (median * factors[i] for i, median in enumerate(problem.medians))
+    own: Iterator[Any] = (median * factors[i] for i, median in enumerate(problem.medians))
     lag, rate, delay, damping, inertia, gravity, *rubbing = own
-    load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)
+    load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)  # pyrefly: ignore[unexpected-keyword]
     valve = dataclasses.replace(problem.valve, time_constant=lag, rate=rate)
     if friction is not None:
         friction = dataclasses.replace(friction, **dict(zip(("torque", "presliding"), rubbing, strict=True)))

@@ -410,7 +410,7 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
             def rate(carry: tuple[Array, AirState], passed: Array) -> tuple[Array, AirState]:
                 moved = at._replace(volume=at.volume + at.rate * passed)
                 (slope,), rates = valve.rates((carry[0],), carry[1], (command,), lambda: (moved,))
-                return slope, rates  # type: ignore[return-value]
+                return slope, rates
 
             times = tuple(((number + part) * step,) for part in (0.0, 0.5, 1.0))
             return rk4(rate, (pressure, state), step, times)  # type: ignore[arg-type]

@@ -333,7 +333,7 @@ def _report(
             row = {"file": name, "held_out": number >= len(recordings)}
             simulated.append({**row, "angle_error_before": errors[0], "angle_error": errors[1]})
     before, after = deviations(found, recordings)
-    numbers = {
+    numbers: dict[str, Any] = {
         "residual_angle_rad" if commanded else "residual_torque_Nm": found.residual,
         **({} if commanded else {"noise_torque_Nm": found.noise}),
         "stiffness_deviation_before": before,

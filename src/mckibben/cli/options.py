@@ -8,7 +8,7 @@ import math
 import re
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
@@ -325,7 +325,7 @@ _LONGEST_CELL = 500  # characters
 _PIPED_WIDTH = 240  # columns of a table written to a file or a pipe
 
 
-def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+def table(title: str, headers: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
     """Print a titled table, if it has rows; cells are plain text."""
     if not rows:
         return

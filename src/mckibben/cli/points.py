@@ -108,7 +108,7 @@ def points(
         step = tolerances.pop("contraction_tolerance", None)
         found = read.strokes(**({} if step is None else {"step": step}), **tolerances)
     else:
-        found = read.plateaus(**tolerances, **steady)  # type: ignore[arg-type]
+        found = read.plateaus(**tolerances, **steady)
     if out is not None:
         write = found.dataset.to_netcdf if out.suffix.lower() == ".nc" else found.dataset.to_csv
         write(out)

@@ -397,7 +397,7 @@ def _condition_rows(runs: list[dict[str, Any]], count: int) -> tuple[tuple[str, 
     share = runs[0]["in_conditions"]["percentile"]
     few = ", here the worst" if (1 - share / 100) * count < 1 and share < 100 else ""
     headers = ("scenario", "nominal", "median", f"{share:g} %{few}", "worst", "diverged", "gain margin")
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for run in runs:
         found = run["in_conditions"]
         errors = ["diverged" if one is None else metric("", one) for one in found["angle_rmse_deg"].values()]

@@ -74,7 +74,7 @@ class _Writer(Writer):
     """Writes Python; its conditional expressions and logical operators are those of Warp."""
 
     end = ""
-    branch_heads = "if {}:", "else:"
+    branch_heads = "if {}:", "else:"  # pyrefly: ignore[bad-override]
     block_end = ()
 
     def declared(self, kind: str, name: str, text: str | None = None) -> str:

@@ -95,7 +95,7 @@ class Described:
 _ComponentMeta: Any = type("_ComponentMeta", (CheckedCalls, type(eqx.Module)), {})
 
 
-class Component(Described, eqx.Module, metaclass=_ComponentMeta):
+class Component(Described, eqx.Module, metaclass=_ComponentMeta):  # pyrefly: ignore[invalid-inheritance]
     """Module with fields of the declared types and numbers in range; the check of a subclass begins with this one."""
 
     def __check_init__(self) -> None:

@@ -77,7 +77,7 @@ class DocumentModel(ConfigModel):
         """Read YAML text; errors as for `read`, with `source`; paths are relative to `folder`."""
         return parse_model(cls, text, source=source or cls.kind, folder=folder)[0]
 
-    def __setattr__(self, name: str, value: Any) -> None:
+    def __setattr__(self, name: str, value: Any) -> None:  # pyrefly: ignore[bad-override]
         try:
             super().__setattr__(name, value)
         except ValidationError:

@@ -43,7 +43,7 @@ _APART = 1e-4  # relative change of the parameters for finite differences, so th
 _ADDRESS = re.compile(r"0x[0-9a-f]+")
 _LONGEST = 300  # characters of a finding
 # each program runs once or twice: optimising it takes longer than running it
-_COMPILER = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+_COMPILER: dict[str, Any] = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def probes_of(component: Any) -> Probes:
 def plant_scope() -> dict[str, Any]:
     """Return the fields of a scenario around a component, with the knee of Table 2, for fields that inherit them."""
     knee = catalog.joint("knee-table-2")
-    geometry = dataclasses.replace(knee.geometry, connector_length=208 * mm)
+    geometry = dataclasses.replace(knee.geometry, connector_length=208 * mm)  # pyrefly: ignore[unexpected-keyword]
     joint = AntagonisticJoint(geometry, knee.muscle1, knee.muscle2)
     return {
         "joint": joint,

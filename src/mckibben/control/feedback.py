@@ -91,7 +91,7 @@ class PolePlacement(Feedback):
     damping: PoleDamping = 3.0
 
     @property
-    def lag(self) -> Any:
+    def lag(self) -> Any:  # pyrefly: ignore[bad-override]
         """T [s]."""
         return 1 / ((self.damping + 1 if self.integral else self.damping) * self.bandwidth)
 
@@ -142,7 +142,7 @@ class SlidingMode(Feedback):
     reach: AngularAcceleration = 250.0
 
     @property
-    def lag(self) -> Any:
+    def lag(self) -> Any:  # pyrefly: ignore[bad-override]
         """T [s]."""
         return 1 / (6 * self.slope)
 

@@ -58,7 +58,7 @@ class FrictionCompensation(Controller):
             )
 
     @property
-    def stiffness_amplitude(self) -> float | None:
+    def stiffness_amplitude(self) -> float | None:  # pyrefly: ignore[bad-override]
         """That of the inner controller."""
         return self.controller.stiffness_amplitude
 

@@ -151,7 +151,7 @@ class InverseModelControl(Controller):
         return self.loops.minimum_tension
 
     @property
-    def stiffness_amplitude(self) -> float | None:
+    def stiffness_amplitude(self) -> float | None:  # pyrefly: ignore[bad-override]
         """That of the loops."""
         return self.loops.stiffness_amplitude
 

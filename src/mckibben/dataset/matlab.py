@@ -88,7 +88,7 @@ def _add(sheet: RawTable, name: str, value: Any, depth: int, unit: object = "") 
             sheet.ignored.append(name)
             return
         units = next((getattr(value, each) for each in _UNITS if hasattr(value, each)), None)
-        for field in value._fieldnames:  # pyright: ignore[reportAttributeAccessIssue]
+        for field in value._fieldnames:  # type: ignore[attr-defined]
             _add(sheet, f"{name}.{field}", getattr(value, field), depth + 1, getattr(units, field, ""))
     elif type(value) is np.ndarray and value.dtype.kind in "biuf":
         _columns(sheet, name, value, unit=unit if isinstance(unit, str) else "")

@@ -55,7 +55,7 @@ def _problems(file: Any, most: float) -> list[tuple[str, str]]:
     groups: list[tuple[str, Any, int]] = [("", file, 0)]
     while groups:
         prefix, group, depth = groups.pop()
-        address = h5py.h5o.get_info(group.id).addr  # pyright: ignore[reportAttributeAccessIssue]
+        address = h5py.h5o.get_info(group.id).addr  # type: ignore[attr-defined]
         if depth > _DEEPEST or address in visited:
             found.append((prefix, "is a group in itself" if address in visited else "has groups nested too deep"))
             continue

@@ -45,12 +45,12 @@ def initial_guess(law_type: type[ForceLaw], points: IsobaricDataset, given: Forc
     if not len(points) or not names:
         return law, origin
     place = points.contraction, points.pressure
-    offset = forces(dataclasses.replace(law, **dict.fromkeys(names, 0.0)), *place)
+    offset = forces(dataclasses.replace(law, **dict.fromkeys(names, 0.0)), *place)  # pyrefly: ignore[bad-argument-type]
     part = forces(law, *place) - offset
     scale = float(part @ (points.force - offset) / (part @ part)) if part @ part else np.nan
     if not (np.isfinite(scale) and scale > 0):
         return law, origin
-    law = dataclasses.replace(law, **{name: scale * float(getattr(law, name)) for name in names})
+    law = dataclasses.replace(law, **{name: scale * float(getattr(law, name)) for name in names})  # pyrefly: ignore[bad-argument-type]
     return law, f"{origin}, scaled by {scale:.3g} to the data"
 
 

@@ -44,10 +44,10 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
     71.93
     """
     if isinstance(scenario, Scenario):
-        own = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
+        own: dict[str, Any] = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
         options = {"control_period": scenario.control_period} | own | options
     plant = scenario.plant() if isinstance(scenario, Scenario) else scenario
-    made = plant_module(plant, **options)
+    made = plant_module(plant, **options)  # pyrefly: ignore[bad-argument-type]
     moving = next((one for one in made.module.functions if "state" in one.arguments), None)
     state = [] if moving is None else element_names("state", moving.arguments["state"])
     functions = {

@@ -2,8 +2,8 @@
 
 Needs mjlab 1.6, which is not an extra of mckibben, because it needs PyTorch and another version of MuJoCo Warp.
 """
+# pyrefly: ignore-errors
 
-# pyright: reportMissingImports=false, reportAttributeAccessIssue=false
 from __future__ import annotations
 
 import os

@@ -1,7 +1,6 @@
 """The muscles of a joint as an actuator of Newton, with plants drawn from intervals as domain randomisation."""
+# pyrefly: ignore-errors
 
-# pyright: reportMissingImports=false, reportAttributeAccessIssue=false, reportInvalidTypeForm=false
-# pyright: reportCallIssue=false, reportArgumentType=false, reportAssignmentType=false, reportGeneralTypeIssues=false
 from __future__ import annotations
 
 import dataclasses

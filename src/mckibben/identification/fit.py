@@ -400,7 +400,9 @@ class Fit(metaclass=CheckedCalls):
 
     def _rows(self, level: float) -> list[tuple[str, ...]]:
         errors, intervals = self._errors(None)[0], self.intervals(level)
-        rows = [("parameter", "estimate", "standard error", "unit", f"{100 * level:g} % interval", "meaning")]
+        rows: list[tuple[str, ...]] = [
+            ("parameter", "estimate", "standard error", "unit", f"{100 * level:g} % interval", "meaning")
+        ]
         for p in type(self.law).parameters():
             if p.penalised:
                 continue

@@ -463,7 +463,7 @@ def _trust_region(problem: FitProblem, start: Floats, fixed: int | None) -> Solu
     found = least_squares(
         lambda part: response(part)[0],
         np.clip(start[free], _INSIDE, 1 - _INSIDE),
-        jacobian,  # type: ignore[arg-type]
+        jacobian,
         bounds=(0.0, 1.0),
         x_scale="jac",
         xtol=1e-12,

@@ -315,7 +315,7 @@ class PathDependentModel:
 
     def law(self, values: Mapping[str, float]) -> ForceLaw:
         """Law with the values of its parameters."""
-        return dataclasses.replace(self.template, **{name: values[name] for name in self.law_names if name in values})
+        return dataclasses.replace(self.template, **{name: values[name] for name in self.law_names if name in values})  # pyrefly: ignore[bad-argument-type]
 
     def friction(self, values: Mapping[str, float]) -> MaxwellSlip:
         """Friction model with the given parameters."""

@@ -125,11 +125,11 @@ def posterior(
     data = _data(regression, by)
 
     import jax
-    from numpyro.diagnostics import (  # pyright: ignore[reportMissingImports]
+    from numpyro.diagnostics import (
         effective_sample_size,
         split_gelman_rubin,
     )
-    from numpyro.infer import MCMC, NUTS, init_to_value  # pyright: ignore[reportMissingImports]
+    from numpyro.infer import MCMC, NUTS, init_to_value
 
     model = _model(type(fit.law), noise, by is not None)
     start = {"white": np.zeros(len(regression.problem.names)), "log_sigma": np.zeros(())}
@@ -202,8 +202,8 @@ def _data(regression: Regression, by: Grouping | None) -> dict[str, Any]:
 
 @functools.cache
 def _model(law_type: type[ForceLaw], noise: Noise, grouped: bool) -> Callable[..., None]:
-    import numpyro  # pyright: ignore[reportMissingImports]
-    from numpyro import distributions as dist  # pyright: ignore[reportMissingImports]
+    import numpyro
+    from numpyro import distributions as dist
 
     count = len(law_type.parameters())
     log_likelihood = _log_likelihood(law_type, noise)
@@ -228,7 +228,7 @@ def _log_likelihood(law_type: type[ForceLaw], noise: Noise) -> Callable[..., Any
     """Compiled log-likelihood: the sampler also evaluates its model outside compiled code."""
     import jax
     import jax.numpy as jnp
-    from numpyro import distributions as dist  # pyright: ignore[reportMissingImports]
+    from numpyro import distributions as dist
 
     names = [p.name for p in law_type.parameters()]
     linear = len(law_type.linear_parameters)

@@ -419,7 +419,7 @@ def _read(path: str | os.PathLike[str], *, complete: bool | None) -> Any:
         if not complete and declared_fields(law_type)["domain"].default is not dataclasses.MISSING:
             fields["domain"] = (_Domain | None, None)
         model = create_model("FitFile", __base__=base, **fields)
-        model.law_type = law_type  # type: ignore[attr-defined]
+        model.law_type = law_type
     try:
         read = model.model_validate(document.data)
     except ValidationError as error:

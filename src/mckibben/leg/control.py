@@ -77,7 +77,7 @@ class PressureSchedule(LegController):
                     value=len(levels),
                     remedy=f"give {len(own) + 1}",
                 )
-            if all(isinstance(one, Real) for one in own) and any(np.diff(own) < 0):  # type: ignore[arg-type]
+            if all(isinstance(one, Real) for one in own) and any(np.diff(own) < 0):
                 raise RangeError(
                     f"muscle {number}: switching times {', '.join(f'{one:g}' for one in own)} s",
                     field="switches",

@@ -102,7 +102,9 @@ class FootPressures(NamedTuple):
         """Return headers and rows of a table of the muscles."""
         limits = dict(self.limits)
         muscles = zip(leg.muscle_names, self.pressures, self.tensions, strict=True)
-        rows = [(name, f"{p / bar:.3f}", f"{tension:.1f}", limits.get(name, "")) for name, p, tension in muscles]
+        rows: list[tuple[str, ...]] = [
+            (name, f"{p / bar:.3f}", f"{tension:.1f}", limits.get(name, "")) for name, p, tension in muscles
+        ]
         return ("muscle", "pressure [bar]", "tension [N]", "limited by"), rows
 
     def describe(self) -> str:

@@ -65,7 +65,7 @@ class Jump:
         """The results as plain data."""
         resolution = self.run.resolution
         assert resolution is not None
-        found = {
+        found: dict[str, Any] = {
             "height_mm": float(self.heights[0] / mm),
             "height_interval_mm": interval(self.heights / mm),
             "rise_mm": float(self.rises[0] / mm),
@@ -164,7 +164,7 @@ class JumpStudy:
             "of the air's energy",
             "absorbed by stops",
         )
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for name, jump in self.jumps.items():
             one = jump.record()
             share = "-" if one["efficiency"] is None else f"{one['efficiency'] * 100:.0f} %"

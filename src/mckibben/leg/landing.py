@@ -127,7 +127,7 @@ class LandingStudy:
             f"{self.joint} bottoms out",
             "rebound [mm]",
         )
-        rows = []
+        rows: list[tuple[str, ...]] = []
         for record in self.records()["landings"]:
             low, high = record["best_stiffness_interval"]
             best = f"{record['best_stiffness']:.3g} ({low:.3g} to {high:.3g})"

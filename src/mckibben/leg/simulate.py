@@ -50,9 +50,7 @@ class LegProblem(NamedTuple):
     controller: LegController
     start: LegStart
 
-    kinds = MappingProxyType(  # type: ignore[misc]
-        {"plant": (LegPlant,), "controller": (LegController,), "start": (LegStart,)}
-    )
+    kinds = MappingProxyType({"plant": (LegPlant,), "controller": (LegController,), "start": (LegStart,)})
 
 
 declare(__name__, {"command": Label("Pa", "commanded pressure", along="muscle")})

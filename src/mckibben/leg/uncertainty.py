@@ -45,10 +45,10 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
                 fit = read_fit(Path(file))
                 draws = fit.draws(rng, spec.draws)
                 draws = {name: np.append(fit.estimates[name], values) for name, values in draws.items()}
-                fits[file] = dataclasses.replace(fit.law, **draws)
+                fits[file] = dataclasses.replace(fit.law, **draws)  # pyrefly: ignore[bad-argument-type]
             muscle = eqx.tree_at(lambda x: x.law, muscle, fits[file])
         strength = factors(spec.strength) * (1.0 if muscle.strength is None else muscle.strength)
-        return dataclasses.replace(muscle, strength=strength)
+        return dataclasses.replace(muscle, strength=strength)  # pyrefly: ignore[bad-argument-type]
 
     trunk = with_mass(leg.trunk, factors(spec.mass))
     links = tuple(with_mass(link, factors(spec.mass)) for link in leg.links)

@@ -103,7 +103,7 @@ def volume_terms(law: ForceLaw, initial_length: float, volume: float, degree: in
     check_positive("volume_terms", "m", initial_length=initial_length)
     check_positive("volume_terms", "m^3", volume=volume)
     box = law.domain.intersection(law.formula_domain)
-    bounds = [float(one) for one in (box.contraction_min, box.contraction_max, box.pressure_min, box.pressure_max)]  # type: ignore[arg-type]
+    bounds = [float(one) for one in (box.contraction_min, box.contraction_max, box.pressure_min, box.pressure_max)]
     if not all(map(math.isfinite, bounds)):
         raise RangeError(f"the domain of the law, {box.bounds()}, is not finite", remedy="give the law a domain")
     contraction = np.linspace(min(bounds[0], 0.0), bounds[1], 201)

@@ -109,7 +109,7 @@ class Muscle(Component):
         bounds = domain.pressure_min, domain.pressure_max, law.pressure_min, law.pressure_max
         if not self.extrapolate or not all(isinstance(bound, Real) for bound in bounds):
             return ""
-        low, high, lowest, highest = (float(bound) / bar for bound in bounds)  # type: ignore[arg-type]
+        low, high, lowest, highest = (float(bound) / bar for bound in bounds)
         if low >= lowest and high <= highest:
             return ""
         shown = f"{lowest:g}..{highest:g} bar, where it was measured, to {low:g}..{high:g} bar"

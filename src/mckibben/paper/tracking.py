@@ -165,7 +165,7 @@ def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
     def metrics(seed: int) -> Metrics:
         seeded = eqx.tree_at(lambda c: (c.position.seed, c.stiffness.seed), control, (seed, seed))
         run = run_episode(plant, seeded, setpoints, initial, *_steps(scenario))
-        return Metrics(**run.metrics)  # type: ignore[arg-type]
+        return Metrics(**run.metrics)
 
     # One by one, with the program of the single run: a batch would need another compilation.
     each = [metrics(seed) for seed in range(seeds)]

@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -64,9 +64,10 @@ class State(Protocol):
     @property
     def sent(self) -> tuple[tuple[Scalar, ...], ...]: ...
 
+    _fields: ClassVar[tuple[str, ...]]
+
     @property
-    def _fields(self) -> tuple[str, ...]: ...
-    def _replace(self, **changes: Any) -> Any: ...
+    def _replace(self) -> Callable[..., Any]: ...
     def __getitem__(self, index: Any, /) -> Any: ...
 
 

@@ -199,7 +199,7 @@ class _Search:
     def _angle(self, checker: TrackabilityChecker, amplitude: float, speed: float) -> Signal:
         signal = scaled(self.reference.angle, amplitude, self.about, self.centre, self.checker.times)
         if isinstance(signal, Step):
-            return Samples(checker.times, smoothed(signal, checker.times, self.smoothing / speed))  # type: ignore[arg-type]
+            return Samples(checker.times, smoothed(signal, checker.times, self.smoothing / speed))
         return slowed(signal, speed)
 
     def _try(self, preserved: Preserved, amplitude: float, speed: float) -> FeasibleReference | None:
@@ -236,7 +236,7 @@ class _Search:
             low, high = (np.interp(checker.times, trajectory.times, bound) for bound in band.shrunk(margin))
             for width in _STIFFNESS_SMOOTHING:
                 values = smoothed_values(np.clip(desired, low, high), checker.period, width)
-                reference = Reference(angle, Samples(checker.times, values))  # type: ignore[arg-type]
+                reference = Reference(angle, Samples(checker.times, values))
                 checked = self._checked(checker, reference)
                 if checked is not None:
                     return made(reference, checked, _stiffness_change(checked, trajectory.stiffness, stiffness))

@@ -42,7 +42,7 @@ def design_lengths(plant: JointPlant) -> dict[str, list[Place]]:
     for place, quantity in _lengths(geometry):
         if len(place) > 1 and quantity.lower >= 0:  # coordinates of the two muscles differ in sign
             shared.setdefault(place[-1], []).append(("geometry", *place))
-    return found | shared | _MUSCLES
+    return found | shared | _MUSCLES  # pyrefly: ignore[bad-return]
 
 
 def length_of(plant: JointPlant, name: str) -> float:

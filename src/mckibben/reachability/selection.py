@@ -179,7 +179,7 @@ class Selection:
             load=one.plant.load,
             valve=one.supply.valve,
             controller=DecouplingControl(one.plant.joint, one.plant.load, PolePlacement()),  # type: ignore[call-arg]
-            reference=reference,  # type: ignore[call-arg]
+            reference=reference,
             start=Start(angle=need.angles[0], stiffness=float(reference.stiffness(0.0))),
             duration=max(round(_CYCLES * need.cycle / _PERIOD), 1) * _PERIOD,
             control_period=_PERIOD,

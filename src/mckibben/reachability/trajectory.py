@@ -163,8 +163,8 @@ def scaled(signal: Signal, factor: float, about: float, centre: float, times: Va
             offset = float(map_value(float(signal.offset)))
             return dataclasses.replace(signal, amplitudes=amplitudes, offset=offset)
         case Samples():
-            return Samples(signal.times, map_value(np.asarray(signal.values, float)))  # type: ignore[arg-type]
-    return Samples(times, map_value(np.asarray(signal(times), float)))  # type: ignore[arg-type]
+            return Samples(signal.times, map_value(np.asarray(signal.values, float)))
+    return Samples(times, map_value(np.asarray(signal(times), float)))
 
 
 def slowed(signal: Signal, factor: float) -> Signal:

@@ -142,8 +142,8 @@ def _short(law: str) -> str:
 
 
 _MOST = 6  # pressures with their own panel
-_CURVE = {"color": "#222222", "linewidth": 0.9, "zorder": 3}
-_MEAN = {"color": BLUE, "alpha": 0.45, "linewidth": 0, "zorder": 2}
+_CURVE: dict[str, Any] = {"color": "#222222", "linewidth": 0.9, "zorder": 3}
+_MEAN: dict[str, Any] = {"color": BLUE, "alpha": 0.45, "linewidth": 0, "zorder": 2}
 
 
 @styled

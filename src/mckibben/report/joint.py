@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -173,7 +173,7 @@ _NAMES = {
     Preserved.AMPLITUDE: "nearest, amplitude preserved",
     Preserved.STIFFNESS: "nearest, stiffness preserved",
 }
-_LOOKS = {
+_LOOKS: dict[Preserved, dict[str, Any]] = {
     Preserved.ANGLE: {"color": GREEN, "linestyle": "-", "linewidth": 1.3},
     Preserved.AMPLITUDE: {"color": ORANGE, "linestyle": (0, (5, 1.2)), "linewidth": 1.3},
     Preserved.STIFFNESS: {"color": PURPLE, "linestyle": (0, (3, 1, 1, 1)), "linewidth": 1.3},

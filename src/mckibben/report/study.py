@@ -202,8 +202,11 @@ def _metric(axes: Axes, one: _Input, swept: SweepResult, metric: str) -> None:
         size = float(np.clip(900 / max(x.size, 1), 1.5, 9.0))
         axes.scatter(x[inside], y[inside], s=size, color=BLUE, alpha=0.35, linewidths=0, rasterized=True, label="run")
     else:
-        scales = {"xscale": "log" if one.log and x.min() > 0 else "linear", "yscale": "log" if log else "linear"}
-        look = {"gridsize": (32, 18), "bins": "log", "cmap": part_of("Blues", 50, 200), "linewidths": 0}
+        scales: dict[str, Any] = {
+            "xscale": "log" if one.log and x.min() > 0 else "linear",
+            "yscale": "log" if log else "linear",
+        }
+        look: dict[str, Any] = {"gridsize": (32, 18), "bins": "log", "cmap": part_of("Blues", 50, 200), "linewidths": 0}
         axes.hexbin(x[inside], y[inside], rasterized=True, **scales, **look)
     if log:
         log_ticks(axes.yaxis, 1.0, 3.0)
@@ -324,11 +327,11 @@ def _measured_points(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     points = found.measured.taut
     handles = []
     for direction, where in by_direction(points):
-        look = DIRECTIONS.get(direction, {"color": "#333333", "marker": "o"})
-        style = {**look, "linestyle": "", "markersize": 2.6, "markeredgewidth": 0.4, "markeredgecolor": "white"}
+        look: dict[str, Any] = DIRECTIONS.get(direction, {"color": "#333333", "marker": "o"})
+        style = look | {"linestyle": "", "markersize": 2.6, "markeredgewidth": 0.4, "markeredgecolor": "white"}
         axes.plot(points.contraction[where] / percent, points.levels[where] / bar, **style)
         name = f"measured, {direction}" if direction else "measured"
-        handles.append(Line2D([], [], **{**style, "markersize": 4.5}, label=name))
+        handles.append(Line2D([], [], **(style | {"markersize": 4.5}), label=name))
     return handles
 
 
@@ -337,8 +340,8 @@ def _planned_points(axes: Axes, found: ExperimentPlan) -> list[Line2D]:
     used: dict[str, Line2D] = {}
     clusters: list[list[int]] = []
     for number, point in enumerate(found.points):
-        look = DIRECTIONS.get(point.direction, {"color": "#333333", "marker": "o"})
-        style = {**look, "linestyle": "", "markersize": 6.5, "markeredgecolor": "white", "markeredgewidth": 0.7}
+        look: dict[str, Any] = DIRECTIONS.get(point.direction, {"color": "#333333", "marker": "o"})
+        style = look | {"linestyle": "", "markersize": 6.5, "markeredgecolor": "white", "markeredgewidth": 0.7}
         axes.plot([point.contraction / percent], [point.pressure / bar], zorder=4, clip_on=False, **style)
         name = f"planned, {point.direction}" if point.direction else "planned"
         used[name] = Line2D([], [], label=name, **style)
@@ -377,7 +380,7 @@ def _quantity_states(left: Axes, right: Axes, found: ExperimentPlan) -> list[Lin
         low, high, bottom, top = x.min(), x.max(), y.min(), y.max()
         x, y = np.array([low, high, high, low, low]), np.array([bottom, bottom, top, top, bottom])
     for axes in (left, right):
-        axes.plot(x, y, zorder=3, **{"markersize": 8, **look})
+        axes.plot(x, y, zorder=3, markersize=8, **look)
     return [Line2D([], [], label="quantity of interest", **look)]
 
 

@@ -269,7 +269,7 @@ def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, **look:
         return
     every = max(len(x) // _MOST_VERTICES, 1)
     kept = np.unique(np.append(np.arange(0, len(x), every), len(x) - 1))
-    style = {"color": BAND, "linewidth": 0.0, "zorder": 0} | look
+    style: dict[str, Any] = {"color": BAND, "linewidth": 0.0, "zorder": 0} | look
     axes.fill_between(x[kept], low[kept], high[kept], **style)
 
 
@@ -314,5 +314,5 @@ def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
 
 def beside(axes: Axes, text: str, **place: Any) -> None:
     """Annotate the upper right corner of a panel."""
-    settings = {"x": 0.985, "y": 0.96, "ha": "right", "va": "top", "fontsize": 7} | place
+    settings: dict[str, Any] = {"x": 0.985, "y": 0.96, "ha": "right", "va": "top", "fontsize": 7} | place
     axes.text(s=text, transform=axes.transAxes, bbox=_HALO, zorder=5, **settings)

@@ -363,7 +363,7 @@ def _dots(
             axes.annotate(text, (end, y), (-6, 0), textcoords="offset points", ha="right", va="center", fontsize=6.5)
             continue
         axes.plot([median, worst if worst <= end else end], [y, y], color=look["color"], linewidth=1.8, alpha=0.55)
-        dot = {**look, "linestyle": "", "markersize": 5, "markeredgewidth": 1.1}
+        dot: dict[str, Any] = {**look, "linestyle": "", "markersize": 5, "markeredgewidth": 1.1}
         axes.plot(median, y, markerfacecolor=look["color"] if k == 0 else "white", zorder=3, **dot)
     axes.set_xscale("log")
     axes.set_xlim(smallest / 1.6, end)

@@ -290,7 +290,13 @@ class _TooLongError(Exception):
     """The points of a test are too many to go through."""
 
 
-_KEYS = {Move: "move", Pressurise: "pressurise", HoldForce: "hold_force", Acquire: "acquire", Walk: "walk"}
+_KEYS: dict[type[ProtocolStep], str] = {
+    Move: "move",
+    Pressurise: "pressurise",
+    HoldForce: "hold_force",
+    Acquire: "acquire",
+    Walk: "walk",
+}
 
 
 def dry_run(

@@ -43,7 +43,7 @@ class SimulationProblem(NamedTuple):
     reference: Reference
     initial: PlantState | AtRest
 
-    kinds = MappingProxyType(  # type: ignore[misc]
+    kinds = MappingProxyType(
         {
             "plant": (JointPlant,),
             "controller": (Controller,),

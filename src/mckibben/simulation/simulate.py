@@ -107,7 +107,7 @@ class Feasibility:
             return "the reference is statically feasible throughout"
         run = self.times, self.desired_angle, self.desired_stiffness, self.lowest, self.highest
         failure = f"{'the joint cannot' if self.cause else 'no pressures within limits'} hold the desired angle"
-        return "; ".join(filter(None, [*shortcomings(*run, self.shortfall, failure), self.cause]))
+        return "; ".join(filter(None, (*shortcomings(*run, self.shortfall, failure), self.cause)))
 
 
 def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np.float64]:

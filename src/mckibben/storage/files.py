@@ -278,7 +278,7 @@ def _lock_byte(file: int) -> None:
 
     os.lseek(file, _LOCKED, os.SEEK_SET)
     try:
-        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # pyright: ignore[reportAttributeAccessIssue]
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
     finally:
         os.lseek(file, 0, os.SEEK_SET)
 

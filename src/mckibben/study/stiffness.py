@@ -78,7 +78,7 @@ class StiffnessTests:
         columns = [self.secant, self.closed_secant][: len(constant)]
         for name, test in varied:
             columns += [*(test.magnitude if name == CONTROLLED else test.stiffness)[::2]]
-        rows = [
+        rows: list[tuple[str, ...]] = [
             (f"{amplitude / deg:.3g} deg", *(f"{column[i]:.4g}" for column in columns))
             for i, amplitude in enumerate(self.amplitudes)
         ]
@@ -133,7 +133,7 @@ def stiffness_tests(
     tests = {}
     for name in (*plants, CONTROLLED):
         report(name, (len(tests) + 1) / (len(plants) + 2))
-        control = {"controller": controller, "setpoint": setpoint} if name == CONTROLLED else {}
+        control: dict[str, Any] = {"controller": controller, "setpoint": setpoint} if name == CONTROLLED else {}
         own = plants.get(name, plant)
         started = state if own.valve is plant.valve else state._replace(air=())
         times = {"control_period": period, "substeps": substeps}

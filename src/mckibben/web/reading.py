@@ -69,7 +69,7 @@ def rows_read(text: str) -> tuple[list[tuple[str, ...]], str]:
     """Cells of the table of columns that were read, without those of its header, and the line below it."""
     header, *lines, last = text.split("\n")
     starts = [0, *map(header.index, ("quantity", "unit", "unit from", "range"))]
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for one in lines:
         *cells, end = (one[start:stop].strip() for start, stop in zip(starts, [*starts[1:], None], strict=True))
         found, _, remark = end.partition("  ")

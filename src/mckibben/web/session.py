@@ -115,7 +115,9 @@ async def in_thread(function: Callable[..., T], *arguments: Any) -> tuple[T, lis
 class Latest:
     """A computation for rapidly changing input: it uses the newest arguments and skips intermediate ones."""
 
-    def __init__(self, compute: Callable[..., T], show: Callable[[T], None], fail: Callable[[Exception], None]) -> None:
+    def __init__(
+        self, compute: Callable[..., Any], show: Callable[[Any], None], fail: Callable[[Exception], None]
+    ) -> None:
         self._compute, self._show, self._fail = compute, show, fail
         self._waiting: tuple[Any, ...] | None = None
         self._busy = False

@@ -351,7 +351,9 @@ class Suite(RunSettings):
             settings["conditions"] = (*strengths, *(f"{each.name}=+-20 %" for each in masses if each.nominal))
         shared = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
         given = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
-        steps = {"substeps": scenario.substeps} if scenario.substeps is not None else {"accuracy": scenario.accuracy}
+        steps: dict[str, Any] = (
+            {"substeps": scenario.substeps} if scenario.substeps is not None else {"accuracy": scenario.accuracy}
+        )
         references = {"reference": ReferenceCase(reference=scenario.signals)}
         together = {"scenario": scenario.controller, **controllers}
         suite = cls(**given, **steps, references=references, controllers=together, **settings)

@@ -286,7 +286,7 @@ def _fail(message: str, remedy: str) -> NoReturn:
 def _prefixed(text: str, error: ParameterError) -> ParameterError:
     """The same error with its text in front."""
     fields = {"value": error.value, "lower": error.lower, "upper": error.upper, "unit": error.unit}
-    return ParameterError(f"{quoted(text)}: {error.message}", remedy=error.remedy, **fields)  # type: ignore[arg-type]
+    return ParameterError(f"{quoted(text)}: {error.message}", remedy=error.remedy, **fields)
 
 
 MAX_TOTAL = 2**30

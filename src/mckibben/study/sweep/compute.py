@@ -266,7 +266,7 @@ def _client(address: str, workers: int, blocks: int) -> Iterator[Any]:
     if address != LOCAL:
         try:
             client = Client(address, timeout="10s", set_as_default=False)
-        except (OSError, TimeoutError, ValueError) as error:
+        except (OSError, ValueError) as error:
             raise _unanswered(address, error) from None
         with client:
             try:
@@ -283,11 +283,11 @@ def _client(address: str, workers: int, blocks: int) -> Iterator[Any]:
                 n_workers=min(workers, blocks),
                 threads_per_worker=1,
                 processes=True,
-                dashboard_address=None,  # type: ignore[arg-type]  # none
+                dashboard_address=None,  # none
                 memory_limit=0,  # a share of the memory is unrelated to the needs of a block
                 silence_logs=logging.CRITICAL,
             )
-        except (OSError, RuntimeError, TimeoutError) as error:  # for example because a worker was killed
+        except (OSError, RuntimeError) as error:  # for example because a worker was killed
             message = f"the workers on this machine did not start ({error})"
             raise SimulationError(message, remedy="run it again with --resume, or without dask") from error
         with cluster, Client(cluster, set_as_default=False) as client:

@@ -203,7 +203,7 @@ def _swept(over: Sweepable | None, scenario: Scenario) -> tuple[SweptParameter, 
     if not over:
         raise ParameterError("nothing is varied", remedy="give a parameter, such as --over 'load.mass2=0.2 kg..1.0 kg'")
     parsed = iter(parse_sweeps([one for one in over if isinstance(one, str)], scenario))
-    return tuple(next(parsed) if isinstance(one, str) else one for one in over)  # type: ignore[misc]
+    return tuple(next(parsed) if isinstance(one, str) else one for one in over)
 
 
 def _precision(bits: int | None) -> int:

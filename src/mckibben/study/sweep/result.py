@@ -331,7 +331,7 @@ def outcome_rows(numbers: Mapping[str, Any]) -> list[Row]:
 
 def metric_rows(numbers: Mapping[str, Any]) -> list[Row]:
     """Name, unit and statistics of each metric that has values."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     valid = numbers["runs"] - numbers["failed"]
     for name, found in numbers["metrics"].items():
         if not found["runs"]:

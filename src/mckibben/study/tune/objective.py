@@ -238,7 +238,9 @@ class TuningProblem:
 
     def _table(self, scenario: Scenario, rows: Vector) -> Table:
         tuned = {name: rows[:, i] for i, name in enumerate(self.space.names)}
-        table = tuned | {name: np.repeat(each, len(rows) // self._draws) for name, each in self.conditions.items()}
+        table: dict[str, Any] = tuned | {
+            name: np.repeat(each, len(rows) // self._draws) for name, each in self.conditions.items()
+        }
         if self.cost.delay_margin:
             late = np.arange(len(rows)) // (len(rows) // (2 * self._draws)) % 2
             own = table.get(_DELAY, scenario.command_delay or 0.0)

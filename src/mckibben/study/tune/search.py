@@ -296,7 +296,7 @@ def by_evolution(
         lambda columns: function(columns.T),
         [(0.0, 1.0)] * first.size,
         x0=first,
-        init=np.random.default_rng(seed).uniform(0.0, 1.0, (population, first.size)),  # type: ignore[arg-type]
+        init=np.random.default_rng(seed).uniform(0.0, 1.0, (population, first.size)),
         maxiter=generations,
         vectorized=True,
         updating="deferred",
