@@ -111,6 +111,22 @@ def test_single_points_that_contradict_the_others_are_named(heard, column, rows,
     assert len(told) == 1
 
 
+@pytest.mark.parametrize("scatter", [0.0, 0.01])
+@pytest.mark.parametrize("typed", [30.51, 9.9, 2.55, 0.35])
+def test_one_wrong_pressure_is_named_and_leaves_the_levels_as_they_are(heard, scatter, typed):
+    pressure, contraction, force = points()
+    pressure = changed(pressure + np.random.default_rng(3).normal(0, scatter, len(pressure)), [60], typed)
+    if typed > 16:  # impossible for a muscle
+        with pytest.raises(DatasetError) as error:
+            heard(pressure, contraction, force)
+        told = [str(one) for one in error.value.problems]
+        assert len(told) == 1
+    else:
+        data, told = heard(pressure, contraction, force)
+        assert {*data.pressures} == {1e5, 2e5, 3e5, 4e5, 5e5, 6e5, data.pressure[60]}
+    assert [one for one in told if "line 62 (" in one]
+
+
 @pytest.mark.parametrize("order", ["shuffled", "by contraction", "backward"])
 def test_the_order_of_the_rows_is_no_contradiction(heard, order):
     columns = points()

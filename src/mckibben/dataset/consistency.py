@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from mckibben.component.calls import user_level
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.plausibility import REPEATED, UNEQUAL, check_points, resolution
-from mckibben.errors import DatasetError, McKibbenWarning
+from mckibben.dataset.preprocessing import STRAY
+from mckibben.dataset.schema import format_range
+from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.muscle import Specimen
 from mckibben.units import bar, percent
 
@@ -87,7 +89,9 @@ def check_dataset(
         dict(set.intersection(*(set(one.units.items()) for one in dataset.lines))) if dataset.lines else {},
     )
     if found.problems and not only_warn:
-        raise DatasetError(source, found.problems)
+        stray = [Problem(text, field="pressure") for text in _far_from_levels(dataset)]
+        others = [one for one in found.problems if one.field != "pressure"] if stray else found.problems
+        raise DatasetError(source, [*stray, *others])
     for text in [*map(str, found.problems), *found.warnings, *(() if found.problems else contradictions(dataset))]:
         warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=user_level())
     return dataset
@@ -98,6 +102,7 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     if not (len(dataset) and dataset.force.max() > 0 and dataset.pressure.max() > 0):
         return
     yield from _set_pressures(dataset)
+    yield from (f"pressure: {text}" for text in _far_from_levels(dataset))
     if (slack := dataset.table.attrs["slack_force"]) >= dataset.force.max():
         yield f"slack_force: all forces are up to the {slack:g} N at which the muscle counts as slack; give a lower one"
     levels = _levels(dataset.pressure)
@@ -155,6 +160,26 @@ def _set_pressures(dataset: IsobaricDataset) -> Iterator[str]:
         yield (
             f"set_pressure: {len(off)} of {len(asked)} set pressures are far from the measured ones, first "
             f"{asked[at] / bar:.3g} bar at {measured[at] / bar:.3g} bar; check the unit, or leave the column out"
+        )
+
+
+def _far_from_levels(dataset: IsobaricDataset) -> Iterator[str]:
+    """Message on single pressures far from the levels of all other points."""
+    levels, number, counts = np.unique(dataset.levels, return_inverse=True, return_counts=True)
+    full = levels[counts >= _PAIRS]
+    alone = np.flatnonzero(counts[number] < _PAIRS)
+    if len(full) < 2 or not 0 < len(alone) <= max(1, STRAY * len(dataset)):
+        return
+    distance = np.abs(dataset.pressure[alone, None] - full).min(axis=1)
+    vented = np.abs(dataset.pressure[alone]) <= _LEVEL / 2 * full.max()
+    if len(alone := alone[(distance > REPEATED * full.max()) & ~vented]):
+        shown = ", ".join(
+            f"{dataset.place(at)} ({dataset.pressure[at] / bar:.4g} bar)" for at in alone[:_NAMED].tolist()
+        )
+        more = f" and {len(alone) - _NAMED} more" if len(alone) > _NAMED else ""
+        yield (
+            f"{shown}{more} is far from the pressure levels of all other points, {format_range(full / bar)} bar; "
+            "correct it, or leave it out"
         )
 
 

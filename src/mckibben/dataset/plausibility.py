@@ -26,6 +26,7 @@ _DIAMETERS = (0.8 * mm, 1.7 * mm, 80 * mm, 120 * mm)
 """Implied diameter: impossible below, usual from, usual to, impossible above. Thin muscles are sold from 1.8 mm."""
 _LIKE_SPECIMEN = (*air.USUAL_DIAMETERS, 3.0)  # implied over given diameter: usual from, usual to, impossible above
 _STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contractions of a taut muscle
+_LONGER, _PRESSURIZED, _WEAK = -0.005, 0.1, 0.3  # a stretched muscle: contraction, pressure and force over the largest
 _FIRST = 0.1  # smallest contraction of a test that begins near the initial length
 _COPIED = 4  # repeated rows in the same order that count as copies
 _SMALL_FORCE = 0.05  # of the largest one
@@ -108,7 +109,7 @@ def _ranges(
     units: Mapping[str, str] = _SI,
 ) -> Iterator[tuple[Problem, bool]]:
     """Messages for unusual ranges of points, and whether they are impossible."""
-    yield from _contractions(contraction, force > slack_force, initial_length)
+    yield from _contractions(pressure, contraction, force, slack_force, initial_length)
     yield from check_pressures(float(pressure.max()), units.get("pressure", "Pa"))
     yield from _forces(pressure, force, specimen, units.get("force", "N"))
 
@@ -128,15 +129,24 @@ def check_sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
 
 
 def _contractions(
-    contraction: Floats, taut: NDArray[np.bool_], initial: float | None
+    pressure: Floats, contraction: Floats, force: Floats, slack_force: float, initial: float | None
 ) -> Iterator[tuple[Problem, bool]]:
-    low, high = float(contraction.min()), float(contraction[taut].max(initial=-1.0))
+    low, high = float(contraction.min()), float(contraction[force > slack_force].max(initial=-1.0))
+    weak = (contraction < _LONGER) & (pressure > _PRESSURIZED * pressure.max())
+    weak &= force * pressure.max() < _WEAK * pressure * force.max()
     if low < _STRETCHED:
         text = f"contractions begin at {low / percent:.3g} %, but a muscle can be stretched by about 3 % only"
         yield (
             Problem(text, field="contraction", remedy=f"{_LENGTH}, the sign (positive = shorter), and {_ZERO}"),
             low < _OVERSTRETCHED,
         )
+    elif np.count_nonzero(weak) > 1:
+        text = (
+            f"{np.count_nonzero(contraction < 0)} contractions are negative, down to {low / percent:.3g} %, but at "
+            f"{np.count_nonzero(weak)} of them the muscle hardly pulls, such as {force[weak].min():.3g} N at "
+            f"{pressure[weak][np.argmin(force[weak])] / bar:.3g} bar: it cannot be stretched there"
+        )
+        yield Problem(text, field="contraction", remedy=f"{_LENGTH}, and {_ZERO}"), False
     elif low > _FIRST:
         longest = f": the longest length measured is {initial * (1 - low) / mm:.4g} mm" if initial else ""
         text = f"contractions begin at {low / percent:.3g} %, not near 0 %{longest}"
