@@ -348,9 +348,12 @@ def table(title: str, headers: tuple[str, ...], rows: list[tuple[str, ...]]) -> 
     console.print(table)
 
 
+_LOG_INTERVAL, _LOG_SHARE = 10.0, 0.25  # s, and of the elapsed time: between lines of progress in a log
+
+
 @contextmanager
 def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
-    """Progress bar of `width` columns on standard error."""
+    """Progress bar of `width` columns on standard error; lines, ever less often, in a log."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -361,9 +364,29 @@ def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
         TimeRemainingColumn(),
         TextColumn("{task.description}"),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _log_lines()
+        return
+    with Progress(*columns, console=console) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda what, part: bar.update(task, description=what, completed=part)
+
+
+def _log_lines() -> Callable[[str, float], None]:
+    """Progress as lines on standard error, with an estimate of the time left."""
+    lines: list[tuple[float, float]] = []  # time and part of the first report, then of each line
+
+    def report(what: str, part: float) -> None:
+        now = time.monotonic()
+        lines[:] = lines or [(now, part)]
+        elapsed, done = now - lines[0][0], part - lines[0][1]
+        if done > 0 and now - lines[-1][0] >= max(_LOG_INTERVAL, _LOG_SHARE * elapsed):
+            left = time_text(elapsed * (1 - part) / done)
+            echo(f"{100 * part:.0f} % after {time_text(elapsed)}, about {left} left: {what}", err=True)
+            lines.append((now, part))
+
+    return report
 
 
 _ROUNDING = 1e-12  # of metrics, in shown units
