@@ -127,6 +127,18 @@ def test_one_wrong_pressure_is_named_and_leaves_the_levels_as_they_are(heard, sc
     assert [one for one in told if "line 62 (" in one]
 
 
+def test_rows_of_a_saturated_sensor_are_left_out_from_a_given_force_on(heard, tmp_path):
+    pressure, contraction, force = points()
+    columns = pressure, contraction, np.minimum(force, 255.0)
+    assert any("largest_force" in one and "--largest-force" in one for one in heard(*columns)[1])
+    data, told = heard(*columns, largest_force=255.0)
+    assert len(data) == np.count_nonzero(force < 255) < len(force)
+    assert [f"{np.count_nonzero(force >= 255)} of 108 rows are left out" in one for one in told] == [True]
+    assert data.place(0) == f"line {np.argmax(force < 255) + 2}"
+    heard(*columns)[0].to_netcdf(tmp_path / "kept.nc")
+    assert len(read_dataset(tmp_path / "kept.nc", largest_force=250.0)) == np.count_nonzero(force < 250)
+
+
 @pytest.mark.parametrize("order", ["shuffled", "by contraction", "backward"])
 def test_the_order_of_the_rows_is_no_contradiction(heard, order):
     columns = points()

@@ -132,6 +132,7 @@ _OF_READING: Mapping[str, Any] = {  # names as in a recipe
     "slack_force": Annotated[
         str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
     ],
+    "largest_force": Annotated[str, Option(metavar="FORCE", help="Leave out rows from this force on, as saturated.")],
     "force_sign": Annotated[str, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")],
     "specimen": Annotated[str, Option(metavar="NAME", help="Name of the specimen.")],
     "column": Annotated[
@@ -149,7 +150,8 @@ _OF_READING: Mapping[str, Any] = {  # names as in a recipe
         ),
     ],
 }
-_UNITS = {"initial_length": "m", "zero_length": "m", "slack_force": "N", "contraction": "1", "sample_rate": "Hz"}
+_UNITS = {"initial_length": "m", "zero_length": "m", "contraction": "1", "sample_rate": "Hz"}
+_UNITS |= {"slack_force": "N", "largest_force": "N"}
 _UNSET = {"column": None, "skip_corrupt": False, "recipe": None}
 
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.plausibility import REPEATED, UNEQUAL, check_points, resolution
-from mckibben.dataset.preprocessing import STRAY
-from mckibben.dataset.schema import format_range
+from mckibben.dataset.plausibility import LARGEST_FORCE, REPEATED, UNEQUAL, check_points, resolution
+from mckibben.dataset.preprocessing import strays
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.muscle import Specimen
 from mckibben.units import bar, percent
@@ -37,8 +36,7 @@ _APART = 1.4  # ratio of pressures at which contractions are compared
 _AGAINST = 3  # points that an outlier contradicts
 _STILL = 0.1  # of the largest change of contraction: smaller ones may be noise
 _SHARE = 0.1  # of the points: more are not single errors
-_MOST = 1000  # points at a level that are compared in pairs
-_NAMED = 5  # points named in a warning
+_MOST, _NAMED = 1000, 5  # points at a level that are compared in pairs, and those named in a warning
 _HELD = 0.2  # of the rows: forces that repeat although the muscle moved
 _VARIED = 1 / 6  # of the rows: different forces of a test that is not isotonic
 _COARSE = 10  # steps of the resolution of the force, below which equal forces are rounded ones
@@ -90,8 +88,7 @@ def check_dataset(
     )
     if found.problems and not only_warn:
         stray = [Problem(text, field="pressure") for text in _far_from_levels(dataset)]
-        others = [one for one in found.problems if one.field != "pressure"] if stray else found.problems
-        raise DatasetError(source, [*stray, *others])
+        raise DatasetError(source, stray + [one for one in found.problems if not stray or one.field != "pressure"])
     for text in [*map(str, found.problems), *found.warnings, *(() if found.problems else contradictions(dataset))]:
         warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=user_level())
     return dataset
@@ -102,7 +99,7 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     if not (len(dataset) and dataset.force.max() > 0 and dataset.pressure.max() > 0):
         return
     yield from _set_pressures(dataset)
-    yield from (f"pressure: {text}" for text in _far_from_levels(dataset))
+    yield from map("pressure: {}".format, _far_from_levels(dataset))
     if (slack := dataset.table.attrs["slack_force"]) >= dataset.force.max():
         yield f"slack_force: all forces are up to the {slack:g} N at which the muscle counts as slack; give a lower one"
     levels = _levels(dataset.pressure)
@@ -165,22 +162,12 @@ def _set_pressures(dataset: IsobaricDataset) -> Iterator[str]:
 
 def _far_from_levels(dataset: IsobaricDataset) -> Iterator[str]:
     """Message on single pressures far from the levels of all other points."""
-    levels, number, counts = np.unique(dataset.levels, return_inverse=True, return_counts=True)
-    full = levels[counts >= _PAIRS]
-    alone = np.flatnonzero(counts[number] < _PAIRS)
-    if len(full) < 2 or not 0 < len(alone) <= max(1, STRAY * len(dataset)):
-        return
-    distance = np.abs(dataset.pressure[alone, None] - full).min(axis=1)
-    vented = np.abs(dataset.pressure[alone]) <= _LEVEL / 2 * full.max()
-    if len(alone := alone[(distance > REPEATED * full.max()) & ~vented]):
-        shown = ", ".join(
-            f"{dataset.place(at)} ({dataset.pressure[at] / bar:.4g} bar)" for at in alone[:_NAMED].tolist()
+    if len(rows := strays(dataset.pressure, dataset.levels)):
+        named = ", ".join(
+            f"{dataset.place(at)} ({dataset.pressure[at] / bar:.4g} bar)" for at in rows[:_NAMED].tolist()
         )
-        more = f" and {len(alone) - _NAMED} more" if len(alone) > _NAMED else ""
-        yield (
-            f"{shown}{more} is far from the pressure levels of all other points, {format_range(full / bar)} bar; "
-            "correct it, or leave it out"
-        )
+        text = f"{len(rows)} of {len(dataset)} are far from the levels of all other points: {named}"
+        yield f"{text}; correct these rows, or leave them out"
 
 
 def _rising_forces(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
@@ -337,12 +324,8 @@ def _counted(dataset: IsobaricDataset) -> Iterator[str]:
     moves, steps = np.diff(dataset.contraction), np.diff(dataset.pressure)
     large = moves[np.abs(moves) > _STILL * np.abs(moves).max(initial=0.0)]
     reversals = int(np.count_nonzero(np.diff(np.sign(large))))
-    if (
-        np.ptp(dataset.contraction) > _SHORTEST_STROKE
-        and reversals >= _AGAINST
-        and steps[0] != 0
-        and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
-    ):
+    equal = steps.any() and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
+    if equal and reversals >= _AGAINST and np.ptp(dataset.contraction) > _SHORTEST_STROKE:
         yield (
             f"pressure: each of {len(steps)} rows has {steps[0] / bar:.3g} bar more than the one before, although the "
             f"muscle reversed {reversals} times: a spreadsheet may have counted it up"
@@ -386,7 +369,8 @@ def _saturated(dataset: IsobaricDataset) -> Iterator[str]:
         yield (
             f"force: {len(top)} forces are within 3 % of the largest, {force.max():.4g} N, at points as different as "
             f"{pressure[at] / bar:.3g} bar and {contraction[at] / percent:.3g} %, and {pressure[other] / bar:.3g} bar "
-            f"and {contraction[other] / percent:.3g} %: the sensor or its amplifier may be saturated"
+            f"and {contraction[other] / percent:.3g} %: the sensor or its amplifier may be saturated; "
+            f"leave such rows out{LARGEST_FORCE}"
         )
 
 

@@ -47,6 +47,7 @@ REPEATED = 0.01  # of the highest pressure: pressures of repeated points
 UNEQUAL = (0.3, 0.15)  # of a force, and of the largest: more than friction and creep
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _SI = MappingProxyType({"pressure": "Pa", "force": "N"})
+LARGEST_FORCE = " with largest_force (command line: --largest-force)"
 _LENGTH = "check initial_length (command line: --initial-length)"
 _ZERO = "zero_length (command line: --zero-length) of displacements"
 _UNIT = (
@@ -302,11 +303,9 @@ def _clipped(
     twice = twice and resolution(values) * _FINE < levels[-1]
     often = counts[-1] > max(2 * others, _REPEATED - 1) or counts[-1] >= 2 * max(others, _REPEATED)
     if len(levels) > 2 and (often or twice or (name == "pressure" and _is_cut_off(values))):
-        text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
-        yield (
-            Problem(text, field=name, remedy="check the range of the sensor, and leave out the rows at its end"),
-            False,
-        )
+        text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times and may be saturated"
+        remedy = "check the range of the sensor, and leave out the rows at its end"
+        yield Problem(text, field=name, remedy=f"{remedy}{LARGEST_FORCE if name == 'force' else ''}"), False
 
 
 def _is_cut_off(values: Floats) -> bool:

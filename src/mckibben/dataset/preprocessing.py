@@ -26,7 +26,7 @@ Ints = NDArray[np.int_]
 Bools = NDArray[np.bool_]
 
 _FEWEST = 3  # points at a level
-STRAY = 0.02  # of the points, or one: pressures far from all levels, which are errors
+_STRAY = 0.02  # of the points, or one: pressures far from all levels, which are errors
 _MOST_LEVELS, _MOST_RUNS = 10_000, 100_000  # beyond which levels and passes are not looked for, as they take long
 _SEPARATION = 2.5  # smallest ratio of gaps between levels to gaps within
 _ONE_LEVEL = 0.01  # of the highest pressure: a narrower range is scatter about one level
@@ -64,7 +64,7 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = Non
 def _with_set_pressures(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     """Table with the nominal pressures of its levels, and a note; unchanged if it has some or shows no levels."""
     pressure = table["pressure"].to_numpy()
-    strays = max(1, int(STRAY * len(pressure)))
+    strays = max(1, int(_STRAY * len(pressure)))
     if "set_pressure" in table or (labels := group_pressures(pressure, strays)) is None:
         return table, []
     nominal, scatter = nominal_pressures(pressure, labels)
@@ -156,6 +156,17 @@ def group_pressures(pressure: Floats, strays: int = 0) -> Ints | None:
         labels[order] = np.repeat(np.where(full, np.cumsum(full) - 1, -1), counts)
         return labels if width else None
     return None
+
+
+def strays(pressure: Floats, levels: Floats) -> Ints:
+    """Rows of single pressures far from the levels of all other points; none if these form no levels."""
+    values, number, counts = np.unique(levels, return_inverse=True, return_counts=True)
+    full, alone = values[counts >= _FEWEST], np.flatnonzero(counts[number] < _FEWEST)
+    if len(full) < 2 or len(alone) > max(1, _STRAY * len(levels)):
+        return alone[:0]
+    near = _ONE_LEVEL * full.max()
+    distance = np.abs(pressure[alone, None] - np.append(full, 0.0)).min(axis=1)  # a vented muscle is none
+    return alone[distance > near]
 
 
 def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:

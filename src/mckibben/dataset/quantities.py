@@ -193,7 +193,7 @@ class ColumnConverter:
             "slack_force": found.get("slack_force", 0.0) if slack_force is None else slack_force,
         }
 
-    def columns(self, force_sign: int) -> dict[str, np.ndarray]:
+    def columns(self, force_sign: int, largest_force: float | None = None) -> dict[str, np.ndarray]:
         """Columns in SI units, lengths converted to contractions, and categorical columns."""
         data = {name: self._numbers(name) for name in self.places if name not in WORDS}
         self.measured = {name: data[name] for name in ("length", "displacement") if name in data}
@@ -205,6 +205,9 @@ class ColumnConverter:
         if "force" in data:
             data["force"] *= force_sign
             self.force_sign = force_sign
+            for row in np.flatnonzero(data["force"] >= (np.inf if largest_force is None else largest_force)).tolist():
+                text = f"{data['force'][row]:.4g} N is at the end of the sensor's range"
+                self.missing.append(self.sheet.kind(text, line=self.lines[row], field="force"))
         if (length := data.pop("length", None)) is not None:
             if "contraction" in data:
                 self._compare(data["contraction"], length)
