@@ -85,6 +85,7 @@ def check_dataset(
         specimen,
         measured,
         dict(set.intersection(*(set(one.units.items()) for one in dataset.lines))) if dataset.lines else {},
+        dataset.place,
     )
     if found.problems and not only_warn:
         stray = [Problem(text, field="pressure") for text in _far_from_levels(dataset)]
@@ -244,13 +245,13 @@ def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]
     if found and (single or len(found) >= _AGAINST):
         first = sorted(found)[:_NAMED]
         shown = ", ".join(
-            f"{at + 1} ({pressure[at] / bar:.3g} bar, {contraction[at] / percent:.3g} %, {force[at]:.4g} N)"
+            f"{dataset.place(at)} ({pressure[at] / bar:.3g} bar, {contraction[at] / percent:.3g} %, {force[at]:.4g} N)"
             for at in first
         )
         more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
         yield (
             f"force: {len(found)} of {len(force)} points contradict the others: the force should rise with the "
-            f"pressure and fall with the contraction, which it does not at point {shown}{more}; "
+            f"pressure and fall with the contraction, which it does not at {shown}{more}; "
             + ("check these rows, or leave them out" if single else "they may be of another muscle, unit or sensor")
         )
 

@@ -72,10 +72,11 @@ def check_points(
     specimen: Specimen | None = None,
     measured: Floats | None = None,
     units: Mapping[str, str] = _SI,
+    place: Callable[[int], str] = "row {}".format,
 ) -> Findings:
     """Check points of a muscle, and of its specimen where it is known; `measured` are forces with their offset.
 
-    `units` are those in which pressure and force were given.
+    `units` are those in which pressure and force were given, `place` names a row, counted from 0.
     """
     problems, warnings = [], []
     measured = force if measured is None else measured
@@ -85,7 +86,7 @@ def check_points(
     elif len(force):
         for problem, impossible in (
             *found,
-            *_ranges(pressure, contraction, force, slack_force, initial_length, specimen, units),
+            *_ranges(pressure, contraction, force, slack_force, initial_length, specimen, units, place),
             *_clipped("force", measured, 1.0, "N", pressure, contraction),
             *_clipped("pressure", pressure, bar, "bar"),
             *_clipped("contraction", contraction, percent, "%"),
@@ -108,9 +109,10 @@ def _ranges(
     initial_length: float | None = None,
     specimen: Specimen | None = None,
     units: Mapping[str, str] = _SI,
+    place: Callable[[int], str] = "row {}".format,
 ) -> Iterator[tuple[Problem, bool]]:
     """Messages for unusual ranges of points, and whether they are impossible."""
-    yield from _contractions(pressure, contraction, force, slack_force, initial_length)
+    yield from _contractions(pressure, contraction, force, slack_force, initial_length, place)
     yield from check_pressures(float(pressure.max()), units.get("pressure", "Pa"))
     yield from _forces(pressure, force, specimen, units.get("force", "N"))
 
@@ -130,13 +132,19 @@ def check_sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
 
 
 def _contractions(
-    pressure: Floats, contraction: Floats, force: Floats, slack_force: float, initial: float | None
+    pressure: Floats,
+    contraction: Floats,
+    force: Floats,
+    slack_force: float,
+    initial: float | None,
+    place: Callable[[int], str],
 ) -> Iterator[tuple[Problem, bool]]:
     low, high = float(contraction.min()), float(contraction[force > slack_force].max(initial=-1.0))
     weak = (contraction < _LONGER) & (pressure > _PRESSURIZED * pressure.max())
     weak &= force * pressure.max() < _WEAK * pressure * force.max()
     if low < _STRETCHED:
-        text = f"contractions begin at {low / percent:.3g} %, but a muscle can be stretched by about 3 % only"
+        single = f" in {place(int(np.argmin(contraction)))}" if np.count_nonzero(contraction < 0) == 1 else ""
+        text = f"contractions begin at {low / percent:.3g} %{single}, but a muscle can be stretched by about 3 % only"
         yield (
             Problem(text, field="contraction", remedy=f"{_LENGTH}, the sign (positive = shorter), and {_ZERO}"),
             low < _OVERSTRETCHED,

@@ -88,6 +88,9 @@ _WORD_REMEDY = {
     "direction": "write loading (being stretched), unloading (shortening) or unknown, or leave the column out",
     "phase": "write filling, venting or unknown, or leave the column out",
 }
+_MEANING_REMEDY = (
+    "; or give its meaning ({0} or {1}), columns={{{text!r}: {0!r}}} (command line: --column '{text}={0}')"
+)
 
 
 def impossible_settings(initial_length: float | None, slack_force: float | None) -> list[Problem]:
@@ -121,12 +124,15 @@ class ColumnConverter:
         unread: Collection[str] = (),
     ) -> None:
         self.sheet = sheet
+        own = {text: word for text, word in mapping.items() if any(word in words for words in WORDS.values())}
+        mapping = {header: name for header, name in mapping.items() if header not in own}
         self.displacement, self.zero_length = displacement, zero_length
         sheet.channels, several = with_units_beside(
             [without_units(channel, mapping.get(channel.name, "")) for channel in sheet.channels]
         )
         self.missing: list[Problem] = []
         self.mapping = mapping
+        self.meanings = {text.lower(): word for text, word in own.items()}
         self.initial_length = initial_length
         self.force_sign = 1
         layout = find_columns(sheet, mapping, needed, unread)
@@ -360,15 +366,15 @@ class ColumnConverter:
     def _words(self, name: str) -> NDArray[np.str_]:
         """Directions or phases."""
         cells = [str(cell) for cell in self.sheet.channels[self.places[name][0]].cells]
-        meaning = {text: _MEANINGS[name].get(text.strip().lower()) for text in set(cells)}
+        known = {**_MEANINGS[name], **{text: word for text, word in self.meanings.items() if word in WORDS[name]}}
+        meaning = {text: known.get(text.strip().lower()) for text in set(cells)}
         for line, text in zip(self.lines, cells, strict=True):
             if meaning[text] is None:
-                shown = repr(text.strip()[:40]) if text.strip() else "an empty cell"
-                self.corrupt.append(
-                    self.sheet.kind(
-                        f"{shown} is not a {name}", line=line, field=self._field(name), remedy=_WORD_REMEDY[name]
-                    )
-                )
+                short = text.strip()[:40]
+                shown = repr(short) if short else "an empty cell"
+                problem = self.sheet.kind(f"{shown} is not a {name}", line=line, field=self._field(name))
+                meaning_remedy = _MEANING_REMEDY.format(*WORDS[name], text=short) if short else ""
+                self.corrupt.append(replace(problem, remedy=_WORD_REMEDY[name] + meaning_remedy))
         return np.array([meaning[text] or "" for text in cells], dtype="<U9")
 
     def _numbers(self, name: str) -> NDArray[np.float64]:
