@@ -124,15 +124,13 @@ class ColumnConverter:
         unread: Collection[str] = (),
     ) -> None:
         self.sheet = sheet
-        own = {text: word for text, word in mapping.items() if any(word in words for words in WORDS.values())}
-        mapping = {header: name for header, name in mapping.items() if header not in own}
         self.displacement, self.zero_length = displacement, zero_length
         sheet.channels, several = with_units_beside(
             [without_units(channel, mapping.get(channel.name, "")) for channel in sheet.channels]
         )
         self.missing: list[Problem] = []
         self.mapping = mapping
-        self.meanings = {text.lower(): word for text, word in own.items()}
+        mapping = {header: name for header, name in mapping.items() if all(name not in one for one in WORDS.values())}
         self.initial_length = initial_length
         self.force_sign = 1
         layout = find_columns(sheet, mapping, needed, unread)
@@ -366,15 +364,14 @@ class ColumnConverter:
     def _words(self, name: str) -> NDArray[np.str_]:
         """Directions or phases."""
         cells = [str(cell) for cell in self.sheet.channels[self.places[name][0]].cells]
-        known = {**_MEANINGS[name], **{text: word for text, word in self.meanings.items() if word in WORDS[name]}}
-        meaning = {text: known.get(text.strip().lower()) for text in set(cells)}
+        given = {text.lower(): word for text, word in self.mapping.items() if word in WORDS[name]}
+        meaning = {text: {**_MEANINGS[name], **given}.get(text.strip().lower()) for text in set(cells)}
         for line, text in zip(self.lines, cells, strict=True):
             if meaning[text] is None:
                 short = text.strip()[:40]
-                shown = repr(short) if short else "an empty cell"
-                problem = self.sheet.kind(f"{shown} is not a {name}", line=line, field=self._field(name))
-                meaning_remedy = _MEANING_REMEDY.format(*WORDS[name], text=short) if short else ""
-                self.corrupt.append(replace(problem, remedy=_WORD_REMEDY[name] + meaning_remedy))
+                remedy = _WORD_REMEDY[name] + (_MEANING_REMEDY.format(*WORDS[name], text=short) if short else "")
+                message = f"{repr(short) if short else 'an empty cell'} is not a {name}"
+                self.corrupt.append(self.sheet.kind(message, line=line, field=self._field(name), remedy=remedy))
         return np.array([meaning[text] or "" for text in cells], dtype="<U9")
 
     def _numbers(self, name: str) -> NDArray[np.float64]:
