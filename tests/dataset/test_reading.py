@@ -561,14 +561,18 @@ def test_points_know_their_lines(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("units", "field", "advice"), [(("kPa", "N"), "pressure", "6 kPa"), (("bar", "kN"), "force", "540 kN")]
+    ("units", "scale", "field", "advice", "usual"),
+    [
+        (("kPa", "N"), 1, "pressure", "6 kPa", "bar"),
+        (("bar", "N"), 1000, "pressure", "6000 bar", "mbar"),  # in which the force would be that of a thread
+        (("bar", "kN"), 1, "force", "540 kN", "N"),
+    ],
 )
-def test_the_unit_in_which_a_number_would_be_usual_is_proposed(tmp_path, units, field, advice):
-    rows = [f"{p},{c},{p * (30 - c) * 3}" for p in (2, 4, 6) for c in (0, 5, 10, 15)]
+def test_the_unit_in_which_a_number_would_be_usual_is_proposed(tmp_path, units, scale, field, advice, usual):
+    rows = [f"{p * scale},{c},{p * (30 - c) * 3}" for p in (2, 4, 6) for c in (0, 5, 10, 15)]
     path = tmp_path / "wrong.csv"
     path.write_text("\n".join([f"pressure_{units[0]},contraction_percent,force_{units[1]}", *rows]))
     with pytest.raises(DatasetError) as caught:
         read_dataset(path)
     (problem,) = caught.value.problems
-    usual = {"pressure": "bar", "force": "N"}[field]
     assert problem.field == field and f"{advice} would be usual in {usual}" in problem.remedy

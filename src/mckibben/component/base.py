@@ -78,6 +78,8 @@ class Described:
     """Groups of optional fields of which all are given or none; a study varies them where they are given."""
     renamed: ClassVar[Mapping[str, str]] = {}
     """Replacements of former keys of files, by key, for error messages."""
+    made_by: ClassVar[str] = ""
+    """Another call that makes an object, with {} for the class: part of the error of a construction without values."""
     suggestions: ClassVar[Mapping[str, str]] = {}
     """Suggestions for unknown attributes, by name."""
 

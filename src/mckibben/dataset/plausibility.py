@@ -113,8 +113,10 @@ def _ranges(
 ) -> Iterator[tuple[Problem, bool]]:
     """Messages for unusual ranges of points, and whether they are impossible."""
     yield from _contractions(pressure, contraction, force, slack_force, initial_length, place)
-    yield from check_pressures(float(pressure.max()), units.get("pressure", "Pa"))
-    yield from _forces(pressure, force, specimen, units.get("force", "N"))
+    pressures = list(check_pressures(float(pressure.max()), units.get("pressure", "Pa")))
+    yield from pressures
+    if not any(impossible for _, impossible in pressures):  # the diameter follows from force and pressure
+        yield from _forces(pressure, force, specimen, units.get("force", "N"))
 
 
 def check_sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
