@@ -255,11 +255,11 @@ def show_warnings(texts: Iterable[str]) -> None:
 
 
 _BREAKS_AT_DOTS = r"""
-<q-td :props="props">
+<q-td :props="props" :style="/^[-+0-9.]+ \S+$/.test(props.value) ? 'white-space: nowrap !important' : ''">
   <template v-for="part in String(props.value).split(/(?<=[._])(?=[A-Za-z])/)">{{part}}<wbr></template>
 </q-td>
 """
-"""A cell whose dotted names may continue on the next line; copied text has no additional characters."""
+"""A cell whose dotted names may continue on the next line, a unit not; copied text has no additional characters."""
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int = 1) -> ui.table:
