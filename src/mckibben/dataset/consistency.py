@@ -167,8 +167,8 @@ def _far_from_levels(dataset: IsobaricDataset) -> Iterator[str]:
         named = ", ".join(
             f"{dataset.place(at)} ({dataset.pressure[at] / bar:.4g} bar)" for at in rows[:_NAMED].tolist()
         )
-        text = f"{len(rows)} of {len(dataset)} are far from the levels of all other points: {named}"
-        yield f"{text}; correct these rows, or leave them out"
+        verb = "is" if len(rows) == 1 else f"({len(rows)} in all) are"
+        yield f"{named} {verb} far from the levels of all other points; correct these rows, or leave them out"
 
 
 def _rising_forces(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
