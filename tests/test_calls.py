@@ -28,7 +28,9 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.simulate(SCENARIO), "scenario.simulate()"),  # type: ignore[arg-type]
         (lambda: mk.simulate(SCENARIO.plant(), SCENARIO.control()), "simulate(plant, controller, reference)"),
         (lambda: mk.identify(DATA), "identify(ExponentialLaw"),  # type: ignore[arg-type]
-        (lambda: mk.identify(DATA, mk.ExponentialLaw), "identify(ExponentialLaw"),  # type: ignore[arg-type]
+        (lambda: mk.identify(DATA, mk.SmoothLaw), "identify(SmoothLaw, data)"),  # type: ignore[arg-type]
+        (lambda: mk.identify(mk.SmoothLaw(), DATA), "identify(SmoothLaw, data)"),  # type: ignore[call-arg, arg-type]
+        (lambda: mk.identify(LAW, DATA), "identify(ExponentialLaw, data)"),  # type: ignore[arg-type]
         (lambda: mk.rank(mk.ExponentialLaw, DATA), "rank(read_dataset"),  # type: ignore[arg-type]
         (lambda: mk.identify(mk.ExponentialLaw, DATA, robust="no"), "True or False"),  # type: ignore[arg-type]
         (lambda: mk.read_dataset(3), "path"),  # type: ignore[arg-type]

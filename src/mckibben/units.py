@@ -207,6 +207,9 @@ def quantity(text: str, unit: str) -> float:
             f"{quoted(text)} is not a number and a unit", value=text, unit=unit, remedy=f"write it like {example!r}"
         )
     rest = f"1{rest}" if rest.startswith("/") else rest
+    if unit in ("rad", "deg") and rest in ("bit", "bits"):  # of an encoder
+        step = f"{360 / 2 ** min(abs(float(number.group())), 64):.6g} deg"
+        raise UnitError(f"{quoted(text)} is not an angle", value=text, unit=unit, remedy=f"write the step: {step!r}")
     value = float(number.group()) * factor(rest or "1", unit)
     mantissa = number.group().lower().partition("e")[0]
     if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # by `Quantity.write`

@@ -1,6 +1,7 @@
 """The command as a whole: exit codes, what goes where, what is imported."""
 
 import errno
+import itertools
 import json
 import os
 import re
@@ -12,6 +13,7 @@ import pytest
 
 import mckibben
 from mckibben import catalog
+from mckibben.cli import options
 from mckibben.muscle import LAWS
 
 
@@ -168,6 +170,17 @@ def test_names_survive_the_width_of_a_pipe(cli, monkeypatch):
     for kind in ("specimens", "datasets"):
         for name in catalog.names(kind):
             assert name in found
+
+
+def test_a_log_gets_lines_of_progress_with_the_time_left(monkeypatch, capsys):
+    clock = itertools.count(100.0, 4.0)
+    monkeypatch.setattr(options.time, "monotonic", lambda: next(clock))
+    with options.progress() as report:
+        for part in range(101):
+            report("tuning", part / 100)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "3 % after 12 s, about 6 min 28 s left: tuning"
+    assert 8 < len(lines) < 20
 
 
 def test_a_full_disk_while_printing_is_one_line_and_exit_1():

@@ -185,7 +185,7 @@ def test_results_are_replaced_by_force_alone_and_links_are_not_followed(cli, kep
     before = {path.name: path.read_bytes() for path in kept.iterdir()}
     found = cli("simulate", "short.yaml", "--out", "kept")
     assert found.code == 2
-    assert "result.nc: it already exists" in found.err and "--force" in found.err
+    assert "1 problem" in found.err and "result.nc" in found.err and "--force" in found.err
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
     precious = tmp_path / "precious"
     for name in before:

@@ -58,6 +58,8 @@ PART = Part(0.2)
         ({"count": True}, "count", True, None),
         ({"mass": None}, "mass", None, None),
         ({"side": "up"}, "side", "up", None),
+        ({"mass": (1.0, 2.0)}, "mass", (1.0, 2.0), None),
+        ({"mass": [1.0]}, "mass", [1.0], None),
     ],
 )
 def test_a_field_of_another_type_or_out_of_range_is_refused(fields, name, value, upper):

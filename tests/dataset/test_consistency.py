@@ -107,8 +107,46 @@ def test_points_along_a_spring_are_no_wrong_sign(heard):
 def test_single_points_that_contradict_the_others_are_named(heard, column, rows, to):
     columns = list(points())
     columns[column] = changed(columns[column], rows, to)
-    told = [one for one in heard(*columns)[1] if f" {rows[-1] + 1} (" in one]
+    told = [one for one in heard(*columns)[1] if f"line {rows[-1] + 2} (" in one]
     assert len(told) == 1
+
+
+@pytest.mark.parametrize("typed", [-6.0, -60.0])  # a warning, and an error
+def test_one_wrong_contraction_is_named(heard, typed):
+    pressure, contraction, force = points()
+    try:
+        told = heard(pressure, changed(contraction, [60], typed), force)[1]
+    except DatasetError as error:
+        told = [str(one) for one in error.problems]
+    assert any("line 62" in one and "--initial-length" in one for one in told)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.01])
+@pytest.mark.parametrize("typed", [30.51, 9.9, 2.55, 0.35])
+def test_one_wrong_pressure_is_named_and_leaves_the_levels_as_they_are(heard, scatter, typed):
+    pressure, contraction, force = points()
+    pressure = changed(pressure + np.random.default_rng(3).normal(0, scatter, len(pressure)), [60], typed)
+    if typed > 16:  # impossible for a muscle
+        with pytest.raises(DatasetError) as error:
+            heard(pressure, contraction, force)
+        told = [str(one) for one in error.value.problems]
+        assert len(told) == 1
+    else:
+        data, told = heard(pressure, contraction, force)
+        assert {*data.pressures} == {1e5, 2e5, 3e5, 4e5, 5e5, 6e5, data.pressure[60]}
+    assert [one for one in told if "line 62 (" in one]
+
+
+def test_rows_of_a_saturated_sensor_are_left_out_from_a_given_force_on(heard, tmp_path):
+    pressure, contraction, force = points()
+    columns = pressure, contraction, np.minimum(force, 255.0)
+    assert any("largest_force" in one and "--largest-force" in one for one in heard(*columns)[1])
+    data, told = heard(*columns, largest_force=255.0)
+    assert len(data) == np.count_nonzero(force < 255) < len(force)
+    assert [f"{np.count_nonzero(force >= 255)} of 108 rows are left out" in one for one in told] == [True]
+    assert data.place(0) == f"line {np.argmax(force < 255) + 2}"
+    heard(*columns)[0].to_netcdf(tmp_path / "kept.nc")
+    assert len(read_dataset(tmp_path / "kept.nc", largest_force=250.0)) == np.count_nonzero(force < 250)
 
 
 @pytest.mark.parametrize("order", ["shuffled", "by contraction", "backward"])
@@ -132,7 +170,9 @@ def test_absolute_pressures_of_a_muscle_that_is_never_slack_are_reported(heard):
 
 def test_a_force_that_contradicts_those_at_less_pressure_is_named(heard):
     pressure, contraction, force = points((2, 4, 6), contractions=3, largest=12.0)
-    told = [one for one in heard(pressure, contraction, changed(force, [14], force[14] - 400.0))[1] if " 15 (" in one]
+    told = [
+        one for one in heard(pressure, contraction, changed(force, [14], force[14] - 400.0))[1] if "line 16 (" in one
+    ]
     assert len(told) == 1
 
 
@@ -173,6 +213,17 @@ def test_reversed_directions_are_reported(heard):
     assert heard(pressure, contraction, force, {"direction": words})[1] == []
     told = heard(pressure, contraction, force, {"direction": np.where(words == "loading", "unloading", "loading")})[1]
     assert len(told) == 1
+
+
+def test_words_of_another_language_are_read_by_their_meaning(heard):
+    words = np.tile(np.repeat(["descente", "Montee"], 9), 6)
+    with pytest.raises(DatasetError) as caught:
+        heard(*points(), {"direction": words})
+    remedies = [one.remedy for one in caught.value.problems]
+    assert all("columns={" in one and "--column" in one for one in remedies)
+    data, told = heard(*points(), {"direction": words}, columns={"descente": "unloading", "montee": "loading"})
+    assert told == []
+    assert data.table["direction"].values.tolist() == np.where(words == "Montee", "loading", "unloading").tolist()
 
 
 @pytest.mark.parametrize("way", ["plateaus", "isometric"])
@@ -318,7 +369,7 @@ def test_a_lost_decimal_point_at_the_largest_force_is_reported(heard):
     pressure, contraction, force = points(bars=(1, 2, 3))
     at = int(np.argmax(force))
     force[at] *= 4
-    assert any(f"point {at + 1} " in text for text in heard(pressure, contraction, force)[1])
+    assert any(f"line {at + 2} " in text for text in heard(pressure, contraction, force)[1])
 
 
 @pytest.mark.parametrize(("factor", "reported"), [(1.0, False), (2.5, True)])

@@ -185,6 +185,13 @@ def test_published_data_are_not_changed():
         assert data.table.attrs["slack_force"] == 0
 
 
+@pytest.mark.parametrize("share", [0.96, 0.97])
+def test_a_weak_muscle_that_would_be_stretched_has_another_initial_length(written, share):
+    path = written(*measured()[:3])
+    with pytest.warns(McKibbenWarning, match="--initial-length.*--zero-length"):
+        read(path, length=share * LENGTH)
+
+
 def test_levels_and_their_nominal_pressures():
     rng = np.random.default_rng(1)
     bars = np.repeat([0.5, 1.0, 1.5, 3.0], [5, 9, 7, 12])

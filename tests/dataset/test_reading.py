@@ -219,17 +219,18 @@ inf,0.1,,up,1
 break",unloading,1
 1_000,0.1,1e999,unloading,99999999999999999999
 """
-    words = "write loading (being stretched), unloading (shortening) or unknown, or leave the column out"
+    words = "write loading (being stretched), unloading (shortening) or unknown, or leave the column out; or give its "
+    words += "meaning (loading or unloading), columns={{'{0}': 'loading'}} (command line: --column '{0}=loading')"
     assert problems(file(text)) == [
         "line 4, force_N: 'abc' is not a number",
         "line 5, pressure_bar: 'nan' is not a finite number",
         "line 6, pressure_bar: 'inf' is not a finite number",
         "line 6, force_N: the cell is empty",
-        f"line 6, direction: 'up' is not a direction; {words}",
+        f"line 6, direction: 'up' is not a direction; {words.format('up')}",
         "line 7, pressure_bar: -1.02 bar is below a vacuum (-1.0132 bar, gauge)",
         "line 7, contraction_ratio: 6.4 is not between -1 and 1; "
         "this looks like percent: name the column contraction_percent",
-        f"line 7, direction: '1' is not a direction; {words}",
+        f"line 7, direction: '1' is not a direction; {words.format('1')}",
         "line 7, repeat: 1.5 is not an integer from 0 up",
         "line 8: has 4 cells, the header 5",
         "line 10, repeat: -1 is not an integer from 0 up",
@@ -560,14 +561,18 @@ def test_points_know_their_lines(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("units", "field", "advice"), [(("kPa", "N"), "pressure", "6 kPa"), (("bar", "kN"), "force", "540 kN")]
+    ("units", "scale", "field", "advice", "usual"),
+    [
+        (("kPa", "N"), 1, "pressure", "6 kPa", "bar"),
+        (("bar", "N"), 1000, "pressure", "6000 bar", "mbar"),  # in which the force would be that of a thread
+        (("bar", "kN"), 1, "force", "540 kN", "N"),
+    ],
 )
-def test_the_unit_in_which_a_number_would_be_usual_is_proposed(tmp_path, units, field, advice):
-    rows = [f"{p},{c},{p * (30 - c) * 3}" for p in (2, 4, 6) for c in (0, 5, 10, 15)]
+def test_the_unit_in_which_a_number_would_be_usual_is_proposed(tmp_path, units, scale, field, advice, usual):
+    rows = [f"{p * scale},{c},{p * (30 - c) * 3}" for p in (2, 4, 6) for c in (0, 5, 10, 15)]
     path = tmp_path / "wrong.csv"
     path.write_text("\n".join([f"pressure_{units[0]},contraction_percent,force_{units[1]}", *rows]))
     with pytest.raises(DatasetError) as caught:
         read_dataset(path)
     (problem,) = caught.value.problems
-    usual = {"pressure": "bar", "force": "N"}[field]
     assert problem.field == field and f"{advice} would be usual in {usual}" in problem.remedy

@@ -490,3 +490,5 @@ def test_a_law_is_physical_if_its_force_falls_with_contraction_and_rises_with_pr
     assert "falls with pressure" in unphysical(falling)
     rising = dataclasses.replace(law, b1=float(law.b1) + 1e4)
     assert "rises with contraction" in unphysical(rising)
+    hooked = dataclasses.replace(law, c1=-5e-4, c2=0.0, decay=300.0)  # it rises over less than 0.3 % of contraction
+    assert "rises with contraction at -3 %" in unphysical(hooked)

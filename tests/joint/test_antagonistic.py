@@ -135,7 +135,9 @@ def test_the_work_of_the_muscles_is_that_of_the_torque(angle, p1, p2):
 def test_outside_a_muscles_domain_a_direct_call_warns_once(as_printed, method):
     asked = getattr(as_printed, method)
     given = ((0.0,) if method == "forces" else ()) + ((3e5, 7e5),)
-    with pytest.warns(DomainWarning, match=r"^muscle MAS-10\S+: contraction -.* 3 bar .*; muscle MAS.* 7 bar") as said:
+    with pytest.warns(
+        DomainWarning, match=r"^muscle 'MAS-10\S+: contraction -.* 3 bar .*; muscle 'MAS.* 7 bar"
+    ) as said:
         asked(0.3, *given)
     assert len(said) == 1 and said[0].filename == __file__
     jax.jit(asked)(0.3, *given)  # traced: nothing to look at

@@ -45,7 +45,7 @@ def test_a_slack_muscle_has_no_slope_and_a_taut_one_that_of_its_law(muscle, law)
 def test_outside_its_domain_a_muscle_says_so(muscle, method):
     asked = getattr(muscle, method)
     with pytest.warns(
-        DomainWarning, match=r"^muscle MAS-10\S+: contraction -8 % and pressure 6 bar are outside contr"
+        DomainWarning, match=r"^muscle 'MAS-10\S+: contraction -8 % and pressure 6 bar are outside contr"
     ) as said:
         asked(-0.08, 6e5)
     assert "from -3 % to 25 %, pressure from 0 bar to 6 bar" in str(said[0].message)

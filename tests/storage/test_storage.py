@@ -98,7 +98,7 @@ def test_files_that_are_there_are_all_named(tmp_path):
     (tmp_path / "gone").symlink_to(tmp_path / "nowhere")
     with pytest.raises(FileError) as refused:
         check_free(tmp_path, ["a", "[b]*.yaml", "gone"])
-    assert [problem.field for problem in refused.value.problems] == ["[b]*.yaml", "gone"]
+    assert [problem.field for problem in refused.value.problems] == ["[b]*.yaml, gone"]  # in one problem
     assert "move the existing file" in str(refused.value)
 
 

@@ -55,6 +55,10 @@ FAINT = """(() => {
   return found;
 })()"""
 
+# Selected names that do not fit their field.
+CUT = """[...document.querySelectorAll('.q-select .q-field__native > span')]
+    .filter((e) => e.scrollWidth > e.clientWidth + 1).map((e) => e.innerText)"""
+
 # Counts what 3-D scenes draw.
 DRAWS = """(() => {
   const drawing = WebGL2RenderingContext.prototype, draw = drawing.drawElements;
@@ -86,6 +90,7 @@ def page(opened):
             time.sleep(0.3)
             assert tab.evaluate("document.documentElement.scrollWidth <= window.innerWidth"), name
             assert tab.evaluate(FAINT) == []
+            assert tab.evaluate(CUT) == []
             assert unnamed(tab) == []
         assert tab.errors == []
         own = (address, address.replace("http", "ws"), "data:", "blob:")
@@ -238,6 +243,8 @@ def test_a_leg_lands_in_space_and_is_played(page):
         tab.wait("document.querySelector('canvas[data-engine^=\"three\"]').width > 0")  # hidden before
         tab.evaluate("document.querySelector('.q-toggle[aria-label=play], .q-toggle').click()")
         tab.wait("/0\\.0[1-9]\\d s/.test(document.body.innerText)")
+        cell = "[...document.querySelectorAll('td')].find((e) => e.innerText === '20 mm')"
+        assert tab.evaluate(f"getComputedStyle({cell}).whiteSpace") == "nowrap"
 
     page("/leg", act, shows("Motion") + " && " + chrome.FIRST_CURVE)
 

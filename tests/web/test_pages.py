@@ -115,6 +115,8 @@ def test_a_slider_changes_the_joint_and_a_reload_keeps_it():
             slider = the(user, ui.slider, "radius-of-the-anchors")
             slider.set_value(45)
             await until(lambda: any("44." in one.text or "45." in one.text for one in user.find(ui.label).elements))
+            the(user, ui.slider, "contraction-at-0°").set_value(0.13)  # a share
+            await until(lambda: any("if 13 % is meant" in one.text for one in user.find(ui.label).elements))
             await user.open("/")
             return the(user, ui.slider, "radius-of-the-anchors").value, state(design.JointDesign).dimensions["radius"]
 

@@ -132,6 +132,7 @@ _OF_READING: Mapping[str, Any] = {  # names as in a recipe
     "slack_force": Annotated[
         str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
     ],
+    "largest_force": Annotated[str, Option(metavar="FORCE", help="Leave out rows from this force on, as saturated.")],
     "force_sign": Annotated[str, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")],
     "specimen": Annotated[str, Option(metavar="NAME", help="Name of the specimen.")],
     "column": Annotated[
@@ -149,7 +150,8 @@ _OF_READING: Mapping[str, Any] = {  # names as in a recipe
         ),
     ],
 }
-_UNITS = {"initial_length": "m", "zero_length": "m", "slack_force": "N", "contraction": "1", "sample_rate": "Hz"}
+_UNITS = {"initial_length": "m", "zero_length": "m", "contraction": "1", "sample_rate": "Hz"}
+_UNITS |= {"slack_force": "N", "largest_force": "N"}
 _UNSET = {"column": None, "skip_corrupt": False, "recipe": None}
 
 
@@ -348,9 +350,12 @@ def table(title: str, headers: tuple[str, ...], rows: Sequence[tuple[str, ...]])
     console.print(table)
 
 
+_LOG_INTERVAL, _LOG_SHARE = 10.0, 0.25  # s, and of the elapsed time: between lines of progress in a log
+
+
 @contextmanager
 def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
-    """Progress bar of `width` columns on standard error."""
+    """Progress bar of `width` columns on standard error; lines, ever less often, in a log."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -361,9 +366,29 @@ def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
         TimeRemainingColumn(),
         TextColumn("{task.description}"),
     )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _log_lines()
+        return
+    with Progress(*columns, console=console) as bar:
         task = bar.add_task("starting", total=1.0)
         yield lambda what, part: bar.update(task, description=what, completed=part)
+
+
+def _log_lines() -> Callable[[str, float], None]:
+    """Progress as lines on standard error, with an estimate of the time left."""
+    lines: list[tuple[float, float]] = []  # time and part of the first report, then of each line
+
+    def report(what: str, part: float) -> None:
+        now = time.monotonic()
+        lines[:] = lines or [(now, part)]
+        elapsed, done = now - lines[0][0], part - lines[0][1]
+        if done > 0 and now - lines[-1][0] >= max(_LOG_INTERVAL, _LOG_SHARE * elapsed):
+            left = time_text(elapsed * (1 - part) / done)
+            echo(f"{100 * part:.0f} % after {time_text(elapsed)}, about {left} left: {what}", err=True)
+            lines.append((now, part))
+
+    return report
 
 
 _ROUNDING = 1e-12  # of metrics, in shown units

@@ -7,7 +7,7 @@ import enum
 import functools
 import operator
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from inspect import get_annotations
@@ -20,7 +20,7 @@ import numpy as np
 
 from mckibben.component.calls import CheckedCalls
 from mckibben.component.checks import check_kind, known_numbers
-from mckibben.errors import Problem, RangeError, no_attribute, printable, quoted, refuse_problems
+from mckibben.errors import Problem, RangeError, described, no_attribute, printable, quoted, refuse_problems
 from mckibben.notebook import html_table
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, factor, show
 
@@ -78,6 +78,8 @@ class Described:
     """Groups of optional fields of which all are given or none; a study varies them where they are given."""
     renamed: ClassVar[Mapping[str, str]] = {}
     """Replacements of former keys of files, by key, for error messages."""
+    made_by: ClassVar[str] = ""
+    """Another call that makes an object, with {} for the class: part of the error of a construction without values."""
     suggestions: ClassVar[Mapping[str, str]] = {}
     """Suggestions for unknown attributes, by name."""
 
@@ -167,6 +169,11 @@ def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
             elif words and value not in words:
                 remedy = f"give one of {', '.join(map(repr, words))}"
                 yield RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
+            elif (
+                isinstance(value, tuple | list) and (mark or hints.get(name) is float) and not _is_sequence(hints[name])
+            ):
+                text, remedy = f"{owner}: {name} is {described(value)}", "give one number"
+                yield RangeError(text, field=name, value=value, remedy=remedy)
             elif mark and value is None:
                 if NoneType not in get_args(hints[name]) and field.default is not None:
                     yield RangeError(f"{owner}: {name} is None", field=name, remedy=f"give {mark.range}")
@@ -195,6 +202,11 @@ def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
 def units_of_part(hint: Any) -> Units:
     """Return the units of the symbolic fields of a part, from the type of the field that holds it."""
     return next((mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Units)), _NO_UNITS)
+
+
+def _is_sequence(hint: Any) -> bool:
+    origins = (get_origin(one) for one in (hint, *get_args(hint)))
+    return any(isinstance(one, type) and issubclass(one, Sequence) for one in origins)
 
 
 def _whole(value: Real) -> bool:

@@ -73,6 +73,8 @@ def _explain(of: Callable[..., Any], args: tuple[Any, ...], named: Mapping[str, 
         failed = _unbound(of.__name__, shown, args[bound:], named, str(unbound))
         if args[bound:] and (remedy := _reading(of, args[bound])):
             failed.remedy = f"to read a file, write {remedy}"
+        elif not args[bound:] and not named and (call := getattr(of, "made_by", "")):
+            failed.remedy += f"; {call.format(of.__name__)}"
         raise failed from None
     for name, value in given.items():
         hints = list(_flat(_hint(of, name)))

@@ -69,7 +69,9 @@ class PID(Loop):
         super().__check_init__()
         gains = {"kp": self.kp, "ki": self.ki, "kd": self.kd}
         if all(isinstance(gain, Real) for gain in gains.values()) and min(gains.values()) < 0 < max(gains.values()):
-            signs = ", ".join(f"{name} is {gain:g}" for name, gain in gains.items())
+            signs = ", ".join(
+                f"{name} is {'negative' if gain < 0 else 'positive'}" for name, gain in gains.items() if gain
+            )
             remedy = "give all one sign, negative if the loop is reverse-acting"
             raise RangeError(f"PID: the gains differ in sign: {signs}", remedy=remedy)
 

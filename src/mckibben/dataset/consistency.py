@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.plausibility import REPEATED, UNEQUAL, check_points, resolution
-from mckibben.errors import DatasetError, McKibbenWarning
+from mckibben.dataset.plausibility import LARGEST_FORCE, REPEATED, UNEQUAL, check_points, resolution
+from mckibben.dataset.preprocessing import strays
+from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.muscle import Specimen
 from mckibben.units import bar, percent
 
@@ -35,8 +36,7 @@ _APART = 1.4  # ratio of pressures at which contractions are compared
 _AGAINST = 3  # points that an outlier contradicts
 _STILL = 0.1  # of the largest change of contraction: smaller ones may be noise
 _SHARE = 0.1  # of the points: more are not single errors
-_MOST = 1000  # points at a level that are compared in pairs
-_NAMED = 5  # points named in a warning
+_MOST, _NAMED = 1000, 5  # points at a level that are compared in pairs, and those named in a warning
 _HELD = 0.2  # of the rows: forces that repeat although the muscle moved
 _VARIED = 1 / 6  # of the rows: different forces of a test that is not isotonic
 _COARSE = 10  # steps of the resolution of the force, below which equal forces are rounded ones
@@ -85,9 +85,11 @@ def check_dataset(
         specimen,
         measured,
         dict(set.intersection(*(set(one.units.items()) for one in dataset.lines))) if dataset.lines else {},
+        dataset.place,
     )
     if found.problems and not only_warn:
-        raise DatasetError(source, found.problems)
+        stray = [Problem(text, field="pressure") for text in _far_from_levels(dataset)]
+        raise DatasetError(source, stray + [one for one in found.problems if not stray or one.field != "pressure"])
     for text in [*map(str, found.problems), *found.warnings, *(() if found.problems else contradictions(dataset))]:
         warnings.warn(f"{source}: {text}", McKibbenWarning, stacklevel=user_level())
     return dataset
@@ -98,6 +100,7 @@ def contradictions(dataset: IsobaricDataset) -> Iterator[str]:
     if not (len(dataset) and dataset.force.max() > 0 and dataset.pressure.max() > 0):
         return
     yield from _set_pressures(dataset)
+    yield from map("pressure: {}".format, _far_from_levels(dataset))
     if (slack := dataset.table.attrs["slack_force"]) >= dataset.force.max():
         yield f"slack_force: all forces are up to the {slack:g} N at which the muscle counts as slack; give a lower one"
     levels = _levels(dataset.pressure)
@@ -156,6 +159,16 @@ def _set_pressures(dataset: IsobaricDataset) -> Iterator[str]:
             f"set_pressure: {len(off)} of {len(asked)} set pressures are far from the measured ones, first "
             f"{asked[at] / bar:.3g} bar at {measured[at] / bar:.3g} bar; check the unit, or leave the column out"
         )
+
+
+def _far_from_levels(dataset: IsobaricDataset) -> Iterator[str]:
+    """Message on single pressures far from the levels of all other points."""
+    if len(rows := strays(dataset.pressure, dataset.levels)):
+        named = ", ".join(
+            f"{dataset.place(at)} ({dataset.pressure[at] / bar:.4g} bar)" for at in rows[:_NAMED].tolist()
+        )
+        verb = "is" if len(rows) == 1 else f"({len(rows)} in all) are"
+        yield f"{named} {verb} far from the levels of all other points; correct these rows, or leave them out"
 
 
 def _rising_forces(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]:
@@ -232,13 +245,13 @@ def _outliers(dataset: IsobaricDataset, levels: Sequence[Rows]) -> Iterator[str]
     if found and (single or len(found) >= _AGAINST):
         first = sorted(found)[:_NAMED]
         shown = ", ".join(
-            f"{at + 1} ({pressure[at] / bar:.3g} bar, {contraction[at] / percent:.3g} %, {force[at]:.4g} N)"
+            f"{dataset.place(at)} ({pressure[at] / bar:.3g} bar, {contraction[at] / percent:.3g} %, {force[at]:.4g} N)"
             for at in first
         )
         more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
         yield (
             f"force: {len(found)} of {len(force)} points contradict the others: the force should rise with the "
-            f"pressure and fall with the contraction, which it does not at point {shown}{more}; "
+            f"pressure and fall with the contraction, which it does not at {shown}{more}; "
             + ("check these rows, or leave them out" if single else "they may be of another muscle, unit or sensor")
         )
 
@@ -312,12 +325,8 @@ def _counted(dataset: IsobaricDataset) -> Iterator[str]:
     moves, steps = np.diff(dataset.contraction), np.diff(dataset.pressure)
     large = moves[np.abs(moves) > _STILL * np.abs(moves).max(initial=0.0)]
     reversals = int(np.count_nonzero(np.diff(np.sign(large))))
-    if (
-        np.ptp(dataset.contraction) > _SHORTEST_STROKE
-        and reversals >= _AGAINST
-        and steps[0] != 0
-        and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
-    ):
+    equal = steps.any() and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
+    if equal and reversals >= _AGAINST and np.ptp(dataset.contraction) > _SHORTEST_STROKE:
         yield (
             f"pressure: each of {len(steps)} rows has {steps[0] / bar:.3g} bar more than the one before, although the "
             f"muscle reversed {reversals} times: a spreadsheet may have counted it up"
@@ -361,7 +370,8 @@ def _saturated(dataset: IsobaricDataset) -> Iterator[str]:
         yield (
             f"force: {len(top)} forces are within 3 % of the largest, {force.max():.4g} N, at points as different as "
             f"{pressure[at] / bar:.3g} bar and {contraction[at] / percent:.3g} %, and {pressure[other] / bar:.3g} bar "
-            f"and {contraction[other] / percent:.3g} %: the sensor or its amplifier may be saturated"
+            f"and {contraction[other] / percent:.3g} %: the sensor or its amplifier may be saturated; "
+            f"leave such rows out{LARGEST_FORCE}"
         )
 
 

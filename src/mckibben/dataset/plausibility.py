@@ -26,6 +26,7 @@ _DIAMETERS = (0.8 * mm, 1.7 * mm, 80 * mm, 120 * mm)
 """Implied diameter: impossible below, usual from, usual to, impossible above. Thin muscles are sold from 1.8 mm."""
 _LIKE_SPECIMEN = (*air.USUAL_DIAMETERS, 3.0)  # implied over given diameter: usual from, usual to, impossible above
 _STRETCHED, _OVERSTRETCHED, _SHORT, _SHORTEST = -0.05, -0.15, 0.4, 0.5  # contractions of a taut muscle
+_LONGER, _PRESSURIZED, _WEAK = -0.005, 0.1, 0.3  # a stretched muscle: contraction, pressure and force over the largest
 _FIRST = 0.1  # smallest contraction of a test that begins near the initial length
 _COPIED = 4  # repeated rows in the same order that count as copies
 _SMALL_FORCE = 0.05  # of the largest one
@@ -46,6 +47,7 @@ REPEATED = 0.01  # of the highest pressure: pressures of repeated points
 UNEQUAL = (0.3, 0.15)  # of a force, and of the largest: more than friction and creep
 _MANY = 10_000  # values, beyond which marks are compared exactly
 _SI = MappingProxyType({"pressure": "Pa", "force": "N"})
+LARGEST_FORCE = " with largest_force (command line: --largest-force)"
 _LENGTH = "check initial_length (command line: --initial-length)"
 _ZERO = "zero_length (command line: --zero-length) of displacements"
 _UNIT = (
@@ -70,10 +72,11 @@ def check_points(
     specimen: Specimen | None = None,
     measured: Floats | None = None,
     units: Mapping[str, str] = _SI,
+    place: Callable[[int], str] = "row {}".format,
 ) -> Findings:
     """Check points of a muscle, and of its specimen where it is known; `measured` are forces with their offset.
 
-    `units` are those in which pressure and force were given.
+    `units` are those in which pressure and force were given, `place` names a row, counted from 0.
     """
     problems, warnings = [], []
     measured = force if measured is None else measured
@@ -83,7 +86,7 @@ def check_points(
     elif len(force):
         for problem, impossible in (
             *found,
-            *_ranges(pressure, contraction, force, slack_force, initial_length, specimen, units),
+            *_ranges(pressure, contraction, force, slack_force, initial_length, specimen, units, place),
             *_clipped("force", measured, 1.0, "N", pressure, contraction),
             *_clipped("pressure", pressure, bar, "bar"),
             *_clipped("contraction", contraction, percent, "%"),
@@ -106,11 +109,14 @@ def _ranges(
     initial_length: float | None = None,
     specimen: Specimen | None = None,
     units: Mapping[str, str] = _SI,
+    place: Callable[[int], str] = "row {}".format,
 ) -> Iterator[tuple[Problem, bool]]:
     """Messages for unusual ranges of points, and whether they are impossible."""
-    yield from _contractions(contraction, force > slack_force, initial_length)
-    yield from check_pressures(float(pressure.max()), units.get("pressure", "Pa"))
-    yield from _forces(pressure, force, specimen, units.get("force", "N"))
+    yield from _contractions(pressure, contraction, force, slack_force, initial_length, place)
+    pressures = list(check_pressures(float(pressure.max()), units.get("pressure", "Pa")))
+    yield from pressures
+    if not any(impossible for _, impossible in pressures):  # the diameter follows from force and pressure
+        yield from _forces(pressure, force, specimen, units.get("force", "N"))
 
 
 def check_sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
@@ -128,15 +134,30 @@ def check_sign(force: Floats) -> Iterator[tuple[Problem, bool]]:
 
 
 def _contractions(
-    contraction: Floats, taut: NDArray[np.bool_], initial: float | None
+    pressure: Floats,
+    contraction: Floats,
+    force: Floats,
+    slack_force: float,
+    initial: float | None,
+    place: Callable[[int], str],
 ) -> Iterator[tuple[Problem, bool]]:
-    low, high = float(contraction.min()), float(contraction[taut].max(initial=-1.0))
+    low, high = float(contraction.min()), float(contraction[force > slack_force].max(initial=-1.0))
+    weak = (contraction < _LONGER) & (pressure > _PRESSURIZED * pressure.max())
+    weak &= force * pressure.max() < _WEAK * pressure * force.max()
     if low < _STRETCHED:
-        text = f"contractions begin at {low / percent:.3g} %, but a muscle can be stretched by about 3 % only"
+        single = f" in {place(int(np.argmin(contraction)))}" if np.count_nonzero(contraction < 0) == 1 else ""
+        text = f"contractions begin at {low / percent:.3g} %{single}, but a muscle can be stretched by about 3 % only"
         yield (
             Problem(text, field="contraction", remedy=f"{_LENGTH}, the sign (positive = shorter), and {_ZERO}"),
             low < _OVERSTRETCHED,
         )
+    elif np.count_nonzero(weak) > 1:
+        text = (
+            f"{np.count_nonzero(contraction < 0)} contractions are negative, down to {low / percent:.3g} %, but at "
+            f"{np.count_nonzero(weak)} of them the muscle hardly pulls, such as {force[weak].min():.3g} N at "
+            f"{pressure[weak][np.argmin(force[weak])] / bar:.3g} bar: it cannot be stretched there"
+        )
+        yield Problem(text, field="contraction", remedy=f"{_LENGTH}, and {_ZERO}"), False
     elif low > _FIRST:
         longest = f": the longest length measured is {initial * (1 - low) / mm:.4g} mm" if initial else ""
         text = f"contractions begin at {low / percent:.3g} %, not near 0 %{longest}"
@@ -292,11 +313,9 @@ def _clipped(
     twice = twice and resolution(values) * _FINE < levels[-1]
     often = counts[-1] > max(2 * others, _REPEATED - 1) or counts[-1] >= 2 * max(others, _REPEATED)
     if len(levels) > 2 and (often or twice or (name == "pressure" and _is_cut_off(values))):
-        text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times: saturated?"
-        yield (
-            Problem(text, field=name, remedy="check the range of the sensor, and leave out the rows at its end"),
-            False,
-        )
+        text = f"the largest {name}, {levels[-1] / unit:.4g} {symbol}, repeats {counts[-1]} times and may be saturated"
+        remedy = "check the range of the sensor, and leave out the rows at its end"
+        yield Problem(text, field=name, remedy=f"{remedy}{LARGEST_FORCE if name == 'force' else ''}"), False
 
 
 def _is_cut_off(values: Floats) -> bool:

@@ -26,6 +26,7 @@ Ints = NDArray[np.int_]
 Bools = NDArray[np.bool_]
 
 _FEWEST = 3  # points at a level
+_STRAY = 0.02  # of the points, or one: pressures far from all levels, which are errors
 _MOST_LEVELS, _MOST_RUNS = 10_000, 100_000  # beyond which levels and passes are not looked for, as they take long
 _SEPARATION = 2.5  # smallest ratio of gaps between levels to gaps within
 _ONE_LEVEL = 0.01  # of the highest pressure: a narrower range is scatter about one level
@@ -63,13 +64,14 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = Non
 def _with_set_pressures(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     """Table with the nominal pressures of its levels, and a note; unchanged if it has some or shows no levels."""
     pressure = table["pressure"].to_numpy()
-    if "set_pressure" in table or (labels := group_pressures(pressure)) is None:
+    strays = max(1, int(_STRAY * len(pressure)))
+    if "set_pressure" in table or (labels := group_pressures(pressure, strays)) is None:
         return table, []
     nominal, scatter = nominal_pressures(pressure, labels)
     shown = format_range(nominal / bar)
     plural = "s" if len(nominal) > 1 else ""
     note = f"{len(nominal)} pressure level{plural} ({shown} bar), about which pressures scatter by {scatter:.2g} bar"
-    return table.assign(set_pressure=("point", nominal[labels])), [note]
+    return table.assign(set_pressure=("point", np.where(labels < 0, np.nan, nominal[labels]))), [note]
 
 
 def _with_passes(table: xr.Dataset, files: Ints | None) -> tuple[xr.Dataset, list[str]]:
@@ -130,10 +132,11 @@ def with_notes(table: xr.Dataset, notes: list[str]) -> xr.Dataset:
     return table.assign_attrs(preprocessing="\n".join([*before, *notes])) if notes else table
 
 
-def group_pressures(pressure: Floats) -> Ints | None:
+def group_pressures(pressure: Floats, strays: int = 0) -> Ints | None:
     """Level of each measured pressure, ascending from 0; None if pressures repeat exactly or form no groups.
 
     Uses the finest grouping in which gaps between levels exceed both the width of levels and the gaps within them.
+    At most `strays` points may be far from all levels, such as typing errors; theirs is -1.
     """
     if 0 < np.ptp(pressure) < _ONE_LEVEL * pressure.max() and len(pressure) >= _FEWEST:
         return np.zeros(len(pressure), int)
@@ -146,12 +149,24 @@ def group_pressures(pressure: Floats) -> Ints | None:
         starts = np.append(0, np.flatnonzero(gaps >= ranked[last]) + 1)
         counts = np.diff(starts, append=len(order))
         width = np.max(pressure[order[starts + counts - 1]] - pressure[order[starts]])
-        if counts.min() < _FEWEST or ranked[last] < width:
+        full = counts >= _FEWEST
+        if counts[~full].sum() > strays or ranked[last] < width:
             continue
         labels = np.empty(len(pressure), int)
-        labels[order] = np.repeat(np.arange(len(starts)), counts)
+        labels[order] = np.repeat(np.where(full, np.cumsum(full) - 1, -1), counts)
         return labels if width else None
     return None
+
+
+def strays(pressure: Floats, levels: Floats) -> Ints:
+    """Rows of single pressures far from all levels, within the points of one level; none if these form no levels."""
+    values, number, counts = np.unique(levels, return_inverse=True, return_counts=True)
+    full, alone = values[counts >= _FEWEST], np.flatnonzero(counts[number] < _FEWEST)
+    if len(full) < 2 or len(alone) > max(1, _STRAY * len(levels)):
+        return alone[:0]
+    distance = np.abs(pressure[alone, None] - np.append(full, 0.0)).min(axis=1)  # a vented muscle is none
+    alone = alone[(distance > _ONE_LEVEL * full.max()) & (alone > 0) & (alone < len(levels) - 1)]
+    return alone[levels[alone - 1] == levels[alone + 1]]
 
 
 def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:

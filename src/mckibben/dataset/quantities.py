@@ -88,6 +88,9 @@ _WORD_REMEDY = {
     "direction": "write loading (being stretched), unloading (shortening) or unknown, or leave the column out",
     "phase": "write filling, venting or unknown, or leave the column out",
 }
+_MEANING_REMEDY = (
+    "; or give its meaning ({0} or {1}), columns={{{text!r}: {0!r}}} (command line: --column '{text}={0}')"
+)
 
 
 def impossible_settings(initial_length: float | None, slack_force: float | None) -> list[Problem]:
@@ -127,6 +130,7 @@ class ColumnConverter:
         )
         self.missing: list[Problem] = []
         self.mapping = mapping
+        mapping = {header: name for header, name in mapping.items() if all(name not in one for one in WORDS.values())}
         self.initial_length = initial_length
         self.force_sign = 1
         layout = find_columns(sheet, mapping, needed, unread)
@@ -193,7 +197,7 @@ class ColumnConverter:
             "slack_force": found.get("slack_force", 0.0) if slack_force is None else slack_force,
         }
 
-    def columns(self, force_sign: int) -> dict[str, np.ndarray]:
+    def columns(self, force_sign: int, largest_force: float | None = None) -> dict[str, np.ndarray]:
         """Columns in SI units, lengths converted to contractions, and categorical columns."""
         data = {name: self._numbers(name) for name in self.places if name not in WORDS}
         self.measured = {name: data[name] for name in ("length", "displacement") if name in data}
@@ -205,6 +209,9 @@ class ColumnConverter:
         if "force" in data:
             data["force"] *= force_sign
             self.force_sign = force_sign
+            for row in np.flatnonzero(data["force"] >= (np.inf if largest_force is None else largest_force)).tolist():
+                text = f"{data['force'][row]:.4g} N is at the end of the sensor's range"
+                self.missing.append(self.sheet.kind(text, line=self.lines[row], field="force"))
         if (length := data.pop("length", None)) is not None:
             if "contraction" in data:
                 self._compare(data["contraction"], length)
@@ -357,15 +364,14 @@ class ColumnConverter:
     def _words(self, name: str) -> NDArray[np.str_]:
         """Directions or phases."""
         cells = [str(cell) for cell in self.sheet.channels[self.places[name][0]].cells]
-        meaning = {text: _MEANINGS[name].get(text.strip().lower()) for text in set(cells)}
+        given = {text.lower(): word for text, word in self.mapping.items() if word in WORDS[name]}
+        meaning = {text: {**_MEANINGS[name], **given}.get(text.strip().lower()) for text in set(cells)}
         for line, text in zip(self.lines, cells, strict=True):
             if meaning[text] is None:
-                shown = repr(text.strip()[:40]) if text.strip() else "an empty cell"
-                self.corrupt.append(
-                    self.sheet.kind(
-                        f"{shown} is not a {name}", line=line, field=self._field(name), remedy=_WORD_REMEDY[name]
-                    )
-                )
+                short = text.strip()[:40]
+                remedy = _WORD_REMEDY[name] + (_MEANING_REMEDY.format(*WORDS[name], text=short) if short else "")
+                message = f"{repr(short) if short else 'an empty cell'} is not a {name}"
+                self.corrupt.append(self.sheet.kind(message, line=line, field=self._field(name), remedy=remedy))
         return np.array([meaning[text] or "" for text in cells], dtype="<U9")
 
     def _numbers(self, name: str) -> NDArray[np.float64]:

@@ -44,6 +44,7 @@ def read_dataset(
     zero_length: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
+    largest_force: float | None = None,
     force_sign: int = 1,
     on_corrupt: OnCorrupt = "raise",
     decimal: Decimal = "",
@@ -84,6 +85,8 @@ def read_dataset(
     specimen, slack_force
         Type of the muscle, and force [N] up to which it counts as slack. Default: from the file, or from the noise of
         the slack muscle, whose mean force is subtracted.
+    largest_force
+        Force [N] from which on rows are left out, as the sensor is saturated there.
     force_sign
         -1 for a load cell that reads a pull as negative.
     on_corrupt
@@ -137,6 +140,7 @@ class _Options:
     zero_length: float | None
     specimen: str
     slack_force: float | None
+    largest_force: float | None
     force_sign: int
     on_corrupt: OnCorrupt
     decimal: str
@@ -148,7 +152,7 @@ class _Options:
     def checked(cls, path: FilePaths, columns: Mapping[str, str] | None, **given: Any) -> Self:
         """The arguments of a reader; raises a `RangeError` for impossible ones."""
         asked = cls(columns=_mapping(columns), **given)
-        numbers = ("initial_length", "zero_length", "slack_force", "contraction", "sample_rate")
+        numbers = ("initial_length", "zero_length", "slack_force", "largest_force", "contraction", "sample_rate")
         words = asked.force_sign, asked.decimal, asked.displacement, asked.on_corrupt
         check_reading(*words, **{name: getattr(asked, name) for name in numbers})
         check_pattern(asked.from_name)
@@ -173,6 +177,9 @@ class _Options:
         changes = {name: value for name, value in given.items() if value not in (None, "")}
         if self.force_sign < 0:
             found = kind(found.table.assign(force=-found.table["force"]))
+        if self.largest_force is not None:
+            below = (found.table["force"] < self.largest_force).to_numpy()
+            found = kind(found.table.isel({found.table["force"].dims[0]: below}))
         return kind(found.table.assign_attrs(changes)) if changes else found
 
 
@@ -182,7 +189,7 @@ def _read_points(path: Path, asked: _Options) -> tuple[IsobaricDataset, bool, bo
         return asked.netcdf(IsobaricDataset, path), True, True
     file = asked.converter(one_row_per_point(asked.table(path), asked.columns), _NEEDED)
     attrs = file.attributes(path, asked.specimen, asked.slack_force)
-    data, found = file.settle(path, file.columns(asked.force_sign), asked.on_corrupt)
+    data, found = file.settle(path, file.columns(asked.force_sign, asked.largest_force), asked.on_corrupt)
     dataset = _made(IsobaricDataset, path, data, {"initial_length": file.initial_length, **attrs}, found, file.units)
     dataset = replace(dataset, lines=(FileLines(file.sheet.unit, file.lines, file.units),))
     slack_known = asked.slack_force is not None or "slack_force" in file.sheet.comments
@@ -352,6 +359,7 @@ def read_recording(
     sample_rate: float | None = None,
     specimen: str = "",
     slack_force: float | None = None,
+    largest_force: float | None = None,
     force_sign: int = 1,
     on_corrupt: OnCorrupt = "raise",
     decimal: Decimal = "",
@@ -396,7 +404,9 @@ def _read_samples(path: Path, asked: _Options) -> Recording:
     sheet = asked.table(path)
     file = asked.converter(sheet, ("pressure", "force"), () if contraction is None else ("displacement",))
     attrs = file.attributes(path, asked.specimen, asked.slack_force)
-    data = {name: values for name, values in file.columns(asked.force_sign).items() if name in _KEPT}
+    data = {
+        name: values for name, values in file.columns(asked.force_sign, asked.largest_force).items() if name in _KEPT
+    }
     file.ignored += [
         sheet.channels[file.places[name][0]].name
         for name in file.places

@@ -53,6 +53,7 @@ class Recipe(DocumentModel):
     contraction: Contraction | None = None
     sample_rate: SampleRate | None = None
     slack_force: Force | None = None
+    largest_force: Force | None = None
     force_sign: Annotated[int, BoundedInt(-1, 1), AfterValidator(_check_sign)] | None = None
     decimal: Annotated[str, OneOf((".", ","))] | None = None
     specimen: str | None = None

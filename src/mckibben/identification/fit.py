@@ -143,6 +143,7 @@ def off_levels(points: IsobaricDataset) -> float:
 
 
 _CONTRACTIONS, _PRESSURES = 57, 33
+_FIRST_STEP = 0.02  # of the others
 _ROUNDING = 1e-9  # of the largest force
 
 
@@ -159,8 +160,12 @@ def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
 
 
 def slope_grid(box: Domain) -> tuple[Floats, Floats]:
-    """Contraction, a column, and pressure [Pa], a row, at which slopes are checked."""
+    """Contraction, a column, and pressure [Pa], a row, at which slopes are checked.
+
+    The first step of the contraction is short: an exponential term is steepest there.
+    """
     contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
+    contraction = np.insert(contraction, 1, contraction[0] + _FIRST_STEP * np.diff(contraction[:2]))
     return contraction[:, None], np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
 
 

@@ -82,9 +82,11 @@ def identify(
         given = [
             f"class {one.__name__}" if isinstance(one, type) else type(one).__name__ for one in (law_type, dataset)
         ]
+        law = next((one for one in given if one.endswith("Law")), "ExponentialLaw").removeprefix("class ")
+        data = "data" if IsobaricDataset in map(type, (law_type, dataset)) else "read_dataset('rig.csv')"
         raise IdentificationError(
             f"identify takes the class of a law and a dataset, not {' and '.join(given)}",
-            remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
+            remedy=f"write identify({law}, {data})",
         )
     means = dataset.plateau_means()
     return fit_means(law_type, means, find_outliers(means) if robust else (), domain)

@@ -113,14 +113,14 @@ class Muscle(Component):
         if low >= lowest and high <= highest:
             return ""
         shown = f"{lowest:g}..{highest:g} bar, where it was measured, to {low:g}..{high:g} bar"
-        return f"the law of the muscle {self.specimen.name} is extrapolated from {shown}"
+        return f"the law of the muscle {self.specimen.name!r} is extrapolated from {shown}"
 
     def check_pressure_limit(self) -> None:
         """Raise `RangeError` if neither specimen nor law limits the pressure, or if the limit is in bar."""
         highest = self.domain.pressure_max
         if isinstance(highest, Real) and not (highest <= 0 or LEAST_PRESSURE <= highest < jnp.inf):
             given = "unknown" if highest == jnp.inf else f"{highest:g} Pa; numbers are in SI"
-            message = f"the highest pressure of the muscle {self.specimen.name} is {given}"
+            message = f"the highest pressure of the muscle {self.specimen.name!r} is {given}"
             remedy = "give the specimen a domain with its pressure_max, such as 6 * bar"
             raise RangeError(message, field="pressure_max", value=float(highest), unit="Pa", remedy=remedy)
 
@@ -218,7 +218,9 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
     if ZERO_PRESSURE < highest < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
-    texts = [(f"muscle {muscle.specimen.name}", muscle.domain.describe_outside(*values)) for muscle, *values in points]
+    texts = [
+        (f"muscle {muscle.specimen.name!r}", muscle.domain.describe_outside(*values)) for muscle, *values in points
+    ]
     if found := dict.fromkeys(f"{name}: {text}" for name, text in texts if text):
         text = f"{'; '.join(found)}; the law is extrapolated there"
         warnings.warn(text, DomainWarning, stacklevel=user_level())

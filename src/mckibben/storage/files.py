@@ -211,10 +211,11 @@ def similar_file(path: Path) -> str:
 
 
 def check_free(folder: Path, names: Iterable[str], remedy: str = _ELSEWHERE) -> None:
-    """Raise `FileError` listing the named files that exist in a folder; the folder need not exist."""
+    """Raise `FileError` with one problem if named files exist in a folder; the folder need not exist."""
     existing = [name for name in names if os.path.lexists(folder / name)]
     if existing:
-        raise FileError(str(folder), [Problem("it already exists", field=name, remedy=remedy) for name in existing])
+        message = "it already exists" if len(existing) == 1 else "they already exist"
+        raise FileError(str(folder), [Problem(message, field=", ".join(existing), remedy=remedy)])
 
 
 @contextmanager

@@ -37,7 +37,7 @@ def data_named(
                 f"{name} is a dataset of the catalog",
                 value=name,
                 remedy="leave out the options that read files (--column, --initial-length, --displacement, "
-                "--zero-length, --slack-force, --force-sign, --decimal, --recipe)",
+                "--zero-length, --slack-force, --largest-force, --force-sign, --decimal, --recipe)",
             )
         return catalog.dataset(name)
     for name in names:

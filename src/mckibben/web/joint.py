@@ -51,6 +51,7 @@ from mckibben.web.layout import (
 )
 from mckibben.web.session import Latest, in_thread, session
 
+_SHARE = 0.25  # contractions [%] that may be meant as shares, up to those of a muscle
 _COMPILING = "computing; a new kind of joint or law compiles for a few seconds"
 
 
@@ -253,7 +254,9 @@ class _Page:
         self.lowest.text = measured if least else ""
         own, between = muscle.specimen.initial_length / mm, connector_length(found.joint.geometry)
         connectors = "" if between is None else f"connectors {between / mm:.1f} mm, "
-        self.series.text = f"{connectors}muscles of {own:g} mm"
+        share = 0 < design.contraction < _SHARE
+        hint = f"; contraction {design.contraction:g} %; if {100 * design.contraction:g} % is meant, enter that"
+        self.series.text = f"{connectors}muscles of {own:g} mm{hint if share else ''}"
         (k1, k2), (t1, t2), arms = (tuple(float(x) for x in pair) for pair in (here.stiffness, here.torque, here.arms))
         small = "" if here.small_motion is None else "; small motion {:.3g} to {:.3g}".format(*here.small_motion)
         self.facts[0].text = f"{k1:.3g} to {k2:.3g} N·m/rad{small}" if math.isfinite(k1) else "the load is not held"

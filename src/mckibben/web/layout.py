@@ -38,7 +38,7 @@ LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
-_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|force_sign|from_name)\b")
+_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|largest_force|force_sign|from_name)\b")
 _CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
 _PAIR = re.compile(r"'([^']*)': '([^']*)'")
 _COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
@@ -255,11 +255,11 @@ def show_warnings(texts: Iterable[str]) -> None:
 
 
 _BREAKS_AT_DOTS = r"""
-<q-td :props="props">
+<q-td :props="props" :style="/^[-+0-9.]+ \S+$/.test(props.value) ? 'white-space: nowrap !important' : ''">
   <template v-for="part in String(props.value).split(/(?<=[._])(?=[A-Za-z])/)">{{part}}<wbr></template>
 </q-td>
 """
-"""A cell whose dotted names may continue on the next line; copied text has no additional characters."""
+"""A cell whose dotted names may continue on the next line, a unit not; copied text has no additional characters."""
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int = 1) -> ui.table:

@@ -16,11 +16,12 @@ TEXTS = {
     "zero_length": "zero length: at displacement 0, if another",
     "from_name": "from file names, such as {pressure_bar}bar",
     "slack_force": "slack force, such as 4 N, if not estimated",
+    "largest_force": "largest force, if the sensor is saturated there",
     "decimal": "decimal sign, if the file does not tell",
     "specimen": "name of the muscle",
 }
 """Labels of the fields for texts, by the names of a recipe."""
-_UNITS = {"initial_length": "mm", "zero_length": "mm", "slack_force": "N"}
+_UNITS = {"initial_length": "mm", "zero_length": "mm", "slack_force": "N", "largest_force": "N"}
 DISPLACEMENTS = {"": "not given", "shortening": "shortening", "lengthening": "lengthening"}
 
 
@@ -33,6 +34,7 @@ class ReadingFields:
     zero_length: str = ""
     from_name: str = ""
     slack_force: str = ""
+    largest_force: str = ""
     decimal: str = ""
     specimen: str = ""
     negative: bool = False

@@ -151,6 +151,7 @@ def compare(
             air = None if number == 0 else air_of(result.trials.get(names[0], ()))
             wrapped = suite.tuned_inside(name, result.tuned)
             task = ControllerTuning(suite, name, SearchSpace(swept), training, air, wrapped)
+            report("tuning", 0.0)
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
             result.tuned[name], result.training_cost[name], result.at_bound[name], result.trials[name] = tuned
             trial = trial_at_air(result.trials[name], air_of(result.trials.get(names[0], ())))
