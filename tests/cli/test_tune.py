@@ -77,7 +77,9 @@ def mistaken(cli, tmp_path, scenario):
 
 @pytest.mark.parametrize("method", ["cma", "gradient", "evolution"])
 @pytest.mark.slow
-def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
+def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method, monkeypatch):
+    monkeypatch.setattr("mckibben.cli.options._LOG_INTERVAL", 0.0)
+    monkeypatch.setattr("mckibben.cli.options._LOG_SHARE", 0.0)
     found = cli("tune", "s.yaml", *SMALL, "--method", method)
     assert found.code == 0
     kept = tmp_path / "kept"
@@ -88,7 +90,7 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method):
     assert numbers["cost"] <= numbers["cost_before"]
     tried = read_trials(kept / "history.journal")
     assert numbers["evaluated"] == len(tried)
-    assert f", lowest cost {min(trial.cost for trial in tried):.4g}" in found.err
+    assert f": evaluating, lowest cost {min(trial.cost for trial in tried):.4g}" in found.err
     (run,) = numbers["runs"]
     assert set(run["before"]) == set(run["tuned"]) == set(METRICS)
     assert run["scenario"] == "pre-contracted knee, stiffness step, PID"
