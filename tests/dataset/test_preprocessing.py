@@ -162,6 +162,16 @@ def test_strokes_that_end_at_one_force_are_not_slack(noise):
     assert slack_force(force, contraction, pressure, np.round(pressure).astype(int)) is None
 
 
+def test_noise_of_few_readings_that_are_never_negative_is_slack():
+    """Three or four readings of the slack muscle at each pressure, about half of them cut off at 0."""
+    pressure, contraction = map(np.ravel, np.meshgrid([2e5, 4e5, 6e5], np.linspace(0, 0.3, 9), indexing="ij"))
+    true = np.maximum(pressure / bar * (90 - 500 * contraction), 0)
+    force = np.maximum(true + np.random.default_rng(1).normal(0, 1, true.size), 0)
+    data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force)
+    assert (force[true == 0] > 0).sum() > 3
+    np.testing.assert_array_equal(data.slack, true == 0)
+
+
 def narrow(threshold, offset):
     """Pressure, contraction and force of a muscle that pulls from a pressure on [bar], in a window of 3 %."""
     pressure, contraction = map(np.ravel, np.meshgrid(np.linspace(1, 6, 6), np.linspace(0.05, 0.08, 13), indexing="ij"))

@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 Bools = NDArray[np.bool_]
 
-_FEWEST = 3  # points at a level
+_FEWEST = 3  # points at a level, and readings at a floor
 _MOST_LEVELS, _MOST_RUNS = 10_000, 100_000  # beyond which levels and passes are not looked for, as they take long
 _SEPARATION = 2.5  # smallest ratio of gaps between levels to gaps within
 _ONE_LEVEL = 0.01  # of the highest pressure: a narrower range is scatter about one level
@@ -325,10 +325,15 @@ def _below_gap(force: Floats) -> tuple[float, float, int] | None:
 
 
 def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, float] | None:
-    """Offset and noise of slack-muscle readings clipped at a floor, from a censored normal distribution."""
+    """Offset and noise of slack-muscle readings clipped at a floor, from a censored normal distribution.
+
+    With few readings the floor is the offset, and those above it beyond one at the floor are noise.
+    """
     from scipy.special import ndtri
 
     floor = force.min()
+    if np.count_nonzero(force == floor) < _FEWEST:
+        return None
     for first in (2, 1):  # the second reading at the floor, as one may be a lost reading, or with few points the first
         beyond = _beyond(force == floor, contraction, passes, first)
         if min(np.count_nonzero(force == floor), np.count_nonzero(force[beyond] == floor)) < _FEWEST_SLACK:
@@ -339,7 +344,10 @@ def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, f
         if np.count_nonzero(used) >= _FEWEST_SLACK:
             noise, offset = np.polyfit(ndtri(share[used]), ranked[used], 1)
             return float(offset), float(noise)
-    return None
+    above = force[_beyond(force == floor, contraction, passes, 1)] - floor
+    noisy = above[above > 0]
+    clipped = len(above) - len(noisy) >= len(above) / 3  # about half, and not the least of all readings
+    return (float(floor), float(np.sqrt(np.mean(noisy**2)))) if clipped and len(noisy) > 1 else None
 
 
 def _beyond(marked: Bools, contraction: Floats, passes: Ints, first: int = 2) -> Bools:
@@ -357,9 +365,10 @@ def _beyond(marked: Bools, contraction: Floats, passes: Ints, first: int = 2) ->
 
 def _largest_taut(taut: Bools, contraction: Floats, pressure: Floats) -> Floats:
     """Largest contraction of a taut point at or below the pressure of each point."""
-    order = np.lexsort((contraction, pressure))
-    largest = np.maximum.accumulate(np.where(taut, contraction, -np.inf)[order])
-    return largest[np.searchsorted(pressure[order], pressure, side="right") - 1]
+    levels, level = np.unique(pressure, return_inverse=True)
+    largest = np.full(len(levels), -np.inf)
+    np.maximum.at(largest, level[taut], contraction[taut])
+    return np.maximum.accumulate(largest)[level]
 
 
 def _above_taut(force: Floats, contraction: Floats, pressure: Floats, slack: Bools, margin: float) -> bool | None:
