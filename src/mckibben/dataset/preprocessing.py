@@ -42,7 +42,6 @@ _SURELY = 0.9  # the same, of few points, whose noise may explain much of it by 
 _PULLING = 0.05  # significance of the share of steps between slack points that go the way of a taut muscle's force
 _SAME_LENGTH = 0.1 * percent
 _NO_PRESSURE = 0.05 * bar
-_MISFIT = 2.0  # of a linear force: at lower pressures it is less than so many times that at the others
 _QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
@@ -384,9 +383,7 @@ def _above_taut(force: Floats, contraction: Floats, pressure: Floats, slack: Boo
     found, _, rank, _ = np.linalg.lstsq(columns[taut], force[taut])
     if rank < len(found):
         return None
-    above = force - columns @ found
-    misfit = np.sqrt(np.sum(above[taut] ** 2) / max(np.count_nonzero(taut) - rank, 1))
-    return bool(np.mean(above[slack]) > max(margin, _MISFIT * misfit))
+    return bool(np.mean((force - columns @ found)[slack]) > margin)
 
 
 def _pulls(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -> bool:
