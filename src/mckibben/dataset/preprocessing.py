@@ -120,8 +120,12 @@ def with_slack_force(table: xr.Dataset) -> xr.Dataset:
 
 
 def _warn_of_offset(slack: Slack) -> None:
-    text = f"{slack}, which count as taut; if the muscle is slack there, subtract the zero error of the load cell"
-    warnings.warn(f"{text}, otherwise give slack_force=0.0", McKibbenWarning, stacklevel=user_level())
+    text = (
+        f"the lowest forces, {slack.offset:.3g} +- {slack.noise:.2g} N at {slack.points} points, count as taut; if the "
+        "muscle is slack there, subtract the zero error of the load cell, otherwise give slack_force=0.0 (command "
+        "line: --slack-force '0 N')"
+    )
+    warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
 
 def _slack_of(table: xr.Dataset) -> Slack | None:
