@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 Bools = NDArray[np.bool_]
 
-_FEWEST = 3  # points at a level, and readings at a floor
+_FEWEST = 3  # points at a level
 _MOST_LEVELS, _MOST_RUNS = 10_000, 100_000  # beyond which levels and passes are not looked for, as they take long
 _SEPARATION = 2.5  # smallest ratio of gaps between levels to gaps within
 _ONE_LEVEL = 0.01  # of the highest pressure: a narrower range is scatter about one level
