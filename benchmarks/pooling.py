@@ -54,10 +54,11 @@ def main():
         force, lower, upper = found.predict(new.contraction, new.levels, 0.25)
         inside.append(float(np.mean((lower <= new.force) & (new.force <= upper))))
         errors.append(float(np.sqrt(np.mean((force - new.force) ** 2))))
-        dead.append((found.dead_length - DEAD) / found.dead_length_error)
+        dead.append((found.dead_length - DEAD, found.dead_length_error))
     print(f"\n{options.pools} pools: a new specimen of 250 mm is predicted to {np.mean(errors):.3g} N (RMSE),")
     print(f"{100 * np.mean(inside):.0f} % of its points inside of 95 % intervals")
-    print(f"errors of the dead length: {np.sqrt(np.mean(np.square(dead))):.2g} standard errors (RMS)")
+    error, stated = np.sqrt(np.mean(np.square(dead), axis=0)) / mm
+    print(f"errors of the dead length: {error:.2g} mm (RMS), standard errors: {stated:.2g} mm")
 
 
 if __name__ == "__main__":

@@ -110,6 +110,33 @@ def test_intervals_of_95_percent_hold_the_truth():
     assert all(count * 0.85 <= one for one in held.values())
 
 
+@pytest.mark.slow
+def test_correlations_are_those_of_tests_in_other_rooms_with_other_sensors():
+    draw, estimates, stated = np.random.default_rng(0), [], []
+    tests = two_lengths(noise=0.0)
+    for _ in range(30):
+        zero, room = draw.normal(0, 20e-3 * bar), 1 + draw.normal(0, 5 / ROOM)
+        pressures = [one.table["pressure"].to_numpy() + zero for one in tests]
+        pressures = [one + draw.normal(0, NOISE, one.size) for one in pressures]
+        found = identify_air(
+            [
+                Recording.of(time=one.time, pressure=pressure, force=0 * pressure, contraction=at)
+                for one, pressure, at in zip(tests, pressures, (0.02, 0.22), strict=True)
+            ],
+            SPECIMEN,
+        )
+        values = [one.value for one in found.quantities.values()]
+        estimates.append([math.log(values[0] * room), values[1] * math.sqrt(room), values[2]])
+        of = found.correlations
+        stated.append(
+            [of["wall_conductance"]["leak"], of["wall_conductance"]["dead_volume"], of["leak"]["dead_volume"]]
+        )
+    seen = np.corrcoef(estimates, rowvar=False)[np.triu_indices(3, 1)]
+    assert seen[0] > 0.8
+    np.testing.assert_allclose(np.mean(stated, axis=0), seen, atol=0.35)
+    np.testing.assert_allclose([row[0] for row in stated], seen[0], atol=0.1)
+
+
 def test_what_cannot_be_identified_is_refused_with_a_remedy():
     time = np.arange(0.0, 4.0, PERIOD)
     held = np.where(time < 0.5, 0.0, 5 * bar) + np.random.default_rng(0).normal(0, 100.0, time.size)

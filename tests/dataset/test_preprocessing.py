@@ -162,6 +162,34 @@ def test_strokes_that_end_at_one_force_are_not_slack(noise):
     assert slack_force(force, contraction, pressure, np.round(pressure).astype(int)) is None
 
 
+def test_noise_of_few_readings_that_are_never_negative_is_slack():
+    """Three or four readings of the slack muscle at each pressure, about half of them cut off at 0."""
+    pressure, contraction = map(np.ravel, np.meshgrid([2e5, 4e5, 6e5], np.linspace(0, 0.3, 9), indexing="ij"))
+    true = np.maximum(pressure / bar * (90 - 500 * contraction), 0)
+    force = np.maximum(true + np.random.default_rng(1).normal(0, 1, true.size), 0)
+    data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force)
+    assert (force[true == 0] > 0).sum() > 3
+    np.testing.assert_array_equal(data.slack, true == 0)
+
+
+def narrow(threshold, offset):
+    """Pressure, contraction and force of a muscle that pulls from a pressure on [bar], in a window of 3 %."""
+    pressure, contraction = map(np.ravel, np.meshgrid(np.linspace(1, 6, 6), np.linspace(0.05, 0.08, 13), indexing="ij"))
+    force = 500 * np.maximum(pressure - threshold, 0) * (1 - 3 * contraction) ** 2 + offset
+    return pressure, contraction, force + np.random.default_rng(1).normal(0, 4, force.size)
+
+
+def test_the_lowest_pressure_of_a_narrow_window_is_slack_only_if_a_taut_muscle_would_exert_less(written):
+    data = read(written(*narrow(1.3, 20.0)))
+    assert data.slack.sum() == 13 and data.force[data.slack].mean() == pytest.approx(0, abs=2.2)
+    pressure, contraction, force = narrow(0.95, 0.0)  # 16 +- 2 N at 1 bar
+    with pytest.warns(McKibbenWarning, match="slack_force"):
+        data = read(written(pressure, contraction, force))
+    np.testing.assert_allclose(data.force, force, atol=0.01)
+    assert not data.slack.any()
+    assert read(written(pressure, contraction, force), slack_force=0.0).slack.sum() == (force <= 0).sum()
+
+
 def test_exact_zeros_have_no_noise():
     pressure, contraction = map(np.ravel, np.meshgrid(np.linspace(1, 6, 3) * bar, np.linspace(0, 0.3, 5)))
     force = np.maximum(forces(catalog.law("lei-mas-10-180n"), contraction, pressure), 0)

@@ -101,6 +101,8 @@ class AirFit:
         Time constant [s] of the temperature in each phase.
     residual, noise
         Root mean square of the error of the pressures [Pa], and of the noise of the sensor, after averaging over 5 ms.
+    correlations
+        Correlations of the estimates, that of the wall logarithmic, as in the section `uncertainty` of a leg.
     notes
         What could not be identified, and why.
     """
@@ -113,6 +115,7 @@ class AirFit:
     time_constants: tuple[float, ...]
     residual: float
     noise: float
+    correlations: dict[str, dict[str, float]]
     notes: tuple[str, ...]
 
     @property
@@ -135,6 +138,7 @@ class AirFit:
             ],
             "residual": self.residual,
             "noise": self.noise,
+            "correlations": self.correlations,
             "notes": list(self.notes),
         }
 
@@ -147,6 +151,9 @@ class AirFit:
             lines.append(f"{name:17} {show(one.value, shown[one.unit], 3)}, 95 % interval {low} .. {high}")
         lines[1] += f", at {self.contraction / percent:.3g} % contraction"
         lines.append(f"time constants    {min(self.time_constants):.3g} .. {max(self.time_constants):.3g} s")
+        for name, others in self.correlations.items():
+            parts = (f"{other} {correlation:.2f}" for other, correlation in others.items())
+            lines.append(f"correlation of    {name} with {', '.join(parts)}")
         return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
 
     def __repr__(self) -> str:
@@ -230,12 +237,12 @@ def identify_air(
     areas = np.array([_wall_area(specimen, phase.contraction) for phase in phases]) / _wall_area(specimen, at)
     problem = _Problem.of(phases, areas, dead_volume, estimates_dead_volume=observable)
     try:
-        z, deviations, errors = _solve(problem)
+        z, covariance, errors = _solve(problem)
     except np.linalg.LinAlgError as error:
         raise IdentificationError(
             "the pressures do not determine the heat to the wall", remedy="check the contraction of each recording"
         ) from error
-    _check(problem, z, deviations)
+    _check(problem, z, np.sqrt(np.diag(covariance)))
     notes = []
     if not observable:
         notes.append(
@@ -255,17 +262,24 @@ def identify_air(
     remedy = "that the valve was shut, and that length and room stayed the same"
     residual, noise = residual_and_noise(errors, highest, "the air", remedy)
     # the pressures determine h A T0 and C sqrt(T0), where T0 is the temperature of the room
-    wall = conductance * math.hypot(float(deviations[0]), _ROOM)
-    leaking = math.hypot(_LEAK * float(deviations[1]), leak * _ROOM / 2)
+    unit, room = np.array([1.0, _LEAK, _DEAD]), _ROOM * np.array([1.0, leak / 2, 0.0])
+    covariance = np.outer(unit, unit) * covariance[:3, :3] + np.outer(room, room)
+    spread = np.sqrt(np.diag(covariance))
+    names = ("wall_conductance", "leak", "dead_volume")[: 3 if observable else 2]
+    correlations = {
+        name: {other: float(covariance[i, j] / (spread[i] * spread[j])) for j, other in enumerate(names) if j > i}
+        for i, name in enumerate(names[:-1])
+    }
     return AirFit(
-        JointEstimate(conductance, wall, math.inf, "W/K", logarithmic=True),
+        JointEstimate(conductance, conductance * float(spread[0]), math.inf, "W/K", logarithmic=True),
         at,
-        JointEstimate(leak, leaking, math.inf, "m^3/(s*Pa)"),
-        JointEstimate(dead, _DEAD * float(deviations[2]), math.inf, "m^3") if observable else None,
+        JointEstimate(leak, float(spread[1]), math.inf, "m^3/(s*Pa)"),
+        JointEstimate(dead, float(spread[2]), math.inf, "m^3") if observable else None,
         tuple(phases),
         constants,
         residual,
         noise,
+        correlations,
         tuple(notes),
     )
 
@@ -432,7 +446,7 @@ def _sensitivities(z: Array, volumes: Array, areas: Array, periods: Array, like:
 
 
 def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
-    """Estimates, their standard deviations, and the errors [Pa] of each phase."""
+    """Estimates, their covariance, and the errors [Pa] of each phase."""
     free = np.ones(problem.start.size, bool)
     free[2] = problem.estimates_dead_volume
     used = problem.used
@@ -462,8 +476,9 @@ def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
             )
         parts = np.split(errors_at(x)[0], np.cumsum(used.sum(axis=1))[:-1])
         variance = max(variance_of(list(parts)), _LEAST_VARIANCE)
-    deviations = np.zeros(problem.start.size)
+    covariance = np.zeros((free.size, free.size))
     curvature = terms(x)[2]
     scale = np.sqrt(np.diag(curvature))
-    deviations[free] = np.sqrt(np.diag(np.linalg.inv(curvature / np.outer(scale, scale)))) / scale
-    return whole(x), deviations, list(parts)
+    scales = np.outer(scale, scale)
+    covariance[np.ix_(free, free)] = np.linalg.inv(curvature / scales) / scales
+    return whole(x), covariance, list(parts)

@@ -379,7 +379,7 @@ def _few_slack_points(dataset: IsobaricDataset) -> Iterator[str]:
     """Warning of slack points that are too few for the estimate of an offset.
 
     Their force is equal at different contractions of a level, or at the largest contractions of different levels, while
-    the points next to them differ.
+    the points next to them differ, and no force is lower.
     """
     contraction, force = dataset.contraction, dataset.force
     largest = float(force.max())
@@ -392,7 +392,9 @@ def _few_slack_points(dataset: IsobaricDataset) -> Iterator[str]:
         if np.ptp(force[last]) <= _EQUAL * largest and np.ptp(force[before]) > _OFFSET * largest:
             found = [last]
     at = np.concatenate(found) if found else np.array([], np.intp)
-    if len(at) and (mean := float(force[at].mean())) > max(_OFFSET * largest, dataset.table.attrs["slack_force"]):
+    mean = float(force[at].mean()) if len(at) else 0.0
+    lowest = mean <= force.min() + _EQUAL * largest  # as a muscle never pushes
+    if lowest and mean > max(_OFFSET * largest, dataset.table.attrs["slack_force"]):
         yield (
             f"force: the force at the {len(at)} largest contractions is about {mean:.3g} N at each: if the muscle is "
             "slack there, this is the offset of the load cell, which is not subtracted, as an estimate needs at least "

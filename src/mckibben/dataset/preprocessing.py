@@ -42,6 +42,7 @@ _DEPENDENT = 0.5  # of the variance: force explained by contraction and pressure
 _SURELY = 0.9  # the same, of few points, whose noise may explain much of it by chance
 _PULLING = 0.05  # significance of the share of steps between slack points that go the way of a taut muscle's force
 _SAME_LENGTH = 0.1 * percent
+_NO_PRESSURE = 0.05 * bar
 _QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
@@ -102,6 +103,9 @@ def without_offset(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     """Table with the slack muscle's force subtracted, and a note; unchanged and no note if it is not detected."""
     if (slack := _slack_of(table)) is None:
         return table, []
+    if not slack.sure:
+        _warn_of_offset(slack)
+        return table, []
     note = f"{slack}; this offset is subtracted, and forces up to {slack.limit:.3g} N count as slack"
     return table.assign(force=table["force"] - slack.offset).assign_attrs(slack_force=slack.limit), [note]
 
@@ -110,12 +114,20 @@ def with_slack_force(table: xr.Dataset) -> xr.Dataset:
     """Table with the slack force from noise about 0 N, and a note; 0 N if there is none."""
     if (slack := _slack_of(table)) is None:
         return table
-    if slack.offset > _OUTSIDE * slack.noise:
-        text = f"{slack}, which count as taut; if the muscle is slack there, subtract the zero error of the load cell"
-        warnings.warn(f"{text}, otherwise give slack_force=0.0", McKibbenWarning, stacklevel=user_level())
+    if slack.offset > _OUTSIDE * slack.noise or not slack.sure:
+        _warn_of_offset(slack)
         return table
     limit = max(slack.offset + slack.limit, 0.0)
     return with_notes(table.assign_attrs(slack_force=limit), [f"{slack}; forces up to {limit:.3g} N count as slack"])
+
+
+def _warn_of_offset(slack: Slack) -> None:
+    text = (
+        f"the lowest forces, {slack.offset:.3g} +- {slack.noise:.2g} N at {slack.points} points, count as taut; if the "
+        "muscle is slack there, subtract the zero error of the load cell, otherwise give slack_force=0.0 (command "
+        "line: --slack-force '0 N')"
+    )
+    warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
 
 def _slack_of(table: xr.Dataset) -> Slack | None:
@@ -250,6 +262,8 @@ class Slack(NamedTuple):
     points: int
     limit: float
     """Largest force that counts as slack, above the offset [N]."""
+    sure: bool
+    """Whether a taut muscle would exert less force there, or none."""
 
     def __str__(self) -> str:
         return f"slack muscle: {self.points} points with a force of {self.offset:.3g} +- {self.noise:.2g} N"
@@ -283,8 +297,9 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
         dependent = _SURELY if by_gap else _DEPENDENT
         if _explained(force[slack], contraction[slack], pressure[slack]) > dependent:
             continue
+        above_taut = _above_taut(force, contraction, pressure, slack, _OUTSIDE * noise)
         if np.ptp(contraction[slack]) <= _SAME_LENGTH:
-            taut = not _above_line(force, contraction, pressure, slack, _OUTSIDE * noise)
+            taut = not above_taut
         elif by_gap:  # strokes that end at one force are there at one length each
             groups = (contraction[slack & (passes == one)] for one in np.unique(passes[slack]))
             taut = all(np.ptp(group) <= _SAME_LENGTH for group in groups)
@@ -294,7 +309,9 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
             continue
         above = (force - offset)[_beyond(slack, contraction, passes)]
         limit = max(_OUTSIDE * noise, float(above[above <= _FAR * noise].max(initial=0.0)))
-        return Slack(offset, noise, int(slack.sum()), limit)
+        points = np.count_nonzero(slack)
+        no_pull = abs(offset) <= _OUTSIDE * noise / points**0.5 or pressure[slack].max() <= _NO_PRESSURE
+        return Slack(offset, noise, int(points), limit, sure=bool(no_pull or above_taut is not False))
     return None
 
 
@@ -326,10 +343,15 @@ def _below_gap(force: Floats) -> tuple[float, float, int] | None:
 
 
 def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, float] | None:
-    """Offset and noise of slack-muscle readings clipped at a floor, from a censored normal distribution."""
+    """Offset and noise of slack-muscle readings clipped at a floor, from a censored normal distribution.
+
+    With few readings the floor is the offset, and those above it beyond one at the floor are noise.
+    """
     from scipy.special import ndtri
 
     floor = force.min()
+    if np.count_nonzero(force == floor) < _FEWEST:
+        return None
     for first in (2, 1):  # the second reading at the floor, as one may be a lost reading, or with few points the first
         beyond = _beyond(force == floor, contraction, passes, first)
         if min(np.count_nonzero(force == floor), np.count_nonzero(force[beyond] == floor)) < _FEWEST_SLACK:
@@ -340,7 +362,10 @@ def _clipped(force: Floats, contraction: Floats, passes: Ints) -> tuple[float, f
         if np.count_nonzero(used) >= _FEWEST_SLACK:
             noise, offset = np.polyfit(ndtri(share[used]), ranked[used], 1)
             return float(offset), float(noise)
-    return None
+    above = force[_beyond(force == floor, contraction, passes, 1)] - floor
+    noisy = above[above > 0]
+    clipped = len(above) - len(noisy) >= len(above) / 3  # about half, and not the least of all readings
+    return (float(floor), float(np.sqrt(np.mean(noisy**2)))) if clipped and len(noisy) > 1 else None
 
 
 def _beyond(marked: Bools, contraction: Floats, passes: Ints, first: int = 2) -> Bools:
@@ -358,18 +383,26 @@ def _beyond(marked: Bools, contraction: Floats, passes: Ints, first: int = 2) ->
 
 def _largest_taut(taut: Bools, contraction: Floats, pressure: Floats) -> Floats:
     """Largest contraction of a taut point at or below the pressure of each point."""
-    order = np.lexsort((contraction, pressure))
-    largest = np.maximum.accumulate(np.where(taut, contraction, -np.inf)[order])
-    return largest[np.searchsorted(pressure[order], pressure, side="right") - 1]
+    levels, level = np.unique(pressure, return_inverse=True)
+    largest = np.full(len(levels), -np.inf)
+    np.maximum.at(largest, level[taut], contraction[taut])
+    return np.maximum.accumulate(largest)[level]
 
 
-def _above_line(force: Floats, contraction: Floats, pressure: Floats, slack: Bools, margin: float) -> bool:
-    """Whether forces are above the line through those at the same length and other pressures, where a muscle pulls."""
-    same = ~slack & (np.abs(contraction - np.median(contraction[slack])) <= _SAME_LENGTH)
-    if len(np.unique(pressure[same])) < 2:
-        return False
-    line = np.polyfit(pressure[same], force[same], 1)
-    return float(np.mean(force[slack] - np.polyval(line, pressure[slack]))) > margin
+def _above_taut(force: Floats, contraction: Floats, pressure: Floats, slack: Bools, margin: float) -> bool | None:
+    """Whether the lowest forces are above those of a taut muscle there, from higher pressures; None if unknown.
+
+    The force of a taut muscle is about linear in the pressure and quadratic in the contraction.
+    """
+    low, high = contraction[slack].min() - _SAME_LENGTH, contraction[slack].max() + _SAME_LENGTH
+    taut = ~slack & (pressure > pressure[slack].max()) & (low <= contraction) & (contraction <= high)
+    lengths = len(np.unique(np.round(contraction[taut] / _SAME_LENGTH)))
+    polynomial = np.vander((contraction - low) / (high - low), min(max(lengths, 1), 3))
+    columns = np.hstack([polynomial, polynomial * (pressure / bar)[:, None]])
+    found, _, rank, _ = np.linalg.lstsq(columns[taut], force[taut])
+    if rank < len(found):
+        return None
+    return bool(np.mean((force - columns @ found)[slack]) > margin)
 
 
 def _pulls(force: Floats, contraction: Floats, pressure: Floats, passes: Ints) -> bool:

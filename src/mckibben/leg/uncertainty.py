@@ -70,11 +70,13 @@ def drawn_air(valve: Actuator, spec: DrawSettings) -> Actuator:
         return eqx.tree_at(lambda x: x.valve, valve, drawn_air(inner, spec))
     if not (valve.holds_air and spec.air):
         return valve
-    drawn = {}
-    for name, spread in spec.air.items():
-        rng = np.random.default_rng((spec.seed, *name.encode()))  # its own: the spreads do not depend on each other
-        normal = np.append(0.0, rng.standard_normal(spec.draws))  # the first is nominal
-        drawn[name] = getattr(valve, name) * np.exp(spread * normal)
+    own = [np.random.default_rng((spec.seed, *name.encode())) for name in spec.air]  # as spreads must not affect others
+    normal = np.linalg.cholesky(spec.air_correlation) @ [rng.standard_normal(spec.draws) for rng in own]
+    normal = np.pad(normal, ((0, 0), (1, 0)))  # the first is nominal
+    drawn = {
+        name: getattr(valve, name) * np.exp(spread * values)
+        for (name, spread), values in zip(spec.air.items(), normal, strict=True)
+    }
     if (index := drawn.get("polytropic_index")) is not None:
         drawn["polytropic_index"] = np.clip(index, 1.0, max(HEAT_CAPACITY_RATIO, index[0]))
     return eqx.tree_at(lambda x: [getattr(x, name) for name in drawn], valve, list(drawn.values()))
