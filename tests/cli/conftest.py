@@ -51,3 +51,10 @@ def shortened() -> Callable[[str], str]:
         return whole.replace("duration: 10 s", "duration: 200 ms").replace("at: 5 s", "at: 100 ms")
 
     return text
+
+
+@pytest.fixture
+def each_progress(monkeypatch):
+    """A log gets a line for each step of progress, as soon as it is made."""
+    monkeypatch.setattr("mckibben.cli.options._LOG_INTERVAL", 0.0)
+    monkeypatch.setattr("mckibben.cli.options._LOG_SHARE", 0.0)

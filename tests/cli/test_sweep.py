@@ -52,7 +52,7 @@ def scenario(tmp_path, shortened) -> Path:
 
 
 @pytest.mark.slow
-def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path):
+def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path, each_progress):
     asked = (*MASS, "--over", "start.stiffness=12 N*m/rad, 30 N*m/rad", "--samples", "40", "--seed", "1")
     found = cli("sweep", "s.yaml", *asked, "--out", "kept")
     assert found.code == 0

@@ -77,9 +77,7 @@ def mistaken(cli, tmp_path, scenario):
 
 @pytest.mark.parametrize("method", ["cma", "gradient", "evolution"])
 @pytest.mark.slow
-def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method, monkeypatch):
-    monkeypatch.setattr("mckibben.cli.options._LOG_INTERVAL", 0.0)
-    monkeypatch.setattr("mckibben.cli.options._LOG_SHARE", 0.0)
+def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method, each_progress):
     found = cli("tune", "s.yaml", *SMALL, "--method", method)
     assert found.code == 0
     kept = tmp_path / "kept"
