@@ -8,8 +8,17 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import RangeError
-from mckibben.muscle import ForceCorrection, HuntLaw, MartensBoblanLaw, Muscle, TonduLopezVariableLaw, forces
-from mckibben.units import deg, mm
+from mckibben.muscle import (
+    Domain,
+    ForceCorrection,
+    GaussianProcessLaw,
+    HuntLaw,
+    MartensBoblanLaw,
+    Muscle,
+    TonduLopezVariableLaw,
+    forces,
+)
+from mckibben.units import bar, deg, mm
 
 
 class TestHunt:
@@ -67,3 +76,16 @@ def test_a_gain_per_bar_in_place_of_one_per_pascal_is_refused():
     law = catalog.law("lei-mas-10-180n")
     with pytest.raises(RangeError, match="1 N/bar is 1e-05 N/Pa"):
         dataclasses.replace(law, a2=float(law.a2) * 1e5, c2=float(law.c2) * 1e5)
+
+
+@pytest.mark.parametrize("contraction", [0.0, 0.1, 0.2])
+def test_an_inverse_is_found_within_the_domain_though_the_force_falls_beyond_it(contraction):
+    """The linear terms of Eq. 2 of a fit may fall with pressure at large contractions, where its deviation ends."""
+    zero = dict.fromkeys((f"d{i}{j}" for i in range(6) for j in range(6)), 0.0)
+    window = {"centre": 0.1, "half_width": 0.15, "pressure_centre": 3.5 * bar, "pressure_half_width": 3.5 * bar}
+    line = {"a1": 600.0, "a2": -20 / bar, "b1": -2500.0, "b2": -200 / bar, "c1": 0.0, "c2": 0.0, "decay": 30.0}
+    law = GaussianProcessLaw(**line, **(zero | {"d01": 400.0}), **window, domain=Domain(0.0, 0.2, 1 * bar, 6 * bar))
+    pressure = np.linspace(1 * bar, 6 * bar, 11)
+    force = forces(law, contraction, pressure)
+    assert (np.diff(force) > 0).all() and forces(law, contraction, 12 * bar) < force[-1]
+    np.testing.assert_allclose(law.pressure_for(force, contraction), pressure, rtol=1e-9)

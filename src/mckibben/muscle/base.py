@@ -1,6 +1,7 @@
 """Interface of a force law, its numerical inverse in pressure, scaled laws, and the ideal braid (Eq. 1)."""
 
 import abc
+import itertools
 import warnings
 from dataclasses import dataclass
 from numbers import Real
@@ -185,13 +186,22 @@ def check_gain(law: Any, **gain: Any) -> None:
 
 
 _LOWEST, _HIGHEST = -0.5 * atm, 12 * bar  # range of pressures of any rubber muscle
+_ROUNDING = 1e-9  # of a pressure
 
 
 def pressure_for(law: ForceLaw, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-    """Return the gauge pressure [Pa], -0.5 to 12 bar, for a force [N] that rises with pressure; NaN if none exists."""
+    """Return the gauge pressure [Pa], -0.5 to 12 bar, for a force [N] that rises with pressure; NaN if none exists.
+
+    Within the pressures of the domain it need not rise beyond them, as the extrapolation of a fitted law may not.
+    """
     force, contraction = jnp.asarray(force), jnp.asarray(contraction)
-    lowest = jnp.where(law.force(contraction, 0.0) <= force, 0.0, _LOWEST)
-    return bracketed_root(lambda pressure: law.force(contraction, pressure) - force, lowest, _HIGHEST)
+    least, most = (jnp.clip(one, 0.0, _HIGHEST) for one in (law.domain.pressure_min, law.domain.pressure_max))
+    ends = _LOWEST, 0.0, least * (1 - _ROUNDING), most * (1 + _ROUNDING), _HIGHEST
+    low, high = ends[:2]
+    for start, end in itertools.pairwise(ends[1:]):
+        reached = law.force(contraction, start) <= force
+        low, high = jnp.where(reached, start, low), jnp.where(reached, end, high)
+    return bracketed_root(lambda pressure: law.force(contraction, pressure) - force, low, high)
 
 
 class ScaledLaw(ForceLaw):
