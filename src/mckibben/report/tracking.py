@@ -72,7 +72,7 @@ def tracking(results: Mapping[str, Result]) -> Figure:
     grid[0].set(ylabel=ANGLE)
     grid[0].set_ylim(*robust_limits([line.get_ydata() for line in grid[0].lines]))
     grid[1].axhline(0, color="#444444", linewidth=0.7)
-    grid[1].set(ylabel="actual − desired angle [deg]")
+    grid[1].set(ylabel="actual − desired\nangle [deg]")
     grid[1].set_ylim(*robust_limits(list(errors.values()), floor=1e-3))
     note_off_scale(grid[1], times, errors, "deg")
     _stiffness(grid[2], results, looks)
