@@ -190,6 +190,12 @@ def test_the_lowest_pressure_of_a_narrow_window_is_slack_only_if_a_taut_muscle_w
     assert read(written(pressure, contraction, force), slack_force=0.0).slack.sum() == (force <= 0).sum()
 
 
+def test_without_a_slack_muscle_the_zero_of_the_load_cell_is_said_to_be_unknown(written):
+    pressure, contraction, force = narrow(-1.0, 0.0)
+    assert "load cell is not estimated" in read(written(pressure, contraction, force)).table.attrs["preprocessing"]
+    assert "not estimated" not in read(written(*narrow(1.3, 20.0))).table.attrs["preprocessing"]
+
+
 def test_exact_zeros_have_no_noise():
     pressure, contraction = map(np.ravel, np.meshgrid(np.linspace(1, 6, 3) * bar, np.linspace(0, 0.3, 5)))
     force = np.maximum(forces(catalog.law("lei-mas-10-180n"), contraction, pressure), 0)

@@ -102,7 +102,7 @@ def _levels(table: xr.Dataset) -> Floats:
 def without_offset(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     """Table with the slack muscle's force subtracted, and a note; unchanged and no note if it is not detected."""
     if (slack := _slack_of(table)) is None:
-        return table, []
+        return table, [_NO_SLACK] if table["force"].min() > 0 else []
     if not slack.sure:
         _warn_of_offset(slack)
         return table, []
@@ -193,6 +193,7 @@ def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:
     return means * bar, scatter
 
 
+_NO_SLACK = "no slack muscle is recognised: the zero of the load cell is not estimated"
 _LEAST_PART = 256  # rows looked at together, and then twice as many each time
 
 
