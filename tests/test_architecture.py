@@ -74,9 +74,19 @@ def test_every_public_name_is_there_and_documented(name):
     assert name in dir(mckibben)
 
 
-def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="force_law"):
-        _ = mckibben.force_law
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("force_law", "read_law"),
+        ("SarosiLaw", "from mckibben.muscle import SarosiLaw"),
+        ("SmoothAffineLaw", "from mckibben.muscle import SmoothAffineLaw"),
+        ("Trackability", "mckibben.reachability"),
+        ("ExponentialLaws", "did you mean ExponentialLaw"),
+    ],
+)
+def test_an_unknown_name_is_an_attribute_error(name, meant):
+    with pytest.raises(AttributeError, match=f"{name}.*{meant}"):
+        getattr(mckibben, name)
 
 
 def test_modules_stay_short():

@@ -28,6 +28,12 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.simulate(SCENARIO), "scenario.simulate()"),  # type: ignore[arg-type]
         (lambda: mk.simulate(SCENARIO.plant(), SCENARIO.control()), "simulate(plant, controller, reference)"),
         (lambda: mk.identify(DATA), "identify(ExponentialLaw"),  # type: ignore[arg-type]
+        (lambda: mk.identify(mk.ExponentialLaw), "identify(ExponentialLaw, read_dataset"),
+        (lambda: mk.read_dataset("rig.csv", initial_length="250 mm"), "0.25 or 250 * mm"),  # type: ignore[arg-type]
+        (lambda: mk.Step(0.0, "10 deg", 1.0), "0.174533 or 10 * deg"),  # type: ignore[arg-type]
+        (lambda: mk.PID("2 bar/rad", 0.0, 0.0), "200000 or 2 * bar/rad"),  # type: ignore[arg-type]
+        (lambda: mk.Specimen("mine", "300 mm"), "0.3 or 300 * mm"),  # type: ignore[arg-type]
+        (lambda: mk.Specimen("mine", "3 bar"), "3 * mm"),  # type: ignore[arg-type]
         (lambda: mk.identify(DATA, mk.SmoothLaw), "identify(SmoothLaw, data)"),  # type: ignore[arg-type]
         (lambda: mk.identify(mk.SmoothLaw(), DATA), "identify(SmoothLaw, data)"),  # type: ignore[call-arg, arg-type]
         (lambda: mk.identify(LAW, DATA), "identify(ExponentialLaw, data)"),  # type: ignore[arg-type]
@@ -36,7 +42,7 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.read_dataset(3), "path"),  # type: ignore[arg-type]
         (lambda: mk.report.tracking(SCENARIO), "result.plot()"),  # type: ignore[arg-type]
         (lambda: mk.report.isobaric(LAW), "fit.plot()"),  # type: ignore[arg-type]
-        (lambda: LAW.force("10 %", 3 * bar), "SI units"),  # type: ignore[arg-type]
+        (lambda: LAW.force("10 %", 3 * bar), "0.1 or 10 * percent"),  # type: ignore[arg-type]
         (lambda: LAW.force(0.1, "3 bar"), "SI units"),  # type: ignore[arg-type]
         (lambda: mk.catalog.joint("knee-table-2").stiffness("10 deg", (3e5, 3e5)), "SI units"),  # type: ignore[arg-type]
         (lambda: mk.catalog.specimen("MAS10"), "MAS-10-180N-AA-MC-O"),

@@ -5,11 +5,14 @@ Importing has one documented effect: JAX computes with 64-bit numbers (and its l
 import itself is quick.
 """
 
+from importlib import import_module
+
 import lazy_loader
 
 from mckibben.numerics import runtime as _runtime
 
 __version__ = "0.1.0"
+_PACKAGES = "muscle", "control", "joint", "actuator", "plant", "dataset", "identification", "simulation", "reachability"
 
 _runtime.configure()
 
@@ -23,6 +26,10 @@ def __getattr__(name: str) -> object:
         from mckibben.errors import closest
 
         methods = ("simulate", "envelope", "tune", "compare", "export")
+        packages = (f"{__name__}.{one}" for one in _PACKAGES if name[:1].isupper())
+        if home := next((one for one in packages if hasattr(import_module(one), name)), ""):
+            text = f"mckibben has no {name!r}; write: from {home} import {name}"
+            raise AttributeError(text, name=name) from None
         meant = f"scenario.{name}()" if name in methods else closest(name, __all__)
         remedy = f"did you mean {meant}?" if meant else "dir(mckibben) lists the names"
         raise AttributeError(f"mckibben has no {name!r}; {remedy}", name=name) from None

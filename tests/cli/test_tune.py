@@ -214,6 +214,10 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
     ("arguments", "named"),
     [
         (SMALL[:-2], "--out DIR"),
+        (
+            ("--parameters", "controller.positon.kp"),
+            "did you mean 'controller.position.kp'?",
+        ),  # before the missing --out
         ((*SMALL, "--method", "newton"), "choose one of gradient, evolution, cma"),
         ((*SMALL, "--parameters", "load.mass9=1..2 kg"), "no parameter 'mass9'"),
         ((*SMALL, "--parameters", "load.mass2=2..1 kg"), "the range is empty"),

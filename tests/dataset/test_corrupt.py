@@ -123,6 +123,20 @@ def test_words_that_are_no_directions_are_corrupt_rows(put):
         assert read_dataset(path, on_corrupt="report").table["direction"].values.tolist() == ["loading"] * 11
 
 
+def test_an_unknown_direction_is_one_problem_per_word_and_all_its_rows_are_left_out(put):
+    words = ["bajada", "subida", "bajada", *["loading"] * (len(ROWS) - 3)]
+    rows = [row.replace("\n", f",{word}\n") for row, word in zip(ROWS, words, strict=True)]
+    path = put(HEADER.replace("\n", ",direction\n") + "".join(rows))
+    with pytest.raises(DatasetError) as refused:
+        read_dataset(path)
+    assert [one.message for one in refused.value.problems] == [
+        "'bajada' is not a direction",
+        "'subida' is not a direction",
+    ]
+    with pytest.warns(McKibbenWarning, match="3 of 12 rows"):
+        assert len(read_dataset(path, on_corrupt="report")) == len(ROWS) - 3
+
+
 def test_a_recording_keeps_the_time_of_what_is_left(put):
     path = put(HEADER + "".join(DAMAGED))
     with pytest.warns(McKibbenWarning, match="3 of 12 rows"):

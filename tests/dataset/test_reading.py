@@ -220,7 +220,7 @@ break",unloading,1
 1_000,0.1,1e999,unloading,99999999999999999999
 """
     words = "write loading (being stretched), unloading (shortening) or unknown, or leave the column out; or give its "
-    words += "meaning (loading or unloading), columns={{'{0}': 'loading'}} (command line: --column '{0}=loading')"
+    words += "meaning, loading or unloading: columns={{'{0}': ...}} (command line: --column '{0}=...')"
     assert problems(file(text)) == [
         "line 4, force_N: 'abc' is not a number",
         "line 5, pressure_bar: 'nan' is not a finite number",
@@ -326,6 +326,8 @@ def test_missing_columns_say_what_is_accepted(file):
         ),
         (b"\x89HDF\r\n\x1a\n", "cannot be read as an HDF5 file: "),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "is a workbook in the format before 2007; save it as .xlsx or CSV"),
+        (b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + bytes(range(1, 256)), "is an image, not a table"),
+        (b"\xff\xd8\xff\xe0\0\x10JFIF" + bytes(range(1, 256)), "is an image, not a table"),
         (b"TDSm" + bytes(40), "cannot be read as TDMS"),
         (b"MATLAB 5.0 MAT-file", "cannot be read as a MATLAB file: "),
         (

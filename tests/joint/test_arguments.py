@@ -32,6 +32,14 @@ def test_swapped_arguments_are_refused():
         assert (refused.value.field, refused.value.value) == (field, given)
 
 
+def test_a_fit_in_place_of_a_muscle_names_the_call_that_gives_one():
+    data, geometry = mk.catalog.dataset("dmsp-10-250-martens2017"), mk.catalog.joint("knee-table-2").geometry
+    plain, with_friction = mk.identify(mk.ExponentialLaw, data), mk.identify_with_friction(mk.ExponentialLaw, data)
+    for fit, call in ((plain, r"mk\.Muscle\(specimen, fit\.law\)"), (with_friction, r"FitWithFriction\.muscle\(\)")):
+        with pytest.raises(RangeError, match=call):
+            mk.AntagonisticJoint(geometry, fit, with_friction.muscle())
+
+
 EQ3 = -245.8, 109, 3.216, -3.442, 255.6, -13.18  # of the paper, in bar and percent
 
 

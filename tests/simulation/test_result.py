@@ -80,6 +80,14 @@ def test_completed(completed):
     assert completed.describe() == "completed"
 
 
+@pytest.mark.parametrize(("frequency", "poor"), [(0.5, False), (8.0, True)])
+def test_a_reference_too_fast_for_the_joint_is_named(plant, knee, frequency, poor):
+    reference = Reference(angle=Sine(10 * deg, frequency), stiffness=Constant(15.0))
+    result = simulate(plant, PositionStiffnessControl(POSITION, STIFFNESS, model=knee), reference, duration=1.0)
+    assert result.outcome.usable and bool(result.poor_tracking) == poor
+    assert ("mckibben envelope" in result.describe(), "worse than a joint at rest" in repr(result)) == (poor, poor)
+
+
 def test_a_column_is_an_array_and_an_unknown_one_is_named(completed):
     assert isinstance(completed["torque"], np.ndarray) and completed["torque"] is completed.columns["torque"]
     assert "torque" in completed and "wrench" not in completed

@@ -27,6 +27,7 @@ from nicegui.testing import user_simulation
 
 import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
+from mckibben.control import Reference, Sine
 from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.errors import DatasetError, McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.identification import identify_with_friction
@@ -263,6 +264,13 @@ def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction()
     run, remarks = workbench.compute(scenario, Path())
     assert run.columns[workbench.SMALL_MOTION].min() > run.columns["stiffness"].max()
     assert remarks[-1:] == scenario.joint.remarks
+
+
+def test_a_reference_too_fast_for_the_joint_is_a_remark():
+    slow = Scenario.parse(workbench.START).replace(duration=1.0, reference=Reference(Sine(10 * deg, 0.5), 15.0))
+    fast = slow.replace(reference=Reference(Sine(10 * deg, 8.0), 15.0))
+    for scenario, poor in ((slow, False), (fast, True)):
+        assert any("worse than a joint at rest" in one for one in workbench.compute(scenario, Path())[1]) == poor
 
 
 def test_an_outlier_is_named_and_can_be_kept():

@@ -241,7 +241,6 @@ def tune(
     json: Json = False,
 ) -> None:
     """Minimise a cost over gains or other parameters of scenarios; a search can be resumed."""
-    out = required_folder(out, "search")
     if method is not None:
         check_choice(method, _METHODS, "a method")
     from mckibben.scenario import Scenario
@@ -264,6 +263,7 @@ def tune(
         if len(values) > 1 and values.min() == values.max():
             raise ParameterError(f"the condition {name} does not vary", field=name, remedy="give a range")
     followed: Any = "all" if known == ["all"] else known or ()
+    out = required_folder(out, "search")  # after the mistakes of other options
     history = out / "history.journal"
     if not resume and not history.exists():  # an existing search is reported by `run`
         check_free(out, ("results.json", "tuning.png", "tuning.svg", *_tuned_names(scenarios)))

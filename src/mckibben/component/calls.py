@@ -13,6 +13,7 @@ from numbers import Number
 from types import NoneType, SimpleNamespace, UnionType
 from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from mckibben.component.checks import as_number
 from mckibben.errors import CallError, McKibbenError, closest, described, with_article
 
 P = ParamSpec("P")
@@ -122,7 +123,7 @@ def _remedy(value: object, kinds: list[type], others: list[Any]) -> str:
     if kinds == [Mapping]:
         return "give values by name, such as {'name': value}"
     if not any(_is_ours(one) or one in _CERTAIN for one in kinds):
-        return "give a number in SI units"
+        return as_number(value)
     remedy = f"give {with_article(' or '.join(_NAMES.get(one, one.__name__) for one in kinds))}"
     if reading := _reading(kinds[0], value):
         return f"{remedy}: {reading}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from numbers import Real
 from types import NoneType
 from typing import Any, get_args
@@ -9,7 +10,8 @@ from typing import Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import RangeError, described, quoted, with_article
+from mckibben.errors import RangeError, UnitError, described, quoted, with_article
+from mckibben.units import NUMBER, dimensions, factor
 
 
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
@@ -70,9 +72,25 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
     """Raise `RangeError` unless a field is of its type, a class or a union: arguments are easily swapped."""
     if not isinstance(value, kind):
         kinds = [one.__name__ for one in get_args(kind) or (kind,) if one is not NoneType]
-        swapped = "" if isinstance(value, str) else "; are arguments swapped?"
-        remedy = f"give {with_article(' or '.join(kinds))}{swapped}"
+        hint, made = "" if isinstance(value, str) else "; are arguments swapped?", kinds[0].lower()
+        if callable(getattr(type(value), made, None)):
+            hint = f": {type(value).__name__}.{made}() returns one"
+        elif meant := getattr(type(value), "suggestions", {}).get(made):
+            hint = f": {meant}"
+        remedy = f"give {with_article(' or '.join(kinds))}{hint}"
         raise RangeError(f"{owner}: {name} is {described(value)}", field=name, value=value, remedy=remedy)
+
+
+def as_number(value: object, unit: str = "") -> str:
+    """Remedy for a value in place of a number in a unit: the number that a text such as '250 mm' means, or another."""
+    example = f"3 * {unit}" if unit not in ("", "1") else ""
+    if isinstance(value, str) and (number := NUMBER.match(value)) and (given := value[number.end() :].strip()):
+        with suppress(UnitError):
+            if dimensions(given) == dimensions(unit or given):
+                example = f"{float(number.group()) * factor(given):g} or {number.group()} * {given}"
+    example = example.replace("^", "**").replace("%", "percent")
+    remedy = "give a number" if unit == "1" else "give a number in SI units"
+    return f"{remedy}, such as {example} with mckibben.units" if example else remedy
 
 
 def known_numbers(owner: str, name: str, value: object, unit: str = "") -> NDArray[np.float64]:
@@ -81,11 +99,8 @@ def known_numbers(owner: str, name: str, value: object, unit: str = "") -> NDArr
     `unit` is that of the remedy.
     """
     if isinstance(value, str | bool | np.bool_) or (isinstance(value, np.ndarray) and value.dtype == bool):
-        remedy = "give a number" if unit == "1" else "give a number in SI units"
-        if unit not in ("", "1"):
-            remedy += f", such as 3 * {unit.replace('^', '**').replace('%', 'percent')} with mckibben.units"
         shown = quoted(value) if isinstance(value, str) else value
-        raise RangeError(f"{owner}: {name} is {shown}", field=name, value=value, remedy=remedy)
+        raise RangeError(f"{owner}: {name} is {shown}", field=name, value=value, remedy=as_number(value, unit))
     if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
     if isinstance(value, tuple | list) and all(type(one) is float for one in value):

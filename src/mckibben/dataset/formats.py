@@ -35,6 +35,10 @@ _OTHER_FORMATS = {
     b"sqlite format 3": ("an SQLite database", "export the table as CSV"),
     b"par1\x15": ("Parquet", "write a table: pandas.read_parquet(...).to_csv(...)"),
     b"%pdf": ("a PDF document", "ask for the table as CSV or .xlsx"),
+    **dict.fromkeys(
+        (b"\x89png", b"\xff\xd8\xff", b"gif8", b"ii*\0", b"mm\0*"),
+        ("an image, not a table", "give the numbers that it shows, as CSV or .xlsx"),
+    ),
 }
 """First bytes, in small letters, of files that are not read, what they are, and the remedy."""
 _JSON = re.compile(rb"""\s*(?:\{\s*"|\[\s*(?:\{\s*"|\[\s*["0-9.-]))""")  # not a table under [[mm]], say

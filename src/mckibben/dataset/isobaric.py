@@ -11,7 +11,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.plausibility import check_pressures
+from mckibben.dataset.plausibility import check_pressures, implied_diameter
 from mckibben.dataset.preprocessing import with_slack_force
 from mckibben.dataset.schema import (
     VARIABLES,
@@ -22,7 +22,7 @@ from mckibben.dataset.schema import (
 )
 from mckibben.errors import DatasetError, RangeError
 from mckibben.notebook import draw
-from mckibben.units import bar, percent
+from mckibben.units import bar, mm, percent
 
 _BLOCK = 32768  # samples per block: 256 KiB of floats stay in a core's cache
 
@@ -229,6 +229,8 @@ class IsobaricDataset(MeasuredTable):
             count = f"{len(levels)} pressure{'s' if len(levels) > 1 else ''}"
             parts.append(f"{count} {format_range(levels)} bar")
             parts.append(f"contraction {format_range(contraction)} %")
+            if "columns_read" in self.table.attrs and (diameter := implied_diameter(self.pressure, self.force)):
+                parts.append(f"force of a muscle of about {diameter / mm:.2g} mm diameter")
         if len(self.directions):
             parts.append(" and ".join(self.directions))
         if len(self.phases):

@@ -88,9 +88,7 @@ _WORD_REMEDY = {
     "direction": "write loading (being stretched), unloading (shortening) or unknown, or leave the column out",
     "phase": "write filling, venting or unknown, or leave the column out",
 }
-_MEANING_REMEDY = (
-    "; or give its meaning ({0} or {1}), columns={{{text!r}: {0!r}}} (command line: --column '{text}={0}')"
-)
+_MEANING_REMEDY = "; or give its meaning, {0} or {1}: columns={{{text!r}: ...}} (command line: --column '{text}=...')"
 
 
 def impossible_settings(initial_length: float | None, slack_force: float | None) -> list[Problem]:
@@ -366,12 +364,15 @@ class ColumnConverter:
         cells = [str(cell) for cell in self.sheet.channels[self.places[name][0]].cells]
         given = {text.lower(): word for text, word in self.mapping.items() if word in WORDS[name]}
         meaning = {text: {**_MEANINGS[name], **given}.get(text.strip().lower()) for text in set(cells)}
-        for line, text in zip(self.lines, cells, strict=True):
+        rows = [one for one in zip(self.lines, cells, strict=True) if one[0] not in self.summaries]
+        first = {text: line for line, text in reversed(rows)}
+        for line, text in rows:
             if meaning[text] is None:
                 short = text.strip()[:40]
                 remedy = _WORD_REMEDY[name] + (_MEANING_REMEDY.format(*WORDS[name], text=short) if short else "")
                 message = f"{repr(short) if short else 'an empty cell'} is not a {name}"
-                self.corrupt.append(self.sheet.kind(message, line=line, field=self._field(name), remedy=remedy))
+                problem = self.sheet.kind(message, line=line, field=self._field(name), remedy=remedy)
+                (self.corrupt if line == first[text] else self.missing).append(problem)  # one mistake per word
         return np.array([meaning[text] or "" for text in cells], dtype="<U9")
 
     def _numbers(self, name: str) -> NDArray[np.float64]:

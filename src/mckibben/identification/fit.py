@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,17 +96,6 @@ class Outlier:
 
 
 _LISTED, _LISTED_ROWS = 3, 12  # outliers in full, and rows of others, in warnings
-_MEANT = {
-    "force": "predict(contraction, pressure)",
-    "simulate": "Scenario.simulate(), with the fit's file as the law of a muscle",
-    "summary": "report()",
-    "parameters": "estimates",
-    "save": "to_yaml(path)",
-    "muscle": "mk.Muscle(specimen, fit.law); `identify_with_friction` gives one",
-}
-"""Suggestions for unknown attributes of a fit."""
-
-
 KEEP_OUTLIERS = "; to keep such points, give robust=False"
 
 
@@ -204,6 +193,15 @@ class Fit(metaclass=CheckedCalls):
         Points left out because they are off the smooth surface through the others.
     """
 
+    suggestions: ClassVar[Mapping[str, str]] = {
+        "force": "predict(contraction, pressure)",
+        "simulate": "Scenario.simulate(), with the fit's file as the law of a muscle",
+        "summary": "report()",
+        "parameters": "estimates",
+        "save": "to_yaml(path)",
+        "muscle": "mk.Muscle(specimen, fit.law); `identify_with_friction` gives one",
+    }
+
     law: ForceLaw
     standard_errors: Mapping[str, float]
     correlations: Floats
@@ -222,7 +220,7 @@ class Fit(metaclass=CheckedCalls):
     if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
 
         def __getattr__(self, name: str) -> Any:
-            raise no_attribute(self, name, _MEANT)
+            raise no_attribute(self, name, self.suggestions)
 
     @property
     def estimates(self) -> dict[str, float]:

@@ -79,13 +79,12 @@ def identify(
     (40.0, 1.07, 1.34)
     """
     if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
-        given = [
-            f"class {one.__name__}" if isinstance(one, type) else type(one).__name__ for one in (law_type, dataset)
-        ]
+        both = (law_type,) if dataset is None else (law_type, dataset)
+        given = [f"class {one.__name__}" if isinstance(one, type) else type(one).__name__ for one in both]
         law = next((one for one in given if one.endswith("Law")), "ExponentialLaw").removeprefix("class ")
         data = "data" if IsobaricDataset in map(type, (law_type, dataset)) else "read_dataset('rig.csv')"
         raise IdentificationError(
-            f"identify takes the class of a law and a dataset, not {' and '.join(given)}",
+            f"identify takes the class of a law and a dataset, not {'only ' * (dataset is None)}{' and '.join(given)}",
             remedy=f"write identify({law}, {data})",
         )
     means = dataset.plateau_means()

@@ -176,19 +176,34 @@ class Result(RunResult):
         moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
         return compute_metrics(moved, self.control_period, self.angle_resolution)
 
+    @property
+    def poor_tracking(self) -> str:
+        """Remark on an angle that follows its reference worse than a joint at rest; empty if it does not, or failed."""
+        desired = self["desired_angle"]
+        if not self.outcome.usable or np.ptp(desired) < 1e-9:
+            return ""
+        error, resting = (np.sqrt(np.mean((one - desired) ** 2)) / deg for one in (self["angle"], self["angle"][0]))
+        if error <= resting:
+            return ""
+        return (
+            f"the angle follows the reference worse than a joint at rest (RMSE {error:.3g} instead of {resting:.3g} "
+            "deg): check by `mckibben envelope` whether the motion is too fast for the joint, or tune the controller"
+        )
+
     def __repr__(self) -> str:
         errors = [
             f"{axis} RMSE {float(np.sqrt(np.mean((self[axis] - self['desired_' + axis]) ** 2))) / size:.3g} {unit}"
             for axis, size, unit in (("angle", deg, "deg"), ("stiffness", 1.0, "N*m/rad"))
         ]
-        return f"<Result: {self.duration:g} s, {self.outcome.name.lower()}, {', '.join(errors)}>"
+        remark = "; the angle follows the reference worse than a joint at rest" if self.poor_tracking else ""
+        return f"<Result: {self.duration:g} s, {self.outcome.name.lower()}, {', '.join(errors)}{remark}>"
 
     def plot(self, name: str = "run") -> Any:
         """Return time traces of the run, see `mckibben.report.tracking`."""
         return draw("tracking", {name: self})
 
     def describe(self) -> str:
-        """The outcome as a sentence, with the time saturated, slack or outside the domain."""
+        """The outcome as a sentence, with the time saturated, slack or outside the domain, and `poor_tracking`."""
         columns, sentence, times = self.columns, self.outcome.value, self.times
         if self.outcome is Outcome.DIVERGED:
             # Pressures within limits cannot drive the true motion to infinity.
@@ -210,7 +225,8 @@ class Result(RunResult):
             )
             if mask.any()
         ]
-        return f"{sentence} ({'; '.join(spans)})" if spans else sentence
+        sentence += f" ({'; '.join(spans)})" if spans else ""
+        return f"{sentence}; {self.poor_tracking}" if self.poor_tracking else sentence
 
     def _outside(self) -> str:
         """Quantities that left the domain, by how much, and the domain."""

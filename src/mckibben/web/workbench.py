@@ -135,6 +135,8 @@ def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
     remarks = [] if feasibility.feasible else [feasibility.describe()]
     if result.outcome.name != "COMPLETED":
         remarks.append(result.outcome.value)
+    if result.poor_tracking:
+        remarks.append(result.poor_tracking)
     if np.isnan(result.metrics["air"]) and not result.outcome.failed:
         remarks.append(unknown_air(scenario))
     return _kept(scenario, result, folder), [*remarks, *scenario.joint.remarks]
