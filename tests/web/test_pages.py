@@ -197,9 +197,12 @@ def test_another_kind_of_joint_has_its_own_sliders():
             await until(lambda: there(user, "radius-of-the-pulleys") and not there(user, "from-hip-to-joint-axis"))
             the(user, ui.slider, "radius-of-the-pulleys").set_value(60)
             await until(lambda: any("60.0 and 60.0 mm" in one.text for one in user.find(ui.label).elements))
-            return state(design.JointDesign)
+            return state(design.JointDesign), curve(chart, "lowest"), curve(charts(user)[-1], "highest")
 
-    kept = asyncio.run(visit())
+    kept, stiffness, torque = asyncio.run(visit())
+    found = design.compute(kept, MUSCLE)  # also what the browser gets again with a change of the chart's color
+    np.testing.assert_allclose(stiffness, found.stiffness[0], rtol=1e-4)
+    np.testing.assert_allclose(torque, found.torque[1], rtol=1e-4)
     assert (kept.kind, kept.dimensions) == ("pulleys", {"radius": 60})
 
 

@@ -490,11 +490,11 @@ def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[st
     """
     series = list(series)
     names = [one["name"] for one in series if not one["name"].endswith(" from")] if legend is None else list(legend)
-    names = list(dict.fromkeys(names))
-    if len(on.options["series"]) == len(series) and series:
-        changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
-        on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})
-    else:
-        on.options["title"]["show"] = not series
-        on.options["series"] = series
-        on.options["legend"]["data"] = names
+    names, alike = list(dict.fromkeys(names)), series and len(on.options["series"]) == len(series)
+    with on.props.suspend_updates():  # what is sent later, such as another class, must not bring back older curves
+        on.options["title"]["show"], on.options["legend"]["data"], on.options["series"] = not series, names, series
+    if not alike:
+        on.update()
+        return
+    changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
+    on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})
