@@ -377,7 +377,9 @@ def test_two_tabs_of_a_browser_show_the_same():
 def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):
     costs, scenario = np.array([2.0, 1.0]), Scenario.parse(workbench.START)
     monkeypatch.setattr(
-        tune, "tuned", lambda text, *_: studies.Tuned(text, 2.0, 1.0, costs, [], [], scenario, 0.0, ["a remark"])
+        tune,
+        "tuned",
+        lambda text, *_: studies.Tuned(text, 2.0, 1.0, "cost 2 -> 1", costs, [], [], scenario, 0.0, ["a remark"]),
     )
     monkeypatch.setattr(
         tune,

@@ -337,8 +337,9 @@ def _show_tuned(
         rows = list(zip(shown_values, old, shown_values.values(), strict=True))
         kept_margin = f"disk margin of at least {tuned.disk_margin:g} kept" if tuned.disk_margin else "no margin kept"
         points = f"{tuned.evaluated} points evaluated, {kept_margin}"
-        title = f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {points}"
-        table(title, ("parameter", "before", "tuned"), rows)
+        table(f"{tuned.change}, {points}", ("parameter", "before", "tuned"), rows)
+        if tuned.invalid_before:
+            echo(tuned.invalid_before)
         for run in runs:
             pairs = zip(format_metrics(run["before"]), format_metrics(run["tuned"]), strict=True)
             rows = [(name, old, new, unit) for (name, old, _), (_, new, unit) in pairs]

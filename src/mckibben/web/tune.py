@@ -197,7 +197,7 @@ class _Page(JobPage[StudyState]):
 
     def show_tuned(self, found: Tuned) -> None:
         """Costs of the search, gains and metrics."""
-        with panel(f"Tuned: cost {found.cost_before:.4g} to {found.cost:.4g}, {len(found.costs)} points evaluated"):
+        with panel(f"Tuned: {found.change}, {len(found.costs)} points evaluated"):
             if found.disk_margin:
                 quiet(f"The search kept a disk margin of at least {found.disk_margin:g}.")
             else:
