@@ -335,8 +335,8 @@ def _show_tuned(
         named = [(each.parameter, each.parameter.nominal) for each in ranges]
         old = ["-" if nominal is None else parameter.show(nominal) for parameter, nominal in named]
         rows = list(zip(shown_values, old, shown_values.values(), strict=True))
-        kept_margin = f"disk margin of at least {tuned.disk_margin:g} kept" if tuned.disk_margin else "no margin kept"
-        points = f"{tuned.evaluated} points evaluated, {kept_margin}"
+        where = f"disk margin of at least {tuned.disk_margin:g} kept at four points of a run"
+        points = f"{tuned.evaluated} points evaluated, {where if tuned.disk_margin else 'no margin kept'}"
         table(f"{tuned.change}, {points}", ("parameter", "before", "tuned"), rows)
         if tuned.invalid_before:
             echo(tuned.invalid_before)

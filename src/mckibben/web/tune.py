@@ -199,7 +199,10 @@ class _Page(JobPage[StudyState]):
         """Costs of the search, gains and metrics."""
         with panel(f"Tuned: {found.change}, {len(found.costs)} points evaluated"):
             if found.disk_margin:
-                quiet(f"The search kept a disk margin of at least {found.disk_margin:g}.")
+                quiet(
+                    f"The search kept a disk margin of at least {found.disk_margin:g} at four points of the run. The "
+                    "least margins below cover more points and frequencies and may be smaller."
+                )
             else:
                 quiet("The search kept no disk margin.")
             show_warnings(found.remarks)

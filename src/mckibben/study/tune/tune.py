@@ -161,7 +161,7 @@ class TuningResult:
     evaluated: int  # points
     at_bound: tuple[str, ...]  # parameters within 1 % of an end of their range: a wider one may have better values
     trials: tuple[Trial, ...]  # in order
-    disk_margin: float = 0.0  # least that the search kept in all scenarios and conditions; 0 for none
+    disk_margin: float = 0.0  # least that the search kept, as `disk_margins` computes it, in all runs; 0 for none
     invalid_before: str = ""  # why there is no cost before
 
     @property
