@@ -34,7 +34,7 @@ from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, joint, layout, reading, rig, session, studies, tune, workbench
+from mckibben.web import app, design, identify, joint, reading, rig, session, studies, tune, wording, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -279,7 +279,7 @@ def test_an_outlier_is_named_and_can_be_kept():
             await user.should_see("24 points", retries=60)
             user.find(marker="fit").click()
             await user.should_see("23 points used", retries=100)
-            await user.should_see(layout.KEEP, kind=ui.label)
+            await user.should_see(wording.KEEP, kind=ui.label)
             forces, residuals = charts(user)
             assert series(forces, "left out")["data"] == [[2.0, 400.0]]
             assert series(residuals, "left out")["data"][0][1] > 100
@@ -295,14 +295,15 @@ def test_an_outlier_is_named_and_can_be_kept():
 @pytest.mark.parametrize(
     ("text", "shown"),
     [
-        ("x: 1; identify the friction with identify_hysteresis (command line: --hysteresis)", layout.FRICTION),
-        (f"correct it{LEAVE_OUT}", layout.SKIP),
+        ("x: 1; identify the friction with identify_hysteresis (command line: --hysteresis)", wording.FRICTION),
+        (f"correct it{LEAVE_OUT}", wording.SKIP),
         ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
+        ("is a scenario of a joint, which `mckibben simulate` reads; give a recipe", "the page Run"),
         ("did you mean 'kp'? `mckibben sweep SCENARIO.yaml --list` shows all", "did you mean 'kp'?"),
     ],
 )
 def test_advice_names_what_the_page_has(text, shown):
-    found = layout._on_page(text)
+    found = wording.on_page(text)
     assert shown in found
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
 
@@ -311,7 +312,7 @@ def test_the_remedy_of_a_displacement_names_the_choices_of_the_page(tmp_path):
     (tmp_path / "rig.csv").write_text("pressure_bar,displacement_mm,force_N\n1,0,10\n1,5,5\n", encoding="utf-8")
     with pytest.raises(DatasetError) as found:
         read_dataset(tmp_path / "rig.csv", initial_length=0.2)
-    remedy = layout._on_page(found.value.problems[0].remedy)
+    remedy = wording.on_page(found.value.problems[0].remedy)
     assert all(f"displacement: {choice}" in remedy for value, choice in reading.DISPLACEMENTS.items() if value)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import re
 import time
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,13 +17,10 @@ import numpy as np
 from nicegui import events, ui
 from numpy.typing import ArrayLike
 
-from mckibben.dataset.quantities import LEAVE_OUT
-from mckibben.errors import ON_COMMAND_LINE, DatasetError, FileError, McKibbenError, printable
-from mckibben.identification.fit import KEEP_OUTLIERS
-from mckibben.identification.fitting import WITH_FRICTION
-from mckibben.scenario.parameters import LISTING
+from mckibben.errors import DatasetError, FileError, McKibbenError, printable
 from mckibben.web import resource
 from mckibben.web.session import Jobs, JobState
+from mckibben.web.wording import on_page, quotes
 
 State = TypeVar("State", bound=JobState)
 
@@ -37,22 +33,6 @@ GREY = "#5f6b76"
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
-_ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
-_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|largest_force|force_sign|from_name)\b")
-_CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
-_PAIR = re.compile(r"'([^']*)': '([^']*)'")
-_COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
-KEEP, FRICTION, SKIP = "keep outliers", "friction", "leave out damaged rows"  # labels of what stands for arguments
-_INSTEAD = {
-    KEEP_OUTLIERS: f"; to keep such points, tick “{KEEP}”",
-    LEAVE_OUT: f", or tick “{SKIP}”",
-    WITH_FRICTION: f"; to identify the friction, choose “{FRICTION}: with”",
-    "(mk.rank, or --law all)": "(Rank all laws)",
-    f"; {LISTING}": "",
-    f" {LISTING}": "",
-    LISTING: "",
-}
-"""Parts of texts that name calls and options, with those for the page."""
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
@@ -100,7 +80,7 @@ def select(options: Any, label: str, mark: str = "", **others: Any) -> ui.select
 
 def quiet(text: str) -> ui.label:
     """A remark in small grey letters, in terms of the page."""
-    return ui.label(_on_page(text)).classes("quiet")
+    return ui.label(on_page(text)).classes("quiet")
 
 
 def results_side() -> ui.column:
@@ -142,8 +122,8 @@ def show_error(error: McKibbenError) -> None:
         (
             "" if one.line is None else one.line,
             printable(one.field, 80),
-            printable(_quotes(one.message), 400),
-            printable(_on_page(one.remedy), 400),
+            printable(quotes(one.message), 400),
+            printable(on_page(one.remedy), 400),
         )
         for one in error.problems[:100]
     ]
@@ -153,25 +133,9 @@ def show_error(error: McKibbenError) -> None:
         ui.label(f"and {count - len(rows)} more").classes("quiet")
 
 
-def _on_page(remedy: str) -> str:
-    """A remedy in terms of the fields of the page."""
-    text = remedy
-    for ours, shown in _INSTEAD.items():
-        text = text.replace(ours, shown)
-    text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", text))
-    text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
-    text = _CHOICES.sub(r"\1: \2", text)
-    return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
-
-
-def _quotes(text: str) -> str:
-    """A text with quotation marks around what is code."""
-    return re.sub("`([^`]*)`", r"“\1”", text)
-
-
 def _message(message: str, remedy: str) -> None:
     with ui.column().style("gap: 2px; border-left: 3px solid #b3261e; padding-left: 10px").mark("error"):
-        for line in printable(_quotes(message), 4000).splitlines():
+        for line in printable(quotes(message), 4000).splitlines():
             ui.label(line)
         if remedy:
             quiet(printable(remedy, 1000))
