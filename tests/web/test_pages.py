@@ -34,7 +34,7 @@ from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, joint, reading, rig, session, studies, tune, wording, workbench
+from mckibben.web import app, design, identify, joint, layout, reading, rig, session, studies, tune, wording, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -306,6 +306,16 @@ def test_advice_names_what_the_page_has(text, shown):
     found = wording.on_page(text)
     assert shown in found
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
+
+
+@pytest.mark.parametrize(("count", "width", "rows"), [(6, 1200, 1), (6, 330, 2), (12, 330, 3), (2, 330, 1)])
+def test_the_plot_is_below_all_rows_of_the_legend(count, width, rows):
+    tops = [
+        one["option"]["grid"]["top"]
+        for one in layout._below_legend(["2.01 bar"] * count)
+        if width <= one.get("query", {}).get("maxWidth", np.inf)
+    ]  # the browser applies those that hold, in this order
+    assert tops[-1] == 36 + 24 * (rows - 1)
 
 
 def test_the_remedy_of_a_displacement_names_the_choices_of_the_page(tmp_path):

@@ -424,11 +424,10 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
             "textStyle": {**text, "fontWeight": "normal"},
         },
         "textStyle": {"fontFamily": "inherit"},
-        "grid": {"left": 58, "right": 16, "top": 36, "bottom": 44},
+        "grid": {"left": 58, "right": 16, "top": _TOP, "bottom": 44},
         "legend": {
             "top": 0,
-            "type": "scroll",
-            "icon": "path://M0,0M16,14M0,5h16v4h-16z",  # as high as the texts, which a legend with pages cuts to it
+            "icon": "path://M0,0M16,14M0,5h16v4h-16z",  # as high as the texts
             "itemWidth": 16,
             "itemHeight": 14,
             "itemStyle": {"opacity": 1},
@@ -447,6 +446,18 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
     return ui.echart(options).classes("w-full").style(f"height: {height}px")
 
 
+_TOP, _ROW = 36, 24  # of a plot below a legend of one row, and of each further row [px]
+
+
+def _below_legend(names: Sequence[str]) -> list[dict[str, Any]]:
+    """Tops of the plot by the width of its chart, in which the legend has one or more rows."""
+    width = sum(6 * len(name) + 31 for name in names)  # of text, icon and gaps [px]
+    rows = [
+        {"query": {"maxWidth": width // row}, "option": {"grid": {"top": _TOP + row * _ROW}}} for row in range(1, 6)
+    ]
+    return [{"option": {"grid": {"top": _TOP}}}, *rows]
+
+
 def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[str] | None = None) -> None:
     """Replace the curves of a chart; the legend omits the lower ends of bands.
 
@@ -457,8 +468,9 @@ def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[st
     names, alike = list(dict.fromkeys(names)), series and len(on.options["series"]) == len(series)
     with on.props.suspend_updates():  # what is sent later, such as another class, must not bring back older curves
         on.options["title"]["show"], on.options["legend"]["data"], on.options["series"] = not series, names, series
+        on.options["media"] = media = _below_legend(names)
     if not alike:
         on.update()
         return
     changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
-    on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})
+    on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}, "media": media})
