@@ -35,7 +35,7 @@ from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, joint, layout, reading, rig, session, studies, tune, workbench
+from mckibben.web import app, design, identify, joint, layout, reading, rig, session, studies, tune, wording, workbench
 from tests.dataset.conftest import FILES
 from tests.dataset.test_hostile import damaged
 
@@ -198,9 +198,12 @@ def test_another_kind_of_joint_has_its_own_sliders():
             await until(lambda: there(user, "radius-of-the-pulleys") and not there(user, "from-hip-to-joint-axis"))
             the(user, ui.slider, "radius-of-the-pulleys").set_value(60)
             await until(lambda: any("60.0 and 60.0 mm" in one.text for one in user.find(ui.label).elements))
-            return state(design.JointDesign)
+            return state(design.JointDesign), curve(chart, "lowest"), curve(charts(user)[-1], "highest")
 
-    kept = asyncio.run(visit())
+    kept, stiffness, torque = asyncio.run(visit())
+    found = design.compute(kept, MUSCLE)  # also what the browser gets again with a change of the chart's color
+    np.testing.assert_allclose(stiffness, found.stiffness[0], rtol=1e-4)
+    np.testing.assert_allclose(torque, found.torque[1], rtol=1e-4)
     assert (kept.kind, kept.dimensions) == ("pulleys", {"radius": 60})
 
 
@@ -284,7 +287,7 @@ def test_an_outlier_is_named_and_can_be_kept():
             await user.should_see("24 points", retries=60)
             user.find(marker="fit").click()
             await user.should_see("23 points used", retries=100)
-            await user.should_see(layout.KEEP, kind=ui.label)
+            await user.should_see(wording.KEEP, kind=ui.label)
             forces, residuals = charts(user)
             assert series(forces, "left out")["data"] == [[2.0, 400.0]]
             assert series(residuals, "left out")["data"][0][1] > 100
@@ -300,23 +303,34 @@ def test_an_outlier_is_named_and_can_be_kept():
 @pytest.mark.parametrize(
     ("text", "shown"),
     [
-        ("x: 1; identify the friction with identify_hysteresis (command line: --hysteresis)", layout.FRICTION),
-        (f"correct it{LEAVE_OUT}", layout.SKIP),
+        ("x: 1; identify the friction with identify_hysteresis (command line: --hysteresis)", wording.FRICTION),
+        (f"correct it{LEAVE_OUT}", wording.SKIP),
         ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
+        ("is a scenario of a joint, which `mckibben simulate` reads; give a recipe", "the page Run"),
         ("did you mean 'kp'? `mckibben sweep SCENARIO.yaml --list` shows all", "did you mean 'kp'?"),
     ],
 )
 def test_advice_names_what_the_page_has(text, shown):
-    found = layout._on_page(text)
+    found = wording.on_page(text)
     assert shown in found
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
+
+
+@pytest.mark.parametrize(("count", "width", "rows"), [(6, 1200, 1), (6, 330, 2), (12, 330, 3), (2, 330, 1)])
+def test_the_plot_is_below_all_rows_of_the_legend(count, width, rows):
+    tops = [
+        one["option"]["grid"]["top"]
+        for one in layout._below_legend(["2.01 bar"] * count)
+        if width <= one.get("query", {}).get("maxWidth", np.inf)
+    ]  # the browser applies those that hold, in this order
+    assert tops[-1] == 36 + 24 * (rows - 1)
 
 
 def test_the_remedy_of_a_displacement_names_the_choices_of_the_page(tmp_path):
     (tmp_path / "rig.csv").write_text("pressure_bar,displacement_mm,force_N\n1,0,10\n1,5,5\n", encoding="utf-8")
     with pytest.raises(DatasetError) as found:
         read_dataset(tmp_path / "rig.csv", initial_length=0.2)
-    remedy = layout._on_page(found.value.problems[0].remedy)
+    remedy = wording.on_page(found.value.problems[0].remedy)
     assert all(f"displacement: {choice}" in remedy for value, choice in reading.DISPLACEMENTS.items() if value)
 
 
@@ -382,7 +396,9 @@ def test_two_tabs_of_a_browser_show_the_same():
 def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):
     costs, scenario = np.array([2.0, 1.0]), Scenario.parse(workbench.START)
     monkeypatch.setattr(
-        tune, "tuned", lambda text, *_: studies.Tuned(text, 2.0, 1.0, costs, [], [], scenario, 0.0, ["a remark"])
+        tune,
+        "tuned",
+        lambda text, *_: studies.Tuned(text, 2.0, 1.0, "cost 2 -> 1", costs, [], [], scenario, 0.0, ["a remark"]),
     )
     monkeypatch.setattr(
         tune,

@@ -335,10 +335,11 @@ def _show_tuned(
         named = [(each.parameter, each.parameter.nominal) for each in ranges]
         old = ["-" if nominal is None else parameter.show(nominal) for parameter, nominal in named]
         rows = list(zip(shown_values, old, shown_values.values(), strict=True))
-        kept_margin = f"disk margin of at least {tuned.disk_margin:g} kept" if tuned.disk_margin else "no margin kept"
-        points = f"{tuned.evaluated} points evaluated, {kept_margin}"
-        title = f"cost {metric('cost', tuned.cost_before)} -> {tuned.cost:.4g}, {points}"
-        table(title, ("parameter", "before", "tuned"), rows)
+        where = f"disk margin of at least {tuned.disk_margin:g} kept at four points of a run"
+        points = f"{tuned.evaluated} points evaluated, {where if tuned.disk_margin else 'no margin kept'}"
+        table(f"{tuned.change}, {points}", ("parameter", "before", "tuned"), rows)
+        if tuned.invalid_before:
+            echo(tuned.invalid_before)
         for run in runs:
             pairs = zip(format_metrics(run["before"]), format_metrics(run["tuned"]), strict=True)
             rows = [(name, old, new, unit) for (name, old, _), (_, new, unit) in pairs]

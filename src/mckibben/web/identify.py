@@ -29,10 +29,7 @@ from mckibben.scenario import muscle_text
 from mckibben.units import bar, factor, percent, quantity
 from mckibben.web.layout import (
     BLACK,
-    FRICTION,
-    KEEP,
     PALETTE,
-    SKIP,
     JobPage,
     button,
     chart,
@@ -54,6 +51,7 @@ from mckibben.web.layout import (
 from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal, rows_read
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
+from mckibben.web.wording import FRICTION, KEEP, SKIP, on_page
 
 _LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
 _MOST_CURVES = 12
@@ -211,7 +209,7 @@ class _Page(JobPage[IdentificationState]):
                 try:
                     self.state.reading.take(Recipe.parse(text, source=printable(one.name, 80)))
                 except ScenarioError as error:
-                    ui.notify(printable(str(error), 1000), type="negative", multi_line=True)
+                    ui.notify(printable(on_page(str(error)), 1000), type="negative", multi_line=True)
                     return
         if not files:
             self.options.value = True

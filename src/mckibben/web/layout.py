@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import re
 import time
 from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,13 +17,10 @@ import numpy as np
 from nicegui import events, ui
 from numpy.typing import ArrayLike
 
-from mckibben.dataset.quantities import LEAVE_OUT
-from mckibben.errors import ON_COMMAND_LINE, DatasetError, FileError, McKibbenError, printable
-from mckibben.identification.fit import KEEP_OUTLIERS
-from mckibben.identification.fitting import WITH_FRICTION
-from mckibben.scenario.parameters import LISTING
+from mckibben.errors import DatasetError, FileError, McKibbenError, printable
 from mckibben.web import resource
 from mckibben.web.session import Jobs, JobState
+from mckibben.web.wording import on_page, quotes
 
 State = TypeVar("State", bound=JobState)
 
@@ -37,22 +33,6 @@ GREY = "#5f6b76"
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
 
-_ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
-_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|largest_force|force_sign|from_name)\b")
-_CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
-_PAIR = re.compile(r"'([^']*)': '([^']*)'")
-_COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
-KEEP, FRICTION, SKIP = "keep outliers", "friction", "leave out damaged rows"  # labels of what stands for arguments
-_INSTEAD = {
-    KEEP_OUTLIERS: f"; to keep such points, tick “{KEEP}”",
-    LEAVE_OUT: f", or tick “{SKIP}”",
-    WITH_FRICTION: f"; to identify the friction, choose “{FRICTION}: with”",
-    "(mk.rank, or --law all)": "(Rank all laws)",
-    f"; {LISTING}": "",
-    f" {LISTING}": "",
-    LISTING: "",
-}
-"""Parts of texts that name calls and options, with those for the page."""
 PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/rig": "Rig", "/leg": "Leg"}
 
 
@@ -100,7 +80,7 @@ def select(options: Any, label: str, mark: str = "", **others: Any) -> ui.select
 
 def quiet(text: str) -> ui.label:
     """A remark in small grey letters, in terms of the page."""
-    return ui.label(_on_page(text)).classes("quiet")
+    return ui.label(on_page(text)).classes("quiet")
 
 
 def results_side() -> ui.column:
@@ -142,8 +122,8 @@ def show_error(error: McKibbenError) -> None:
         (
             "" if one.line is None else one.line,
             printable(one.field, 80),
-            printable(_quotes(one.message), 400),
-            printable(_on_page(one.remedy), 400),
+            printable(quotes(one.message), 400),
+            printable(on_page(one.remedy), 400),
         )
         for one in error.problems[:100]
     ]
@@ -153,25 +133,9 @@ def show_error(error: McKibbenError) -> None:
         ui.label(f"and {count - len(rows)} more").classes("quiet")
 
 
-def _on_page(remedy: str) -> str:
-    """A remedy in terms of the fields of the page."""
-    text = remedy
-    for ours, shown in _INSTEAD.items():
-        text = text.replace(ours, shown)
-    text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", text))
-    text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
-    text = _CHOICES.sub(r"\1: \2", text)
-    return _quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
-
-
-def _quotes(text: str) -> str:
-    """A text with quotation marks around what is code."""
-    return re.sub("`([^`]*)`", r"“\1”", text)
-
-
 def _message(message: str, remedy: str) -> None:
     with ui.column().style("gap: 2px; border-left: 3px solid #b3261e; padding-left: 10px").mark("error"):
-        for line in printable(_quotes(message), 4000).splitlines():
+        for line in printable(quotes(message), 4000).splitlines():
             ui.label(line)
         if remedy:
             quiet(printable(remedy, 1000))
@@ -460,11 +424,10 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
             "textStyle": {**text, "fontWeight": "normal"},
         },
         "textStyle": {"fontFamily": "inherit"},
-        "grid": {"left": 58, "right": 16, "top": 36, "bottom": 44},
+        "grid": {"left": 58, "right": 16, "top": _TOP, "bottom": 44},
         "legend": {
             "top": 0,
-            "type": "scroll",
-            "icon": "path://M0,0M16,14M0,5h16v4h-16z",  # as high as the texts, which a legend with pages cuts to it
+            "icon": "path://M0,0M16,14M0,5h16v4h-16z",  # as high as the texts
             "itemWidth": 16,
             "itemHeight": 14,
             "itemStyle": {"opacity": 1},
@@ -483,6 +446,18 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
     return ui.echart(options).classes("w-full").style(f"height: {height}px")
 
 
+_TOP, _ROW = 36, 24  # of a plot below a legend of one row, and of each further row [px]
+
+
+def _below_legend(names: Sequence[str]) -> list[dict[str, Any]]:
+    """Tops of the plot by the width of its chart, in which the legend has one or more rows."""
+    width = sum(6 * len(name) + 31 for name in names)  # of text, icon and gaps [px]
+    rows = [
+        {"query": {"maxWidth": width // row}, "option": {"grid": {"top": _TOP + row * _ROW}}} for row in range(1, 6)
+    ]
+    return [{"option": {"grid": {"top": _TOP}}}, *rows]
+
+
 def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[str] | None = None) -> None:
     """Replace the curves of a chart; the legend omits the lower ends of bands.
 
@@ -490,11 +465,12 @@ def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[st
     """
     series = list(series)
     names = [one["name"] for one in series if not one["name"].endswith(" from")] if legend is None else list(legend)
-    names = list(dict.fromkeys(names))
-    if len(on.options["series"]) == len(series) and series:
-        changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
-        on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})
-    else:
-        on.options["title"]["show"] = not series
-        on.options["series"] = series
-        on.options["legend"]["data"] = names
+    names, alike = list(dict.fromkeys(names)), series and len(on.options["series"]) == len(series)
+    with on.props.suspend_updates():  # what is sent later, such as another class, must not bring back older curves
+        on.options["title"]["show"], on.options["legend"]["data"], on.options["series"] = not series, names, series
+        on.options["media"] = media = _below_legend(names)
+    if not alike:
+        on.update()
+        return
+    changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
+    on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}, "media": media})

@@ -87,6 +87,7 @@ class Tuned:
     text: str
     cost_before: float
     cost: float
+    change: str
     costs: np.ndarray
     parameters: list[tuple[str, str, str]]
     metrics: list[tuple[str, str, str]]
@@ -160,14 +161,16 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     ]
     metrics = [(title, _number(old[name]), _number(new[name])) for name, title in _TITLES.items()]
     costs = np.array([trial.cost for trial in found.trials])
-    remarks = [*scenario.joint.remarks, *filter(None, [found.remark])]
+    remarks = [*filter(None, [found.invalid_before]), *scenario.joint.remarks, *filter(None, [found.remark])]
     if found.at_bound:
         remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
     if lost := lost_margin(old["disk"], new["disk"]):
         remarks.append(f"{lost}; raise the gain margin, or give a disk margin, such as {DISK_MARGIN}")
     if new["disk"] == 0:
         remarks.append(UNSTABLE)
-    return Tuned(text, found.cost_before, found.cost, costs, parameters, metrics, after, found.disk_margin, remarks)
+    return Tuned(
+        text, found.cost_before, found.cost, found.change, costs, parameters, metrics, after, found.disk_margin, remarks
+    )
 
 
 def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Compared:

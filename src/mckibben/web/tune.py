@@ -197,9 +197,12 @@ class _Page(JobPage[StudyState]):
 
     def show_tuned(self, found: Tuned) -> None:
         """Costs of the search, gains and metrics."""
-        with panel(f"Tuned: cost {found.cost_before:.4g} to {found.cost:.4g}, {len(found.costs)} points evaluated"):
+        with panel(f"Tuned: {found.change}, {len(found.costs)} points evaluated"):
             if found.disk_margin:
-                quiet(f"The search kept a disk margin of at least {found.disk_margin:g}.")
+                quiet(
+                    f"The search kept a disk margin of at least {found.disk_margin:g} at four points of the run. The "
+                    "least margins below cover more points and frequencies and may be smaller."
+                )
             else:
                 quiet("The search kept no disk margin.")
             show_warnings(found.remarks)

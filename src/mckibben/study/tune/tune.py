@@ -35,6 +35,7 @@ from mckibben.study.tune.search import (
     check_method,
     parse_ranges,
 )
+from mckibben.units import ms
 
 FORMAT, VERSION = "mckibben tuning history", 3
 _TRIAL = b"T"
@@ -160,7 +161,14 @@ class TuningResult:
     evaluated: int  # points
     at_bound: tuple[str, ...]  # parameters within 1 % of an end of their range: a wider one may have better values
     trials: tuple[Trial, ...]  # in order
-    disk_margin: float = 0.0  # least that the search kept in all scenarios and conditions; 0 for none
+    disk_margin: float = 0.0  # least that the search kept, as `disk_margins` computes it, in all runs; 0 for none
+    invalid_before: str = ""  # why there is no cost before
+
+    @property
+    def change(self) -> str:
+        """Costs before and after, or the latter if there is none before."""
+        before = "" if np.isnan(self.cost_before) else f"{self.cost_before:.4g} -> "
+        return f"cost {before}{self.cost:.4g}"
 
     @property
     def remark(self) -> str:
@@ -171,7 +179,7 @@ class TuningResult:
 
     def __repr__(self) -> str:
         count = f"{len(self.values)} parameter{'s' if len(self.values) != 1 else ''}"
-        return f"<TuningResult: cost {self.cost_before:.4g} -> {self.cost:.4g}, {count}, {self.evaluated} trials>"
+        return f"<TuningResult: {self.change}, {count}, {self.evaluated} trials>"
 
     def _repr_html_(self) -> str:
         shown = {name: find_parameter(self.scenarios[0], name) for name in self.values}
@@ -377,7 +385,20 @@ def _result(problem: TuningProblem, past: TuningHistory, cost: Callable[[Vector]
         at_bound=space.at_bound(point),
         trials=tuple(past.trials),
         disk_margin=problem.cost.disk_margin or 0.0,
+        invalid_before="" if before < FAILED_COST else _why_invalid(problem),
     )
+
+
+def _why_invalid(problem: TuningProblem) -> str:
+    """Reason why the first values have no cost."""
+    cost, lost = problem.cost, []
+    if cost.has_margin:
+        alone = replace(problem, cost=replace(cost, gain_margin=1.0, delay_margin=0.0, disk_margin=0.0))
+        if alone.costs(problem.space.nominal[None])[0] < FAILED_COST:
+            lost = [f"the gain margin of {cost.gain_margin:g}"] if cost.gain_margin != 1 else []
+            lost += [f"the delay margin of {cost.delay_margin / ms:g} ms"] if cost.delay_margin else []
+    what = f"do not keep {' and '.join(lost)}" if lost else "give no valid run, or a metric is not defined for them"
+    return f"no cost before: the values given {what}"
 
 
 def _digest(scenario: Scenario) -> str:
