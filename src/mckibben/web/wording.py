@@ -26,7 +26,10 @@ _INSTEAD = {
     LISTING: "",
 }
 """Parts of texts that name calls and options, with those for the page."""
-_READERS = {"`mckibben simulate` reads": "the page Run reads", "`mckibben leg` reads": "the page Leg reads"}
+_READERS = {
+    "which `mckibben simulate` reads": "which the page Run reads",
+    "which `mckibben leg` reads": "which the page Leg reads",
+}
 
 
 def on_page(text: str) -> str:
