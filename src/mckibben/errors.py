@@ -73,7 +73,7 @@ def closest(name: str, known: Sequence[str]) -> str:
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:
     """An error for an unknown attribute, with the call that is meant by it, or the closest public name."""
     private = name.startswith("_")  # asked for by copy, JAX and others, often
-    known = [] if private else [*meant, *(one for one in dir(owner) if not one.startswith("_"))]
+    known: list[str] = [] if private else [*meant, *(one for one in dir(owner) if not one.startswith("_"))]
     found = name if name in meant else closest(name, known) if known else ""
     hint = f"; did you mean {meant.get(found, found)}?" if found else ""
     kind = type(owner).__name__

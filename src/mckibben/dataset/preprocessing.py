@@ -25,7 +25,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 Bools = NDArray[np.bool_]
 
-_FEWEST = 3  # points at a level
+_FEWEST = 3  # points at a level, and readings at a floor
 _STRAY = 0.02  # of the points, or one: pressures far from all levels, which are errors
 _MOST_LEVELS, _MOST_RUNS = 10_000, 100_000  # beyond which levels and passes are not looked for, as they take long
 _SEPARATION = 2.5  # smallest ratio of gaps between levels to gaps within
@@ -43,6 +43,7 @@ _SURELY = 0.9  # the same, of few points, whose noise may explain much of it by 
 _PULLING = 0.05  # significance of the share of steps between slack points that go the way of a taut muscle's force
 _SAME_LENGTH = 0.1 * percent
 _NO_PRESSURE = 0.05 * bar
+_NO_SLACK = "no slack muscle is recognised: the zero of the load cell is not estimated"
 _QUIET = 0.01  # of the range of forces: largest noise of slack points that are recognised by a gap above them
 _MANY = 20  # points for quadratic terms
 _NORMAL = ((0.6827, 1.0), (0.9545, 2.0))  # share of a normal distribution within so many standard deviations
@@ -65,8 +66,7 @@ def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = Non
 def _with_set_pressures(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
     """Table with the nominal pressures of its levels, and a note; unchanged if it has some or shows no levels."""
     pressure = table["pressure"].to_numpy()
-    strays = max(1, int(_STRAY * len(pressure)))
-    if "set_pressure" in table or (labels := group_pressures(pressure, strays)) is None:
+    if "set_pressure" in table or (labels := group_pressures(pressure, _most_strays(pressure))) is None:
         return table, []
     nominal, scatter = nominal_pressures(pressure, labels)
     shown = format_range(nominal / bar)
@@ -100,7 +100,7 @@ def _levels(table: xr.Dataset) -> Floats:
 
 
 def without_offset(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
-    """Table with the slack muscle's force subtracted, and a note; unchanged and no note if it is not detected."""
+    """Table with the slack muscle's force subtracted, and a note; unchanged, with a note, if it is not detected."""
     if (slack := _slack_of(table)) is None:
         return table, [_NO_SLACK] if table["force"].min() > 0 else []
     if not slack.sure:
@@ -144,11 +144,15 @@ def with_notes(table: xr.Dataset, notes: list[str]) -> xr.Dataset:
     return table.assign_attrs(preprocessing="\n".join([*before, *notes])) if notes else table
 
 
-def group_pressures(pressure: Floats, strays: int = 0) -> Ints | None:
+def _most_strays(pressure: Floats) -> int:
+    return max(1, int(_STRAY * len(pressure)))
+
+
+def group_pressures(pressure: Floats, most_strays: int = 0) -> Ints | None:
     """Level of each measured pressure, ascending from 0; None if pressures repeat exactly or form no groups.
 
     Uses the finest grouping in which gaps between levels exceed both the width of levels and the gaps within them.
-    At most `strays` points may be far from all levels, such as typing errors; theirs is -1.
+    At most `most_strays` points may be far from all levels, such as typing errors; theirs is -1.
     """
     if 0 < np.ptp(pressure) < _ONE_LEVEL * pressure.max() and len(pressure) >= _FEWEST:
         return np.zeros(len(pressure), int)
@@ -162,7 +166,7 @@ def group_pressures(pressure: Floats, strays: int = 0) -> Ints | None:
         counts = np.diff(starts, append=len(order))
         width = np.max(pressure[order[starts + counts - 1]] - pressure[order[starts]])
         full = counts >= _FEWEST
-        if counts[~full].sum() > strays or ranked[last] < width:
+        if counts[~full].sum() > most_strays or ranked[last] < width:
             continue
         labels = np.empty(len(pressure), int)
         labels[order] = np.repeat(np.where(full, np.cumsum(full) - 1, -1), counts)
@@ -174,7 +178,7 @@ def strays(pressure: Floats, levels: Floats) -> Ints:
     """Rows of single pressures far from all levels, within the points of one level; none if these form no levels."""
     values, number, counts = np.unique(levels, return_inverse=True, return_counts=True)
     full, alone = values[counts >= _FEWEST], np.flatnonzero(counts[number] < _FEWEST)
-    if len(full) < 2 or len(alone) > max(1, _STRAY * len(levels)):
+    if len(full) < 2 or len(alone) > _most_strays(levels):
         return alone[:0]
     distance = np.abs(pressure[alone, None] - np.append(full, 0.0)).min(axis=1)  # a vented muscle is none
     alone = alone[(distance > _ONE_LEVEL * full.max()) & (alone > 0) & (alone < len(levels) - 1)]
@@ -193,7 +197,6 @@ def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:
     return means * bar, scatter
 
 
-_NO_SLACK = "no slack muscle is recognised: the zero of the load cell is not estimated"
 _LEAST_PART = 256  # rows looked at together, and then twice as many each time
 
 

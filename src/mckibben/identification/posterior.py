@@ -125,10 +125,7 @@ def posterior(
     data = _data(regression, by)
 
     import jax
-    from numpyro.diagnostics import (
-        effective_sample_size,
-        split_gelman_rubin,
-    )
+    from numpyro.diagnostics import effective_sample_size, split_gelman_rubin
     from numpyro.infer import MCMC, NUTS, init_to_value
 
     model = _model(type(fit.law), noise, by is not None)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 from nicegui import Client, app, background_tasks
 
@@ -112,12 +112,10 @@ async def in_thread(function: Callable[..., T], *arguments: Any) -> tuple[T, lis
     return await asyncio.to_thread(run), kept
 
 
-class Latest:
+class Latest(Generic[T]):
     """A computation for rapidly changing input: it uses the newest arguments and skips intermediate ones."""
 
-    def __init__(
-        self, compute: Callable[..., Any], show: Callable[[Any], None], fail: Callable[[Exception], None]
-    ) -> None:
+    def __init__(self, compute: Callable[..., T], show: Callable[[T], None], fail: Callable[[Exception], None]) -> None:
         self._compute, self._show, self._fail = compute, show, fail
         self._waiting: tuple[Any, ...] | None = None
         self._busy = False
