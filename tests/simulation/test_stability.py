@@ -122,6 +122,17 @@ def test_a_counter_is_not_an_unstable_pole():
     assert radius == pytest.approx(0.5)
 
 
+def test_a_narrow_resonance_between_two_frequencies_is_part_of_the_disk_margin():
+    """S = 1 + k / (z - r e^(jv)) + its conjugate: a peak of the width 1 - r, far below the distance of frequencies."""
+    radius, turn, k = 1 - 1e-5, 0.1234, 3e-5
+    a = np.kron(np.eye(2), radius * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]))
+    loop = LinearLoop(a, np.kron(np.eye(2), [[k], [0]]), np.kron(np.eye(2), [[2, 0]]))
+    z = np.exp(1j * (turn + np.linspace(-1e-4, 1e-4, 20_001)))
+    poles = radius * np.exp(1j * turn * np.array([[1], [-1]]))
+    exact = 1 / np.abs(0.5 + (k / (z - poles)).sum(axis=0)).max()
+    assert _margins_of(loop, 1e-3)[4] == pytest.approx(exact, rel=1e-3)
+
+
 @pytest.mark.slow
 def test_the_least_disk_margins_of_a_batch_are_those_of_single_runs_and_zero_beyond_the_delay_margin(loop, found):
     plant, control = loop

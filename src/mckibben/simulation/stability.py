@@ -295,8 +295,11 @@ def _sensitivity(loop: LinearLoop, angles: NDArray[np.float64]) -> NDArray[np.co
     return np.eye(2) + c @ np.linalg.solve(shifted, np.broadcast_to(b, (angles.size, *b.shape)))
 
 
-def _disk(sensitivity: NDArray[np.complex128]) -> float:
-    """Disk margin of a stable loop."""
+def _disk(loop: LinearLoop, angles: NDArray[np.float64]) -> float:
+    """Disk margin of a stable loop, from angles [rad] of a control period and those of its poles."""
+    resonances = np.abs(np.angle(np.linalg.eigvals(loop.a)))  # narrow peaks lie near them
+    within = (resonances > angles[0]) & (resonances < angles[-1])
+    sensitivity = _sensitivity(loop, np.concatenate([angles, resonances[within]]))
     return float(1 / np.linalg.norm(sensitivity - np.eye(2) / 2, 2, axis=(1, 2)).max())
 
 
@@ -306,7 +309,7 @@ def _least_disk_margin(loops: LinearLoop, period: float) -> float:
     each = [LinearLoop(*loop) for loop in zip(*loops, strict=True)]
     if not all(np.isfinite(loop.a).all() and _radius(loop.a) < 1 for loop in each):
         return 0.0
-    return min(_disk(_sensitivity(loop, angles)) for loop in each)
+    return min(_disk(loop, angles) for loop in each)
 
 
 def _margins_of(loop: LinearLoop, period: float) -> tuple[ArrayLike, ...]:
@@ -317,7 +320,7 @@ def _margins_of(loop: LinearLoop, period: float) -> tuple[ArrayLike, ...]:
     opened = np.eye(2) - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
     loci = -np.linalg.eigvals(opened).astype(np.complex128)
     largest = np.linalg.norm(sensitivity, 2, axis=(1, 2))
-    alpha = _disk(sensitivity)
+    alpha = _disk(loop, angles)
     if radius >= 1:
         return radius, 0.0, 0.0, 0.0, 0.0, largest, loci
     gain, phase, delay = _crossings(loci, angles, period)
