@@ -1,12 +1,13 @@
 """Gains to start from for each setup of examples/comparison/valves.yaml: those of examples/valves/.
 
-    python benchmarks/starting_gains.py [--setup NAME] [--disk-margin 0.4] [--runs 240] [--seed 7]
+    python benchmarks/starting_gains.py [--setup NAME] [--disk-margin 0.4] [--runs 240] [--more 2000] [--seed 7]
 
 A grid of gains of the compensated decoupling, with none, half and all of the friction in the observer, runs on plants
-drawn from the conditions of the suite, none of them a run of the comparison. Of the gains whose loop in the file keeps
-the disk margin, the table has those with the fewest failed runs (diverged or limit cycles) and, of these, with the
-least sum of the median angle RMSE over 0.2 deg and the median air over 0.3 L, the scales of the suite. The last columns
-are those of the file's present gains on the evaluation runs of the comparison, which the grid has not seen.
+drawn from the conditions of the suite, none of them a run of the comparison. The best of them run on many more plants,
+as few runs do not distinguish failure rates below a percent. Of the gains whose loop in the file keeps the disk
+margin, the table has those with the fewest failed runs (diverged or limit cycles) and, of these, with the least sum of
+the median angle RMSE over 0.2 deg and the median air over 0.3 L, the scales of the suite. The last columns are those of
+the file's present gains on the evaluation runs of the comparison, which the grid has not seen.
 """
 
 import argparse
@@ -25,20 +26,23 @@ SUITE, GAINS = Path("examples/comparison/valves.yaml"), Path("examples/valves")
 CONTROLLERS = "decoupling, delay compensated", "decoupling, friction in the observer"
 BANDWIDTHS = tuple(f"controller.{name}.bandwidth" for name in ("feedback", "observer", "pressure_observer"))
 SHARE = "controller.friction_in_observer"
-GRID = (20.0, 30.0, 40.0, 60.0), (0.5, 1.0, 2.0, 4.0), (60.0, 300.0)  # rad/s; the observer's, of the feedback's; rad/s
-SHARES = 0.5, 1.0
+GRID = (20.0, 30.0, 35.0, 40.0, 60.0), (0.5, 1.0, 2.0, 4.0, 6.0), (60.0, 600.0)  # rad/s; observer over feedback; rad/s
+SHARES = 0.0, 0.5, 1.0
 MOST = 24  # of a batch
+BEST = 24  # that run on more plants
 
 
-def grid(runs):
-    """Gains [SI] by name; failed runs, median angle RMSE [deg] and air [L] of each."""
-    bandwidths = [(feedback, ratio * feedback, pressures) for feedback, ratio, pressures in itertools.product(*GRID)]
-    for controller, shares in zip(CONTROLLERS, ((), SHARES), strict=True):
-        several = [one + share for one in bandwidths for share in ([(each,) for each in shares] or [()])]
-        names = BANDWIDTHS + ((SHARE,) if shares else ())
-        for first in range(0, len(several), MOST):
-            sets = several[first : first + MOST]
-            values = {name: np.array(column) for name, column in zip(names, zip(*sets, strict=True), strict=True)}
+def tried(several, runs):
+    """Gains, failed runs, median angle RMSE [deg] and air [L] of each on the runs, the best first.
+
+    Gains are the bandwidths of feedback, observer and pressures [rad/s], and the share of the friction.
+    """
+    found = []
+    for controller, names in zip(CONTROLLERS, (BANDWIDTHS, (*BANDWIDTHS, SHARE)), strict=True):
+        chosen = [one for one in several if bool(one[-1]) == (SHARE in names)]
+        for first in range(0, len(chosen), MOST):
+            sets = chosen[first : first + MOST]
+            values = dict(zip(names, np.array(sets).T, strict=False))  # without the share, where it is zero
             batch = evaluate(runs, controller, values, metrics=["angle_rmse", "air"])
             usable, error, air = (
                 np.reshape(column, (len(sets), -1))
@@ -46,14 +50,23 @@ def grid(runs):
             )
             for row, gains in enumerate(sets):
                 kept = usable[row]
-                found = np.median(np.where(kept, error[row], np.inf)), np.median(air[row, kept])
-                yield dict(zip(names, gains, strict=True)), int((~kept).sum()), *map(float, found)
+                median = np.median(np.where(kept, error[row], np.inf)), np.median(air[row, kept])
+                found.append((gains, int((~kept).sum()), *map(float, median)))
+    return sorted(found, key=lambda one: (one[1], one[2] / 0.2 + one[3] / 0.3))
+
+
+def least_disk_margin(scenario, gains):
+    """Least disk margin of the loop of a scenario with other gains."""
+    control = replaced(scenario.controller, {"friction_in_observer": gains[-1] or None})
+    values = dict(zip(BANDWIDTHS, gains, strict=False))
+    return float(with_values(scenario.replace(controller=control), values).margins(points=6).disk.min())
 
 
 def main():
     """Search the grid of each setup."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=240)
+    parser.add_argument("--more", type=int, default=2000)
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--setup", choices=FILES)
     parser.add_argument("--disk-margin", type=float, default=0.4)
@@ -64,17 +77,16 @@ def main():
     for setup in [given.setup] if given.setup else FILES:
         suite = Suite.read(SUITE).of_setup(setup)
         scenario = Scenario.read(GAINS / f"{FILES[setup]}-decoupling.yaml")
-        found = list(grid(draw(suite, given.runs, given.seed)))
+        grid = [(feedback, ratio * feedback, *others) for feedback, ratio, *others in itertools.product(*GRID, SHARES)]
+        ranked = (one for one, *_ in tried(grid, draw(suite, given.runs, given.seed)))
+        robust = (one for one in ranked if least_disk_margin(scenario, one) >= given.disk_margin)
         row = "none" + 7 * " | "
-        for gains, failed, error, air in sorted(found, key=lambda one: (one[1], one[2] / 0.2 + one[3] / 0.3)):
-            control = replaced(scenario.controller, {"friction_in_observer": gains.get(SHARE)})
-            tried = with_values(scenario.replace(controller=control), gains)
-            margin = float(tried.margins(points=6).disk.min())
-            if margin >= given.disk_margin:
-                feedback, observer, pressures = (f"{gains[name]:g} rad/s" for name in BANDWIDTHS)
-                row = f"{gains.get(SHARE, 0):.0%} | {feedback} | {observer} | {pressures} | {margin:.2f} | "
-                row += f"{error:.2f} deg | {failed} of {given.runs} | {air:.2f} L"
-                break
+        best = tried(list(itertools.islice(robust, BEST)), draw(suite, given.more, given.seed + 1))
+        for gains, failed, error, air in best[:1]:
+            feedback, observer, pressures = (f"{bandwidth:g} rad/s" for bandwidth in gains[:-1])
+            row = f"{gains[-1]:.0%} | {feedback} | {observer} | {pressures} | "
+            margin = least_disk_margin(scenario, gains)
+            row += f"{margin:.2f} | {error:.2f} deg | {failed} of {given.more} | {air:.2f} L"
         present = suite.model_copy(update={"controllers": {setup: scenario.controller}})
         unseen = draw(present, suite.evaluation.runs, suite.evaluation.seed)
         batch = evaluate(unseen, setup, {}, metrics=["angle_rmse"])

@@ -48,6 +48,20 @@ def test_an_oscillation_that_decays_is_none():
     assert found(8 * deg * np.exp(-4 * TIMES) * np.cos(2 * np.pi * 3 * TIMES))[0] == 0.0
 
 
+@pytest.mark.parametrize("ratio", [0.8, 0.93])
+def test_a_joint_that_swings_after_each_disturbance_has_none(ratio):
+    since = np.mod(TIMES, 0.8)  # of the last disturbance
+    swings = ratio ** (since / 0.06) * np.sin(2 * np.pi * since / 0.12)
+    assert found(np.sin(2 * np.pi * TIMES / 0.12) * deg)[0] > 0
+    assert found(swings * deg)[0] == 0.0
+
+
+def test_one_is_found_although_its_swings_vary_and_a_transient_precedes_it():
+    size = 1 + 0.3 * np.random.default_rng(1).uniform(-1, 1, 50)[np.searchsorted(np.arange(50) * 0.1, TIMES) % 50]
+    error = (size + 4 * np.exp(-6 * TIMES)) * np.sin(2 * np.pi * 5 * TIMES)
+    assert found(error * deg)[1] == pytest.approx(0.2, rel=0.1)
+
+
 def test_noise_and_single_swings_are_none():
     noise = np.random.default_rng(0).normal(size=3000) * 0.02 * deg
     pulses = 3 * deg * (np.sin(2 * np.pi * TIMES / 0.8) > 0.9)

@@ -14,7 +14,9 @@ Scalar = Float[Array, ""]
 
 _AMPLITUDE = 0.1 * deg  # least; smaller ones are noise
 _STEPS = 2  # steps of the sensor of the angle in the least amplitude: a loop hunts by one between two of them
-_SUSTAINED = 0.55  # least swing, relative to the one before
+_REGULAR_SIZE = 0.55  # least swing, relative to the one before
+_SMALLER = 0.97  # of the swing before, at most, of one that has decayed
+_DECAYED = 0.7  # share of such swings in an oscillation that decays, even if disturbances excite it again
 _REGULAR = 2.0  # largest ratio of two consecutive half-periods
 _HALF_PERIODS = 8  # of a limit cycle, in a row
 _FASTER = 0.6  # largest period of a limit cycle, relative to the mean period of the reference
@@ -26,6 +28,7 @@ class Chain(NamedTuple):
     number: Scalar
     size: Scalar
     duration: Scalar
+    smaller: Scalar  # number of those that are smaller than the one before
 
 
 class Swings(NamedTuple):
@@ -46,7 +49,7 @@ class Swings(NamedTuple):
     def empty(cls, like: Array) -> Swings:
         """Return the state before the first sample, with the float type of `like`."""
         zero = jnp.zeros_like(like)
-        none = Chain(zero, zero, zero)
+        none = Chain(zero, zero, zero, zero)
         return cls(zero + 1, zero, zero, zero, zero, zero, zero, zero, none, none)
 
     def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Swings:
@@ -57,12 +60,10 @@ class Swings(NamedTuple):
         turned = ~first & (self.direction * (self.extreme - value) >= swing)
         size, duration = jnp.abs(self.extreme - self.last), self.extreme_at - self.last_at
         even = jnp.maximum(duration, self.duration) <= _REGULAR * jnp.minimum(duration, self.duration)
-        goes_on = even & (size >= _SUSTAINED * self.size)
-        chain = Chain(
-            jnp.where(goes_on, self.chain.number, 0.0) + 1,
-            jnp.where(goes_on, self.chain.size, 0.0) + size,
-            jnp.where(goes_on, self.chain.duration, 0.0) + duration,
-        )
+        goes_on = even & (size >= _REGULAR_SIZE * self.size)
+        smaller = goes_on & (size < _SMALLER * self.size)
+        before = Chain(*(jnp.where(goes_on, value, 0.0) for value in self.chain))
+        chain = Chain(before.number + 1, before.size + size, before.duration + duration, before.smaller + smaller)
         longer = turned & (chain.number > self.longest.number)
         start = jnp.where(first, value, self.last)
         return Swings(
@@ -105,12 +106,16 @@ class Oscillation(NamedTuple):
 
     def limit_cycle(self, periods: int, period: ArrayLike) -> LimitCycle:
         """Return the limit cycle of a run of so many control periods [s]."""
-        # At least four periods in a row, of swings that do not decay and of similar duration, faster than the
+        # At least four periods in a row, of swings that do not decay and have similar durations, faster than the
         # reference: a streaming form of T. Hagglund, A control-loop performance monitor, Control Eng. Pract. 3, 1995.
         chain = self.error.longest
         cycle = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
         of_reference = 2 * periods / jnp.maximum(self.reference.total, 1e-9)
-        found = (chain.number >= _HALF_PERIODS) & (cycle < _FASTER * of_reference)
+        found = (
+            (chain.number >= _HALF_PERIODS)
+            & (cycle < _FASTER * of_reference)
+            & (chain.smaller < _DECAYED * chain.number)
+        )
         amplitude = chain.size / jnp.maximum(2 * chain.number, 1.0)
         return LimitCycle(jnp.where(found, amplitude, 0.0), jnp.where(found, cycle * period, jnp.nan))
 
