@@ -60,6 +60,8 @@ def data_named(
 
 def _load_xarray_alone() -> None:
     """Have xarray look for arrays of other libraries while these are hidden; it imports them if installed (0.6 s)."""
+    if "xarray" in sys.modules:  # it has looked for the libraries, and relies on finding them again
+        return
     hidden: dict[str, Any] = dict.fromkeys({"cupy", "dask", "pint", "sparse"} - sys.modules.keys())
     sys.modules.update(hidden)
     try:
