@@ -11,14 +11,14 @@ from scipy import signal
 
 from mckibben import catalog
 from mckibben.calibration import JointCalibration, JointPrior, JointRecording, calibrate_joint
-from mckibben.calibration.equations import halves_of, local_cubic, parameters, problem_of
+from mckibben.calibration.equations import derivatives, halves_of, local_cubic, parameters, problem_of
 from mckibben.calibration.experiment import with_fits
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import compiled, numeric
 from mckibben.scenario import Scenario
 from mckibben.units import deg
 
@@ -116,6 +116,23 @@ def test_a_weight_tells_the_stiffness_and_the_mass(with_weight, recorded):
     friction = with_weight.quantities["friction"]
     assert 0 < friction.value < 1.0  # N; there is none
     assert friction.deviation > 0.02  # at the least value, too
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["native", "xla"])
+def test_derivatives_are_difference_quotients(recorded, engine):
+    rng = np.random.default_rng(2)
+    halves = halves_of(recorded[0][0])
+    problem = problem_of(knee(), LOAD, [halves], JointPrior())
+    z, directions = rng.standard_normal((2, parameters(problem), 1))
+    step = 1e-6
+
+    def errors(z):
+        return derivatives(engine, numeric((problem, z[:, 0], halves[0])), directions)[0]
+
+    _, slope = errors(z)
+    quotient = (errors(z + step * directions)[0] - errors(z - step * directions)[0]) / (2 * step)
+    np.testing.assert_allclose(slope, quotient, atol=1e-5)
 
 
 @pytest.mark.slow

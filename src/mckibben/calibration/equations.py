@@ -18,7 +18,8 @@ from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
 from mckibben.muscle.muscle import warn_outside
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import compiled, numeric
+from mckibben.simulation.engine import BatchFunction
 from mckibben.units import deg, kPa, mm
 
 if TYPE_CHECKING:
@@ -285,7 +286,7 @@ def _law_factor(
     """Cholesky factor of the covariance of a correction: from the prior, and from a fit projected on it."""
     covariance: Any = np.eye(2 * COEFFICIENTS)
     if fit is not None:
-        from mckibben.identification.intervals import force_gradients  # 0.3 s with pandas and xarray
+        from mckibben.identification.intervals import force_gradients  # 0.1 s
 
         v, p = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(0, 1, 7)))
         powers = np.array([(v / 2) ** i for i in range(COEFFICIENTS)]) * force
@@ -365,55 +366,55 @@ def creep_stiffness(problem: CalibrationProblem, z: Array) -> Array:
     return jnp.stack(rows)
 
 
-def _creep(problem: CalibrationProblem, joint: AntagonisticJoint, z: Array, angle: Array) -> Array:
-    """Creep of both muscles [N], shape (samples, 2): Maxwell arms along their paths, initially relaxed."""
-    stiffness = creep_stiffness(problem, z)
-    decay: Any = np.exp(-1 / (RATE * CREEP_TIMES))
-    moved = jnp.diff(jnp.stack(joint.geometry.path_lengths(angle), axis=1), axis=0)
-
-    def step(forces: Array, moved: Array) -> tuple[Array, Array]:
-        forces = decay * forces + np.sqrt(decay) * stiffness * moved[:, None]
-        return forces, forces.sum(axis=1)
-
-    start = jnp.zeros_like(stiffness)
-    return jnp.concatenate([start[None, :, 0], lax.scan(step, start, moved)[1]])
-
-
 def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Array:
     """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3)."""
     joint, load, added, zero, cells = corrected(problem, z)
-    angle = samples.angle - zero
+    loaded = load.with_weight(added * samples.added_mass, samples.distance)
+    stiffness, decay = creep_stiffness(problem, z), np.exp(-1 / (RATE * CREEP_TIMES))
 
-    def step(states: Any, row: Any) -> tuple[Any, Any]:
-        angle, velocity, pressures = row
+    def step(carry: Any, row: Any) -> tuple[Any, Array]:
+        (states, creep, before), (angle, velocity, acceleration, pressures, tensions) = carry, row
+        angle = angle - zero
         states = joint.update_state(states, angle, pressures)
-        found = joint.forces(angle, velocity, pressures, states)
+        found, (arm1, arm2) = joint.forces(angle, velocity, pressures, states), joint.geometry.moment_arms(angle)
         if joint.has_creep:
             rates = joint.state_rate(states, angle, velocity, pressures)
             states = tuple(
                 one._replace(creep=tuple(x + rate / RATE for x, rate in zip(one.creep, each.creep, strict=True)))
                 for one, each in zip(states, rates, strict=True)
             )
-        return states, (found.torque, found.tensions)
+        path = jnp.stack(joint.geometry.path_lengths(angle))
+        creep = decay * creep + np.sqrt(decay) * stiffness * (path - before)[:, None]  # Maxwell arms, along the path
+        more, required = creep.sum(axis=1), loaded.required_torque(angle, velocity, acceleration)
+        if not tensions:
+            errors = [required - (found.torque + arm2 * more[1] - arm1 * more[0])]
+        else:
+            # Measured tensions in the equation of motion: law errors affect only the errors of the tensions.
+            true1, true2 = (measured / gain for measured, gain in zip(tensions, cells, strict=True))
+            columns = zip(tensions, cells, found.tensions, more, strict=True)
+            errors = [measured - gain * (law + rest) for measured, gain, law, rest in columns]
+            errors = [required - (arm2 * true2 - arm1 * true1), *errors]
+        return (states, creep, path), jnp.stack(errors)
 
-    start = joint.init_state(angle[0], (samples.pressures[0][0], samples.pressures[1][0]))
-    torque, tensions = lax.scan(step, start, (angle, samples.velocity, samples.pressures))[1]
-    creep, (arm1, arm2) = _creep(problem, joint, z, angle).T, joint.geometry.moment_arms(angle)
-    loaded = load.with_weight(added * samples.added_mass, samples.distance)
-    required = loaded.required_torque(angle, samples.velocity, samples.acceleration)
-    if not samples.tensions:
-        return (required - (torque + arm2 * creep[1] - arm1 * creep[0]))[:, None]
-    # Measured tensions in the equation of motion: law errors affect only the errors of the tensions.
-    true1, true2 = (measured / gain for measured, gain in zip(samples.tensions, cells, strict=True))
-    rows = zip(samples.tensions, cells, tensions, creep, strict=True)
-    errors = [measured - gain * (law + more) for measured, gain, law, more in rows]
-    return jnp.stack([required - (arm2 * true2 - arm1 * true1), *errors], axis=1)
+    angle = samples.angle[0] - zero
+    states = joint.init_state(angle, (samples.pressures[0][0], samples.pressures[1][0]))
+    start = states, jnp.zeros_like(stiffness), jnp.stack(joint.geometry.path_lengths(angle))
+    return lax.scan(step, start, samples[:5])[1]
 
 
-@compiled
-def linearised(problem: CalibrationProblem, z: Any, samples: JointSamples) -> tuple[Array, Array]:
+def _derivative(shared: tuple[CalibrationProblem, Any, JointSamples], direction: Any) -> tuple[Array, Array]:
+    """Errors and their derivative in a direction of the parameters."""
+    problem, z, samples = shared
+    return jax.jvp(lambda z: _errors(problem, z, samples), (z,), (direction,))
+
+
+derivatives = BatchFunction(_derivative)
+
+
+def linearised(problem: CalibrationProblem, z: Floats, samples: JointSamples) -> tuple[Floats, Floats]:
     """Errors and their derivatives with respect to the parameters."""
-    return _errors(problem, z, samples), jax.jacfwd(lambda z: _errors(problem, z, samples))(z)
+    (errors, slopes), _ = derivatives("auto", numeric((problem, z, samples)), np.eye(z.size))
+    return errors[..., 0], slopes
 
 
 def sliding_length(muscle: Any) -> float:

@@ -271,8 +271,8 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
     highest = np.asarray(problem.force).max()
     variances = np.full(groups, _START_VARIANCE) * np.array([1.0, highest**2, highest**2])[:groups]
 
-    def filtered(column: Array, start: int) -> Floats:
-        return gaussian_filter1d(np.asarray(column), _FILTER * RATE, axis=0)[start:-edge:stride]
+    def filtered(column: Floats, start: int) -> Floats:
+        return gaussian_filter1d(column, _FILTER * RATE, axis=0)[start:-edge:stride]
 
     def raw(z: Floats) -> list[list[tuple[Floats, Floats]]]:
         """Errors, shape (samples, groups), and their Jacobians, of each recording, for both halves."""

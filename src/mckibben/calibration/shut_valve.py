@@ -316,7 +316,7 @@ def _check(problem: _Problem, z: Floats, deviations: Floats) -> None:
 
 def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | None) -> list[ShutPhase]:
     """Parts of a recording between fast changes of the pressure in which this relaxes."""
-    from mckibben.dataset.points import saturated_samples  # 0.3 s with pandas and xarray
+    from mckibben.dataset.points import saturated_samples  # 0.1 s
 
     time, pressure = recording.time, recording.table["pressure"].to_numpy()
     if time.size < 2:

@@ -15,6 +15,8 @@ from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from mckibben.errors import NotInCatalogError, closest, suggest
+from mckibben.numerics.runtime import programs_folder
+from mckibben.storage.private import listing
 
 if TYPE_CHECKING:
     from mckibben.catalog.entries import (
@@ -88,11 +90,15 @@ _SINGULAR: dict[str, str] = dict(
 
 @functools.cache
 def _publications() -> tuple[dict[str, Any], ...]:
+    return tuple(listing(programs_folder(), "catalog", _read)["publications"])
+
+
+def _read() -> dict[str, Any]:
     from ruamel.yaml import YAML
 
     reader = YAML(typ="safe", pure=True)
     files = sorted((f for f in FOLDER.iterdir() if f.name.endswith(".yaml")), key=lambda f: f.name)
-    return tuple(reader.load(file.read_text(encoding="utf-8")) for file in files)
+    return {"publications": [reader.load(file.read_text(encoding="utf-8")) for file in files]}
 
 
 def _unknown(kind: str, name: str, known: list[str]) -> NotInCatalogError:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.calls import user_level
@@ -15,6 +14,9 @@ from mckibben.dataset.points import SampleAccount
 from mckibben.dataset.segmentation import steady_segments
 from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.units import bar, show
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 LEAST = 3  # samples of a point
 FASTEST = 2.0  # s for the range of the pressure: a lag of 50 ms between sensor and muscle is 2.5 % of it

@@ -9,7 +9,6 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from mckibben.dataset.headers import ACCEPTED
@@ -226,6 +225,8 @@ _MIXER = np.uint64(0x9E3779B97F4A7C15)  # odd: rows that differ get other number
 
 def _copies(*columns: Floats) -> Iterator[tuple[Problem, bool]]:
     """Consecutive rows that repeat earlier ones in the same order; equal points of one measurement do not count."""
+    import pandas as pd
+
     words = [np.ascontiguousarray(column).view(np.uint64) for column in columns]
     count = len(words[0])
     mixed = np.zeros(count, np.uint64)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.consistency import check_dataset
@@ -15,6 +15,9 @@ from mckibben.dataset.plausibility import check_sign
 from mckibben.dataset.schema import OF_FILE
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import show
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _LEAST = 10  # samples in a row
 _LONGER = 10  # times the usual value in the channel

@@ -10,16 +10,18 @@ from __future__ import annotations
 import itertools
 import warnings
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from mckibben.component.calls import user_level
 from mckibben.dataset.schema import format_range
 from mckibben.errors import McKibbenWarning
 from mckibben.units import bar, percent
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]

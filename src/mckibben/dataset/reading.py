@@ -7,10 +7,9 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import numpy as np
-import xarray as xr
 
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import check_number
@@ -27,6 +26,9 @@ from mckibben.dataset.schema import OF_FILE, FileLines, written_by_us
 from mckibben.dataset.sheet import RawTable
 from mckibben.errors import DatasetError, McKibbenWarning, Problem, RangeError, described
 from mckibben.units import mm
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _NEEDED = ("pressure", "contraction", "force")
 
@@ -276,6 +278,8 @@ def _joined(parts: Sequence[Kind], path: FilePaths, slack_known: Sequence[bool])
         tables = _distinct_repeats(tables)
     if "time" in kept:
         tables = _one_after_another(tables, apart=isinstance(parts[0], Recording))
+    import xarray as xr
+
     joined = xr.concat(tables, next(iter(parts[0].schema.values())).dims[0])
     read = [part.lines or (FileLines("row", range(1, len(part) + 1), {}),) for part in parts]
     lines = (one._replace(file=name) for name, (one,) in zip(names, read, strict=True))

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar, cast
 
 import numpy as np
-import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.formats import probe
@@ -21,6 +20,9 @@ from mckibben.dataset.netcdf_check import check_netcdf
 from mckibben.dataset.sheet import unreadable
 from mckibben.errors import DatasetError, FileError, Problem, no_attribute, with_article
 from mckibben.storage.files import atomic_write, check_seal, sealed
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 VACUUM = -101325.0
 """Lowest possible gauge pressure [Pa]: vacuum at a standard atmosphere."""
@@ -120,6 +122,8 @@ def assemble(
     counts = {array.shape[1] for array in arrays.values() if array.ndim == 2}
     if not problems and len(counts) > 1:
         problems.append(Problem("differs from force_samples in the number of samples", field="pressure_samples"))
+    import xarray as xr
+
     if problems:
         return xr.Dataset(), problems
     return xr.Dataset({name: (schema[name].dims, array) for name, array in arrays.items()}), []
@@ -241,6 +245,8 @@ def write_netcdf(table: xr.Dataset, path: Path) -> None:
 
 def load_netcdf(path: Path, *, lazy: bool = False) -> xr.Dataset:
     """Read a NetCDF file, or open it (`lazy`); raises a `DatasetError` if it is missing or damaged."""
+    import xarray as xr
+
     try:
         probe(path)
         check_seal(path)

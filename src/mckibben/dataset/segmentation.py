@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 
 from mckibben.dataset.preprocessing import one_way_parts
 from mckibben.units import kPa
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 _PARTS = 20  # of a dwell: length of the compared means
 

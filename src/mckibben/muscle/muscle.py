@@ -243,7 +243,7 @@ def _at_points(function: Callable[..., Array], of: Any, *columns: ArrayLike) -> 
     shape, points = given[0].shape, given[0].size
     pad = (0, max(128, 1 << (points - 1).bit_length()) - points) if points else (0, 0)
     padded = (np.pad(column.ravel(), pad, mode="edge") if points else column for column in given)
-    found = np.asarray(function(of, *(jnp.asarray(column) for column in padded)))
+    found = np.asarray(function(of, *padded))
     return found.ravel()[:points].reshape(shape)
 
 

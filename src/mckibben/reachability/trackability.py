@@ -8,15 +8,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
 from numpy.typing import NDArray
 
 from mckibben.control import Reference, Step
 from mckibben.errors import RangeError
 from mckibben.joint.attainable import cocontraction_segment, is_affine, leaves_domain
 from mckibben.numerics.calculus import evenly_spaced
-from mckibben.numerics.compiled import compiled
-from mckibben.numerics.elementary import floating
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.reachability.static import SEGMENT_MARGIN, AttainableRange, scan_points
 from mckibben.reachability.trajectory import (
@@ -27,8 +26,9 @@ from mckibben.reachability.trajectory import (
     reference_trajectory,
     smoothed,
 )
+from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.problem import sampled_signal, sampling_times
-from mckibben.simulation.simulate import attainable_band, shortcomings
+from mckibben.simulation.simulate import shortcomings, static_bands
 from mckibben.units import deg
 
 MAX_SMOOTHING = 0.25
@@ -56,15 +56,19 @@ class StiffnessBands(NamedTuple):
 
 def bands_along(plant: JointPlant, trajectory: ReferenceTrajectory) -> StiffnessBands:
     """Attainable stiffness at each sample, without muscle friction; see `check_trackability`."""
-    motion = trajectory.angle, trajectory.velocity, trajectory.acceleration, trajectory.jerk
-    states = _states(plant, *motion, trajectory.stiffness_rate, scan_points(_is_affine(plant)))
-    torque, low, high, feasible, stiffness, *commands = (np.asarray(x) for x in states)
-    stiffness = np.where(np.broadcast_to(feasible, stiffness.shape), stiffness, np.nan)
+    motion = trajectory.angle, trajectory.velocity, trajectory.acceleration, trajectory.jerk, trajectory.stiffness_rate
+    points, shape = scan_points(_is_affine(plant))[:, None], np.shape(trajectory.angle)
+    lanes = [np.broadcast_to(each, (points.size, *shape)).ravel() for each in (*motion, points)]
+    shared = numeric((plant, None, 0.0))
+    (low, high), _ = static_bands("auto", shared, trajectory.angle)
+    states, _ = _states("auto", shared[0], tuple(lanes))
+    torque, feasible, stiffness, *commands = (np.reshape(each, (points.size, *shape)) for each in states)
+    stiffness = np.where(feasible, stiffness, np.nan)
     joint = plant.supplied_joint
     domains = [muscle.specimen.domain for muscle in (joint.muscle1, joint.muscle2)]
     limits = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in domains]
     return StiffnessBands(
-        torque, AttainableRange(low, high), _range_of(stiffness), _within_limits(stiffness, commands, limits)
+        torque[0], AttainableRange(low, high), _range_of(stiffness), _within_limits(stiffness, commands, limits)
     )
 
 
@@ -73,22 +77,13 @@ def _is_affine(plant: JointPlant) -> bool:
     return plant.valve.is_linear and is_affine(plant.joint)
 
 
-@compiled
-def _states(
-    plant: JointPlant,
-    angle: ArrayLike,
-    velocity: ArrayLike,
-    acceleration: ArrayLike,
-    jerk: ArrayLike,
-    stiffness_rate: ArrayLike,
-    points: ArrayLike,
-) -> tuple[Array, ...]:
-    """Torque, static band, feasibility, and stiffness and commands of shape (points, samples)."""
+def _state(plant: JointPlant, lane: tuple[Array, ...]) -> tuple[Array, ...]:
+    """Torque, feasibility, stiffness and commands of a sample, at a position along its segment of tensions."""
     joint, load = plant.supplied_joint, plant.load
-    angle, velocity, acceleration, jerk, points = map(floating, (angle, velocity, acceleration, jerk, points))
+    angle, velocity, acceleration, jerk, stiffness_rate, point = lane
     torque, torque_rate = jax.jvp(load.required_torque, (angle, velocity, acceleration), (velocity, acceleration, jerk))
     segment = cocontraction_segment(joint, angle, torque, None, 0.0)
-    tension = segment.first + (segment.last - segment.first) * points[:, None]
+    tension = segment.first + (segment.last - segment.first) * point
 
     def state(angle: Array, torque: Array, tension1: Array) -> tuple[Array, Array, Array]:
         paths, arms = joint.geometry.paths_and_arms(angle)
@@ -99,16 +94,16 @@ def _states(
         )
         return *pressures, joint.stiffness(angle, pressures)
 
-    at = jnp.broadcast_arrays(angle, torque, tension)
-    zero, one = jnp.zeros_like(tension), jnp.ones_like(tension)
-    moving = (*jnp.broadcast_arrays(velocity, torque_rate, tension)[:2], zero)
-    tangents = tuple(jnp.stack(pair) for pair in zip(moving, (zero, zero, one), strict=True))
-    values, slopes = jax.vmap(lambda *tangent: jax.jvp(state, tuple(at), tangent), out_axes=(None, 0))(*tangents)
-    by_motion, by_tension = ([slope[k] for slope in slopes] for k in (0, 1))
+    at, zero = (angle, torque, tension), jnp.zeros_like(tension)
+    values, by_motion = jax.jvp(state, at, (velocity, torque_rate, zero))
+    _, by_tension = jax.jvp(state, at, (zero, zero, jnp.ones_like(tension)))
     tension_rate = (stiffness_rate - by_motion[2]) / by_tension[2]
     rates = by_motion[0] + by_tension[0] * tension_rate, by_motion[1] + by_tension[1] * tension_rate
     commands = plant.commands_for(PlantState(angle, velocity, (values[0], values[1])), rates)
-    return torque, *attainable_band(plant, angle), segment.feasible, values[2], *commands
+    return torque, segment.feasible, values[2], *commands
+
+
+_states = BatchFunction(_state)
 
 
 def _within_limits(stiffness: Values, commands: list[Values], limits: list[tuple[float, float]]) -> AttainableRange:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -76,11 +76,12 @@ class JointSession:
             If the folder was removed during the run, which was stopped and vented.
         """
         folder, outcome = make_folder(folder), None
+        paced = getattr(self.backend, "paced", True)
         with (
             file_lock(folder / "lock", "running a joint rig"),
             stop_on_signals() as stop_flag,
             self.backend.host_watchdog(),
-            realtime_process_settings() as priority,
+            realtime_process_settings() if paced else nullcontext("ordinary") as priority,
         ):
             header = {**self.header, "priority": priority}
             try:

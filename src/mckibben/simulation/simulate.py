@@ -175,14 +175,14 @@ def _band_at(shared: tuple[JointPlant, ArrayLike | None, ArrayLike], angle: Arra
     return attainable_band(plant, angle, amplitude, tension)
 
 
-_bands = BatchFunction(_band_at)
+static_bands = BatchFunction(_band_at)
 
 
 def _band(
     plant: JointPlant, angles: ArrayLike, amplitude: ArrayLike | None, tension: ArrayLike = 0.0, *, engine: str = "auto"
 ) -> tuple[Array, Array]:
     """`attainable_band` at angles, and at those of their padding."""
-    return _bands(engine, numeric((plant, amplitude, tension)), _padded(angles))[0]
+    return static_bands(engine, numeric((plant, amplitude, tension)), _padded(angles))[0]
 
 
 def _span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
