@@ -47,10 +47,8 @@ QUICK = "MCKIBBEN_FULL_COMPILATION" not in os.environ
 if QUICK and jax.__version_info__ >= (0, 10):
     passes = "while-loop-invariant-code-motion,tuple-simplifier"  # they take a third of the time to compile
     flags = f"--xla_disable_hlo_passes={passes}"
-    for data in ("alias_scope", "noalias"):  # lists for optimization that grow with the square of a program
-        flags += f" --xla_llvm_enable_{data}_metadata=false"
-    if jax.__version_info__ < (0, 11):
-        flags += " --xla_cpu_use_fusion_emitters=false"  # an older code generator, which newer versions do not have
+    if jax.__version_info__ < (0, 11):  # an older code generator, and no scheduler, which newer versions may not know
+        flags += " --xla_cpu_use_fusion_emitters=false --xla_cpu_enable_concurrency_optimized_scheduler=false"
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {flags}"
 
 
