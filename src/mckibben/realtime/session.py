@@ -76,12 +76,11 @@ class JointSession:
             If the folder was removed during the run, which was stopped and vented.
         """
         folder, outcome = make_folder(folder), None
-        paced = getattr(self.backend, "paced", True)
         with (
             file_lock(folder / "lock", "running a joint rig"),
             stop_on_signals() as stop_flag,
             self.backend.host_watchdog(),
-            realtime_process_settings() if paced else nullcontext("ordinary") as priority,
+            realtime_process_settings() if self.backend.paced else nullcontext("ordinary") as priority,
         ):
             header = {**self.header, "priority": priority}
             try:

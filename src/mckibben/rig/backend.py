@@ -52,6 +52,8 @@ class Backend(abc.ABC):
 
     physical: ClassVar[bool] = True
     """Whether real air is under pressure."""
+    paced: bool = True
+    """Whether its clock is real time."""
 
     rate: float
     """Sampling rate of each input [Hz]."""
