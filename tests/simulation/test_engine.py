@@ -196,7 +196,7 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setattr(native, "compiler", lambda: "false")
     monkeypatch.setattr(native, "_WARNED", [])
-    for one in (SIMULATE._native_start, SIMULATE._bands._native, problem._each_sample._native, native_episode):
+    for one in (SIMULATE._native_start, SIMULATE.static_bands._native, problem._each_sample._native, native_episode):
         monkeypatch.setattr(one, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
