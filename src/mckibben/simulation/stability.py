@@ -282,9 +282,8 @@ def _frequencies(period: float, count: int = _FREQUENCIES) -> NDArray[np.float64
     return np.geomspace(0.01, 1.0, count) / (2 * period)
 
 
-def _radius(a: NDArray[np.float64]) -> float:
+def _radius(poles: NDArray[np.complex128]) -> float:
     """Largest modulus of the poles that move."""
-    poles = np.linalg.eigvals(a)
     return float(np.abs(poles[np.abs(poles - 1) > _COUNTER]).max(initial=0.0))
 
 
@@ -295,36 +294,43 @@ def _sensitivity(loop: LinearLoop, angles: NDArray[np.float64]) -> NDArray[np.co
     return np.eye(2) + c @ np.linalg.solve(shifted, np.broadcast_to(b, (angles.size, *b.shape)))
 
 
-def _disk(loop: LinearLoop, angles: NDArray[np.float64]) -> float:
-    """Disk margin of a stable loop, from angles [rad] of a control period and those of its poles."""
-    resonances = np.abs(np.angle(np.linalg.eigvals(loop.a)))  # narrow peaks lie near them
-    within = (resonances > angles[0]) & (resonances < angles[-1])
-    sensitivity = _sensitivity(loop, np.concatenate([angles, resonances[within]]))
+def _with_resonances(angles: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Angles [rad] of a control period, and those of the poles between them, near which narrow peaks lie."""
+    resonances = np.abs(np.angle(poles))
+    return np.concatenate([angles, resonances[(resonances > angles[0]) & (resonances < angles[-1])]])
+
+
+def _disk(sensitivity: NDArray[np.complex128]) -> float:
+    """Disk margin of a stable loop."""
     return float(1 / np.linalg.norm(sensitivity - np.eye(2) / 2, 2, axis=(1, 2)).max())
 
 
 def _least_disk_margin(loops: LinearLoop, period: float) -> float:
     """Least disk margin of the loops at several points; 0 if one is unstable."""
     angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
-    each = [LinearLoop(*loop) for loop in zip(*loops, strict=True)]
-    if not all(np.isfinite(loop.a).all() and _radius(loop.a) < 1 for loop in each):
+    if not np.isfinite(loops.a).all():
         return 0.0
-    return min(_disk(loop, angles) for loop in each)
+    poles = np.linalg.eigvals(loops.a)
+    if any(_radius(one) >= 1 for one in poles):
+        return 0.0
+    each = zip(map(LinearLoop._make, zip(*loops, strict=True)), poles, strict=True)
+    return min(_disk(_sensitivity(loop, _with_resonances(angles, one))) for loop, one in each)
 
 
 def _margins_of(loop: LinearLoop, period: float) -> tuple[ArrayLike, ...]:
     """Radius, gain, phase, delay and disk margin, sensitivity and loci of a linearised loop."""
-    radius = _radius(loop.a)
+    poles = np.linalg.eigvals(loop.a)
+    radius = _radius(poles)
     angles = 2 * np.pi * _frequencies(period) * period
-    sensitivity = _sensitivity(loop, angles)
+    at_all = _sensitivity(loop, _with_resonances(angles, poles) if radius < 1 else angles)
+    sensitivity = at_all[: angles.size]
     opened = np.eye(2) - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
     loci = -np.linalg.eigvals(opened).astype(np.complex128)
     largest = np.linalg.norm(sensitivity, 2, axis=(1, 2))
-    alpha = _disk(loop, angles)
     if radius >= 1:
         return radius, 0.0, 0.0, 0.0, 0.0, largest, loci
     gain, phase, delay = _crossings(loci, angles, period)
-    return radius, gain, phase, delay, alpha, largest, loci
+    return radius, gain, phase, delay, _disk(at_all), largest, loci
 
 
 def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period: float) -> tuple[float, float, float]:
