@@ -133,6 +133,31 @@ def test_a_narrow_resonance_between_two_frequencies_is_part_of_the_disk_margin()
     assert _margins_of(loop, 1e-3)[4] == pytest.approx(exact, rel=1e-3)
 
 
+def test_units_of_the_states_do_not_matter():
+    rng = np.random.default_rng(5)
+    a = rng.normal(size=(12, 12))
+    loop = LinearLoop(0.9 * a / np.abs(np.linalg.eigvals(a)).max(), rng.normal(size=(12, 2)), rng.normal(size=(2, 12)))
+    unit = 10.0 ** rng.integers(-8, 8, 12)
+    scaled = LinearLoop(loop.a * unit[:, None] / unit, loop.b * unit[:, None], loop.c / unit)
+    (*_, sensitivity, loci), (*_, expected, expected_loci) = _margins_of(scaled, 1e-3), _margins_of(loop, 1e-3)
+    assert sensitivity == pytest.approx(expected, rel=1e-9)
+    assert np.sort(np.abs(loci)) == pytest.approx(np.sort(np.abs(expected_loci)), rel=1e-9)
+
+
+@pytest.mark.slow
+def test_the_delay_margin_of_the_predictive_controller(loop):
+    plant, decoupling = loop
+    observers = {"observer": decoupling.observer, "pressure_observer": decoupling.pressure_observer}
+    control = mk.PredictiveControl(plant.joint, plant.load, bandwidth=60.0, valve=plant.valve, **observers)
+    start = plant.equilibrium(3 * deg, stiffness=15.0)
+    margin = margins(plant, control, REFERENCE, start, **SETTINGS).delay.min()
+    kicked = [
+        mk.simulate(dataclasses.replace(plant, command_delay=share * margin), control, KICKED, duration=1.5)
+        for share in (0.8, 1.3)
+    ]
+    assert [one.outcome is Outcome.LIMIT_CYCLE for one in kicked] == [False, True]
+
+
 @pytest.mark.slow
 def test_the_least_disk_margins_of_a_batch_are_those_of_single_runs_and_zero_beyond_the_delay_margin(loop, found):
     plant, control = loop

@@ -18,17 +18,26 @@ from mckibben.component.checks import check_positive
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError
 from mckibben.notebook import draw, html_table
-from mckibben.numerics.batching import batched_program, map_chunks, pad_chunk
+from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.loop import LoopState, initial_loop
-from mckibben.simulation.problem import AtRest, SimulationProblem, sample_reference, sampling_times, split_runs
+from mckibben.simulation.problem import (
+    AtRest,
+    SimulationProblem,
+    sample_reference,
+    sampled_reference,
+    sampling_times,
+    split_runs,
+)
 from mckibben.units import deg, ms
 
 _FREQUENCIES = 400  # from a hundredth of the Nyquist frequency up, in equal ratios
 _FEW_FREQUENCIES = 60  # of margins of many runs
 _LANES = 8  # runs of one call
+_RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
 _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
 
 
@@ -175,11 +184,15 @@ def _linearised_at(
     plant = _without_noise(plant, control_period).with_period(control_period)
     controller = controller.with_period(control_period)
     plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
-    setpoints = sample_reference(reference, times)
-    loops = _linearised(
-        plant, controller, initial, jnp.asarray(control_period), setpoints, jnp.asarray(chosen), substeps
-    )
-    return loops, jax.eval_shape(initial_loop, plant, controller, initial)
+    setpoints = sampled_reference(reference, times)
+    problem: Any = SimulationProblem(plant, controller, None, None)  # type: ignore[arg-type]
+    loops = _linearised(None, problem, _one_run((initial, setpoints)), control_period, chosen, substeps)
+    return jax.tree.map(lambda leaf: leaf[0], loops), jax.eval_shape(initial_loop, plant, controller, initial)
+
+
+def _one_run(tree: Any) -> Any:
+    """A tree as a batch of one run."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], tree)
 
 
 def disk_margins(
@@ -203,13 +216,15 @@ def disk_margins(
     times = sampling_times(duration, control_period)
     problem = SimulationProblem.of(_without_noise(plant, control_period), controller, reference, initial)
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
-    period, chosen = jnp.asarray(control_period), jnp.asarray(evenly_spaced(times.size, points))
+    chosen = evenly_spaced(times.size, points)
 
     def of_chunk(piece: slice) -> list[float]:
-        found = _linearised_lanes(pad_chunk(lanes, piece, _LANES), shared, times, period, chosen, substeps)
-        loops, exists = jax.tree.map(lambda leaf: np.asarray(leaf)[: piece.stop - piece.start], found)
-        each = zip(zip(*loops, strict=True), exists, strict=True)
-        return [_least_disk_margin(LinearLoop(*loop), control_period) if starts else np.nan for loop, starts in each]
+        some = pad_chunk(lanes, piece, _LANES)
+        begun, exists = _begun(some, shared, times)
+        loops = _linearised(some, shared, begun, control_period, chosen, substeps)
+        each = zip(zip(*loops, strict=True), np.asarray(exists), strict=True)
+        found = [_least_disk_margin(LinearLoop(*loop), control_period) if starts else np.nan for loop, starts in each]
+        return found[: piece.stop - piece.start]
 
     return np.concatenate([found for _, found in map_chunks(of_chunk, count, _LANES)])
 
@@ -222,59 +237,90 @@ def _without_noise(plant: JointPlant, period: float) -> JointPlant:
 
 
 @compiled_as_given
-def _linearised_lanes(
-    lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike, period: Array, chosen: Array, substeps: int
-) -> tuple[LinearLoop, Array]:
-    """Linearisations of many runs, leaves of shape (runs, points, ...), and whether each can start."""
+def _begun(lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike) -> tuple[Any, Array]:
+    """Start and setpoints of each run, and whether it can start."""
 
-    def one(lane: SimulationProblem) -> tuple[LinearLoop, Array]:
+    def one(lane: SimulationProblem) -> tuple[Any, Array]:
         run = eqx.combine(lane, shared)
         setpoints = sample_reference(run.reference, times)
         start, exists = run.start(setpoints)
-        return _linearised(run.plant, run.controller, start, period, setpoints, chosen, substeps), exists
+        return (start, setpoints), exists
 
-    return lax.map(one, lanes)  # in parallel they take minutes to compile
+    return lax.map(one, lanes)
 
 
-@compiled_as_given
 def _linearised(
-    plant: JointPlant,
-    controller: Controller,
-    initial: PlantState,
-    period: Array,
-    setpoints: Setpoint,
-    chosen: Array,
+    lanes: SimulationProblem | None,
+    shared: SimulationProblem,
+    begun: tuple[PlantState, Setpoint],
+    control_period: float,
+    chosen: NDArray[np.int64],
     substeps: int,
 ) -> LinearLoop:
-    """Linearisations at control periods of a run; leaves have the shape (points, ...)."""
+    """Linearisations of runs at control periods; leaves have the shape (runs, points, ...)."""
+    without: Any = {"reference": None, "initial": None}
+    given = shared._replace(**without), np.asarray(control_period), np.asarray(substeps)
+    own = None if lanes is None else lanes._replace(**without)
+    start, setpoints = begun
+    of_runs = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), (own, start, setpoints))
+    states = np.moveaxis(np.asarray(_visited("auto", given, of_runs)[0])[chosen], 0, -1)  # (states, runs, points)
+    count, *shape = states.shape
+    directions = np.eye(count + 2)
 
-    def advance(loop: LoopState, setpoint: Setpoint, disturbance: Array) -> tuple[LoopState, Array]:
-        state, held = loop
-        state, measurement = plant.sample(state, period)
-        held, wanted = controller.step(held, setpoint, measurement, period)
-        commands = plant.clip_commands((wanted[0] + disturbance[0], wanted[1] + disturbance[1]))
-        return (plant.follow(state, commands, period, substeps), held), jnp.stack(wanted)
+    def lane(leaf: Any) -> Any:
+        """A leaf as lanes, one for each run, point and direction, which are its last axes."""
+        return np.broadcast_to(leaf, (*leaf.shape[:-3], *shape, count + 2)).reshape(*leaf.shape[:-3], -1)
 
-    begun = initial_loop(plant, controller, initial)
-    flat, unravel = ravel_pytree(begun)
-    none = jnp.zeros(2, flat.dtype)
+    parts = (
+        *jax.tree.map(lambda leaf: lane(leaf[..., None, None]), of_runs[:2]),
+        lane(states[..., None]),
+        jax.tree.map(lambda leaf: lane(np.asarray(leaf)[:, chosen, None]), setpoints),
+        lane(directions[:, None, None]),
+    )
+    following, wanted = (
+        np.moveaxis(np.reshape(rows, (-1, *shape, count + 2)), 0, 2) for rows in _along("auto", given, parts)[0]
+    )
+    return LinearLoop(following[..., :count], following[..., count:], wanted[..., :count])
+
+
+@BatchFunction
+def _visited(shared: Any, lane: Any) -> Array:
+    """States of plant and controller at the start of each control period, of shape (periods, states)."""
+    (problem, period, substeps), (own, start, setpoints) = shared, lane
+    run = problem if own is None else eqx.combine(own, problem)
 
     def step(loop: LoopState, setpoint: Setpoint) -> tuple[LoopState, Array]:
-        return advance(loop, setpoint, none)[0], ravel_pytree(loop)[0]
+        following, _ = _advance(run, loop, setpoint, jnp.zeros(2), period, substeps)
+        return following, ravel_pytree(loop)[0]
 
-    def linearise(at: Array) -> LinearLoop:
-        setpoint = jax.tree.map(lambda column: column[at], setpoints)
+    return lax.scan(step, initial_loop(run.plant, run.controller, start), setpoints)[1]
 
-        def flat_step(x: Array, disturbance: Array) -> tuple[Array, Array]:
-            following, wanted = advance(unravel(x), setpoint, disturbance)
-            return ravel_pytree(following)[0], wanted
 
-        (a, b), (c, _) = jax.jacfwd(flat_step, (0, 1))(visited[at], none)
-        return LinearLoop(a, b, c)
+@BatchFunction
+def _along(shared: Any, lane: Any) -> tuple[Array, Array]:
+    """Derivatives of the next state and of the commands in a direction of the state and the disturbed commands."""
+    (problem, period, substeps), (own, start, state, setpoint, direction) = shared, lane
+    run = problem if own is None else eqx.combine(own, problem)
+    shapes = jax.eval_shape(initial_loop, run.plant, run.controller, start)
+    unravel = ravel_pytree(jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes))[1]
 
-    with batched_program():  # quicker to compile
-        visited = lax.scan(step, begun, setpoints)[1]
-        return lax.map(linearise, chosen)
+    def flat_step(x: Array, disturbance: Array) -> tuple[Array, Array]:
+        following, wanted = _advance(run, unravel(x), setpoint, disturbance, period, substeps)
+        return ravel_pytree(following)[0], wanted
+
+    size = state.shape[0]
+    return jax.jvp(flat_step, (state, jnp.zeros(2)), (direction[:size], direction[size:]))[1]
+
+
+def _advance(
+    run: SimulationProblem, loop: LoopState, setpoint: Setpoint, disturbance: Array, period: Array, substeps: Any
+) -> tuple[LoopState, Array]:
+    """The loop after a control period with disturbed commands, and the commands."""
+    state, held = loop
+    state, measurement = run.plant.sample(state, period)
+    held, wanted = run.controller.step(held, setpoint, measurement, period)
+    commands = run.plant.clip_commands((wanted[0] + disturbance[0], wanted[1] + disturbance[1]))
+    return (run.plant.follow(state, commands, period, substeps), held), jnp.stack(wanted)
 
 
 def _frequencies(period: float, count: int = _FREQUENCIES) -> NDArray[np.float64]:
@@ -287,11 +333,36 @@ def _radius(poles: NDArray[np.complex128]) -> float:
     return float(np.abs(poles[np.abs(poles - 1) > _COUNTER]).max(initial=0.0))
 
 
-def _sensitivity(loop: LinearLoop, angles: NDArray[np.float64]) -> NDArray[np.complex128]:
-    """Commands over their disturbance, at angles [rad] of a control period; shape (angles, 2, 2)."""
-    a, b, c = loop
-    shifted = np.exp(1j * angles)[:, None, None] * np.eye(len(a)) - a
-    return np.eye(2) + c @ np.linalg.solve(shifted, np.broadcast_to(b, (angles.size, *b.shape)))
+class _Triangular(NamedTuple):
+    """A linear loop in the coordinates of a Schur decomposition, whose matrix is upper triangular."""
+
+    a: Any
+    b: Any
+    c: Any
+
+    @classmethod
+    def of(cls, loop: LinearLoop) -> _Triangular:
+        from scipy.linalg import get_lapack_funcs, schur
+
+        balance = get_lapack_funcs("gebal", (loop.a,))
+        scale = np.clip(balance(loop.a, scale=1)[3], 1 / _RANGE, _RANGE)
+        triangular, basis = map(np.asarray, schur(loop.a * scale / scale[:, None], output="complex")[:2])
+        return cls(triangular, basis.conj().T @ (loop.b / scale[:, None]), (loop.c * scale) @ basis)
+
+    @property
+    def poles(self) -> NDArray[np.complex128]:
+        return np.diag(self.a)
+
+    def sensitivity(self, angles: NDArray[np.float64]) -> NDArray[np.complex128]:
+        """Commands over their disturbance, at angles [rad] of a control period; shape (angles, 2, 2)."""
+        from scipy.linalg import solve_triangular
+
+        shifted = np.asfortranarray(-self.a)
+        responses = []
+        for angle in angles:
+            np.fill_diagonal(shifted, np.exp(1j * angle) - self.poles)
+            responses.append(np.eye(2) + self.c @ solve_triangular(shifted, self.b, check_finite=False))
+        return np.array(responses)
 
 
 def _with_resonances(angles: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.float64]:
@@ -308,21 +379,19 @@ def _disk(sensitivity: NDArray[np.complex128]) -> float:
 def _least_disk_margin(loops: LinearLoop, period: float) -> float:
     """Least disk margin of the loops at several points; 0 if one is unstable."""
     angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
-    if not np.isfinite(loops.a).all():
+    if not np.isfinite(loops.a).all() or any(_radius(np.linalg.eigvals(one)) >= 1 for one in loops.a):
         return 0.0
-    poles = np.linalg.eigvals(loops.a)
-    if any(_radius(one) >= 1 for one in poles):
-        return 0.0
-    each = zip(map(LinearLoop._make, zip(*loops, strict=True)), poles, strict=True)
-    return min(_disk(_sensitivity(loop, _with_resonances(angles, one))) for loop, one in each)
+    several = [_Triangular.of(LinearLoop(*one)) for one in zip(*loops, strict=True)]
+    return min(_disk(loop.sensitivity(_with_resonances(angles, loop.poles))) for loop in several)
 
 
 def _margins_of(loop: LinearLoop, period: float) -> tuple[ArrayLike, ...]:
     """Radius, gain, phase, delay and disk margin, sensitivity and loci of a linearised loop."""
-    poles = np.linalg.eigvals(loop.a)
+    triangular = _Triangular.of(loop)
+    poles = triangular.poles
     radius = _radius(poles)
     angles = 2 * np.pi * _frequencies(period) * period
-    at_all = _sensitivity(loop, _with_resonances(angles, poles) if radius < 1 else angles)
+    at_all = triangular.sensitivity(_with_resonances(angles, poles) if radius < 1 else angles)
     sensitivity = at_all[: angles.size]
     opened = np.eye(2) - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
     loci = -np.linalg.eigvals(opened).astype(np.complex128)
