@@ -60,6 +60,7 @@ class BenchmarkResult:
     at_bound: dict[str, tuple[str, ...]]  # parameters at an end of their range
     batches: dict[str, Batch]  # results in the evaluation runs
     trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of the training runs
+    finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # of their runs; all trials without any
     at_air: BenchmarkResult | None = None
 
     def __repr__(self) -> str:
@@ -148,13 +149,14 @@ def compare(
         swept = suite.tuned_over(name)
         result.tuned[name], result.at_bound[name] = {}, ()
         if swept:
-            air = None if number == 0 else air_of(result.trials.get(names[0], ()))
+            air = None if number == 0 else air_of(result.finalists.get(names[0], ()))
             wrapped = suite.tuned_inside(name, result.tuned)
             task = ControllerTuning(suite, name, SearchSpace(swept), training, air, wrapped)
             report("tuning", 0.0)
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
-            result.tuned[name], result.training_cost[name], result.at_bound[name], result.trials[name] = tuned
-            trial = trial_at_air(result.trials[name], air_of(result.trials.get(names[0], ())))
+            result.tuned[name], result.training_cost[name], result.at_bound[name] = tuned[:3]
+            result.trials[name], result.finalists[name] = tuned[3:]
+            trial = trial_at_air(result.finalists[name], air_of(result.finalists.get(names[0], ())))
             if trial is not None:
                 at_air.tuned[name] = task.values(trial)
         report("evaluation runs, the last part", _TUNING)
@@ -305,8 +307,8 @@ class ControllerTuning:
 
     def run(
         self, folder: Path | None, resume: bool, progress: Callable[[float], None]
-    ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...], tuple[Trial, ...]]:
-        """Best values [SI], their cost and the nominal cost, the parameters at a bound, and all trials."""
+    ) -> tuple[dict[str, float], tuple[float, float], tuple[str, ...], tuple[Trial, ...], tuple[Trial, ...]]:
+        """Best values [SI], their cost and the nominal cost, parameters at a bound, all trials, and the finalists."""
         tuning, space = self.suite.tuning, self.space
         check_method(Method.CMA, numbers=max(len(space), 2), population=tuning.population)
         path = None if folder is None else folder / f"{filename(self.controller)}.journal"
@@ -354,15 +356,33 @@ class ControllerTuning:
                     tuning.seed + self._starts,
                     partial(report, number=self._starts),
                 )
-            best = past.best
-            if best.cost >= FAILED_COST:
+            if past.best.cost >= FAILED_COST:
                 raise ParameterError(
                     f"{self.controller}: all {len(past.trials)} trials failed",
                     remedy="search other ranges, or start from other gains",
                 )
+            finalists = self._finalists(past.trials, air, engine)
+            best = min(finalists, key=lambda trial: (trial.cost, trial.point))
             values = self.values(best)
             (cost,), (before,) = costs(space.point(np.array(list(values.values())))[None]), costs(first[None])
-            return values, (float(cost), float(before)), space.at_bound(best.point), tuple(past.trials)
+            return values, (float(cost), float(before)), space.at_bound(best.point), tuple(past.trials), finalists
+
+    def _finalists(self, trials: Sequence[Trial], air: float, engine: str) -> tuple[Trial, ...]:
+        """The trials of least cost and those of least angle error at an air [m^3], evaluated on their own runs."""
+        tuning = self.suite.tuning
+        if not tuning.finalists:
+            return tuple(trials)
+        several = sorted(trials, key=lambda trial: (trial.cost, trial.point))[: tuning.finalists]
+        if np.isfinite(air):
+            limits = air, stiffness_limit(trials), fewest_failed(trials)
+            several += sorted(trials, key=lambda trial: (_error_at_air(trial, *limits), trial.point))[
+                : tuning.finalists
+            ]
+        points = {trial.point: list(self.values(trial).values()) for trial in several}
+        task = replace(self, runs=draw(self.suite, tuning.finalist_runs, tuning.seed + 1), _given={})
+        costs, _, metrics = task.evaluate(np.array(list(points.values())), engine)
+        each = zip(points, costs.tolist(), metrics or len(points) * [None], strict=True)
+        return tuple(Trial(point, cost, metrics=known) for point, cost, known in each)
 
     def values(self, trial: Trial) -> dict[str, float]:
         """Values [SI] of a trial by name, rounded to six digits."""

@@ -103,7 +103,7 @@ def _at_air(result: BenchmarkResult) -> dict[str, Any] | None:
         return None
     first = next(iter(result.batches))
     errors = {name: _errors(at_air, name, result.batches[first]) for name in at_air.batches}
-    return {"air_L": air_of(result.trials[first]) / _UNIT["air"], "controllers": errors}
+    return {"air_L": air_of(result.finalists[first]) / _UNIT["air"], "controllers": errors}
 
 
 def _errors(result: BenchmarkResult, name: str, first: Batch) -> dict[str, Any]:

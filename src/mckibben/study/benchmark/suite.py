@@ -259,6 +259,8 @@ class TuningSettings(ConfigModel):
     candidates: Annotated[int, BoundedInt(0, 10_000)] = 0  # random gains, of which a search starts at the best
     generations: Annotated[int, BoundedInt(1, 100_000)] = 40
     population: Annotated[int, BoundedInt(4, 10_000)] = 16
+    finalists: Annotated[int, BoundedInt(0, 1000)] = 0  # trials of least cost, evaluated again on more runs
+    finalist_runs: Annotated[int, BoundedInt(1, _MOST)] = 400
     decades: Annotated[int, BoundedInt(1, 6)] = 1  # powers of ten down and up from the gains in the file
     delay_margin: CommandDelay = 0.0  # the cost covers commands that arrive this much later
     over: dict[str, tuple[str, ...]] = Field(default_factory=dict)  # other parameters and ranges, by controller
