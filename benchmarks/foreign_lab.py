@@ -240,7 +240,10 @@ def suite_of(kind, folder, air):
             kind: {
                 "valve": valve,
                 "command_delay": control["command_delay"],
-                "conditions": [*conditions, f"command_delay={min(max(delay - 2, 0), sheet)}..{max(delay + 2, sheet)} ms"],
+                "conditions": [
+                    *conditions,
+                    f"command_delay={min(max(delay - 2, 0), sheet)}..{max(delay + 2, sheet)} ms",
+                ],
                 "substeps": known.substeps,
             }
         },

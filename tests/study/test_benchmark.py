@@ -189,6 +189,24 @@ class TestTuning:
                 )
 
     @pytest.mark.slow
+    def test_the_gains_are_those_that_are_best_on_the_runs_of_the_finalists(self, tmp_path):
+        one = changed(*ALONE, ("starts: 2", "starts: 2, finalists: 5, finalist_runs: 40"))
+        contest = compare(one, folder=tmp_path)
+        runs, finalists = draw(one, 40, 100), contest.finalists["PID 3"]
+        *searched, _ = trials(tmp_path)  # the last are the gains with six digits
+        tried = sorted(searched, key=lambda trial: trial.cost)
+        points = {trial.point for trial in finalists}
+        assert {trial.point for trial in tried[:5]} <= points <= {trial.point for trial in tried}
+        assert len(points) == len(finalists) <= 10
+        kps = 1e4 * 200 ** np.array([trial.point[0] for trial in finalists])
+        assert [trial.cost for trial in finalists] == pytest.approx([mean_cost(runs, kp) for kp in kps], rel=1e-4)
+        best = min(finalists, key=lambda trial: trial.cost)
+        assert contest.tuned["PID 3"][KP] == pytest.approx(1e4 * 200 ** best.point[0], rel=1e-5)
+        training = draw(one, 8, 99)
+        assert contest.training_cost["PID 3"][0] == pytest.approx(mean_cost(training, contest.tuned["PID 3"][KP]))
+        assert statistics(contest)["at_air_of_first"]["air_L"] == pytest.approx(best.metrics["air"] * 1e3)
+
+    @pytest.mark.slow
     def test_a_number_at_an_end_of_its_range_is_named(self):
         narrow = ALONE[1][0], ALONE[1][1].replace("0.1..20", "1..1.3")
         contest = compare(changed(ALONE[0], narrow, ("generations: 2", "generations: 6")))

@@ -361,13 +361,13 @@ class ControllerTuning:
                     f"{self.controller}: all {len(past.trials)} trials failed",
                     remedy="search other ranges, or start from other gains",
                 )
-            finalists = self._finalists(past.trials, air, engine)
+            finalists = self.finalists(past.trials, air, engine)
             best = min(finalists, key=lambda trial: (trial.cost, trial.point))
             values = self.values(best)
             (cost,), (before,) = costs(space.point(np.array(list(values.values())))[None]), costs(first[None])
             return values, (float(cost), float(before)), space.at_bound(best.point), tuple(past.trials), finalists
 
-    def _finalists(self, trials: Sequence[Trial], air: float, engine: str) -> tuple[Trial, ...]:
+    def finalists(self, trials: Sequence[Trial], air: float, engine: str = "auto") -> tuple[Trial, ...]:
         """The trials of least cost and those of least angle error at an air [m^3], evaluated on their own runs."""
         tuning = self.suite.tuning
         if not tuning.finalists:
