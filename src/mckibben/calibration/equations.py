@@ -376,14 +376,17 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
         (states, creep, before), (angle, velocity, acceleration, pressures, tensions) = carry, row
         angle = angle - zero
         states = joint.update_state(states, angle, pressures)
-        found, (arm1, arm2) = joint.forces(angle, velocity, pressures, states), joint.geometry.moment_arms(angle)
+        found, (paths, (arm1, arm2)) = (
+            joint.forces(angle, velocity, pressures, states),
+            joint.geometry.paths_and_arms(angle),
+        )
         if joint.has_creep:
             rates = joint.state_rate(states, angle, velocity, pressures)
             states = tuple(
                 one._replace(creep=tuple(x + rate / RATE for x, rate in zip(one.creep, each.creep, strict=True)))
                 for one, each in zip(states, rates, strict=True)
             )
-        path = jnp.stack(joint.geometry.path_lengths(angle))
+        path = jnp.stack(paths)
         creep = decay * creep + np.sqrt(decay) * stiffness * (path - before)[:, None]  # Maxwell arms, along the path
         more, required = creep.sum(axis=1), loaded.required_torque(angle, velocity, acceleration)
         if not tensions:
