@@ -224,7 +224,7 @@ def suite_of(kind, folder, air):
     suite = yaml.safe_load(text.replace("air/0.3 L", f"air/{air}"))
     control = yaml.safe_load((folder / "valves" / "scenario.yaml").read_text(encoding="utf-8"))["controller"]
     valve, delay = control["valve"], float(control["command_delay"].split()[0])
-    sheet = float(known.delay.split()[0])
+    margin = max(2, 0.25 * delay)
     first, second = ("valve.muscle1", "valve.muscle2") if valve["class"] == "unequal" else ("valve", "valve")
     conditions = [f"{one}.conductance=+-25 %" for one in dict.fromkeys((first, second))]
     for one in dict.fromkeys((first, second)):
@@ -242,7 +242,7 @@ def suite_of(kind, folder, air):
                 "command_delay": control["command_delay"],
                 "conditions": [
                     *conditions,
-                    f"command_delay={min(max(delay - 2, 0), sheet)}..{max(delay + 2, sheet)} ms",
+                    f"command_delay={max(delay - margin, 0)}..{delay + margin} ms",
                 ],
                 "substeps": known.substeps,
             }
