@@ -204,7 +204,24 @@ class TestTuning:
         assert contest.tuned["PID 3"][KP] == pytest.approx(1e4 * 200 ** best.point[0], rel=1e-5)
         training = draw(one, 8, 99)
         assert contest.training_cost["PID 3"][0] == pytest.approx(mean_cost(training, contest.tuned["PID 3"][KP]))
+        air = next(trial.metrics["air"] for trial in tried if trial.point == best.point)
+        assert contest.training_air("PID 3") == air
+        again = compare(one, folder=tmp_path, resume=True)
+        assert again.finalists == contest.finalists and again.tuned == contest.tuned
         assert statistics(contest)["at_air_of_first"]["air_L"] == pytest.approx(best.metrics["air"] * 1e3)
+
+    @pytest.mark.slow
+    def test_the_training_runs_do_not_choose_among_finalists(self, monkeypatch):
+        evaluate = ControllerTuning.evaluate
+
+        def largest_is_best(self, values, engine="auto"):
+            found = evaluate(self, values, engine)
+            return found._replace(costs=-values[:, 0]) if self.runs.count == 40 else found
+
+        monkeypatch.setattr(ControllerTuning, "evaluate", largest_is_best)
+        contest = compare(changed(*ALONE, ("starts: 2", "starts: 2, finalists: 5, finalist_runs: 40")))
+        gains = [1e4 * 200 ** trial.point[0] for trial in contest.finalists["PID 3"]]
+        assert contest.tuned["PID 3"][KP] == pytest.approx(max(gains), rel=1e-5)
 
     @pytest.mark.slow
     def test_a_number_at_an_end_of_its_range_is_named(self):

@@ -120,6 +120,7 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
     if quick:
         several = {name: max(count // tuning.starts, 1) for name, count in tuning.starts_of.items()}
         fewer = {"generations": max(tuning.generations // 10, 1), "starts": 1, "starts_of": several}
+        fewer["finalist_runs"] = min(tuning.finalist_runs, 100)
         tuning = tuning.model_copy(update=fewer)
         evaluation = evaluation.model_copy(update={"runs": min(evaluation.runs, 128)})
     if runs is not None:
@@ -223,7 +224,7 @@ def _tables(numbers: dict[str, Any]) -> None:
     )
     if at_air := numbers["at_air_of_first"]:
         table(
-            f"at no more air than the tuned {first} ({metric('air_L', at_air['air_L'])} L in the training runs)",
+            f"at no more air than the tuned {first} ({metric('air_L', at_air['air_L'])} L in the runs for tuning)",
             ("controller", "angle rmse, deg", "95 %", f"x {first}", "95 % interval", "air, L", FAILED),
             [
                 (

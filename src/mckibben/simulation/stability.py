@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import ParameterError
+from mckibben.errors import ParameterError, SimulationError
 from mckibben.notebook import draw, html_table
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
@@ -187,6 +188,8 @@ def _linearised_at(
     setpoints = sampled_reference(reference, times)
     problem: Any = SimulationProblem(plant, controller, None, None)  # type: ignore[arg-type]
     loops = _linearised(None, problem, _one_run((initial, setpoints)), control_period, chosen, substeps)
+    if not all(np.isfinite(leaf).all() for leaf in loops):
+        raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
     return jax.tree.map(lambda leaf: leaf[0], loops), jax.eval_shape(initial_loop, plant, controller, initial)
 
 
@@ -222,9 +225,11 @@ def disk_margins(
         some = pad_chunk(lanes, piece, _LANES)
         begun, exists = _begun(some, shared, times)
         loops = _linearised(some, shared, begun, control_period, chosen, substeps)
-        each = zip(zip(*loops, strict=True), np.asarray(exists), strict=True)
-        found = [_least_disk_margin(LinearLoop(*loop), control_period) if starts else np.nan for loop, starts in each]
-        return found[: piece.stop - piece.start]
+        each = zip(*loops, np.asarray(exists), strict=True)
+        return [
+            _least_disk_margin(LinearLoop(*loop), control_period) if starts else np.nan
+            for *loop, starts in itertools.islice(each, piece.stop - piece.start)
+        ]
 
     return np.concatenate([found for _, found in map_chunks(of_chunk, count, _LANES)])
 
@@ -379,7 +384,9 @@ def _disk(sensitivity: NDArray[np.complex128]) -> float:
 def _least_disk_margin(loops: LinearLoop, period: float) -> float:
     """Least disk margin of the loops at several points; 0 if one is unstable."""
     angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
-    if not np.isfinite(loops.a).all() or any(_radius(np.linalg.eigvals(one)) >= 1 for one in loops.a):
+    if not all(np.isfinite(leaf).all() for leaf in loops) or any(
+        _radius(np.linalg.eigvals(one)) >= 1 for one in loops.a
+    ):
         return 0.0
     several = [_Triangular.of(LinearLoop(*one)) for one in zip(*loops, strict=True)]
     return min(_disk(loop.sensitivity(_with_resonances(angles, loop.poles))) for loop in several)

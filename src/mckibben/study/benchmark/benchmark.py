@@ -50,7 +50,8 @@ class BenchmarkResult:
     """Result of a benchmark, by controller.
 
     `at_air` is the evaluation at equal air: for each controller, the trial of lowest angle error on its Pareto front
-    with no more air than the tuned first controller, by medians of the training runs; None if the first is not tuned.
+    with no more air than the tuned first controller, by medians of the finalists' runs, or of the training runs without
+    finalists; None if the first is not tuned.
     """
 
     suite: Suite
@@ -60,7 +61,7 @@ class BenchmarkResult:
     at_bound: dict[str, tuple[str, ...]]  # parameters at an end of their range
     batches: dict[str, Batch]  # results in the evaluation runs
     trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of the training runs
-    finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # of their runs; all trials without any
+    finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of theirs; all without any
     at_air: BenchmarkResult | None = None
 
     def __repr__(self) -> str:
@@ -115,6 +116,13 @@ class BenchmarkResult:
         cost = self.suite.cost({name: self.metric(controller, name) for name in names})
         return np.where(np.isfinite(cost), cost, FAILED_COST)
 
+    def training_air(self, controller: str) -> float:
+        """Median air [m^3] of a tuned controller in the training runs; NaN if unknown."""
+        finalists = self.finalists.get(controller, ())
+        best = min(finalists, key=lambda trial: (trial.cost, trial.point), default=None)
+        known = (each.metrics for each in self.trials.get(controller, ()) if best and each.point == best.point)
+        return (next(known, None) or {}).get("air", np.nan)
+
     def scenario(self, controller: str, run: int) -> Scenario:
         """Scenario of one run with the tuned controller."""
         return self.runs.scenario(controller, run, self.tuned[controller])
@@ -149,7 +157,7 @@ def compare(
         swept = suite.tuned_over(name)
         result.tuned[name], result.at_bound[name] = {}, ()
         if swept:
-            air = None if number == 0 else air_of(result.finalists.get(names[0], ()))
+            air = None if number == 0 else result.training_air(names[0])
             wrapped = suite.tuned_inside(name, result.tuned)
             task = ControllerTuning(suite, name, SearchSpace(swept), training, air, wrapped)
             report("tuning", 0.0)
@@ -350,8 +358,14 @@ class ControllerTuning:
             failed = fewest_failed(searched)
             if np.isfinite(air) and (found := front(searched)):
                 begin = trial_at_air(searched, air) or found[0][0]
+
+                def errors_at_air(points: Vector) -> Vector:
+                    several = trials(points)
+                    searched.extend(several)
+                    return np.array([_error_at_air(trial, air, stiffness, failed) for trial in several])
+
                 self._search(
-                    lambda points: np.array([_error_at_air(trial, air, stiffness, failed) for trial in trials(points)]),
+                    errors_at_air,
                     np.array(begin.point),
                     tuning.seed + self._starts,
                     partial(report, number=self._starts),
@@ -361,7 +375,7 @@ class ControllerTuning:
                     f"{self.controller}: all {len(past.trials)} trials failed",
                     remedy="search other ranges, or start from other gains",
                 )
-            finalists = self.finalists(past.trials, air, engine)
+            finalists = self.finalists(searched, air, engine)
             best = min(finalists, key=lambda trial: (trial.cost, trial.point))
             values = self.values(best)
             (cost,), (before,) = costs(space.point(np.array(list(values.values())))[None]), costs(first[None])
@@ -372,17 +386,19 @@ class ControllerTuning:
         tuning = self.suite.tuning
         if not tuning.finalists:
             return tuple(trials)
-        several = sorted(trials, key=lambda trial: (trial.cost, trial.point))[: tuning.finalists]
+        known = {tuple(self.values(trial).values()): trial for trial in reversed(trials)}
+
+        def first(key: Callable[[Trial], float]) -> dict[tuple[float, ...], Trial]:
+            return dict(sorted(known.items(), key=lambda one: (key(one[1]), one[1].point))[: tuning.finalists])
+
+        chosen = first(lambda trial: trial.cost)
         if np.isfinite(air):
             limits = air, stiffness_limit(trials), fewest_failed(trials)
-            several += sorted(trials, key=lambda trial: (_error_at_air(trial, *limits), trial.point))[
-                : tuning.finalists
-            ]
-        points = {trial.point: list(self.values(trial).values()) for trial in several}
+            chosen |= first(lambda trial: _error_at_air(trial, *limits))
         task = replace(self, runs=draw(self.suite, tuning.finalist_runs, tuning.seed + 1), _given={})
-        costs, _, metrics = task.evaluate(np.array(list(points.values())), engine)
-        each = zip(points, costs.tolist(), metrics or len(points) * [None], strict=True)
-        return tuple(Trial(point, cost, metrics=known) for point, cost, known in each)
+        costs, _, metrics = task.evaluate(np.array(list(chosen)), engine)
+        each = zip(chosen.values(), costs.tolist(), metrics or len(chosen) * [None], strict=True)
+        return tuple(Trial(trial.point, cost, metrics=medians) for trial, cost, medians in each)
 
     def values(self, trial: Trial) -> dict[str, float]:
         """Values [SI] of a trial by name, rounded to six digits."""

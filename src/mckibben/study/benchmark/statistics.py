@@ -60,12 +60,12 @@ def left_out_at_air(numbers: Mapping[str, Any], titles: Mapping[str, str] | None
     found = numbers["controllers"]
     shown = {name: name for name in found} | dict(titles or {})
     left_out = [
-        shown[name] + (f" (at least {each['front'][0]['air_L']:.4g} L)" if each["front"] else "")
+        shown[name] + ("" if each["least_air_L"] is None else f" (at least {each['least_air_L']:.4g} L)")
         for name, each in found.items()
         if each["tuned"] and name not in at_air["controllers"]
     ]
     first = shown[next(iter(found))]
-    limit = f"{at_air['air_L']:.4g} L of air, the median of {first} in the training runs"
+    limit = f"{at_air['air_L']:.4g} L of air, the median of {first} in the runs for tuning"
     return f"no gains were found that take at most {limit}: {', '.join(left_out)}" if left_out else ""
 
 
@@ -126,6 +126,7 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
     cost = result.training_cost.get(name)
     stepped = np.isfinite(result.metric(name, "coupling"))
     settled = stepped & np.isfinite(result.metric(name, "stiffness_settling"))
+    least = least_air(result.finalists.get(name, ()))
     return {
         **_errors(result, name, next(iter(result.batches.values()))),
         "median_cost": median_cost,
@@ -139,6 +140,7 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
         },
         "training_cost": None if cost is None else {"tuned": cost[0], "before": cost[1]},
         "at_bound": list(result.at_bound[name]),
+        "least_air_L": least / _UNIT["air"] if np.isfinite(least) else None,
         "front": [
             {SHOWN[metric]: at[metric] / _UNIT[metric] for metric in TRADED}
             for _, at in front(result.trials.get(name, ()))
@@ -168,8 +170,20 @@ def air_of(trials: Sequence[Trial]) -> float:
 
 
 def trial_at_air(trials: Sequence[Trial], air: float) -> Trial | None:
-    """Trial of lowest angle error on the Pareto front with at most the given air [m^3], if any."""
-    return next((trial for trial, at in reversed(front(trials)) if at["air"] <= air), None)
+    """Trial of fewest failed runs, then of lowest angle error, with at most the given air [m^3], if any."""
+    known = [one for one in _alike(trials) if (one.metrics or {})["air"] <= air]
+    return min(_least_failing(known), key=lambda one: (one.metrics or {})["angle_rmse"], default=None)
+
+
+def least_air(trials: Sequence[Trial]) -> float:
+    """Least air [m^3] of the trials that may be the one at equal air; infinite without any."""
+    return min(((one.metrics or {})["air"] for one in _alike(trials)), default=np.inf)
+
+
+def _alike(trials: Sequence[Trial]) -> list[Trial]:
+    """Trials with known metrics and at most 1.1 times the stiffness error of the best."""
+    limit = stiffness_limit(trials)
+    return [one for one in trials if one.metrics and one.metrics["stiffness_rmse"] <= limit]
 
 
 def _best(trials: Sequence[Trial]) -> dict[str, float]:

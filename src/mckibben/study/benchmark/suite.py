@@ -366,9 +366,9 @@ class Suite(RunSettings):
     @classmethod
     def _other_seed(cls, value: EvaluationSettings, info: ValidationInfo) -> EvaluationSettings:
         tuning = info.data.get("tuning")
-        if tuning is not None and tuning.seed == value.seed:
+        if tuning is not None and value.seed in (tuning.seed, tuning.seed + 1)[: 2 if tuning.finalists else 1]:
             fail_validation(
-                "equals the seed of the tuning", "give another seed: training runs do not count as evaluation"
+                "is a seed of the tuning, or of its finalists", "give another: training runs do not count as evaluation"
             )
         return value
 
