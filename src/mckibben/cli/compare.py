@@ -224,7 +224,7 @@ def _tables(numbers: dict[str, Any]) -> None:
     )
     if at_air := numbers["at_air_of_first"]:
         table(
-            f"at no more air than the tuned {first} ({metric('air_L', at_air['air_L'])} L in the runs for tuning)",
+            f"at no more air than the tuned {first} ({metric('air_L', at_air['air_L'])} L in the training runs)",
             ("controller", "angle rmse, deg", "95 %", f"x {first}", "95 % interval", "air, L", FAILED),
             [
                 (

@@ -246,7 +246,7 @@ def _at_air(numbers: Mapping[str, Any]) -> Table | None:
     ]
     return Table(
         f"At the air of {first}: the trial of each tuning with the lowest angle error at no more than "
-        f"{number(at_air['air_L'])} L (medians of the runs for tuning), on the unseen runs; ratio to {first} as tuned.",
+        f"{number(at_air['air_L'])} L (medians of the training runs), on the unseen runs; ratio to {first} as tuned.",
         ("controller", FAILED, *(title for title, _, _ in columns), f"angle rmse / {first}"),
         rows,
     )

@@ -50,8 +50,7 @@ class BenchmarkResult:
     """Result of a benchmark, by controller.
 
     `at_air` is the evaluation at equal air: for each controller, the trial of lowest angle error on its Pareto front
-    with no more air than the tuned first controller, by medians of the finalists' runs, or of the training runs without
-    finalists; None if the first is not tuned.
+    with no more air than the tuned first controller, by medians of the training runs; None if the first is not tuned.
     """
 
     suite: Suite
@@ -164,7 +163,7 @@ def compare(
             tuned = task.run(folder, resume, lambda part: report("tuning", _TUNING * part))
             result.tuned[name], result.training_cost[name], result.at_bound[name] = tuned[:3]
             result.trials[name], result.finalists[name] = tuned[3:]
-            trial = trial_at_air(result.finalists[name], air_of(result.finalists.get(names[0], ())))
+            trial = trial_at_air(result.trials[name], result.training_air(names[0]))
             if trial is not None:
                 at_air.tuned[name] = task.values(trial)
         report("evaluation runs, the last part", _TUNING)
@@ -375,26 +374,19 @@ class ControllerTuning:
                     f"{self.controller}: all {len(past.trials)} trials failed",
                     remedy="search other ranges, or start from other gains",
                 )
-            finalists = self.finalists(searched, air, engine)
+            finalists = self.finalists(searched, engine)
             best = min(finalists, key=lambda trial: (trial.cost, trial.point))
             values = self.values(best)
             (cost,), (before,) = costs(space.point(np.array(list(values.values())))[None]), costs(first[None])
             return values, (float(cost), float(before)), space.at_bound(best.point), tuple(past.trials), finalists
 
-    def finalists(self, trials: Sequence[Trial], air: float, engine: str = "auto") -> tuple[Trial, ...]:
-        """The trials of least cost and those of least angle error at an air [m^3], evaluated on their own runs."""
+    def finalists(self, trials: Sequence[Trial], engine: str = "auto") -> tuple[Trial, ...]:
+        """The trials of least cost, evaluated on further runs; all as they are if the suite has no finalists."""
         tuning = self.suite.tuning
         if not tuning.finalists:
             return tuple(trials)
         known = {tuple(self.values(trial).values()): trial for trial in reversed(trials)}
-
-        def first(key: Callable[[Trial], float]) -> dict[tuple[float, ...], Trial]:
-            return dict(sorted(known.items(), key=lambda one: (key(one[1]), one[1].point))[: tuning.finalists])
-
-        chosen = first(lambda trial: trial.cost)
-        if np.isfinite(air):
-            limits = air, stiffness_limit(trials), fewest_failed(trials)
-            chosen |= first(lambda trial: _error_at_air(trial, *limits))
+        chosen = dict(sorted(known.items(), key=lambda one: (one[1].cost, one[1].point))[: tuning.finalists])
         task = replace(self, runs=draw(self.suite, tuning.finalist_runs, tuning.seed + 1), _given={})
         costs, _, metrics = task.evaluate(np.array(list(chosen)), engine)
         each = zip(chosen.values(), costs.tolist(), metrics or len(chosen) * [None], strict=True)

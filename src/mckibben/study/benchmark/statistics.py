@@ -65,7 +65,7 @@ def left_out_at_air(numbers: Mapping[str, Any], titles: Mapping[str, str] | None
         if each["tuned"] and name not in at_air["controllers"]
     ]
     first = shown[next(iter(found))]
-    limit = f"{at_air['air_L']:.4g} L of air, the median of {first} in the runs for tuning"
+    limit = f"{at_air['air_L']:.4g} L of air, the median of {first} in the training runs"
     return f"no gains were found that take at most {limit}: {', '.join(left_out)}" if left_out else ""
 
 
@@ -103,7 +103,7 @@ def _at_air(result: BenchmarkResult) -> dict[str, Any] | None:
         return None
     first = next(iter(result.batches))
     errors = {name: _errors(at_air, name, result.batches[first]) for name in at_air.batches}
-    return {"air_L": air_of(result.finalists[first]) / _UNIT["air"], "controllers": errors}
+    return {"air_L": result.training_air(first) / _UNIT["air"], "controllers": errors}
 
 
 def _errors(result: BenchmarkResult, name: str, first: Batch) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
     cost = result.training_cost.get(name)
     stepped = np.isfinite(result.metric(name, "coupling"))
     settled = stepped & np.isfinite(result.metric(name, "stiffness_settling"))
-    least = least_air(result.finalists.get(name, ()))
+    least = least_air(result.trials.get(name, ()))
     return {
         **_errors(result, name, next(iter(result.batches.values()))),
         "median_cost": median_cost,
