@@ -5,8 +5,8 @@
 Exact following: valves of 2 ms without delay or limit of their flow, hardly any noise, and a fast decoupling controller
 with the plant of each run as its model. The air is what pressures and volumes of the references require, without dead
 volumes, so that real valves need more. With the folder of a comparison, of each controller's trials those with at most
-this air in the runs of the finalists, and at most 1.1 times the stiffness error of the best, are taken. Of these, the
-one with the fewest failed runs and then the least angle error runs on the evaluation runs. The table has its median
+this air in the training runs, and at most 1.1 times the stiffness error of the best, are taken. Of these, the one with
+the fewest failed runs and then the least angle error runs on the evaluation runs. The table has its median
 angle error, with failed runs as infinite, the number of these, and its air.
 """
 
@@ -62,7 +62,7 @@ def row(suite, name, folder, air):
     """Cells of a controller of the comparison of a setup with at most an air [L], and its angle errors in the runs."""
     task = ControllerTuning(suite, name, SearchSpace(suite.tuned_over(name)), draw(suite, 1, suite.tuning.seed))
     trials = read_trials(folder / "tuning" / f"{filename(name)}.journal")
-    trial = trial_at_air(task.finalists(trials, air * litre), air * litre)
+    trial = trial_at_air(trials, air * litre)
     if trial is None:
         return "none", None
     batch = evaluate(draw(suite, suite.evaluation.runs, suite.evaluation.seed), name, task.values(trial))
