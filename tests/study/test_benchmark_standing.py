@@ -139,7 +139,8 @@ def test_ratios_of_medians(numbers, columns):
 def test_at_equal_air_ratios_are_to_the_first_as_tuned(contest, numbers):
     at_air = replace(contest, batches={FIRST: contest.batches[SECOND]})
     trial = Trial((0.5,), 1.0, metrics={"air": 0.2 * litre, "angle_rmse": deg, "stiffness_rmse": 1.0})
-    found = statistics(replace(contest, at_air=at_air, finalists={FIRST: (trial,)}))["at_air_of_first"]
+    chosen = {"trials": {FIRST: (trial,)}, "finalists": {FIRST: (trial,)}}
+    found = statistics(replace(contest, at_air=at_air, **chosen))["at_air_of_first"]
     assert found["air_L"] == pytest.approx(0.2)
     for key in ("metrics", "diverged", "ratio_to_first", "by_reference"):
         assert found["controllers"][FIRST][key] == numbers["controllers"][SECOND][key]
