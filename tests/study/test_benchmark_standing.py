@@ -139,8 +139,7 @@ def test_ratios_of_medians(numbers, columns):
 def test_at_equal_air_ratios_are_to_the_first_as_tuned(contest, numbers):
     at_air = replace(contest, batches={FIRST: contest.batches[SECOND]})
     trial = Trial((0.5,), 1.0, metrics={"air": 0.2 * litre, "angle_rmse": deg, "stiffness_rmse": 1.0})
-    chosen = {"trials": {FIRST: (trial,)}, "finalists": {FIRST: (trial,)}}
-    found = statistics(replace(contest, at_air=at_air, **chosen))["at_air_of_first"]
+    found = statistics(replace(contest, at_air=at_air, trials={FIRST: (trial,)}))["at_air_of_first"]
     assert found["air_L"] == pytest.approx(0.2)
     for key in ("metrics", "diverged", "ratio_to_first", "by_reference"):
         assert found["controllers"][FIRST][key] == numbers["controllers"][SECOND][key]
@@ -154,8 +153,7 @@ def test_controllers_left_out_at_equal_air_are_named_with_the_least_air_of_their
     at_air = replace(contest, batches={FIRST: contest.batches[FIRST]})
     trials = {FIRST: (trial(0.2),), SECOND: (trial(0.5), trial(0.3))}
     tuned = {**contest.tuned, SECOND: contest.tuned[FIRST]}
-    given = {"at_air": at_air, "trials": trials, "finalists": trials, "tuned": tuned}
-    text = left_out_at_air(statistics(replace(contest, **given)), {SECOND: "other"})
+    text = left_out_at_air(statistics(replace(contest, at_air=at_air, trials=trials, tuned=tuned)), {SECOND: "other"})
     assert "0.2 L" in text and "other (at least 0.3 L)" in text and THIRD not in text
     assert left_out_at_air(numbers) == ""
 

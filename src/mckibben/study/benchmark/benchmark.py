@@ -60,8 +60,8 @@ class BenchmarkResult:
     at_bound: dict[str, tuple[str, ...]]  # parameters at an end of their range
     batches: dict[str, Batch]  # results in the evaluation runs
     trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of the training runs
-    finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of theirs; all without any
     at_air: BenchmarkResult | None = None
+    finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of theirs; all without any
 
     def __repr__(self) -> str:
         return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
@@ -117,7 +117,7 @@ class BenchmarkResult:
 
     def training_air(self, controller: str) -> float:
         """Median air [m^3] of a tuned controller in the training runs; NaN if unknown."""
-        finalists = self.finalists.get(controller, ())
+        finalists = self.finalists.get(controller) or self.trials.get(controller, ())
         best = min(finalists, key=lambda trial: (trial.cost, trial.point), default=None)
         known = (each.metrics for each in self.trials.get(controller, ()) if best and each.point == best.point)
         return (next(known, None) or {}).get("air", np.nan)
