@@ -163,6 +163,10 @@ MISTAKES = {
         ("tuning.untuned[0]", "untuned:", "did you mean 'as it is'"),
     ),
     "seed": (("seed: 1}", "seed: 99}"), ("evaluation", "evaluation:", "seed of the tuning")),
+    "seed of the finalists": (
+        ("tuning: {runs: 8", "tuning: {seed: 0, finalists: 2, runs: 8"),
+        ("evaluation", "evaluation:", "of its finalists"),
+    ),
     "cost": (
         ("tuning: {runs: 8", "tuning: {cost: angel_rmse, runs: 8"),
         ("tuning.cost", "untuned:", "did you mean 'angle_rmse'"),
