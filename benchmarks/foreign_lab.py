@@ -240,10 +240,7 @@ def suite_of(kind, folder, air):
             kind: {
                 "valve": valve,
                 "command_delay": control["command_delay"],
-                "conditions": [
-                    *conditions,
-                    f"command_delay={max(delay - margin, 0)}..{delay + margin} ms",
-                ],
+                "conditions": [*conditions, f"command_delay={max(delay - margin, 0)}..{delay + margin} ms"],
                 "substeps": known.substeps,
             }
         },

@@ -376,10 +376,8 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
         (states, creep, before), (angle, velocity, acceleration, pressures, tensions) = carry, row
         angle = angle - zero
         states = joint.update_state(states, angle, pressures)
-        found, (paths, (arm1, arm2)) = (
-            joint.forces(angle, velocity, pressures, states),
-            joint.geometry.paths_and_arms(angle),
-        )
+        found = joint.forces(angle, velocity, pressures, states)
+        paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
         if joint.has_creep:
             rates = joint.state_rate(states, angle, velocity, pressures)
             states = tuple(

@@ -119,8 +119,12 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
     tuning, evaluation = suite.tuning, suite.evaluation
     if quick:
         several = {name: max(count // tuning.starts, 1) for name, count in tuning.starts_of.items()}
-        fewer = {"generations": max(tuning.generations // 10, 1), "starts": 1, "starts_of": several}
-        fewer["finalist_runs"] = min(tuning.finalist_runs, 100)
+        fewer = {
+            "generations": max(tuning.generations // 10, 1),
+            "starts": 1,
+            "starts_of": several,
+            "finalist_runs": min(tuning.finalist_runs, 100),
+        }
         tuning = tuning.model_copy(update=fewer)
         evaluation = evaluation.model_copy(update={"runs": min(evaluation.runs, 128)})
     if runs is not None:

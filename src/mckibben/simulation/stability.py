@@ -187,15 +187,11 @@ def _linearised_at(
     plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
     setpoints = sampled_reference(reference, times)
     problem: Any = SimulationProblem(plant, controller, None, None)  # type: ignore[arg-type]
-    loops = _linearised(None, problem, _one_run((initial, setpoints)), control_period, chosen, substeps)
+    begun = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (initial, setpoints))  # a batch of one run
+    loops = _linearised(None, problem, begun, control_period, chosen, substeps)
     if not all(np.isfinite(leaf).all() for leaf in loops):
         raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
     return jax.tree.map(lambda leaf: leaf[0], loops), jax.eval_shape(initial_loop, plant, controller, initial)
-
-
-def _one_run(tree: Any) -> Any:
-    """A tree as a batch of one run."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[None], tree)
 
 
 def disk_margins(
@@ -384,11 +380,11 @@ def _disk(sensitivity: NDArray[np.complex128]) -> float:
 def _least_disk_margin(loops: LinearLoop, period: float) -> float:
     """Least disk margin of the loops at several points; 0 if one is unstable."""
     angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
-    if not all(np.isfinite(leaf).all() for leaf in loops) or any(
-        _radius(np.linalg.eigvals(one)) >= 1 for one in loops.a
-    ):
+    if not all(np.isfinite(leaf).all() for leaf in loops):
         return 0.0
     several = [_Triangular.of(LinearLoop(*one)) for one in zip(*loops, strict=True)]
+    if any(_radius(loop.poles) >= 1 for loop in several):
+        return 0.0
     return min(_disk(loop.sensitivity(_with_resonances(angles, loop.poles))) for loop in several)
 
 

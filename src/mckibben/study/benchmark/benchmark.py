@@ -61,7 +61,9 @@ class BenchmarkResult:
     batches: dict[str, Batch]  # results in the evaluation runs
     trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of the training runs
     at_air: BenchmarkResult | None = None
-    finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of theirs; all without any
+    finalists: dict[str, tuple[Trial, ...]] = field(
+        default_factory=dict
+    )  # trials with the medians of their further runs
 
     def __repr__(self) -> str:
         return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
@@ -375,19 +377,19 @@ class ControllerTuning:
                     remedy="search other ranges, or start from other gains",
                 )
             finalists = self.finalists(searched, engine)
-            best = min(finalists, key=lambda trial: (trial.cost, trial.point))
+            best = min(finalists or searched, key=lambda trial: (trial.cost, trial.point))
             values = self.values(best)
             (cost,), (before,) = costs(space.point(np.array(list(values.values())))[None]), costs(first[None])
             return values, (float(cost), float(before)), space.at_bound(best.point), tuple(past.trials), finalists
 
     def finalists(self, trials: Sequence[Trial], engine: str = "auto") -> tuple[Trial, ...]:
-        """The trials of least cost, evaluated on further runs; all as they are if the suite has no finalists."""
+        """The trials of least cost, evaluated on further runs; empty if the suite has no finalists."""
         tuning = self.suite.tuning
         if not tuning.finalists:
-            return tuple(trials)
+            return ()
         known = {tuple(self.values(trial).values()): trial for trial in reversed(trials)}
         chosen = dict(sorted(known.items(), key=lambda one: (one[1].cost, one[1].point))[: tuning.finalists])
-        task = replace(self, runs=draw(self.suite, tuning.finalist_runs, tuning.seed + 1), _given={})
+        task = replace(self, runs=draw(self.suite, tuning.finalist_runs, tuning.finalist_seed), _given={})
         costs, _, metrics = task.evaluate(np.array(list(chosen)), engine)
         each = zip(chosen.values(), costs.tolist(), metrics or len(chosen) * [None], strict=True)
         return tuple(Trial(trial.point, cost, metrics=medians) for trial, cost, medians in each)

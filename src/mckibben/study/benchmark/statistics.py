@@ -150,11 +150,10 @@ def _controller_statistics(result: BenchmarkResult, name: str, median_cost: floa
 
 def front(trials: Sequence[Trial]) -> list[tuple[Trial, dict[str, float]]]:
     """Pareto front (air, angle error) of trials with fewest failed runs and at most 1.1 times the stiffness error."""
-    limit = stiffness_limit(trials)
-    known = [(trial, trial.metrics) for trial in _least_failing(trials) if trial.metrics]
+    known = [(trial, trial.metrics) for trial in _least_failing(_of_same_stiffness(trials)) if trial.metrics]
     found: list[tuple[Trial, dict[str, float]]] = []
     for trial, at in sorted(known, key=lambda one: (one[1]["air"], one[1]["angle_rmse"])):
-        if at["stiffness_rmse"] <= limit and (not found or at["angle_rmse"] < found[-1][1]["angle_rmse"]):
+        if not found or at["angle_rmse"] < found[-1][1]["angle_rmse"]:
             found.append((trial, at))
     return found
 
@@ -171,16 +170,16 @@ def air_of(trials: Sequence[Trial]) -> float:
 
 def trial_at_air(trials: Sequence[Trial], air: float) -> Trial | None:
     """Trial of fewest failed runs, then of lowest angle error, with at most the given air [m^3], if any."""
-    known = [one for one in _alike(trials) if (one.metrics or {})["air"] <= air]
+    known = [one for one in _of_same_stiffness(trials) if (one.metrics or {})["air"] <= air]
     return min(_least_failing(known), key=lambda one: (one.metrics or {})["angle_rmse"], default=None)
 
 
 def least_air(trials: Sequence[Trial]) -> float:
     """Least air [m^3] of the trials that may be the one at equal air; infinite without any."""
-    return min(((one.metrics or {})["air"] for one in _alike(trials)), default=np.inf)
+    return min(((one.metrics or {})["air"] for one in _of_same_stiffness(trials)), default=np.inf)
 
 
-def _alike(trials: Sequence[Trial]) -> list[Trial]:
+def _of_same_stiffness(trials: Sequence[Trial]) -> list[Trial]:
     """Trials with known metrics and at most 1.1 times the stiffness error of the best."""
     limit = stiffness_limit(trials)
     return [one for one in trials if one.metrics and one.metrics["stiffness_rmse"] <= limit]

@@ -266,6 +266,11 @@ class TuningSettings(ConfigModel):
     over: dict[str, tuple[str, ...]] = Field(default_factory=dict)  # other parameters and ranges, by controller
     untuned: tuple[str, ...] = ()  # controllers
 
+    @property
+    def finalist_seed(self) -> int:
+        """Seed of the runs of the finalists."""
+        return self.seed + 1
+
     @field_validator("cost", mode="after")
     @classmethod
     def _readable(cls, value: str) -> str:
@@ -366,7 +371,9 @@ class Suite(RunSettings):
     @classmethod
     def _other_seed(cls, value: EvaluationSettings, info: ValidationInfo) -> EvaluationSettings:
         tuning = info.data.get("tuning")
-        if tuning is not None and value.seed in (tuning.seed, tuning.seed + 1)[: 2 if tuning.finalists else 1]:
+        if tuning is not None and (
+            value.seed == tuning.seed or (tuning.finalists and value.seed == tuning.finalist_seed)
+        ):
             fail_validation(
                 "is a seed of the tuning, or of its finalists", "give another: training runs do not count as evaluation"
             )
