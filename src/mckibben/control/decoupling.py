@@ -14,6 +14,7 @@ from mckibben.control.base import Measurement, Setpoint
 from mckibben.control.feedback import Feedback
 from mckibben.control.model_based import Estimates, ModelBasedControl, Valves
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
+from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.geometry import Pair
@@ -134,7 +135,7 @@ class DecouplingControl(ModelBasedControl):
         affine, lower, upper, torque_rate = self._attainable(model, angle, valves, period)
 
         error, rate = setpoint.angle - position, reference.velocity - motion.velocity
-        jerk = self._jerk(torque_rate, ahead)
+        jerk = self._jerk(torque_rate, reference, estimates.stiffness)
         feedback, correction = self.feedback.step(state.feedback, error, rate, jerk, period)
         acceleration = reference.acceleration_after(lag, period) + correction - motion.disturbance
         torque = self.load.required_torque(angle, motion.velocity, acceleration) - ahead.friction
@@ -171,9 +172,8 @@ class DecouplingControl(ModelBasedControl):
         rate = (jnp.abs(t1) * swing1 + jnp.abs(t2) * swing2) / (2 * self.feedback.lag)
         return affine, (lower1, lower2), (upper1, upper2), rate
 
-    def _jerk(self, torque_rate: Scalar, estimates: Estimates) -> Scalar:
+    def _jerk(self, torque_rate: Scalar, reference: ReferenceDerivatives, stiffness: Scalar) -> Scalar:
         """Rate of the acceleration [rad/s^3] that the valves leave to the feedback, above that of the reference."""
-        reference, load = estimates.reference, self.load
-        stiffness = estimates.stiffness + load.gravity_stiffness(reference.angle)
-        needed = jnp.abs(load.total_inertia * reference.jerk + stiffness * reference.velocity)
-        return jnp.maximum(_SHARE * (torque_rate - needed), _LEAST * torque_rate) / load.total_inertia
+        stiffness, inertia = stiffness + self.load.gravity_stiffness(reference.angle), self.load.total_inertia
+        needed = jnp.abs(inertia * reference.jerk + stiffness * reference.velocity)
+        return jnp.maximum(_SHARE * (torque_rate - needed), _LEAST * torque_rate) / inertia

@@ -40,7 +40,7 @@ from mckibben.units import AngleScale, CommandDelay, Force
 
 Scalar = Float[Array, ""]
 
-_MOST_STEPS = 4  # of the prediction
+_MOST_STEPS = 2  # of the prediction
 
 
 class Valves(NamedTuple):
