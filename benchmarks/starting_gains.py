@@ -102,9 +102,7 @@ def main():
         counts = f"{failed.sum()} | {(failed & ~single.usable).sum()}"
         print(f"| {setup} | {row} | {np.median(errors[-1]):.2f} deg | {counts} |", flush=True)
     unseen, air = np.concatenate(errors), np.median(np.concatenate(airs))
-    print(
-        f"{unseen.size} unseen runs: median {np.median(unseen):.2f} deg with {air:.2f} L, {np.isinf(unseen).sum()} failed"
-    )
+    print(f"{unseen.size} runs: median {np.median(unseen):.2f} deg with {air:.2f} L, {np.isinf(unseen).sum()} failed")
 
 
 if __name__ == "__main__":
