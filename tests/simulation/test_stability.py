@@ -10,7 +10,7 @@ from mckibben.actuator import FirstOrderValve
 from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.plant import PerfectSensors, SampledSensors
 from mckibben.simulation import Outcome, disk_margins, margins
-from mckibben.simulation.stability import LinearLoop, _crossings, _margins_of, _without_noise
+from mckibben.simulation.stability import LinearLoop, _crossings, _frequencies, _margins_of, _without_noise
 from mckibben.units import deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
@@ -85,7 +85,7 @@ def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
     a = np.block([[np.eye(2), np.eye(2)], [-np.diag(gains), zero]])
     loop = LinearLoop(a, np.concatenate([zero, np.eye(2)]), np.concatenate([-np.diag(gains), zero], axis=1))
     radius, gain, phase, delay, disk, largest, loci = _margins_of(loop, period)
-    turn = np.exp(1j * np.pi * np.geomspace(0.01, 1.0, loci.shape[0]))[:, None]
+    turn = np.exp(2j * np.pi * _frequencies(period) * period)[:, None]
     open_loop = np.array(gains) / (turn * (turn - 1))
     crossover = 2 * np.arcsin(np.array(gains) / 2)
     phases = np.pi / 2 - 1.5 * crossover
@@ -96,6 +96,26 @@ def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
     assert phase == pytest.approx(phases.min(), rel=5e-5)
     assert delay == pytest.approx((phases / crossover).min() * period, rel=5e-5)
     assert disk == pytest.approx(1 / np.abs(1 / (1 + open_loop) - 0.5).max(), rel=1e-9)
+
+
+@pytest.mark.parametrize("period", [1e-4, 1e-2])
+def test_margins_of_a_slow_loop_do_not_depend_on_the_control_period(period):
+    """L = k / (s (1 + s lag)) with its crossover at 0.19 Hz, sampled: a phase margin of 59 degrees."""
+    lag, k = 0.5, 1.36
+    slow = np.exp(-period / lag)
+    # x1' = (u - x1) / lag, x2' = x1, u = -k x2
+    a = np.array([[slow, 0.0], [lag * (1 - slow), 1.0]])
+    b = np.array([[1 - slow], [period - lag * (1 - slow)]])
+    c = np.array([[0.0, -k]])
+    loop = LinearLoop(*(np.kron(np.eye(2), one) for one in (a + b @ c, b, c)))
+    _, _, phase, delay, disk, *_ = _margins_of(loop, period)
+    crossover = ((np.sqrt(1 + 4 * (k * lag) ** 2) - 1) / 2) ** 0.5 / lag
+    expected = np.pi / 2 - np.arctan(crossover * lag)
+    w = np.geomspace(0.01, 10, 10_000)
+    open_loop = k / (1j * w * (1 + 1j * w * lag))
+    assert phase == pytest.approx(expected, rel=0.01)
+    assert delay == pytest.approx(expected / crossover, rel=0.01)
+    assert disk == pytest.approx(1 / np.abs(1 / (1 + open_loop) - 0.5).max(), rel=0.01)
 
 
 def test_margins_are_those_at_the_crossover_and_not_where_the_gain_is_flat():

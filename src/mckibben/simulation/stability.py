@@ -35,8 +35,9 @@ from mckibben.simulation.problem import (
 )
 from mckibben.units import deg, ms
 
-_FREQUENCIES = 400  # from a hundredth of the Nyquist frequency up, in equal ratios
-_FEW_FREQUENCIES = 60  # of margins of many runs
+_LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
+_FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
+_FEW_FREQUENCIES = 120  # of margins of many runs
 _LANES = 8  # runs of one call
 _RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
 _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
@@ -326,7 +327,7 @@ def _advance(
 
 def _frequencies(period: float, count: int = _FREQUENCIES) -> NDArray[np.float64]:
     """Frequencies [Hz] of the response."""
-    return np.geomspace(0.01, 1.0, count) / (2 * period)
+    return np.geomspace(_LOWEST_FREQUENCY, 1 / (2 * period), count)
 
 
 def _radius(poles: NDArray[np.complex128]) -> float:
