@@ -209,8 +209,9 @@ class AirValve(AirActuator):
         rate = (target - pressure) * (1 - exp(-jnp.asarray(period) / lag)) / period
         flow = jnp.clip(rate - drift, slowest, fastest)  # as a rate of the pressure [Pa/s]
         opening = flow / jnp.where(flow > 0, fastest, -slowest)
-        wanted = pressure + period / 2 * (flow + drift) + self._error_for(opening)
-        lead = lag_fraction(_FASTER * jnp.asarray(lag), period) / lag_fraction(self.command_lag, period)
+        covered = lag_fraction(_FASTER * jnp.asarray(lag), period)
+        wanted = pressure + period / covered * (flow + drift) + self._error_for(opening)
+        lead = covered / lag_fraction(self.command_lag, period)
         return state + _leading(lead * (wanted - state), self.held_within)
 
     def follow(self, state: Scalar, command: ArrayLike, duration: ArrayLike) -> Scalar:
