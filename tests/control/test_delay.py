@@ -56,7 +56,24 @@ def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, 
     for arriving in commands[-2::-1]:  # each for a period, the oldest first; the last has acted already
         state = solve_ivp(rates, (0, PERIOD), state, args=(arriving,), rtol=1e-8).y[:, -1]
     np.testing.assert_allclose(expected.pressures, state[2:], rtol=1e-3)  # in steps of 4 ms
-    assert float(expected.motion.angle) - ANGLE == pytest.approx(state[0] - ANGLE, rel=2e-3)
+    assert float(expected.motion.angle) - ANGLE == pytest.approx(state[0] - ANGLE, rel=5e-3)
+
+
+@pytest.mark.parametrize(("periods", "steps"), [(0, 0), (1, 1), (8, 2), (9, 3), (30, 8)])
+def test_a_step_of_the_prediction_takes_at_most_four_milliseconds(control, periods, steps):
+    late = dataclasses.replace(control, command_delay=periods * PERIOD)
+    assert late.with_period(PERIOD).steps == steps
+
+
+def test_over_a_long_delay_it_knows_what_fast_valves_have_done(control, knee):
+    """The pressures lag behind commands that rise steadily by the lag of the valves, but for a part of a step."""
+    late = dataclasses.replace(control, command_delay=30 * ms, valve=FirstOrderValve(1 * ms)).with_period(PERIOD)
+    estimates = late.init_estimates(Measurement(jnp.asarray(ANGLE), tuple(map(jnp.asarray, PRESSURES))))
+    rise = 1e3  # Pa in a period
+    sent = tuple((jnp.asarray(3e5 - rise * age), jnp.asarray(2e5 + rise * age)) for age in range(31))
+    pressure1, pressure2 = late._predicted(knee, estimates._replace(sent=sent), PERIOD).pressures
+    assert float(pressure1) == pytest.approx(3e5, abs=2 * rise)
+    assert float(pressure2) == pytest.approx(2e5, abs=2 * rise)
 
 
 def test_without_a_delay_the_estimates_are_passed_on_and_without_a_period_it_is_refused(control, knee):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import abc
 import dataclasses
 import functools
+import math
 import operator
 from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
@@ -36,11 +37,12 @@ from mckibben.errors import ParameterError, RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.joint.geometry import Pair
-from mckibben.units import AngleScale, CommandDelay, Force
+from mckibben.units import AngleScale, CommandDelay, Force, ms
 
 Scalar = Float[Array, ""]
 
-_MOST_STEPS = 2  # of the prediction
+_LEAST_STEPS, _LONGEST_STEP = 2, 4 * ms  # of the prediction
+_ROUNDING = 1e-9  # steps
 
 
 class Valves(NamedTuple):
@@ -153,6 +155,7 @@ class ModelBasedControl(Controller):
     )
     actuator_adaptation: ActuatorAdaptation | None = eqx.field(kw_only=True, default=None)
     periods: int | None = eqx.field(kw_only=True, default=None, static=True)
+    steps: int = eqx.field(kw_only=True, default=_LEAST_STEPS, static=True)
 
     def __check_init__(self) -> None:
         super().__check_init__()
@@ -178,7 +181,9 @@ class ModelBasedControl(Controller):
         adaptation, longest = self.actuator_adaptation, self._delay
         if adaptation is not None:
             longest = adaptation.longest_delay(longest)
-        return dataclasses.replace(prepared, periods=delay_periods(longest, period))
+        periods = delay_periods(longest, period)
+        steps = max(math.ceil(periods * period / _LONGEST_STEP - _ROUNDING), _LEAST_STEPS)
+        return dataclasses.replace(prepared, periods=periods, steps=min(steps, periods))
 
     @property
     def _delay(self) -> ArrayLike:
@@ -272,7 +277,7 @@ class ModelBasedControl(Controller):
 
     def _predicted(self, model: AntagonisticJoint, estimates: Estimates, period: ArrayLike) -> Estimates:
         """Estimates when the next commands arrive."""
-        steps = min(self._periods, _MOST_STEPS)
+        steps = self.steps
         delay, step = self._delay / jnp.asarray(period), jnp.asarray(self._delay) / steps
         pairs = [_means(estimates.sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)]
         commands = jnp.stack([one for one, _ in pairs]), jnp.stack([other for _, other in pairs])
