@@ -180,7 +180,7 @@ def test_presliding_in_the_observer_ends_a_limit_cycle():
     changes = {
         "joint.muscle1.friction.half_width": 13.0,
         "joint.muscle2.friction.half_width": 13.0,
-        "controller.feedback.bandwidth": 60.0,
+        "controller.feedback.bandwidth": 45.0,
         "controller.observer.bandwidth": 60.0,
         "controller.pressure_observer.bandwidth": 60.0,
         "reference.angle.amplitude": 0.002,
