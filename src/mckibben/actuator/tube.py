@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator, Exchange
 from mckibben.actuator.air_valve import AirValve
-from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar
+from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar, lag_fraction
 from mckibben.component.columns import Label
 from mckibben.errors import RangeError
 from mckibben.muscle.air import (
@@ -197,8 +197,11 @@ class Tube(AirActuator):
         needed = self._flow_for(pressure + ATMOSPHERE, rate, air)
         outlet = pressure_behind(self.conductance, self.critical_ratio, pressure + ATMOSPHERE, needed)
         at_valve = AirVolume(jnp.asarray(self.dead_volume), self._growth(needed, state.pressure + ATMOSPHERE))
-        wanted = jnp.clip(outlet - ATMOSPHERE, 0.0, self.supply)
         faster = _FASTER * jnp.asarray(lag)
+        drop = outlet - ATMOSPHERE - pressure
+        rising = rate - drop / lag  # of the outlet, as the rate of the muscle decays
+        ahead = pressure + drop + period / lag_fraction(faster, period) * rising
+        wanted = jnp.clip(ahead, 0.0, self.supply)
         return self._tight.command_toward(state.pressure, state.valve, wanted, at_valve, faster, period)
 
     @property
