@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.actuator import FirstOrderValve
+from mckibben.actuator import FirstOrderValve, SwitchingValves, UnequalValves
 from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.plant import PerfectSensors, SampledSensors
 from mckibben.simulation import Outcome, disk_margins, margins
 from mckibben.simulation.stability import LinearLoop, _crossings, _frequencies, _margins_of, _without_noise
-from mckibben.units import deg, ms
+from mckibben.units import bar, deg, ms
 
 REFERENCE = mk.Reference(angle=mk.Constant(3 * deg), stiffness=15.0)
 KICKED = mk.Reference(angle=mk.Step(2.5 * deg, 3 * deg, 0.1), stiffness=15.0)
@@ -69,6 +69,27 @@ def test_delays_of_sensors_and_commands_add_up(loop, of_sensors, of_commands, ex
     found = _without_noise(plant, 1 * ms)
     assert found.sensors == PerfectSensors()
     assert found.command_delay == (None if expected is None else pytest.approx(expected * ms))
+
+
+@pytest.mark.slow
+def test_switching_valves_have_the_margins_of_their_mean_flow(loop):
+    """At each point, also where no period of the modulation begins: further delays of 9 ms are stable, of 20 ms not."""
+    plant, control = loop
+    one = SwitchingValves(0.055e-8, 7 * bar, period=10 * ms, opening_delay=1 * ms, dead_volume=3e-6)
+    pair = dataclasses.replace(plant, valve=UnequalValves(one, one))
+    control = dataclasses.replace(
+        control,
+        feedback=mk.PolePlacement(30.0, damping=2.5),
+        observer=ExtendedStateObserver(120.0, damping=2.0),
+        pressure_observer=PressureObserver(60.0),
+        valve=one,
+    )
+    found = margins(pair, control, REFERENCE, pair.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
+    assert (found.disk > 0.3).all() and (found.disk < 1).all()
+    assert (9 * ms < found.delay).all() and (found.delay < 20 * ms).all()
+    for late, stable in ((9 * ms, True), (20 * ms, False)):
+        result = mk.simulate(dataclasses.replace(pair, command_delay=late), control, KICKED, duration=1.5, substeps=6)
+        assert (result.outcome is not Outcome.LIMIT_CYCLE) == stable
 
 
 @pytest.mark.slow

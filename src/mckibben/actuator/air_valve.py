@@ -425,6 +425,11 @@ class SwitchingValves(AirValve):
     def command_lag(self) -> ArrayLike:
         return self.period / 2  # until the next period begins
 
+    def averaged(self) -> PressureRegulator:
+        """Return the pair without modulation, whose commands lag until the next period begins."""
+        of_air = {one.name: getattr(self, one.name) for one in dataclasses.fields(AirValve)}
+        return PressureRegulator(**of_air, time_constant=self.command_lag)  # type: ignore[arg-type]
+
     def init(self, pressure: Scalar) -> Switching:
         zero = jnp.zeros_like(floating(pressure))
         return Switching(zero + jnp.inf, zero, zero)  # the first step begins a period

@@ -209,6 +209,10 @@ class Actuator(Labelled, Component):
         """Whether the state changes at integration steps, so that it has no time derivative."""
         return False
 
+    def averaged(self) -> Actuator:
+        """Return the actuator with the mean flow of valves that switch, for linearisation."""
+        return self
+
     @abc.abstractmethod
     def init(self, pressure: Scalar) -> Any:
         """Return the internal state at a constant pressure [Pa], without the pressure itself."""

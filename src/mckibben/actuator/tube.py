@@ -113,6 +113,9 @@ class Tube(AirActuator):
     def reservoir(self) -> Reservoir | None:
         return self.valve.reservoir
 
+    def averaged(self) -> Tube:
+        return dataclasses.replace(self, valve=self.valve.averaged())
+
     def init(self, pressure: Scalar) -> TubeState:
         return TubeState(self.valve.init(pressure), floating(pressure))
 

@@ -77,6 +77,9 @@ class UnequalValves(Actuator):
     def switches(self) -> bool:
         return self.muscle1.switches or self.muscle2.switches
 
+    def averaged(self) -> UnequalValves:
+        return dataclasses.replace(self, muscle1=self.muscle1.averaged(), muscle2=self.muscle2.averaged())
+
     @property
     def lag(self) -> Any:
         first, second = self.muscle1.lag, self.muscle2.lag

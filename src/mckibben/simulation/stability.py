@@ -127,7 +127,8 @@ def margins(
 ) -> Margins:
     """Return the margins of a loop at points in equal distances along a run, without noise and disturbance torques.
 
-    A reading delay of the sensors counts as a delay of the commands. Where a command or a pressure is at its limit the
+    A reading delay of the sensors counts as a delay of the commands, and valves that switch have their mean flow, with
+    commands that lag by half a period. Where a command or a pressure is at its limit the
     linearised loop is open, and its margins are infinite.
 
     Raises `SimulationError` if the times do not fit together; `RangeError` if there are no points.
@@ -183,6 +184,8 @@ def _linearised_at(
     substeps: int,
 ) -> tuple[LinearLoop, Any]:
     """Linearisations at control periods of a run, and the shapes of the states of plant and controller."""
+    if plant.valve.switches:
+        initial = initial._replace(air=())
     plant = _without_noise(plant, control_period).with_period(control_period)
     controller = controller.with_period(control_period)
     plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
@@ -214,6 +217,8 @@ def disk_margins(
     Raises `ParameterError` if all runs are the same; `SimulationError` if the times do not fit together.
     """
     times = sampling_times(duration, control_period)
+    if plant.valve.switches and isinstance(initial, PlantState):
+        initial = initial._replace(air=())
     problem = SimulationProblem.of(_without_noise(plant, control_period), controller, reference, initial)
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
     chosen = evenly_spaced(times.size, points)
@@ -232,10 +237,11 @@ def disk_margins(
 
 
 def _without_noise(plant: JointPlant, period: float) -> JointPlant:
-    """The plant with perfect sensors, whose reading delay counts as one of the commands."""
+    """The plant with the mean flow of its valves, and perfect sensors whose delay counts as one of the commands."""
     own = 0.0 if plant.command_delay is None else plant.command_delay
     delay = getattr(plant.sensors, "delay", 0.0) * period + own
-    return dataclasses.replace(plant.with_ideal_io(), command_delay=delay if np.any(delay) else None)
+    ideal = dataclasses.replace(plant.with_ideal_io(), valve=plant.valve.averaged())
+    return dataclasses.replace(ideal, command_delay=delay if np.any(delay) else None)
 
 
 @compiled_as_given
