@@ -40,6 +40,7 @@ _FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
 _FEW_FREQUENCIES = 120  # of margins of many runs
 _LANES = 8  # runs of one call
 _RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
+_OPEN = 2 * (1 - 1e-6)  # disk margin of an open loop, to rounding
 _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
 
 
@@ -99,11 +100,13 @@ class Margins(NamedTuple):
         ]
 
     def verdict(self) -> str:
-        """Text that says whether the loop is stable at all points."""
-        unstable = self.time[self.radius >= 1]
+        """Text that says whether the loop is stable at all points, and where it is open."""
+        unstable, opened = self.time[self.radius >= 1], int(np.sum(self.disk >= _OPEN))
+        text = f"stable at all {self.time.size} points; largest pole {self.radius.max():.4f} in discrete time"
         if unstable.size:
-            return f"unstable at {unstable.size} of {self.time.size} points, first at {unstable[0]:.3g} s"
-        return f"stable at all {self.time.size} points; largest pole {self.radius.max():.4f} in discrete time"
+            text = f"unstable at {unstable.size} of {self.time.size} points, first at {unstable[0]:.3g} s"
+        why = "both valves in their dead zone, or both commands at a limit; choose a reference in motion"
+        return f"{text}; at {opened} of the points the loop is open, with {why}" if opened else text
 
     def plot(self) -> Any:
         """Return a figure of the open loop and the sensitivity, see `mckibben.report.margins`."""
@@ -128,7 +131,7 @@ def margins(
     """Return the margins of a loop at points in equal distances along a run, without noise and disturbance torques.
 
     A reading delay of the sensors counts as a delay of the commands, and valves that switch have their mean flow, with
-    commands that lag by half a period. Where a command or a pressure is at its limit the
+    commands that lag by half a period. Where a command or a pressure is at its limit, or a valve in its dead zone, the
     linearised loop is open, and its margins are infinite.
 
     Raises `SimulationError` if the times do not fit together; `RangeError` if there are no points.
