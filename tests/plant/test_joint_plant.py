@@ -52,6 +52,11 @@ def test_a_low_supply_limits_commands_start_and_attainable_stiffness(plant, valv
     assert caught.value.upper == pytest.approx(float(highest), rel=1e-6)
 
 
+def test_a_supply_that_does_not_hold_the_start_is_named(plant):
+    with pytest.raises(UnreachableError, match="supply of the valves is too low"):
+        JointPlant(plant.joint, plant.load, FirstOrderValve(0.02, supply=0.3 * bar)).equilibrium(0.1)
+
+
 def test_a_supply_above_the_rating_limits_nothing(plant):
     high = JointPlant(plant.joint, plant.load, FirstOrderValve(0.02, supply=10 * bar))
     np.testing.assert_array_equal(high.clip_commands((9 * bar, -1.0)), plant.clip_commands((9 * bar, -1.0)))

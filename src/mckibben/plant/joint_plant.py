@@ -13,6 +13,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from numpy.typing import NDArray
 
 from mckibben.actuator.base import Actuator, AirState, AirVolume, air_volumes
+from mckibben.errors import UnreachableError
 from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.joint.antagonistic import NO_STATES, MuscleStates, pressure_pair
 from mckibben.joint.attainable import StaticSolution, check_finite, raise_unattainable, solve_static
@@ -24,6 +25,7 @@ from mckibben.numerics.elementary import floating
 from mckibben.plant.base import IOState, Motion, Plant
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
+from mckibben.units import deg
 
 Scalar = Float[Array, ""]
 
@@ -177,6 +179,13 @@ class JointPlant(Plant):
         wanted = math.nan if stiffness is None else stiffness
         state, torque, found = _equilibrium(self, angle, wanted)
         if not found.exists:
+            if not found.lowest <= found.highest and solve_static(self.joint, angle, torque, math.nan).exists:
+                raise UnreachableError(
+                    f"the supply of the valves is too low to hold the joint at {float(angle) / deg:.4g} deg; the rated "
+                    "pressures would",
+                    field="supply",
+                    remedy="raise the supply, or choose another angle",
+                )
             raise_unattainable(self.supplied_joint, found, float(angle), float(torque), float(wanted))
         return state
 
