@@ -52,6 +52,22 @@ def test_the_delay_margin_is_where_runs_become_unstable(loop, found, share, outc
 
 
 @pytest.mark.slow
+def test_a_run_that_ends_in_a_limit_cycle_is_not_stable(loop, found):
+    """Its points lie along the oscillation, where the commands are at their limits."""
+    plant, control = loop
+    late = dataclasses.replace(plant, command_delay=np.array([2.0, 0.0]) * found.delay.min())
+    settings = {**SETTINGS, "duration": 1.5}
+    start = plant.equilibrium(2.5 * deg, stiffness=15.0)
+    oscillating = margins(
+        dataclasses.replace(plant, command_delay=late.command_delay[0]), control, KICKED, start, **settings
+    )
+    assert oscillating.oscillation > 0.5 * deg and not oscillating.stable and found.stable
+    assert "limit cycle" in oscillating.verdict()
+    unstable, stable = disk_margins(late, control, KICKED, start, **{**settings, "points": 2})
+    assert unstable == 0 < stable
+
+
+@pytest.mark.slow
 def test_a_reading_delay_of_the_sensors_takes_from_the_delay_margin(loop, found):
     plant, control = loop
     late = dataclasses.replace(plant, sensors=SampledSensors(delay=1.0))

@@ -25,6 +25,7 @@ from mckibben.numerics.compiled import compiled_as_given, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.loop import LoopState, initial_loop
+from mckibben.simulation.oscillation import Oscillation
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
@@ -73,6 +74,12 @@ class Margins(NamedTuple):
     frequency: NDArray[np.float64]  # shape (frequencies,) [Hz]
     sensitivity: NDArray[np.float64]  # largest singular value at the commands, shape (points, frequencies)
     loci: NDArray[np.complex128]  # eigenvalues of the open loop, shape (points, frequencies, 2)
+    oscillation: float = 0.0  # amplitude of the limit cycle of the run [rad]; 0 without one
+
+    @property
+    def stable(self) -> bool:
+        """Whether the loop is stable at all points, and the run free of limit cycles."""
+        return bool((self.radius < 1).all()) and not self.oscillation
 
     def __repr__(self) -> str:
         least = ", ".join(f"{name} {margin.min():.3g}" for name, margin in self.in_shown_units().items())
@@ -105,6 +112,10 @@ class Margins(NamedTuple):
         text = f"stable at all {self.time.size} points; largest pole {self.radius.max():.4f} in discrete time"
         if unstable.size:
             text = f"unstable at {unstable.size} of {self.time.size} points, first at {unstable[0]:.3g} s"
+        if self.oscillation:
+            text = (
+                f"the run ends in a limit cycle of {self.oscillation / deg:.3g} deg; the margins are of points along it"
+            )
         why = "both valves in their dead zone, or both commands at a limit; choose a reference in motion"
         return f"{text}; at {opened} of the points the loop is open, with {why}" if opened else text
 
@@ -132,17 +143,20 @@ def margins(
 
     A reading delay of the sensors counts as a delay of the commands, and valves that switch have their mean flow, with
     commands that lag by half a period. Where a command or a pressure is at its limit, or a valve in its dead zone, the
-    linearised loop is open, and its margins are infinite.
+    linearised loop is open, and its margins are infinite. A run in a limit cycle is not stable, whatever its margins.
 
     Raises `SimulationError` if the times do not fit together; `RangeError` if there are no points.
     """
     check_positive("margins", points=points)
     times = sampling_times(duration, control_period)
     chosen = evenly_spaced(times.size, int(points))
-    loops = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)[0]
+    loops, oscillation, _ = _linearised_at(
+        plant, controller, reference, initial, times, control_period, chosen, substeps
+    )
     found = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
     radius, gain, phase, delays, disk, sensitivity, loci = (np.array(column) for column in zip(*found, strict=True))
-    return Margins(times[chosen], radius, gain, phase, delays, disk, _frequencies(control_period), sensitivity, loci)
+    frequencies = _frequencies(control_period)
+    return Margins(times[chosen], radius, gain, phase, delays, disk, frequencies, sensitivity, loci, oscillation)
 
 
 def linear_loop(
@@ -168,7 +182,7 @@ def linear_loop(
         remedy = "choose a time of the run"
         raise ParameterError(message, field="time", value=time, lower=0.0, upper=duration, unit="s", remedy=remedy)
     chosen = np.array([int(np.argmin(np.abs(times - time)))])
-    loops, state = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)
+    loops, _, state = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)
     names = []
     for path, leaf in jax.tree_util.tree_leaves_with_path(state):
         name = ("plant", "controller")[path[0].idx] + jax.tree_util.keystr(path[1:])
@@ -185,8 +199,8 @@ def _linearised_at(
     control_period: float,
     chosen: NDArray[np.int64],
     substeps: int,
-) -> tuple[LinearLoop, Any]:
-    """Linearisations at control periods of a run, and the shapes of the states of plant and controller."""
+) -> tuple[LinearLoop, float, Any]:
+    """Linearisations at control periods of a run, amplitude of its limit cycle [rad], and shapes of the states."""
     if plant.valve.switches:
         initial = initial._replace(air=())
     plant = _without_noise(plant, control_period).with_period(control_period)
@@ -195,10 +209,11 @@ def _linearised_at(
     setpoints = sampled_reference(reference, times)
     problem: Any = SimulationProblem(plant, controller, None, None)  # type: ignore[arg-type]
     begun = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (initial, setpoints))  # a batch of one run
-    loops = _linearised(None, problem, begun, control_period, chosen, substeps)
+    loops, oscillation = _linearised(None, problem, begun, control_period, chosen, substeps)
     if not all(np.isfinite(leaf).all() for leaf in loops):
         raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
-    return jax.tree.map(lambda leaf: leaf[0], loops), jax.eval_shape(initial_loop, plant, controller, initial)
+    shapes = jax.eval_shape(initial_loop, plant, controller, initial)
+    return jax.tree.map(lambda leaf: leaf[0], loops), float(oscillation[0]), shapes
 
 
 def disk_margins(
@@ -212,7 +227,9 @@ def disk_margins(
     substeps: int = 4,
     points: int = 4,
 ) -> NDArray[np.float64]:
-    """Return the least disk margin along each of many runs: 0 if a point is unstable, NaN if a run cannot start.
+    """Return the least disk margin along each of many runs.
+
+    0 if a point is unstable or the run ends in a limit cycle, NaN if it cannot start.
 
     As `margins`, at fewer points and frequencies, for a batch: arguments as for `simulate_many`, with arrays in place
     of numbers. Shape (runs,).
@@ -229,11 +246,11 @@ def disk_margins(
     def of_chunk(piece: slice) -> list[float]:
         some = pad_chunk(lanes, piece, _LANES)
         begun, exists = _begun(some, shared, times)
-        loops = _linearised(some, shared, begun, control_period, chosen, substeps)
-        each = zip(*loops, np.asarray(exists), strict=True)
+        loops, oscillation = _linearised(some, shared, begun, control_period, chosen, substeps)
+        each = zip(*loops, oscillation, np.asarray(exists), strict=True)
         return [
-            _least_disk_margin(LinearLoop(*loop), control_period) if starts else np.nan
-            for *loop, starts in itertools.islice(each, piece.stop - piece.start)
+            (0.0 if oscillates else _least_disk_margin(LinearLoop(*loop), control_period)) if starts else np.nan
+            for *loop, oscillates, starts in itertools.islice(each, piece.stop - piece.start)
         ]
 
     return np.concatenate([found for _, found in map_chunks(of_chunk, count, _LANES)])
@@ -267,14 +284,15 @@ def _linearised(
     control_period: float,
     chosen: NDArray[np.int64],
     substeps: int,
-) -> LinearLoop:
-    """Linearisations of runs at control periods; leaves have the shape (runs, points, ...)."""
+) -> tuple[LinearLoop, NDArray[np.float64]]:
+    """Linearisations of runs at control periods, leaves (runs, points, ...), and amplitudes of limit cycles [rad]."""
     without: Any = {"reference": None, "initial": None}
     given = shared._replace(**without), np.asarray(control_period), np.asarray(substeps)
     own = None if lanes is None else lanes._replace(**without)
     start, setpoints = begun
     of_runs = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), (own, start, setpoints))
-    states = np.moveaxis(np.asarray(_visited("auto", given, of_runs)[0])[chosen], 0, -1)  # (states, runs, points)
+    visited, oscillation = map(np.asarray, _visited("auto", given, of_runs)[0])
+    states = np.moveaxis(visited[chosen], 0, -1)  # (states, runs, points)
     count, *shape = states.shape
     directions = np.eye(count + 2)
 
@@ -291,20 +309,24 @@ def _linearised(
     following, wanted = (
         np.moveaxis(np.reshape(rows, (-1, *shape, count + 2)), 0, 2) for rows in _along("auto", given, parts)[0]
     )
-    return LinearLoop(following[..., :count], following[..., count:], wanted[..., :count])
+    return LinearLoop(following[..., :count], following[..., count:], wanted[..., :count]), oscillation
 
 
 @BatchFunction
-def _visited(shared: Any, lane: Any) -> Array:
-    """States of plant and controller at the start of each control period, of shape (periods, states)."""
+def _visited(shared: Any, lane: Any) -> tuple[Array, Array]:
+    """States of plant and controller at each control period, and the amplitude of the limit cycle of the run [rad]."""
     (problem, period, substeps), (own, start, setpoints) = shared, lane
     run = problem if own is None else eqx.combine(own, problem)
+    count = setpoints.angle.shape[0]
 
-    def step(loop: LoopState, setpoint: Setpoint) -> tuple[LoopState, Array]:
+    def step(carry: tuple[LoopState, Oscillation], row: tuple[Setpoint, Array]) -> tuple[Any, Array]:
+        (loop, so_far), (setpoint, index) = carry, row
         following, _ = _advance(run, loop, setpoint, jnp.zeros(2), period, substeps)
-        return following, ravel_pytree(loop)[0]
+        return (following, so_far.after(loop[0].angle, setpoint.angle, index)), ravel_pytree(loop)[0]
 
-    return lax.scan(step, initial_loop(run.plant, run.controller, start), setpoints)[1]
+    begin = initial_loop(run.plant, run.controller, start), Oscillation.empty(start.angle)
+    (_, oscillation), states = lax.scan(step, begin, (setpoints, jnp.arange(count)))
+    return states, oscillation.limit_cycle(count, period).amplitude
 
 
 @BatchFunction
