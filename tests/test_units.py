@@ -26,6 +26,8 @@ from mckibben.units import UNITS, Percent, Quantity, factor, quantity, show
         ("25 deg", "rad", 25 * math.pi / 180),
         ("25 °", "rad", 25 * math.pi / 180),
         ("20 ms", "s", 0.02),
+        ("1500 us", "s", 0.0015),
+        ("0.05 dm^3/(s*bar)", "m^3/(s*Pa)", 5e-10),
         ("2 min", "s", 120.0),
         ("0.5 Hz", "1/s", 0.5),
         ("-3 %", "1", -0.03),

@@ -54,6 +54,7 @@ _TEMPERATURE, _NOTHING = (0, 0, 0, 0, 1), (0, 0, 0, 0, 0)
 _FORCE, _PRESSURE = (1, 1, -2, 0, 0), (-1, 1, -2, 0, 0)
 _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "m": (1.0, _LENGTH),
+    "dm": (0.1, _LENGTH),
     "cm": (cm, _LENGTH),
     "mm": (mm, _LENGTH),
     "um": (1e-6, _LENGTH),
@@ -65,6 +66,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "g": (g, _MASS),
     "s": (1.0, _TIME),
     "ms": (ms, _TIME),
+    "us": (1e-6, _TIME),
     "min": (60.0, _TIME),
     "Hz": (1.0, (0, 0, -1, 0, 0)),
     "N": (1.0, _FORCE),
@@ -173,7 +175,7 @@ def factor(unit: str, to: str = "") -> float:
         return _size(source)
     target = _parse(to)
     if _dimensions(source) != _dimensions(target):
-        remedy = f"use a unit such as {to}"
+        remedy = "give a number without unit" if to == "1" else f"use a unit such as {to}"
         raise UnitError(f"unit {unit!r} does not have the dimensions of {to!r}", value=unit, unit=to, remedy=remedy)
     return _size({name: source.get(name, 0) - target.get(name, 0) for name in [*source, *target]})
 
