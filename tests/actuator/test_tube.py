@@ -192,7 +192,7 @@ def test_the_pressure_follows_a_target_with_the_lag_behind_narrow_and_wide_tubes
         following, state = model.predict(pressure, state, command, still, PERIOD)
         area += float(start + step - (pressure + following) / 2) * PERIOD / step
         pressure = following
-    assert area == pytest.approx(lag, rel=0.12)
+    assert area == pytest.approx(lag, rel=0.05)
 
 
 @pytest.mark.parametrize("rate", [4 * bar, -4 * bar])

@@ -201,9 +201,7 @@ class Tube(AirActuator):
         outlet = pressure_behind(self.conductance, self.critical_ratio, pressure + ATMOSPHERE, needed)
         at_valve = AirVolume(jnp.asarray(self.dead_volume), self._growth(needed, state.pressure + ATMOSPHERE))
         faster = _FASTER * jnp.asarray(lag)
-        drop = outlet - ATMOSPHERE - pressure
-        rising = rate - drop / lag  # of the outlet, as the rate of the muscle decays
-        ahead = pressure + drop + period / lag_fraction(faster, period) * rising
+        ahead = outlet - ATMOSPHERE + period / lag_fraction(faster, period) * rate
         wanted = jnp.clip(ahead, 0.0, self.supply)
         return self._tight.command_toward(state.pressure, state.valve, wanted, at_valve, faster, period)
 
