@@ -201,8 +201,7 @@ def _linearised_at(
     substeps: int,
 ) -> tuple[LinearLoop, float, Any]:
     """Linearisations at control periods of a run, amplitude of its limit cycle [rad], and shapes of the states."""
-    if plant.valve.switches:
-        initial = initial._replace(air=())
+    initial = _without_modulation(plant, initial)
     plant = _without_noise(plant, control_period).with_period(control_period)
     controller = controller.with_period(control_period)
     plant, controller, initial = numeric((plant, controller, plant.complete_state(initial)))
@@ -237,8 +236,7 @@ def disk_margins(
     Raises `ParameterError` if all runs are the same; `SimulationError` if the times do not fit together.
     """
     times = sampling_times(duration, control_period)
-    if plant.valve.switches and isinstance(initial, PlantState):
-        initial = initial._replace(air=())
+    initial = _without_modulation(plant, initial)
     problem = SimulationProblem.of(_without_noise(plant, control_period), controller, reference, initial)
     lanes, shared, count = split_runs(problem, {}, control_period, "margins")
     chosen = evenly_spaced(times.size, points)
@@ -262,6 +260,11 @@ def _without_noise(plant: JointPlant, period: float) -> JointPlant:
     delay = getattr(plant.sensors, "delay", 0.0) * period + own
     ideal = dataclasses.replace(plant.with_ideal_io(), valve=plant.valve.averaged())
     return dataclasses.replace(ideal, command_delay=delay if np.any(delay) else None)
+
+
+def _without_modulation(plant: JointPlant, initial: Any) -> Any:
+    """The initial state without that of a pulse width modulation, which the mean flow lacks."""
+    return initial._replace(air=()) if plant.valve.switches and isinstance(initial, PlantState) else initial
 
 
 @compiled_as_given
