@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import Actuator
+from mckibben.calibration import Sweeps
 from mckibben.component.schema import read_component
 from mckibben.errors import ScenarioError
 from mckibben.numerics.batching import batched_program
@@ -88,11 +89,21 @@ def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
     files = ("--recording", calibrated / "bare" / "result.nc", "--weighted", calibrated / "weighted" / "result.nc")
     found = cli("calibrate", str(EXAMPLE), *WEIGHT, *map(str, files), "--out", "again", "--json")
     assert found.code == 0, found.err
-    numbers = json.loads(found.out)
-    kept = json.loads((calibrated / "results.json").read_text(encoding="utf-8"))
-    assert numbers["quantities"]["load.mass"]["value"] == pytest.approx(
-        kept["quantities"]["load.mass"]["value"], rel=1e-3
-    )
+    again, kept = json.loads(found.out), json.loads((calibrated / "results.json").read_text(encoding="utf-8"))
+    masses = [numbers["quantities"]["load.mass"]["value"] for numbers in (again, kept)]
+    assert masses[0] == pytest.approx(masses[1], rel=1e-3)
+    weighed = cli("calibrate", str(EXAMPLE), *WEIGHT, *map(str, files), "--mass-error", "1 %", "--out", "c", "--json")
+    stated = Scenario.read(EXAMPLE).controller.load.mass2
+    assert abs(json.loads(weighed.out)["quantities"]["load.mass"]["value"] - stated) < 0.5 * abs(masses[0] - stated)
+
+
+def test_the_angle_stays_within_the_sweep_and_accelerates_in_its_middle():
+    part = Sweeps(-0.2, 0.2, 20.0).scenarios(Scenario.read(EXAMPLE))[0.0]
+    angle = np.asarray(part.signals.angle(np.arange(0.0, 20.0, 1e-3)))
+    acceleration = np.abs(np.gradient(np.gradient(angle, 1e-3), 1e-3))
+    assert 0.199 < angle.max() <= 0.2 and -0.2 <= angle.min() < -0.199
+    assert acceleration[np.abs(angle) < 0.1].max() > 2.5  # 0.35 * 0.2 rad at 1 Hz
+    assert acceleration[np.abs(angle) > 0.199].max() < 0.6
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import show
 
 _SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness per part
-_FAST, _FAST_SHARE, _FASTEST = 1.0, 0.15, 1.0  # Hz; part of the amplitude; rad/s^2, of the faster motion
+_FAST, _FAST_SHARE, _FASTEST = 1.0, 0.35, 4.0  # Hz; part of the amplitude; rad/s^2, of the faster motion
 _BAND = 0.7  # swept fraction of the attainable stiffness
 _TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
 _ANGLES = 41
@@ -70,9 +70,10 @@ class Sweeps:
     def scenarios(self, scenario: Scenario) -> dict[float, Scenario]:
         """Scenario of each part by its added mass [kg]: sweeps within the attainable set of the controller's model.
 
-        Angles are swept slowly, three times, with a smaller motion of 1 Hz, and the stiffness twice over 70 % of the
-        range attainable at all angles, bare and with the weight (but not with a return spring). Raises `ParameterError`
-        if there is no such range, or the angles are too small to overcome the friction of the model.
+        Angles are swept slowly, three times, with a motion of 1 Hz that grows toward the middle angle, from which the
+        inertia follows, and the stiffness twice over 70 % of the range attainable at all angles, bare and with the
+        weight (but not with a return spring). Raises `ParameterError` if there is no such range, or the angles are too
+        small to overcome the friction of the model.
         """
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
         self._check_travel(first_model_of(scenario))
@@ -83,9 +84,13 @@ class Sweeps:
                 remedy="give other --angles, or a smaller --weight",
             )
         fast = min(_FAST_SHARE * amplitude, _FASTEST / (2 * np.pi * _FAST) ** 2)
-        amplitudes, frequencies = (float(amplitude - fast), float(fast)), (_SWEEPS / self.duration, _FAST)
+        slow, half = _SWEEPS / self.duration, float(fast / 2)
         signals = Reference(
-            Multisine(amplitudes, frequencies, offset=float(middle)),
+            Multisine(  # the slow sine, and the fast one times the square of the slow cosine
+                (float(amplitude), half, half / 2, half / 2),
+                (slow, _FAST, _FAST + 2 * slow, _FAST - 2 * slow),
+                offset=float(middle),
+            ),
             Sine(_BAND * (high - low) / 2, _COCONTRACTIONS / self.duration, offset=(low + high) / 2),
         )
         control = with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "actuator_adaptation")))

@@ -74,6 +74,9 @@ def calibrate(
     strength_error: Annotated[
         str, Option(metavar="PERCENT", help="Standard deviation of the strength of the model's muscles.")
     ] = "10 %",
+    mass_error: Annotated[
+        str, Option(metavar="PERCENT", help="Standard deviation of the mass of the model's load.")
+    ] = "30 %",
     zero_error: Annotated[str, Option(metavar="ANGLE", help="Standard deviation of the encoder's zero.")] = "0.5 deg",
     arm_error: Annotated[
         str, Option(metavar="PERCENT", help="Standard deviation of the scale of the moment arms.")
@@ -119,6 +122,7 @@ def calibrate(
     prior = JointPrior(
         strength,
         strength / 2,
+        mass=parse_quantity("--mass-error", mass_error, "1"),
         added_mass=parse_quantity("--weight-error", weight_error, "1"),
         zero=parse_quantity("--zero-error", zero_error, "rad"),
         arm_scale=parse_quantity("--arm-error", arm_error, "1"),

@@ -192,7 +192,7 @@ class LawAdaptation(Component):
         signals = (angle, *_with_mass_derivative(load, lambda load: load.gravity_torque(angle)), torque1, torque2)
         if not model.has_friction:
             return signals
-        return (*signals, model.friction_torque(angle, 0.0, pressures, muscles))
+        return (*signals, model.friction_torque(angle, None, pressures, muscles))
 
 
 def _with_mass_derivative(load: Load, torque: Callable[[Load], Scalar]) -> tuple[Scalar, Scalar]:

@@ -73,7 +73,7 @@ class FrictionCompensation(Controller):
         inner, (command1, command2) = self.controller.step(state.inner, setpoint, measurement, period)
         pressures = measurement.pressures
         muscles = self.model.update_state(state.muscles, setpoint.angle, pressures)
-        torque = self.model.friction_torque(setpoint.angle, 0.0, pressures, muscles)
+        torque = self.model.friction_torque(setpoint.angle, None, pressures, muscles)
         shift = -torque * self._pressure_per_torque(measurement)
 
         tension = getattr(self.controller, "minimum_tension", None)

@@ -384,8 +384,8 @@ class ModelBasedControl(Controller):
         """Internal states of the model's muscles after a motion to an angle [rad], and their friction torque [N*m]."""
         if not self.friction_compensation:
             return muscles, jnp.zeros_like(pressures[0])
-        muscles = self.model.update_state(muscles, angle, pressures)
-        return muscles, self.model.friction_torque(angle, 0.0, pressures, muscles)
+        torque = self.model.friction_torque(angle, None, pressures, muscles)  # the same before and after the update
+        return self.model.update_state(muscles, angle, pressures), torque
 
 
 def with_valves(controller: Any) -> Iterator[Any]:

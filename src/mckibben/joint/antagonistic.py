@@ -276,26 +276,25 @@ class AntagonisticJoint(Component):
         )
 
     def forces(
-        self, angle: ArrayLike, velocity: ArrayLike, pressures: Pressures, states: MuscleStates = NO_STATES
+        self, angle: ArrayLike, velocity: ArrayLike | None, pressures: Pressures, states: MuscleStates = NO_STATES
     ) -> MuscleForces:
-        """Return tensions, torque and contractions with friction and creep, at an angular velocity [rad/s]."""
+        """Return tensions, torque and contractions with friction and creep, at rest or at a velocity [rad/s]."""
         _warn_outside(self, angle, pressures)
         pressure1, pressure2 = pressure_pair(pressures)
         (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
-        velocity = floating(velocity)
 
-        def one(muscle: Muscle, state: MuscleState, path: Array, rate: Array, pressure: ArrayLike) -> Pair:
+        def one(muscle: Muscle, state: MuscleState, path: Array, arm: Array, pressure: ArrayLike) -> Pair:
             contraction = self.tendon.contraction(muscle, path, pressure, state)
             tension = muscle.tension(contraction, pressure, state)
-            return tension + muscle.viscous_force(contraction, pressure, rate, state), contraction
+            if velocity is not None:
+                tension = tension + muscle.viscous_force(contraction, pressure, arm * floating(velocity), state)
+            return tension, contraction
 
-        tension1, contraction1 = one(self.muscle1, states[0], path1, arm1 * velocity, pressure1)
-        tension2, contraction2 = one(self.muscle2, states[1], path2, -arm2 * velocity, pressure2)
+        tension1, contraction1 = one(self.muscle1, states[0], path1, arm1, pressure1)
+        tension2, contraction2 = one(self.muscle2, states[1], path2, -arm2, pressure2)
         return MuscleForces((tension1, tension2), tension2 * arm2 - tension1 * arm1, (contraction1, contraction2))
 
-    def friction_torque(
-        self, angle: ArrayLike, velocity: ArrayLike, pressures: Pressures, states: MuscleStates
-    ) -> Array:
+    def friction_torque(self, angle: ArrayLike, velocity: Any, pressures: Pressures, states: MuscleStates) -> Array:
         """Return the friction part [N*m] of the torque of `forces`."""
         added = jnp.asarray(self.forces(angle, velocity, pressures, states).torque) - self.torque(angle, pressures)
         return added - self.creep_torque(angle, pressures, states) if self.has_creep else added
