@@ -371,7 +371,14 @@ def test_a_ranking_can_be_cancelled():
 
 
 @pytest.mark.slow
-def test_two_tabs_of_a_browser_show_the_same():
+def test_two_tabs_of_a_browser_show_the_same(monkeypatch):
+    def endless(*_, progress, **__):
+        while True:
+            progress("a law", 0.5)  # raises once it is cancelled
+            time.sleep(0.01)
+
+    monkeypatch.setattr(identify, "rank", endless)
+
     async def visit():
         async with visitor() as user:
             await user.open("/identify")
