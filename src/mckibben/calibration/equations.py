@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from mckibben.errors import IdentificationError
+from mckibben.errors import IdentificationError, RangeError
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
 from mckibben.muscle.muscle import warn_outside
@@ -126,6 +126,12 @@ class JointPrior:
     volume: float = 0.05
     pressure_zero: float = 1 * kPa
     fits: tuple[Fit | None, Fit | None] = (None, None)
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if name != "fits" and not 0 < value < np.inf:
+                remedy = "give a standard deviation above 0"
+                raise RangeError(f"JointPrior: {name} is {value}", field=name, value=value, lower=0.0, remedy=remedy)
 
 
 class JointSamples(NamedTuple):

@@ -52,7 +52,8 @@ _UNEXPLAINED = 2.0  # ratio of residual to noise above which the model does not 
 _NEGLIGIBLE = 1e-3  # ratio of residual to highest torque up to which that is irrelevant
 _CONTRADICTION = 1e-6  # prior probability of estimates as far from the model
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
-STARTS = (0.0, -1.0, 1.0, -2.0, 2.0)  # prior standard deviations of the muscles' strength
+STARTS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, -4.0)  # prior standard deviations of the muscles' strength
+_EXCHANGES = (0.35, -0.35)  # of the friction of muscle 1; the opposite of muscle 2, and of the presliding lengths
 _WIDE = 1.96  # standard deviations to the bounds of a 95 % interval
 _FIRST, _STAGES, _ITERATIONS, _MOST_DAMPING, _TOLERANCE = 8, 3, 25, 1e3, 1e-2
 _UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
@@ -297,8 +298,8 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
 
     means: list[Floats] = []
     apart: list[Floats] = []  # half the difference between the halves
-    begun = [minimised(terms, start(problem, strength), _FIRST) for strength in STARTS]
-    z = min(begun, key=lambda found: found[1])[0]
+    starts_of_search = [start(problem, one) for one in STARTS] + [start(problem, exchange=one) for one in _EXCHANGES]
+    z = min((minimised(terms, one, _FIRST) for one in starts_of_search), key=lambda found: found[1])[0]
     for _ in range(_STAGES):
         z, _ = minimised(terms, z)
         even, odd = raw(z)
@@ -327,10 +328,12 @@ def _long_run(gradients: list[Floats], correlation_time: float) -> Floats:
     return total
 
 
-def start(problem: CalibrationProblem, strength: float) -> Floats:
-    """Start of a search: strength of all muscles in prior standard deviations; slack ones cause local minima."""
+def start(problem: CalibrationProblem, strength: float = 0.0, exchange: float = 0.0) -> Floats:
+    """Start of a search, in prior standard deviations: slack muscles, or friction of the other, cause local minima."""
     z = np.zeros(parameters(problem))
-    z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE)[:, COEFFICIENTS] = strength
+    muscles = z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE)
+    muscles[:, COEFFICIENTS] = strength
+    muscles[:, -2:] = np.outer((exchange, -exchange), (1.0, -1.0))[: len(muscles)]  # friction and presliding
     return z
 
 

@@ -30,6 +30,7 @@ from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import show
 
 _SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness per part
+_LONG = 60.0  # s: longer parts have more of them, as creep hides the inertia in slow motion
 _FAST, _FAST_SHARE, _FASTEST = 1.0, 0.35, 4.0  # Hz; part of the amplitude; rad/s^2, of the faster motion
 _BAND = 0.7  # swept fraction of the attainable stiffness
 _TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
@@ -70,10 +71,10 @@ class Sweeps:
     def scenarios(self, scenario: Scenario) -> dict[float, Scenario]:
         """Scenario of each part by its added mass [kg]: sweeps within the attainable set of the controller's model.
 
-        Angles are swept slowly, three times, with a motion of 1 Hz that grows toward the middle angle, from which the
-        inertia follows, and the stiffness twice over 70 % of the range attainable at all angles, bare and with the
-        weight (but not with a return spring). Raises `ParameterError` if there is no such range, or the angles are too
-        small to overcome the friction of the model.
+        Angles are swept slowly, three times a minute or part, with a motion of 1 Hz that grows toward the middle angle,
+        from which the inertia follows, and the stiffness twice over 70 % of the range attainable at all angles, bare
+        and with the weight (but not with a return spring). Raises `ParameterError` if there is no such range, or the
+        angles are too small to overcome the friction of the model.
         """
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
         self._check_travel(first_model_of(scenario))
@@ -84,14 +85,15 @@ class Sweeps:
                 remedy="give other --angles, or a smaller --weight",
             )
         fast = min(_FAST_SHARE * amplitude, _FASTEST / (2 * np.pi * _FAST) ** 2)
-        slow, half = _SWEEPS / self.duration, float(fast / 2)
+        rounds = max(round(self.duration / _LONG), 1)
+        slow, half = rounds * _SWEEPS / self.duration, float(fast / 2)
         signals = Reference(
             Multisine(  # the slow sine, and the fast one times the square of the slow cosine
                 (float(amplitude), half, half / 2, half / 2),
                 (slow, _FAST, _FAST + 2 * slow, _FAST - 2 * slow),
                 offset=float(middle),
             ),
-            Sine(_BAND * (high - low) / 2, _COCONTRACTIONS / self.duration, offset=(low + high) / 2),
+            Sine(_BAND * (high - low) / 2, rounds * _COCONTRACTIONS / self.duration, offset=(low + high) / 2),
         )
         control = with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "actuator_adaptation")))
         parts = {}
@@ -380,13 +382,15 @@ def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tup
     return before, after
 
 
+_CONFLICT = 2.5  # prior standard deviations
+_EXPECTED = {"added_mass": 1.0, "zero": 0.0, "arm_scale": 1.0}
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
 SHOWN |= {unit: unit for unit in ("1", "N", "N/m", "kg", "kg*m^2", "N*m", "N*m*s/rad", "rad/s")}
 """Units of quantities in reports, by SI unit."""
 
 
 def statements(found: JointCalibration, *, weighted: bool) -> list[str]:
-    """Return one sentence per quantity that is not determined; the weight is mentioned only if there was one."""
+    """Return a sentence on each quantity that is far from the model or not determined, the weight if there was one."""
     names = {"added_mass": "the weight", "zero": "the encoder's zero", "arm_scale": "the scale of the moment arms"}
     apart = ("friction.torque", "muscle1.friction", "muscle2.friction")
     together = "friction.total" in found.quantities and found.quantities["friction.total"].determined
@@ -394,6 +398,13 @@ def statements(found: JointCalibration, *, weighted: bool) -> list[str]:
         f"{name} cannot be distinguished from the other friction; friction.total is determined"
         for name in apart
         if together and name in found.quantities and not found.quantities[name].determined
+    ]
+    said += [
+        f"{names[name]} is {show(one.value, SHOWN[one.unit], 4)}, {distance:.1f} prior standard deviations from the "
+        "model: check the weight, the dimensions of the joint and the encoder"
+        for name, expected in _EXPECTED.items()
+        if (one := found.quantities.get(name))
+        if (distance := abs(one.value - expected) / one.prior) > _CONFLICT
     ]
     return said + [
         f"not determined: {names.get(name, name)}, {show(one.value, SHOWN[one.unit], 4)} with a standard deviation of "

@@ -75,14 +75,14 @@ def calibrate(
         str, Option(metavar="PERCENT", help="Standard deviation of the strength of the model's muscles.")
     ] = "10 %",
     mass_error: Annotated[
-        str, Option(metavar="PERCENT", help="Standard deviation of the mass of the model's load.")
+        str, Option(metavar="PERCENT", help="Standard deviation of the mass of the model's load (not with --valves).")
     ] = "30 %",
     zero_error: Annotated[str, Option(metavar="ANGLE", help="Standard deviation of the encoder's zero.")] = "0.5 deg",
     arm_error: Annotated[
         str, Option(metavar="PERCENT", help="Standard deviation of the scale of the moment arms.")
     ] = "2 %",
     supply_error: Annotated[
-        str, Option(metavar="PERCENT", help="Standard deviation of the pressure of the supply.")
+        str, Option(metavar="PERCENT", help="Standard deviation of the pressure of the supply, for --valves.")
     ] = "5 %",
     plan: Annotated[
         bool,
@@ -118,15 +118,15 @@ def calibrate(
     from mckibben.calibration import JointPrior, Sweeps, ValveExperiment
     from mckibben.scenario import Scenario
 
-    strength = parse_quantity("--strength-error", strength_error, "1")
+    strength = _deviation("--strength-error", strength_error, "10 %")
     prior = JointPrior(
         strength,
         strength / 2,
-        mass=parse_quantity("--mass-error", mass_error, "1"),
-        added_mass=parse_quantity("--weight-error", weight_error, "1"),
-        zero=parse_quantity("--zero-error", zero_error, "rad"),
-        arm_scale=parse_quantity("--arm-error", arm_error, "1"),
-        supply=parse_quantity("--supply-error", supply_error, "1"),
+        mass=_deviation("--mass-error", mass_error, "30 %"),
+        added_mass=_deviation("--weight-error", weight_error, "1 %"),
+        zero=_deviation("--zero-error", zero_error, "0.5 deg", "rad"),
+        arm_scale=_deviation("--arm-error", arm_error, "2 %"),
+        supply=_deviation("--supply-error", supply_error, "5 %"),
     )
     read, count = Scenario.read(scenario), 2 if mass else 1
     if valves:
@@ -148,6 +148,16 @@ def calibrate(
     kept = _read(held_out or [], [], 0.0, 0.0)
     names = [*map(str, recording or []), *map(str, weighted or []), *map(str, held_out or [])]
     _report(read, recordings, kept, names, prior, out, json)
+
+
+def _deviation(option: str, text: str, example: str, unit: str = "1") -> float:
+    """Return a standard deviation, above 0 and at most 100 % or 1 rad."""
+    value = parse_quantity(option, text, unit)
+    if not 0 < value <= 1:
+        most = "100 %" if unit == "1" else f"1 {unit}"
+        remedy = f"give a standard deviation above 0, at most {most}, such as {quoted(example)}"
+        raise ParameterError(f"{option} is {quoted(text)}", value=value, lower=0, upper=1, unit=unit, remedy=remedy)
+    return value
 
 
 def _read(bare: list[Path], weighted: list[Path], mass: float, distance: float) -> list[JointRecording]:
