@@ -97,13 +97,17 @@ def test_recordings_give_the_same_as_the_experiment(cli, calibrated):
     assert abs(json.loads(weighed.out)["quantities"]["load.mass"]["value"] - stated) < 0.5 * abs(masses[0] - stated)
 
 
-def test_the_angle_stays_within_the_sweep_and_accelerates_in_its_middle():
-    part = Sweeps(-0.2, 0.2, 20.0).scenarios(Scenario.read(EXAMPLE))[0.0]
-    angle = np.asarray(part.signals.angle(np.arange(0.0, 20.0, 1e-3)))
-    acceleration = np.abs(np.gradient(np.gradient(angle, 1e-3), 1e-3))
-    assert 0.199 < angle.max() <= 0.2 and -0.2 <= angle.min() < -0.199
-    assert acceleration[np.abs(angle) < 0.1].max() > 2.5  # 0.35 * 0.2 rad at 1 Hz
-    assert acceleration[np.abs(angle) > 0.199].max() < 0.6
+def test_the_angle_stays_within_the_sweep_and_accelerates_in_its_middle_if_there_is_a_weight():
+    found = {}
+    for mass in (0.0, 0.5):
+        part = Sweeps(-0.2, 0.2, 20.0, mass, 0.2).scenarios(Scenario.read(EXAMPLE))[mass]
+        angle = np.asarray(part.signals.angle(np.arange(0.0, 20.0, 1e-3)))
+        assert 0.195 < angle.max() <= 0.2 and -0.2 <= angle.min() < -0.195
+        acceleration = np.abs(np.gradient(np.gradient(angle, 1e-3), 1e-3))
+        found[mass] = acceleration[np.abs(angle) < 0.1].max(), acceleration[np.abs(angle) > 0.19].max()
+    assert found[0.0] == pytest.approx((1.1, 1.2), abs=0.1)
+    assert found[0.5][0] > 2.5  # 0.35 * 0.2 rad at 1 Hz
+    assert 0.9 < found[0.5][1] < 0.7 * found[0.5][0]
 
 
 @pytest.mark.parametrize(

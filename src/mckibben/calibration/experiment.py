@@ -31,7 +31,8 @@ from mckibben.units import show
 
 _SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness per part
 _LONG = 60.0  # s: longer parts have more of them, as creep hides the inertia in slow motion
-_FAST, _FAST_SHARE, _FASTEST = 1.0, 0.35, 4.0  # Hz; part of the amplitude; rad/s^2, of the faster motion
+_FAST = 1.0  # Hz, of the faster motion
+_LEAST, _MOST = (0.15, 1.0), (0.35, 4.0)  # its part of the amplitude, and rad/s^2; at most in the middle, with a weight
 _BAND = 0.7  # swept fraction of the attainable stiffness
 _TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
 _ANGLES = 41
@@ -71,10 +72,10 @@ class Sweeps:
     def scenarios(self, scenario: Scenario) -> dict[float, Scenario]:
         """Scenario of each part by its added mass [kg]: sweeps within the attainable set of the controller's model.
 
-        Angles are swept slowly, three times a minute or part, with a motion of 1 Hz that grows toward the middle angle,
-        from which the inertia follows, and the stiffness twice over 70 % of the range attainable at all angles, bare
-        and with the weight (but not with a return spring). Raises `ParameterError` if there is no such range, or the
-        angles are too small to overcome the friction of the model.
+        Angles are swept slowly, three times a minute or part, with a motion of 1 Hz, from which the inertia follows,
+        and the stiffness twice over 70 % of the range attainable at all angles, bare and with the weight (but not with
+        a return spring). With a weight the faster motion is larger in the middle of the range. Raises `ParameterError`
+        if there is no such range, or the angles are too small to overcome the friction of the model.
         """
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
         self._check_travel(first_model_of(scenario))
@@ -84,12 +85,14 @@ class Sweeps:
                 "no stiffness is attainable at all of the angles, with and without weight",
                 remedy="give other --angles, or a smaller --weight",
             )
-        fast = min(_FAST_SHARE * amplitude, _FASTEST / (2 * np.pi * _FAST) ** 2)
+        least, most = (
+            float(min(share * amplitude, fastest / (2 * np.pi * _FAST) ** 2)) for share, fastest in (_LEAST, _MOST)
+        )
         rounds = max(round(self.duration / _LONG), 1)
-        slow, half = rounds * _SWEEPS / self.duration, float(fast / 2)
+        slow, half = rounds * _SWEEPS / self.duration, (most - least) / 2 if self.added_mass else 0.0
         signals = Reference(
-            Multisine(  # the slow sine, and the fast one times the square of the slow cosine
-                (float(amplitude), half, half / 2, half / 2),
+            Multisine(  # the slow sine, and a fast one that grows with the square of the slow cosine
+                (float(amplitude) - least, least + half, half / 2, half / 2),
                 (slow, _FAST, _FAST + 2 * slow, _FAST - 2 * slow),
                 offset=float(middle),
             ),
