@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -12,9 +13,10 @@ from scipy import signal
 from mckibben import catalog
 from mckibben.calibration import JointCalibration, JointPrior, JointRecording, calibrate_joint
 from mckibben.calibration.equations import derivatives, halves_of, local_cubic, parameters, problem_of
-from mckibben.calibration.experiment import with_fits
+from mckibben.calibration.estimation import JointEstimate
+from mckibben.calibration.experiment import statements, with_fits
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.errors import IdentificationError, McKibbenWarning, RangeError
 from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
@@ -267,3 +269,16 @@ def test_local_cubics_are_those_of_savitzky_and_golay(width, derivative):
     expected = signal.savgol_filter(values, width, 3, deriv=derivative, delta=2e-3)
     found = local_cubic(values, width, derivative, 2e-3)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize(("name", "value"), [("mass", 0.0), ("zero", -1e-3), ("strength", np.nan), ("supply", np.inf)])
+def test_prior_deviations_are_above_0_and_finite(name, value):
+    with pytest.raises(RangeError) as caught:
+        JointPrior(**{name: value})
+    assert caught.value.field == name
+
+
+@pytest.mark.parametrize(("scale", "said"), [(0.93, 1), (0.97, 0)])
+def test_moment_arms_that_contradict_their_prior_are_named(scale, said):
+    found = SimpleNamespace(quantities={"arm_scale": JointEstimate(scale, 0.005, 0.02, "1")})
+    assert len(statements(found, weighted=True)) == said

@@ -120,6 +120,9 @@ def test_the_angle_stays_within_the_sweep_and_accelerates_in_its_middle_if_there
         ("--weight=-0.5 kg", "--distance=-200 mm"),
         ("--plan",),
         ("--angles", "-1..1 deg"),
+        ("--mass-error", "0 %"),
+        ("--arm-error=-2 %",),
+        ("--strength-error", "30"),
     ],
 )
 @pytest.mark.slow
