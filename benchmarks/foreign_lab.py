@@ -254,9 +254,7 @@ def suite_of(kind, folder, air):
         "true_model": [],
     }
     tuning = suite["tuning"]
-    tuning |= {
-        "over": {name: one for name, one in tuning["over"].items() if name not in lab.left_out},
-    }
+    tuning["over"] = {name: one for name, one in tuning["over"].items() if name not in lab.left_out}
     (folder / "suite.yaml").write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
 
 

@@ -385,7 +385,8 @@ def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tup
     return before, after
 
 
-_CONFLICT = 2.5  # prior standard deviations
+CONFLICT = 2.5
+"""Prior standard deviations from the first model above which a quantity is named."""
 _EXPECTED = {"added_mass": 1.0, "zero": 0.0, "arm_scale": 1.0}
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
 SHOWN |= {unit: unit for unit in ("1", "N", "N/m", "kg", "kg*m^2", "N*m", "N*m*s/rad", "rad/s")}
@@ -407,7 +408,7 @@ def statements(found: JointCalibration, *, weighted: bool) -> list[str]:
         "model: check the weight, the dimensions of the joint and the encoder"
         for name, expected in _EXPECTED.items()
         if (one := found.quantities.get(name))
-        if (distance := abs(one.value - expected) / one.prior) > _CONFLICT
+        if (distance := abs(one.value - expected) / one.prior) > CONFLICT
     ]
     return said + [
         f"not determined: {names.get(name, name)}, {show(one.value, SHOWN[one.unit], 4)} with a standard deviation of "

@@ -12,7 +12,7 @@ import numpy as np
 
 from mckibben.actuator import Actuator
 from mckibben.calibration.equations import JointPrior, JointRecording
-from mckibben.calibration.experiment import SHOWN, field_of, holds, load_of, model_of, with_fields
+from mckibben.calibration.experiment import CONFLICT, SHOWN, field_of, holds, load_of, model_of, with_fields
 from mckibben.calibration.valves import NUISANCES, ValveCalibration, calibrate_valves
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
 from mckibben.errors import McKibbenWarning, ParameterError
@@ -30,7 +30,6 @@ _FREQUENCIES = (0.1, 0.23, 0.47, 0.97, 1.9, 3.7, 7.3)  # Hz
 _DIFFERENCE = ((0.17, 0.41), 0.1)  # Hz, and amplitudes relative to the range: of opposite sign, to move the joint
 _SHRINK, _TRIES = 0.8, 10
 _NARROW = 0.5  # share of the range below which fewer quantities may be determined
-_CONFLICT = 2.5  # prior standard deviations from the first model
 
 
 @dataclass(frozen=True)
@@ -207,7 +206,7 @@ def valve_statements(found: ValveCalibration, valve: Actuator | None = None) -> 
         texts = " and ".join(show(one.value, SHOWN[one.unit], 3) for one in both)
         model = "both" if pair and name != "delay" else "the mean of both"
         said.append(f"the valves differ: {name} is {texts}; the model has {model}")
-    for name, distance in found.prior_conflicts(_CONFLICT).items():
+    for name, distance in found.prior_conflicts(CONFLICT).items():
         one = found.quantities[name]
         said.append(
             f"{name} is {show(one.value, SHOWN[one.unit], 3)}, {distance:.1f} prior standard deviations from the first "
