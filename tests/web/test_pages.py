@@ -372,30 +372,35 @@ def test_a_ranking_can_be_cancelled():
 
 @pytest.mark.slow
 def test_two_tabs_of_a_browser_show_the_same(monkeypatch):
+    over = threading.Event()
+
     def endless(*_, progress, **__):
-        while True:
+        while not over.wait(0.01):
             progress("a law", 0.5)  # raises once it is cancelled
-            time.sleep(0.01)
 
     monkeypatch.setattr(identify, "rank", endless)
 
     async def visit():
         async with visitor() as user:
-            await user.open("/identify")
-            first = user.client
-            await user.open("/identify")
-            await paste(user, RIG)
-            await user.should_see("204 points", retries=60)
-            user.find(marker="rank").click()
-            kept = state(identify.IdentificationState)
-            await until(lambda: kept.jobs.part > 0)
-            user.client = first
-            await user.should_see("204 points", retries=60)
-            user.find(marker="cancel").click()
-            await until(lambda: not kept.jobs.busy)
-            await user.open("/identify")
-            await user.should_see("204 points", retries=60)
-            return kept.ranking
+            try:
+                await user.open("/identify")
+                first = user.client
+                await user.open("/identify")
+                await paste(user, RIG)
+                await user.should_see("204 points", retries=60)
+                user.find(marker="rank").click()
+                kept = state(identify.IdentificationState)
+                await until(lambda: kept.jobs.part > 0)
+                user.client = first
+                await user.should_see("204 points", retries=60)
+                await user.should_see(marker="cancel", retries=60)  # a timer of the tab shows it
+                user.find(marker="cancel").click()
+                await until(lambda: not kept.jobs.busy)
+                await user.open("/identify")
+                await user.should_see("204 points", retries=60)
+                return kept.ranking
+            finally:
+                over.set()
 
     assert asyncio.run(visit()) is None
 
