@@ -80,7 +80,8 @@ class Load(Component):
 
     def gravity_stiffness(self, angle: ArrayLike) -> Float[Array, "..."]:
         """Stiffness due to gravity [N*m/rad] at an angle [rad], minus the slope of `gravity_torque`."""
-        return self.gravity_moment * sincos(self.hanging_angle - jnp.asarray(angle))[1]
+        (sine, cosine), (hanging_sine, hanging_cosine) = sincos(angle), sincos(self.hanging_angle)
+        return self.gravity_moment * (hanging_cosine * cosine + hanging_sine * sine)
 
 
 class KneeLoad(Load):
