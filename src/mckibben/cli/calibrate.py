@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer import Argument, Option
@@ -122,11 +122,11 @@ def calibrate(
     prior = JointPrior(
         strength,
         strength / 2,
-        mass=_deviation("--mass-error", mass_error, "30 %"),
-        added_mass=_deviation("--weight-error", weight_error, "1 %"),
+        mass=_deviation("--mass-error", mass_error, "30 %", unused=valves and "with --valves"),
+        added_mass=_deviation("--weight-error", weight_error, "1 %", unused=not weight and "without --weight"),
         zero=_deviation("--zero-error", zero_error, "0.5 deg", "rad"),
         arm_scale=_deviation("--arm-error", arm_error, "2 %"),
-        supply=_deviation("--supply-error", supply_error, "5 %"),
+        supply=_deviation("--supply-error", supply_error, "5 %", unused=not valves and "without --valves"),
     )
     read, count = Scenario.read(scenario), 2 if mass else 1
     if valves:
@@ -150,12 +150,14 @@ def calibrate(
     _report(read, recordings, kept, names, prior, out, json)
 
 
-def _deviation(option: str, text: str, example: str, unit: str = "1") -> float:
-    """Return a standard deviation, above 0 and at most 100 % or 1 rad."""
+def _deviation(option: str, text: str, default: str, unit: str = "1", unused: str | Literal[False] = False) -> float:
+    """Return a standard deviation, above 0 and at most 100 % or 1 rad; `unused` says where the option has no effect."""
     value = parse_quantity(option, text, unit)
+    if unused and text != default:
+        raise ParameterError(f"{option} has no effect {unused}", value=value, remedy=f"leave {option} out")
     if not 0 < value <= 1:
         most = "100 %" if unit == "1" else f"1 {unit}"
-        remedy = f"give a standard deviation above 0, at most {most}, such as {quoted(example)}"
+        remedy = f"give a standard deviation above 0, at most {most}, such as {quoted(default)}"
         raise ParameterError(f"{option} is {quoted(text)}", value=value, lower=0, upper=1, unit=unit, remedy=remedy)
     return value
 
@@ -394,7 +396,7 @@ def _plan(scenario: Scenario, sweeps: Sweeps, prior: JointPrior, json: bool) -> 
         raise ParameterError("a plan needs a weight", remedy="add --weight '0.5 kg' --distance '200 mm'")
     period, total = scenario.control_period, 2 * sweeps.duration
     cases = [(sweeps.added_mass * share, total * part) for share in _PLANNED_WEIGHTS for part in _PLANNED_DURATIONS]
-    rows = []
+    rows, failed = [], []
     with job_progress(quiet=json) as bar:
         for number, (mass, seconds) in enumerate(cases):
             if bar:
@@ -406,7 +408,11 @@ def _plan(scenario: Scenario, sweeps: Sweeps, prior: JointPrior, json: bool) -> 
                     before, after = expected(scenario, one, folder, prior)
                     rows.append({"weight_kg": mass, "duration_s": seconds, "before": before, "deviation": after})
                 except ParameterError as error:  # the weight is too heavy
-                    notify(f"left out: {mass:g} kg, {seconds:g} s: {error}", json)
+                    failed.append((f"{mass:g} kg, {seconds:g} s", error))
+    if not rows:
+        raise failed[0][1]
+    for case, error in failed:
+        notify(f"left out: {case}: {error}", json)
     if json:
         echo(to_json(rows))
         return
