@@ -17,6 +17,7 @@ import itertools
 from pathlib import Path
 
 import numpy as np
+from foreign_valves import BANDWIDTHS
 from lab_valves import FILES
 
 from mckibben.component.schema import replaced
@@ -26,7 +27,6 @@ from mckibben.units import deg, litre
 
 SUITE, GAINS = Path("examples/comparison/valves.yaml"), Path("examples/valves")
 CONTROLLERS = "decoupling, delay compensated", "decoupling, friction in the observer"
-BANDWIDTHS = tuple(f"controller.{name}.bandwidth" for name in ("feedback", "observer", "pressure_observer"))
 SHARE = "controller.friction_in_observer"
 GRID = (20.0, 30.0, 40.0, 60.0), (1.0, 2.0, 4.0, 6.0), (60.0, 200.0, 600.0)  # rad/s; observer over feedback; rad/s
 SHARES = 0.0, 0.5, 1.0
