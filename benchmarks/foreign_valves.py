@@ -1,15 +1,14 @@
 """Controllers on valves that share no equation with their models, before and after `mckibben calibrate --valves`.
 
     python benchmarks/foreign_valves.py [--plants 8] [--runs 24] [--duration 60] [--seed 5] [--setup NAME]
-        [--bandwidths FEEDBACK,OBSERVER,PRESSURES]
+        [--bandwidths FEEDBACK OBSERVER PRESSURES]
 
 The plants are those of examples/comparison/valves.yaml, drawn from its conditions, with another regulator: the flow is
 that of an isentropic nozzle, which chokes at 0.528, in place of the ellipse of ISO 6358; the command passes a
 second-order lag with a damping of 0.6 to 1; the regulator senses the pressure at its outlet, with a dead zone of up to
 3 kPa, and a tube with a volume and pressure of its own and turbulent flow leads to the muscle. The joint has dry
-friction of 0.02 to 0.1 N*m. The controllers have the gains of examples/valves/, which were tuned for the regulator of
-the toolkit, and the model of the data sheet, or that of the calibration of each plant; `--bandwidths` [rad/s] gives
-other gains of decoupling. The table has the median angle
+friction of 0.02 to 0.1 N*m. The controllers have the gains of examples/valves/ and the model of the data sheet, or that
+of the calibration of each plant; `--bandwidths` [rad/s] gives other gains of decoupling. The table has the median angle
 RMSE over all runs, in which failed runs (diverged or limit cycles) count as infinite, and the number of these.
 """
 
@@ -167,8 +166,10 @@ def main():
     options.add_argument("--duration", type=float, default=60.0)
     options.add_argument("--seed", type=int, default=5)
     options.add_argument("--setup", default="")
-    options.add_argument("--bandwidths", type=lambda text: [float(part) for part in text.split(",")])
+    options.add_argument("--bandwidths", type=float, nargs=3, metavar=("FEEDBACK", "OBSERVER", "PRESSURES"))
     given = options.parse_args()
+    if given.bandwidths and not given.setup:
+        options.error("--bandwidths needs --setup")
     whole, count, runs = Suite.read(SUITE), given.plants, given.runs
     print("| setup | controller | median angle RMSE | failed runs | residual over noise |")
     print("|---|---|---|---|---|")

@@ -1,4 +1,4 @@
-"""Gains to start from for each setup of examples/comparison/valves.yaml: those of examples/valves/.
+"""Gains to start from for each setup of examples/comparison/valves.yaml.
 
     python benchmarks/starting_gains.py [--setup NAME] [--disk-margin 0.4] [--runs 240] [--more 2000] [--seed 7]
 

@@ -12,7 +12,7 @@ import pytest
 
 from mckibben import report
 from mckibben.errors import FileError, ScenarioError
-from mckibben.scenario import Scenario, run_scenario, unknown_air
+from mckibben.scenario import Scenario, run_scenario, unknown_air, with_values
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import METRICS
 
@@ -148,11 +148,12 @@ def test_a_start_that_cannot_be_held_is_bad_input(cli, tmp_path, shortened):
     assert "99" in found.err
 
 
-def test_a_delay_of_too_many_periods_is_reported_at_its_key():
-    late = Scenario.read(ROOT / "examples" / "pre-contracted-step-pid.yaml").model_copy(update={"command_delay": 0.15})
+@pytest.mark.parametrize("key", ["command_delay", "controller.command_delay"])
+def test_a_delay_of_too_many_periods_is_reported_at_its_key(key):
+    late = with_values(Scenario.read(ROOT / "examples" / "valves" / "itv0050-decoupling.yaml"), {key: 0.15})
     with pytest.raises(ScenarioError) as caught:
         run_scenario(late)
-    assert caught.value.problems[0].field == "command_delay"
+    assert caught.value.problems[0].field == key
 
 
 def test_a_scenario_that_is_not_there(cli):

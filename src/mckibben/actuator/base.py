@@ -98,17 +98,17 @@ def lag_fraction(time_constant: ArrayLike, duration: ArrayLike) -> Scalar:
     return jnp.where(lag > 0, 1 - exp(-jnp.asarray(duration) / jnp.where(lag > 0, lag, 1.0)), 1.0)
 
 
-def delay_periods(command_delay: ArrayLike, period: float) -> int:
+def delay_periods(command_delay: ArrayLike, period: float, field: str = "command_delay") -> int:
     """Return the control periods [s] that hold the commands within a delay [s], the longest of several delays.
 
-    Raises `RangeError` for more than 100.
+    Raises `RangeError` for more than 100, with the field that has the delay.
     """
     longest = float(np.max(command_delay))
     periods = math.ceil(longest / period - _ROUNDING)
     if periods > _MOST_PERIODS:
         raise RangeError(
             f"a command delay of {longest:g} s is {periods} control periods of {period:g} s",
-            field="command_delay",
+            field=field,
             value=longest,
             upper=_MOST_PERIODS * period,
             unit="s",

@@ -181,7 +181,7 @@ class ModelBasedControl(Controller):
         adaptation, longest = self.actuator_adaptation, self._delay
         if adaptation is not None:
             longest = adaptation.longest_delay(longest)
-        periods = delay_periods(longest, period)
+        periods = delay_periods(longest, period, "controller.command_delay")
         steps = max(math.ceil(periods * period / _LONGEST_STEP - _ROUNDING), _LEAST_STEPS)
         return dataclasses.replace(prepared, periods=periods, steps=min(steps, periods))
 

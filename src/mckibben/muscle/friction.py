@@ -340,9 +340,10 @@ def play_response(
 
 
 def smooth_limit(width: Any, tension: Any, xp: ModuleType) -> Any:
-    """Half width A [N] of the band for B [N] at a tension [N] from 0, in NumPy or `jax.numpy`; zero for B below 0."""
+    """Half width A [N] of the band for B [N] at a tension [N], in NumPy or `jax.numpy`; zero for B or T below 0."""
     width = xp.maximum(width, _LEAST)
-    return width * (2 / (1 + xp.exp(-tension / width)) - 1)  # tanh(T/2B) with one exponential, in half the time
+    # tanh(T/2B) by one exponential, in half the time
+    return width * (2 / (1 + xp.exp(xp.minimum(-tension / width, 0.0))) - 1)
 
 
 class Polygon(NamedTuple):

@@ -347,8 +347,8 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
         except FileError:
             raise  # has its own file and line
         except McKibbenError as error:
-            own = getattr(error, "field", "")
-            field = own if own in Scenario.model_fields else field
+            own = getattr(error, "field", "") or ""
+            field = own if own.partition(".")[0] in Scenario.model_fields else field
             raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error
 
     with building("joint, load or valve"):
