@@ -57,7 +57,6 @@ class Lab(NamedTuple):
     compressor: tuple[float, float]  # Pa
     mass: tuple[float, float]  # of that of the plant
     coulomb: tuple[float, float]  # N
-    left_out: tuple[str, ...]
 
 
 JOINT = Lab(
@@ -78,7 +77,6 @@ JOINT = Lab(
     compressor=(6.4e5, 7.4e5),
     mass=(0.9, 1.1),
     coulomb=(3, 8),
-    left_out=("decoupling", "oracle"),
 )
 ELBOW = Lab(
     plant=foreign_elbow,
@@ -98,8 +96,10 @@ ELBOW = Lab(
     compressor=(6.3e5, 7.4e5),
     mass=(0.8, 1.2),
     coulomb=(3, 9),
-    left_out=("decoupling", "oracle", "decoupling, friction in the observer"),
 )
+
+
+LEFT_OUT = "decoupling", "oracle"
 
 
 class Known(NamedTuple):
@@ -250,11 +250,11 @@ def suite_of(kind, folder, air):
             *(f"{one}.supply=+-8 %" for one in dict.fromkeys((first, second))),
             f"disturbance.height=0 N*m, {lab.disturbance} N*m",
         ],
-        "controllers": {name: one for name, one in suite["controllers"].items() if name not in lab.left_out},
+        "controllers": {name: one for name, one in suite["controllers"].items() if name not in LEFT_OUT},
         "true_model": [],
     }
     tuning = suite["tuning"]
-    tuning["over"] = {name: one for name, one in tuning["over"].items() if name not in lab.left_out}
+    tuning["over"] = {name: one for name, one in tuning["over"].items() if name not in LEFT_OUT}
     (folder / "suite.yaml").write_text(yaml.safe_dump(suite, sort_keys=False), encoding="utf-8")
 
 
