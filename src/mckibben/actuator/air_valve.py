@@ -228,11 +228,9 @@ class AirValve(AirActuator):
     def open_rate(self, side: ArrayLike, pressure: Scalar, air: AirVolume | None) -> tuple[Scalar, Scalar]:
         """Return the magnitude of the rate [Pa/s] by the valve open to one side, 1 or -1, and the rate with it shut."""
         assert air is not None
-        index, absolute, fills = self.polytropic_index, pressure + ATMOSPHERE, jnp.asarray(side) > 0
+        index, absolute = self.polytropic_index, pressure + ATMOSPHERE
         by_flow = index / air.effective(index, absolute)
-        conductance = jnp.where(fills, self.conductance, -self.exhaust)
-        inlet = jnp.where(fills, self.supply + ATMOSPHERE, ATMOSPHERE)
-        open_rate = by_flow * ENERGY * mass_flow(conductance, self.critical_ratio, inlet, absolute)
+        open_rate = side * by_flow * ENERGY * self.flow(side, self.supply + ATMOSPHERE, pressure)
         drift = -by_flow * (ENERGY * self.leakage(pressure) + absolute * air.rate)
         return jnp.maximum(open_rate, _LEAST_RATE), drift
 
