@@ -99,9 +99,6 @@ ELBOW = Lab(
 )
 
 
-LEFT_OUT = "decoupling", "oracle"
-
-
 class Known(NamedTuple):
     """What a lab knows of its valves: data sheet and tube, delay, class of first gains, lag, substeps."""
 
@@ -113,6 +110,7 @@ class Known(NamedTuple):
     substeps: int
 
 
+LEFT_OUT = "decoupling", "oracle"  # of the controllers of valves.yaml
 VALVES = {
     "regulator": Known(
         JOINT,

@@ -45,13 +45,14 @@ _VALVE_HEAD = """\
 # Valves calibrated by `mckibben calibrate --valves`: `valve: valve.yaml`.
 """
 _LEAST, _MOST = 20.0, 600.0  # s of an experiment
+_WEIGHT, _STRENGTH, _MASS, _ZERO, _ARMS, _SUPPLY = "1 %", "10 %", "30 %", "0.5 deg", "2 %", "5 %"  # deviations
 
 
 def calibrate(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, controller and its model.")],
     weight: Annotated[str, Option(metavar="MASS", help="A known weight to clip on, such as '0.5 kg'.")] = "",
     distance: Annotated[str, Option(metavar="LENGTH", help="Its distance from the axis, such as '200 mm'.")] = "",
-    weight_error: Annotated[str, Option(metavar="PERCENT", help="Standard deviation of the weight.")] = "1 %",
+    weight_error: Annotated[str, Option(metavar="PERCENT", help="Standard deviation of the weight.")] = _WEIGHT,
     valves: Annotated[
         bool, Option("--valves", help="Identify the valves instead, by steps and a multisine of their commands.")
     ] = False,
@@ -73,17 +74,17 @@ def calibrate(
     ] = None,
     strength_error: Annotated[
         str, Option(metavar="PERCENT", help="Standard deviation of the strength of the model's muscles.")
-    ] = "10 %",
+    ] = _STRENGTH,
     mass_error: Annotated[
         str, Option(metavar="PERCENT", help="Standard deviation of the mass of the model's load (not with --valves).")
-    ] = "30 %",
-    zero_error: Annotated[str, Option(metavar="ANGLE", help="Standard deviation of the encoder's zero.")] = "0.5 deg",
+    ] = _MASS,
+    zero_error: Annotated[str, Option(metavar="ANGLE", help="Standard deviation of the encoder's zero.")] = _ZERO,
     arm_error: Annotated[
         str, Option(metavar="PERCENT", help="Standard deviation of the scale of the moment arms.")
-    ] = "2 %",
+    ] = _ARMS,
     supply_error: Annotated[
         str, Option(metavar="PERCENT", help="Standard deviation of the pressure of the supply, for --valves.")
-    ] = "5 %",
+    ] = _SUPPLY,
     plan: Annotated[
         bool,
         Option("--plan", help="Show the expected accuracy for other weights and durations, without moving the joint."),
@@ -118,15 +119,15 @@ def calibrate(
     from mckibben.calibration import JointPrior, Sweeps, ValveExperiment
     from mckibben.scenario import Scenario
 
-    strength = _deviation("--strength-error", strength_error, "10 %")
+    strength = _deviation("--strength-error", strength_error, _STRENGTH)
     prior = JointPrior(
         strength,
         strength / 2,
-        mass=_deviation("--mass-error", mass_error, "30 %", unused=valves and "with --valves"),
-        added_mass=_deviation("--weight-error", weight_error, "1 %", unused=not weight and "without --weight"),
-        zero=_deviation("--zero-error", zero_error, "0.5 deg", "rad"),
-        arm_scale=_deviation("--arm-error", arm_error, "2 %"),
-        supply=_deviation("--supply-error", supply_error, "5 %", unused=not valves and "without --valves"),
+        mass=_deviation("--mass-error", mass_error, _MASS, unused=valves and "with --valves"),
+        added_mass=_deviation("--weight-error", weight_error, _WEIGHT, unused=not weight and "without --weight"),
+        zero=_deviation("--zero-error", zero_error, _ZERO, "rad"),
+        arm_scale=_deviation("--arm-error", arm_error, _ARMS),
+        supply=_deviation("--supply-error", supply_error, _SUPPLY, unused=not valves and "without --valves"),
     )
     read, count = Scenario.read(scenario), 2 if mass else 1
     if valves:
