@@ -250,11 +250,13 @@ class Result(RunResult):
 
     def to_netcdf(self, path: str | os.PathLike[str]) -> None:
         """Write to a NetCDF file, atomically and with a checksum."""
-        from mckibben.dataset.netcdf import write_variables
+        import xarray as xr
+
+        from mckibben.dataset.schema import write_netcdf
 
         columns = {name: (("time",), self[name], attributes(name)) for name in self.columns}
         time = ("time",), self.times, {"units": "s", "long_name": "time"}
-        write_variables({**columns, "time": time}, self._attributes(), Path(path))
+        write_netcdf(xr.Dataset({**columns, "time": time}, attrs=self._attributes()), Path(path))
 
     @classmethod
     def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
