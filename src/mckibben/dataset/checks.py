@@ -71,7 +71,7 @@ def questions_of_points(points: Points, specimen: Specimen | None = None) -> lis
     if asked:
         return asked
     checks: Sequence[Callable[[Points], Iterator[Question]]] = (
-        _summaries, _integers, _copies, _saturated, _trend, _outliers, _repeats, _zeros, _held, _counted, _reach, _offsets, _few_slack,
+        _summaries, _integers, _copies, _saturated, _trend, _exchanged, _outliers, _repeats, _zeros, _held, _counted, _reach, _offsets, _few_slack,
     )
     return [asked for check in checks for asked in check(points)]
 
@@ -125,10 +125,9 @@ def _summaries(points: Points) -> Iterator[Question]:
         return
     step = np.array([max(_resolution(column), 1e-9) for column in rows.T])
     tolerance = np.maximum(0.6 * step, 2e-4 * np.abs(rows).max(axis=0))
-    for row in range(3, count):
-        starts = {0, *range(max(0, row - 16), row - 2)}
-        parts = [rows[start:row] for start in starts]
-        parts += [np.delete(rows, row, axis=0)] * (row == count - 1 or row == 0) + [rows[: row - 1]] * (row > 4)
+    for row in range(count):
+        parts = [rows[start:row] for start in sorted({0, *range(max(0, row - 16), row - 2)}) if row > 2]
+        parts += [rows[row + 1 :]] * (row < 2) + [rows[: row - 1]] * (row > 4)
         for part in parts:
             close = [np.all(np.abs(statistic - rows[row]) <= tolerance) for statistic in _statistics(part)]
             varied = np.count_nonzero(np.ptp(part, axis=0) > 3 * tolerance) > 1
@@ -148,12 +147,25 @@ def _integers(points: Points) -> Iterator[Question]:
     rows = np.column_stack([points.pressure / bar, points.contraction / percent, points.force])
     whole = np.all(np.abs(rows - np.round(rows)) < 1e-9, axis=1)
     zeros = np.all(rows == 0, axis=1) & (np.arange(len(rows)) > 0)
+    if np.allclose(rows[0], (1, 2, 3)):
+        yield question("rows", "looks like numbers of channels (1, 2, 3)", line=int(points.lines[0]), remedy="leave it out of the file")
+        return
     few = np.flatnonzero(whole if np.count_nonzero(whole) <= max(1, 0.05 * len(rows)) else zeros)
     decimals = np.mean(np.abs(points.force - np.round(points.force)) > 1e-9)
     ends = [row for row in few if row in (0, len(rows) - 1) or zeros[row]]
+    ends = [row for row in ends if zeros[row] or _is_off(points, row)]
     if len(few) and decimals > 0.7 and ends:
         text = f"has integers alone ({points.named(ends[0])}), unlike the others: is it a measurement?"
         yield question("rows", text, line=int(points.lines[ends[0]]), remedy="leave it out of the file")
+
+
+def _is_off(points: Points, row: int) -> bool:
+    """Whether a point is far off the plane through the others."""
+    design = np.column_stack([np.ones(len(points.force)), points.pressure / bar, points.contraction / percent])
+    others = np.arange(len(points.force)) != row
+    plane, *_ = np.linalg.lstsq(design[others], points.force[others], rcond=None)
+    residual = np.abs(points.force - design @ plane)
+    return bool(residual[row] > 1.5 * residual[others].max())
 
 
 def _copies(points: Points) -> Iterator[Question]:
@@ -176,11 +188,11 @@ def _saturated(points: Points) -> Iterator[Question]:
     ):
         levels, counts = np.unique(values, return_counts=True)
         others = counts[:-1][levels[:-1] > 0.1 * levels[-1]].max(initial=1)
-        if name == "pressure" and _is_cut_off(values):
-            counts[-1], others = max(counts[-1], 3), 1
+        if name == "pressure":
+            counts[-1], others = (3, 1) if _is_cut_off(values) else (0, 1)
         if len(levels) > 2 and counts[-1] > max(2 * others, 2):
             remedy = f"leave such rows out: in a recipe largest_force: {values.max():g} N" if name == "force" else "leave such rows out of the file"
-            text = f"the largest {name}, {values.max() / scale:.4g} {unit}, repeats {counts[-1]} times: is the sensor saturated?"
+            text = f"the largest {name}, {values.max() / scale:.4g} {unit}, repeats: is the sensor saturated?"
             yield question("saturation", text, field=name, remedy=remedy)
             return
     top = np.flatnonzero(points.force >= 0.97 * points.force.max())
@@ -201,8 +213,11 @@ def _is_cut_off(values: Floats) -> bool:
     *others, top = np.split(ordered, np.flatnonzero(np.diff(ordered) > 0.05 * ordered[-1]) + 1)
     others = [level for level in others if len(level) > 3]
     share = np.mean(top == top[-1])
-    scatter = others and all(len(np.unique(level)) > 2 and np.mean(level == level[-1]) < 0.35 for level in others)
-    return bool(scatter and len(top) > 3 and share > 0.6)
+    scatter = [len(np.unique(level)) for level in others]
+    if len(top) < 4 or not others or min(scatter) < 2:
+        return False
+    rare = min(scatter) > 2 and all(np.mean(level == level[-1]) < 0.35 for level in others)
+    return bool(share == 1 or (rare and share > (0.6 if len(top) > 5 else 0.75)))
 
 
 def _trend(points: Points) -> Iterator[Question]:
@@ -218,6 +233,18 @@ def _trend(points: Points) -> Iterator[Question]:
     if wrong:
         text = "the force does not rise with the pressure and fall with the contraction: columns may be exchanged, or a sign wrong"
         yield question("order", text, field="force", remedy="check columns, the sign of the contraction and the direction of a displacement")
+
+
+def _exchanged(points: Points) -> Iterator[Question]:
+    """Contraction without load that is proportional to the pressure, as the force at full length is."""
+    free = [level[np.argmin(points.force[level])] for level in points.levels]
+    pressure, reached = points.pressure[free], points.contraction[free]
+    slack = points.force[free] <= _SMALL * points.force.max()
+    if slack.all() and len(free) > 2 and pressure.min() > 0 and points.force.max() < 50:
+        ratio = reached / pressure
+        if ratio.min() > 0 and ratio.max() < 1.15 * ratio.min():
+            text = "without load, the contraction is proportional to the pressure, as the force at full length is: are the columns exchanged?"
+            yield question("order", text, field="contraction", remedy="check the headers of force and contraction")
 
 
 def _surface(points: Points) -> tuple[NDArray[np.intp], Floats]:
@@ -283,6 +310,18 @@ def _zeros(points: Points) -> Iterator[Question]:
             text = f"the force is 0 ({points.named(row)}), but the muscle pulls at less pressure and a larger contraction"
             yield question("rows", text, line=int(points.lines[row]), field="force", remedy="leave rows without a measurement out")
             return
+    rows = np.flatnonzero(points.taut)
+    if 0 < np.count_nonzero(points.measured == 0) <= max(3, 0.1 * len(force)):
+        for row in np.flatnonzero(points.measured == 0):
+            same = rows[np.abs(pressure[rows] - pressure[row]) < 0.03 * pressure.max()]
+            order = same[np.argsort(np.abs(contraction[same] - contraction[row]))][:2]
+            if len(order) == 2 and np.ptp(contraction[order]) > 0:
+                slope = np.diff(force[order])[0] / np.diff(contraction[order])[0]
+                line = force[order[0]] + slope * (contraction[row] - contraction[order[0]])
+                if line > 0.04 * force.max():
+                    text = f"the force is 0 ({points.named(row)}), but the line through its neighbours is at {line:.3g} N"
+                    yield question("rows", text, line=int(points.lines[row]), field="force", remedy="leave rows without a measurement out")
+                    return
     for row in np.flatnonzero(contraction == 0)[:_MOST]:
         same = np.abs(pressure - pressure[row]) < 0.02 * pressure.max()
         stronger = same & (contraction > 0.3 * contraction.max()) & (force > force[row] + 0.01 * force.max())
@@ -297,7 +336,8 @@ def _held(points: Points) -> Iterator[Question]:
     moved = np.abs(np.diff(points.contraction)) > 0.3 * percent
     same = (np.diff(points.force) == 0) & moved & points.taut[1:]
     runs = np.diff(np.flatnonzero(np.diff(same, prepend=False, append=False)))[::2]
-    if len(runs) and runs.max() >= 2 and len(np.unique(points.force)) > len(points.force) / 3:
+    often = np.mean(same) > 0.2 and _resolution(points.force) < 0.01 * points.force.max()
+    if len(runs) and (runs.max() >= 2 or often) and len(np.unique(points.force)) > len(points.force) / 3:
         row = int(np.argmax(same))
         yield question("rows", f"the force stands still from {points.named(row)} on, although the muscle moved", line=int(points.lines[row]), field="force", remedy="check these rows")
 
@@ -361,9 +401,12 @@ def _few_slack(points: Points) -> Iterator[Question]:
     largest, ends = points.force.max(), []
     for level in points.levels:
         rows = level[np.argsort(points.contraction[level], kind="stable")]
-        if len(rows) > 3 and np.ptp(points.force[rows[-2:]]) <= 0.01 * largest and points.force[rows[-3]] - points.force[rows[-1]] > 0.04 * largest:
-            apart = points.contraction[rows[-1]] - points.contraction[rows[-2]]
-            ends += rows[-2:].tolist() if apart > 0.5 * percent else []
+        force, contraction = points.force[rows], points.contraction[rows]
+        for count in range(min(4, len(rows) - 2), 1, -1):
+            flat = np.ptp(force[-count:]) <= 0.01 * largest and force[-count - 1] - force[-1] > 0.04 * largest
+            if flat and contraction[-1] - contraction[-count] > 0.5 * percent:
+                ends += rows[-count:].tolist()
+                break
     mean = float(points.force[ends].mean()) if ends else 0.0
     if ends and mean > max(0.02 * largest, points.slack_force) and mean <= points.force.min() + 0.01 * largest:
         text = f"the force at the {len(ends)} largest contractions is about {mean:.3g} N at each: an offset of the load cell?"

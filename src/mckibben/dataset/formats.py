@@ -15,7 +15,7 @@ import numpy as np
 
 from mckibben.dataset.matlab import MatlabReader, Opaque, Value
 from mckibben.dataset.raw import LIMIT_REMEDY, Budget, RawColumn, RawTable, read_bytes, unreadable
-from mckibben.dataset.text import decode, read_text, score_of
+from mckibben.dataset.text import NUMBER, decimal_sign, decode, read_text, score_of
 from mckibben.dataset.vocabulary import dimension_of, parse_header
 from mckibben.errors import DatasetError, Problem
 
@@ -44,7 +44,7 @@ _UNITS = ("units", "unit", "unit_string")
 _PACKING = ("scale_factor", "add_offset", "_fillvalue", "missing_value", "valid_range", "valid_min", "valid_max")
 _SAYS_NOTHING = re.compile(
     r"class|title|version|name|reference_list|dimension_\w*|flavor|byteorder|field_\d+_\w*|nrows|index|matlab\w*|_nc\w*|"
-    r"_netcdf4\w*|conventions|wf_\w*|ni_\w*|history|date\w*|author|operator|long_name|standard_name|pandas\w*|encoding|errors",
+    r"_netcdf4\w*|conventions|wf_.*|ni_.*|history|date\w*|author|operator|long_name|standard_name|pandas\w*|encoding|errors",
     re.IGNORECASE,
 )
 
@@ -157,18 +157,19 @@ def _sheet(sheet: Worksheet, mapping: Mapping[str, str], budget: Budget) -> RawT
         filled = [row[column] for column in places if row[column] is not None and str(row[column]).strip()]
         if not filled:
             continue
-        if any(isinstance(cell, int | float) for cell in filled):
+        if any(isinstance(cell, int | float) or NUMBER.fullmatch(str(cell)) for cell in filled):
             rows.append((number, row))
         elif [str(cell) for cell in filled] != [name for name in header if name]:
             table.words.append((number, _text_of(row)))
     table.lines = [number for number, _ in rows]
+    table.decimal, table.ambiguous = decimal_sign([[str(row[column]) for _, row in rows if isinstance(row[column], str)] for column in places], ";")
     for column in range(len(header)):
         cells = [row[column] for _, row in rows]
         if column in places:
             table.columns.append(_column_of_cells(header[column], cells, units[column], sheet, table.lines, column))
         elif any(cell is not None for cell in cells):
             table.words += [(number, str(cell)) for number, cell in zip(table.lines, cells, strict=True) if cell is not None]
-    _ask_of_layout(table, sheet, {*places})
+    _ask_of_layout(table, sheet, {*places}, at)
     return table
 
 
@@ -190,7 +191,7 @@ def _column_of_cells(
     return RawColumn(name, texts, unit=unit)
 
 
-def _ask_of_layout(table: RawTable, sheet: Worksheet, places: set[int]) -> None:
+def _ask_of_layout(table: RawTable, sheet: Worksheet, places: set[int], header: int) -> None:
     """Questions about hidden, merged, struck-out or noted cells, which a table of numbers cannot show."""
     remedy = "accept=['layout'] reads these cells as they are (command line: --accept layout)"
     hidden = [str(row) for row in table.lines if sheet.row_dimensions[row].hidden] if sheet.row_dimensions else []
@@ -198,8 +199,9 @@ def _ask_of_layout(table: RawTable, sheet: Worksheet, places: set[int]) -> None:
     found = []
     if hidden or sheet.sheet_state != "visible":
         found.append(f"rows or columns are hidden: {', '.join(hidden[:5]) or 'the sheet'}")
-    if sheet.merged_cells.ranges and any(area.max_row > min(table.lines, default=0) for area in sheet.merged_cells.ranges):
-        found.append(f"cells are merged: {', '.join(map(str, list(sheet.merged_cells.ranges)[:5]))}")
+    wide = [area for area in sheet.merged_cells.ranges if area.max_row >= header and area.max_col - area.min_col + 1 < max(len(places), 2)]
+    if wide:
+        found.append(f"cells are merged: {', '.join(map(str, wide[:5]))}")
     marked: Counter[str] = Counter()
     for line in table.lines[:5000]:
         for column in places:

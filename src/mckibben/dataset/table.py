@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
@@ -13,7 +14,7 @@ import numpy as np
 from mckibben.dataset.clock import seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.text import NUMBER, to_numbers
-from mckibben.dataset.vocabulary import QUANTITIES, Header, dimension_of, is_harmless, parse_header, si_factor
+from mckibben.dataset.vocabulary import QUANTITIES, Header, canonical_unit, dimension_of, is_harmless, parse_header, si_factor
 from mckibben.dataset.words import doubtful_words
 from mckibben.errors import DatasetError, Problem, UnitError, closest, printable
 from mckibben.units import mm, quantity, show
@@ -56,8 +57,10 @@ _WORDS: Mapping[str, Mapping[str, str]] = {
     },
 }
 _MARKS = np.array([9999.0, 99999.0, 999999.0, 999.9, 999.99, 999.0, 9999.9, 32767.0, 32768.0, 65535.0, 1e29])
+_ENDS = (127.0, 255.0, 511.0, 1023.0, 2047.0, 4095.0, 8191.0, 16383.0)
 _ROUNDING = 0.5e-3, 0.002  # m and relative: precision of lengths
 _LONGEST = 20.0  # m
+_ELECTRICAL = frozenset(("v", "mv", "a", "ma", "mv/v", "counts", "digits", "raw", "lsb", "adc"))
 _MOTIONS = ("length", "shortening", "lengthening", "displacement")
 
 
@@ -193,6 +196,7 @@ class _Reader:
         self.table = Table(path, place=raw.place, lines=np.asarray(raw.lines, np.int64), interval=raw.interval)
         self.asked = self.table.questions
         self.bad = np.zeros(len(raw.lines), bool)
+        self.asked_about: set[str] = set()
 
     def read(self, needed: Sequence[str]) -> Table:
         table, raw = self.table, self.raw
@@ -209,7 +213,7 @@ class _Reader:
         for column, header, sign, source in chosen:
             self._convert(column, header, sign, source)
         self._lengths()
-        if missing := [name for name in needed if name not in table.columns and not self._asked_about(name)]:
+        if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
             names = ", ".join(column.name for column in raw.columns[:20])
             kinds = " and ".join(missing)
             remedy = "name them: " + " ".join(f"--column 'HEADER={name}_{QUANTITIES[name][0]}'" for name in missing if QUANTITIES[name])
@@ -222,11 +226,6 @@ class _Reader:
 
     def ask(self, text: str, *, field: str = "", line: int | None = None, remedy: str = "") -> None:
         self.asked.append(Question(Problem(text, field=field, line=line, remedy=remedy)))
-
-    def _asked_about(self, name: str) -> bool:
-        """Whether a question is about a column that may be the one that is missing."""
-        motion = (*_MOTIONS, "contraction")
-        return any(asked.problem.field == f"{name}?" or (name in motion and asked.problem.field in _MOTIONS) for asked in self.asked)
 
     def _attributes(self) -> None:
         """Specimen, source, initial length and slack force, of the recipe or of the file."""
@@ -265,11 +264,20 @@ class _Reader:
                 remedy = f"name quantity and unit, such as {closest(name, [f'{q}_{u[0]}' for q, u in QUANTITIES.items() if u]) or 'force_N'}"
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
             elif header.quantity:
+                self._compare_units(column, label, header, bool(name))
                 source = "columns" if name else "file" if column.unit and not parse_header(label).unit else "header"
                 understood.append((column, header, sign, source))
             else:
                 self._unread(column, label)
         return understood
+
+    def _compare_units(self, column: RawColumn, label: str, header: Header, named: bool) -> None:
+        """Ask about a unit of the recipe that is not the one in the file."""
+        stated = column.unit or (match[1] if (match := re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", label)) else "")
+        dimension = dimension_of(stated)
+        if named and stated and header.unit and canonical_unit(stated, header.quantity) != header.unit and (dimension or stated.lower() in _ELECTRICAL):
+            text = f"is in {stated!r} by the file, and in {header.unit!r} by columns"
+            self.asked.append(question("columns", text, field=column.name, remedy="name the unit of the file"))
 
     def _units_beside(self) -> None:
         """Take the unit of a column from a column of units behind it."""
@@ -279,8 +287,9 @@ class _Reader:
                 continue
             units = {str(cell) for cell in column.cells}
             before = columns[at - 1]
-            own = parse_header(before.label or before.name, before.unit).unit
-            if len(units) == 1 and dimension_of(unit := units.pop()) and own in ("", parse_header(before.label or before.name, unit).unit):
+            header = parse_header(before.label or before.name, before.unit)
+            unit = units.pop() if len(units) == 1 else ""
+            if header.quantity and (known := canonical_unit(unit, header.quantity)) and header.unit in ("", known):
                 columns[at - 1] = RawColumn(before.name, before.cells, before.label, before.unit or unit)
                 columns[at] = RawColumn("unit", (), "index")
 
@@ -292,12 +301,15 @@ class _Reader:
         numeric = isinstance(column.cells, np.ndarray)
         texts = set() if numeric else {str(cell).strip() for cell in column.cells}
         named = any(word in label.lower() for word in ("force", "kraft", "press", "druck", "length", "länge", "contract", "kontrak"))
-        if dimension in ("pressure", "force", "contraction", "length") or named:
+        numbers = 0 if numeric else sum(bool(NUMBER.fullmatch(text)) for text in texts)
+        named_otherwise = numeric and bool(unit) and unit != label and not dimension
+        if dimension in ("pressure", "force", "contraction", "length") or (named and not named_otherwise) or 0 < numbers < len(texts - {""}):
             pass
-        elif is_harmless(label) or not texts - {""} | ({"x"} if numeric else set()):
+        elif numeric and re.fullmatch(r"column \d+", column.name):
+            if np.array_equal(np.diff(column.cells), np.ones(len(column.cells) - 1)):
+                return
+        elif named_otherwise or is_harmless(label) or not texts - {""} | ({"x"} if numeric else set()):
             return
-        elif numeric and unit and unit != label and not dimension:
-            return  # a unit of another quantity
         elif not numeric and len(texts) == 1 and not any(map(str.isdigit, texts)):
             return
         remedy = _NEEDLESS.format(column.name)
@@ -324,8 +336,12 @@ class _Reader:
                 chosen["time"] = best
                 self.table.ignored.append((other if best is entry else entry)[0].name)
             elif self._agree(column, header, other):
-                self.table.ignored.append(column.name)
+                units = QUANTITIES[header.quantity]
+                best = min(other, entry, key=lambda choice: units.index(choice[1].unit))
+                chosen[header.quantity] = best
+                self.table.ignored.append((other if best is entry else entry)[0].name)
             else:
+                self.asked_about.add(header.quantity)
                 text = f"and {other[0].name!r} are both a {header.quantity.replace('_', ' ')}"
                 remedy = f"name the one that is meant: {_COLUMN_REMEDY.format(column.name, f'{header.quantity}_{header.unit}')}"
                 self.ask(text, field=column.name, remedy=remedy)
@@ -363,15 +379,16 @@ class _Reader:
             values = clock
         elif QUANTITIES[name] and not header.unit:
             unit = QUANTITIES[name][0]
+            self.asked_about |= {"contraction"} if name in _MOTIONS else {name}
             if name == "displacement":
                 name = "shortening"
             self.ask("has no unit that is understood", field=column.name, remedy=_COLUMN_REMEDY.format(column.name, f"{name}_{unit}"))
-            self.asked[-1] = Question(self.asked[-1].problem)
             self.table.ignored.append(column.name)
             return
         else:
             values = self._numbers(column, name) * si_factor(header)
         if name == "displacement" and not self.recipe.displacement:
+            self.asked_about.add("contraction")
             self.ask("may grow with shortening or with lengthening", field=column.name, remedy=_SIGN_REMEDY.format(column.name, header.unit))
             return
         if name == "force":
@@ -379,6 +396,7 @@ class _Reader:
         reference = "gauge" if name.endswith("pressure") else ""
         if header.absolute:
             if self.recipe.ambient is None:
+                self.asked_about.add(name)
                 self.ask("is an absolute pressure", field=column.name, remedy=_AMBIENT)
                 return
             values, reference = values - self.recipe.ambient, f"absolute, less {show(self.recipe.ambient, 'kPa')}"
@@ -401,6 +419,9 @@ class _Reader:
         self.bad |= wrong
         usual = values[~wrong]
         size = np.abs(values)
+        if name == "force" and len(usual) and usual.max() in _ENDS and np.count_nonzero(usual == usual.max()) > 1:
+            text = f"the largest value, {usual.max():g}, is the end of a converter's range"
+            self.asked.append(question("saturation", text, field=header, remedy=f"leave these rows out: in a recipe largest_force: {usual.max():g} N"))
         marks = (np.isclose(size[:, None], _MARKS[:-1], rtol=1e-12).any(axis=1) if size.max(initial=0) > 990 else np.zeros(len(size), bool)) | (size >= 1e29)
         marks |= (values <= -999) & (np.modf(values)[0] == 0) & (usual.max(initial=0) > 0) & (np.isin(size, _MARKS))
         if marks.any() and 2 * np.count_nonzero(marks) < len(values):
@@ -450,6 +471,7 @@ class _Reader:
             self._compare(lengths)
             return
         if initial is None:
+            self.asked_about.add("contraction")
             self.ask("is needed for lengths and displacements", field="initial_length", remedy=_LENGTH_REMEDY)
             return
         first, *others = lengths.values()
@@ -502,4 +524,4 @@ def _between(values: Floats, marks: np.ndarray) -> bool:
     rows = np.flatnonzero(marks)
     before, after = values[np.clip(rows - 1, 0, None)], values[np.clip(rows + 1, None, len(values) - 1)]
     near = np.minimum(np.abs(before - values[rows]), np.abs(after - values[rows])) <= 0.25 * np.abs(values[rows])
-    return bool(near.all() and NUMBER is not None)
+    return bool(near.all())

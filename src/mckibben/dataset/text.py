@@ -25,6 +25,8 @@ _SAMPLED = 20_000  # cells of a column that may determine the decimal sign
 _LONGEST = 2**16  # characters of a line
 _STAMP = re.compile(r"(\d\d:\d\d:\d\d\.\d{3}) -> ")
 _SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
+_TYPOGRAPHY = str.maketrans("\u2212\uff0d\uff0e\uff0c" + "".join(map(chr, range(0xFF10, 0xFF1A))), "--.,0123456789")
+_DASH = re.compile(r"(?<![^\s;,|\"])(?:\u2013|([+-])\s+)(?=[0-9.,])")
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:([.,])\d+)?")
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
@@ -46,6 +48,7 @@ def decode(data: bytes, path: Path) -> str:
     """Text by its byte order mark, else UTF-16 by its zeros, else UTF-8, else Windows-1252."""
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "")
     if not encoding:
+        data = data if b"\0" in data[:2] else data.rstrip(b"\0")
         probe = data[:4096]
         if len(probe) > 1 and probe[1::2].count(0) > 0.9 * len(probe[1::2]):
             encoding = "utf-16-le"
@@ -62,7 +65,8 @@ def decode(data: bytes, path: Path) -> str:
 def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
     """Columns of a text: words, a header, at most three rows of units, then one line per row."""
     budget = Budget(path)
-    text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\u2212", "-").replace("\ufeff", "")
+    text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\ufeff", "").translate(_TYPOGRAPHY)
+    text = _DASH.sub(lambda match: match[1] or "-", text)
     lines = text.split("\n")
     budget.spend(rows=len(lines))
     if max(map(len, lines)) > _LONGEST:
@@ -89,15 +93,26 @@ def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -
     if not rows:
         raise DatasetError(str(path), [Problem("has a header, and no rows of numbers", line=layout.row + 1)])
     rows, header = _aligned(table, rows, header, lines, layout.separator)
+    if not rows:
+        raise DatasetError(str(path), table.corrupt)
     budget.spend(rows=len(rows), columns=len(header), size=8 * len(rows) * len(header))
     table.lines = [number for number, _ in rows]
     names = _distinct(header, layout.header)
     _parse_cells(table, [line for _, line in rows], names, layout.separator, decimal)
+    if not text.endswith("\n") and _is_cut(_split(rows[-1][1], layout.separator), [_split(line, layout.separator) for _, line in rows[-50:-1]]):
+        table.corrupt.append(Problem("its last number has fewer digits than all others: was the file truncated?", line=rows[-1][0]))
     if stamped:
         original = text.split("\n")
         found = [_STAMP.match(original[number - 1]) for number in table.lines]
         table.columns.append(RawColumn("time stamp", [match[1] if match else "" for match in found]))
     return table
+
+
+def _is_cut(last: Sequence[str], others: Sequence[Sequence[str]]) -> bool:
+    """Whether the last cell of a file has fewer decimals than all others of its column, which have the same number."""
+    decimals = {len(re.split("[.,]", cells[-1])[-1]) if re.search("[.,]", cells[-1]) else 0 for cells in others if cells}
+    own = len(re.split("[.,]", last[-1])[-1]) if re.search("[.,]", last[-1]) else 0
+    return len(others) > 3 and len(decimals) == 1 and own < decimals.pop()
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -251,7 +266,7 @@ def _distinct(header: Sequence[str], original: Sequence[str]) -> list[RawColumn]
         name = original[at - offset] if at >= offset else label
         repeats = sum(column.name.partition(" (")[0] == name for column in columns) if name else 0
         unit = label[len(name) :].strip(" []") if label.startswith(name) else ""
-        columns.append(RawColumn(f"{name} ({at + 1})" if repeats or not name else name, (), label=name if unit else label, unit=unit))
+        columns.append(RawColumn(f"{name} ({at + 1})" if repeats else name or f"column {at + 1}", (), label=name if unit else label, unit=unit))
     return columns
 
 
@@ -274,14 +289,12 @@ def _parse_cells(table: RawTable, rows: Sequence[str], columns: list[RawColumn],
         engine="c",
     )
     texts = [[cell.strip() for cell in read[at].tolist()] for at in range(len(columns))]
-    measured = [cells for column, cells in zip(columns, texts, strict=True) if parse_header(column.label, column.unit).quantity != "time"]
+    bare = [_common_unit(cells) for cells in texts]
+    measured = [cells for column, (_, cells) in zip(columns, bare, strict=True) if parse_header(column.label, column.unit).quantity != "time"]
     table.decimal, table.ambiguous = (decimal, "") if decimal else decimal_sign(measured, separator)
-    for column, cells in zip(columns, texts, strict=True):
-        unit, bare = _common_unit(cells)
-        numbers = to_numbers(bare, table.decimal, certain=bool(decimal))
-        table.columns.append(
-            replace(column, cells=bare if np.isnan(numbers).any() else numbers, unit=column.unit or unit)
-        )
+    for column, (unit, cells) in zip(columns, bare, strict=True):
+        numbers = to_numbers(cells, table.decimal, certain=bool(decimal))
+        table.columns.append(replace(column, cells=cells if np.isnan(numbers).any() else numbers, unit=column.unit or unit))
 
 
 def _common_unit(cells: Sequence[str]) -> tuple[str, Sequence[str]]:

@@ -39,7 +39,7 @@ _NAMES: Mapping[str, str] = {
     "lengthening": "lengthening, elongation, verlängerung",
     "set_pressure": "set pressure, pressure set, pressure setpoint, pressure set point, nominal pressure, target pressure, "
     "commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll, sollwert druck, druck sollwert",
-    "time": "t, time, elapsed time, elapsed, time stamp, timestamp, test time, zeit, messzeit, millis, micros, tout, "
+    "time": "t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp, test time, zeit, messzeit, millis, micros, tout, "
     "x value, date time, datetime, date and time, date, datum, uhrzeit, zeitstempel, system time, abs time, rel time, "
     "sample time, record time, datum uhrzeit, date/time, datum/uhrzeit",
     "direction": "direction, richtung",
@@ -54,7 +54,7 @@ _MODIFIERS = re.compile(
 _HARMLESS = re.compile(
     r"^(?:(?:no|nr|n|number|index|row|zeile|sample|samples|record|recnum|scan|point|punkt|test|id|unnamed|cycle|zyklus|alarm\w*|"
     r"temperature|temperatur|temp|humidity|feuchte|flow|durchfluss|voltage|spannung|current|strom|batt(?:ery)?|volt\w*|"
-    r"operator|bediener|seq|header|ns|events?|marker|ptemp\w*|wind\w*|hysteresis|speed|velocity|geschwindigkeit|"
+    r"operator|bediener|seq|stamp|frame|sub frame|header|secs|nsecs|ns|events?|marker|ptemp\w*|wind\w*|hysteresis|speed|velocity|geschwindigkeit|"
     r"acceleration|angle|winkel|torque|drehmoment|frequency|frequenz|milliseconds?|ms|file|datei)\b|$)"
 )
 ABSOLUTE = re.compile(r"\b(?:absolute?[rsn]?|abs|absolutdruck)\b|(?<=bar|psi|kpa)a\b|\(a\)", re.I)
@@ -89,9 +89,9 @@ _SPELLED: Mapping[str, str] = {
 }
 _TIME_UNITS = {"millis": "ms", "micros": "us", "tout": "s", "x value": "s"}
 """Names of clocks that say their unit: of Arduino, Simulink and LabVIEW."""
-_BRACKETS = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|<(.*)>|\{(.*)\})\s*\d{0,2}$", re.DOTALL)
+_BRACKETS = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|<(.*)>|\{(.*)\})\s*(?:\d{0,2}|Ave)$", re.DOTALL)
 _TAIL = re.compile(r"(.+?)(?:\s*[/,;:]\s*|\s+in\s+|\s+[-–]\s+|[_ .])([^\s_/,;:]+)$", re.DOTALL)
-_CATMAN = re.compile(r"(?:\s+\d+)?\s*-\s*[\w ]*messrate\b|\s+(?:last|actual)$|_+$", re.IGNORECASE)
+_CATMAN = re.compile(r"(?:\s+\d+)?\s*-\s*[\w ]*(?:messrate|sample rate)\b|\s+(?:last|actual|ave)$|_+$", re.IGNORECASE)
 _LONGEST = 300  # characters of a header
 
 
@@ -134,10 +134,12 @@ def parse_header(text: str, unit: str = "") -> Header:
     ''
     """
     text = " ".join(unicodedata.normalize("NFKC", text[:_LONGEST]).split()).lstrip("#%").strip()
+    text = re.sub(r":\d+$", "", text)  # of Simulink
     if parsed := _read_whole(text, unit):
         return parsed
     parts = [part for part in re.split(r"[/\\.]", text) if part.strip()]
     known = [header for part in parts if (header := _read_whole(part.strip(), unit))]
+    known = [header for header in known if header.unit] or known
     if len(parts) > 1 and len(known) == 1:
         return known[0]
     return Header("", "", _plain(text))
@@ -197,7 +199,7 @@ def _plain(text: str) -> str:
 def is_harmless(text: str) -> bool:
     """Whether a column that is not read says by its name that no force, pressure or length is in it."""
     name = _BRACKETS.sub(r"\1", text)
-    return bool(_HARMLESS.match(_plain(re.split(r"[/\\]", name)[-1])))
+    return bool(_HARMLESS.match(_plain(re.split(r"[/\\.]", name)[-1])))
 
 
 def si_factor(header: Header) -> float:

@@ -10,14 +10,14 @@ from mckibben.dataset.vocabulary import canonical_unit, dimension_of
 _CHANGES = re.compile(
     r"""(?<![a-z])(?:
     gains?\b | amplif | verst[äa]rk | multipl | divid | geteilt | scal(?:e|ing) | skal | factor | faktor | convers | convert | umrechn | umgerech
-    | offset | bias | zero(?:ed|ing)? | null(?:punkt|abgleich|ung) | tar(?:e|ed|a|iert)\b | subtract | abgezogen | correct | korrig | calib | kalib
-    | sensitiv | empfind | (?:per|/)\ ?(?:digit|count|bit|lsb) | raw\b | counts?\b | digits?\b | lsb | excit | lever | hebel | slope | intercept
+    | offset | bias | zero(?:ed|ing)? | null(?:punkt|abgleich|ung) | tar(?:e|ed|a|iert)\b | subtract | abgezogen | correct | korrig | calib | kalib | cal\b
+    | sensitiv | empfind | (?:per|/)\ ?(?:digit|count|bit|lsb) | raw\b(?!\ data$) | counts?\b | digits?\b | lsb | excit | lever | hebel | slope | intercept
     | absolut | abs\b | atmosph | barom | vacuum | relative\ to | referred | instead | actually | swapped | exchanged | vertauscht
     | invert | revers | negative | wrong | falsch | fault | defekt | invalid | ung[üu]ltig | broken | slipp | replaced | changed | switched | gewechselt
-    | in\ parallel | both\ muscles | (?:two|three|four|zwei|[2-9])\ (?:muscles|muskeln|actuators) | (?:two|zwei)\b | half\b | halb | double | twice | doppelt
+    | in\ parallel | both\ muscles | (?:two|three|four|zwei|[2-9])\ (?:muscles|muskeln|actuators) | (?:two|zwei)\b | half\b | halb | twice | doppelt
     | fitting | stretch | nominal | preload | vorlast | not\ (?:tared|zeroed|calibrated) | untared | uncalib | estimat | satur | overload | filter
-    | ignore | exclude | discard | mv/v | v/n | n/v | true\b | real\b | unsure | check\b | todo | summe?\b | muscle\ [b-z2-9] | delay | lag\b | shift
-    )|[*×]\ ?\d|\d\ ?[x×]\ ?\w|[x×]\ ?\d|\b(?:mean|average|mittel)\b""",
+    | ignore | exclude | discard | mv/v | v/n | n/v | true\b | real\b | unsure | check\b | todo | summe?\b | muscle\ (?:[b-h]|[2-9])\b | delay | lag\b | shift
+    )|(?:^|[\s=])[x×*]\ ?\d|\d\s[x×*]\s|\b(?:mean|average|mittel)\b""",
     re.IGNORECASE | re.VERBOSE,
 )
 _QUANTITY = re.compile(
@@ -30,6 +30,7 @@ _HARMLESS = re.compile(
     r"version|software|author|user|name|description|title|sampling|interval|trigger|filter type|input|range|amp settings)\b",
     re.IGNORECASE,
 )
+_OF_UNIT = re.compile(r"(?<![a-z])(?:units?|einheit(?:en)?)\b[\s:;,=]*(.+)", re.IGNORECASE)
 _UNIT = re.compile(r"(?<![\w.])([A-Za-z%][A-Za-z0-9/^²%]{0,8})(?![\w])")
 _NUMBER_BEFORE = re.compile(r"\d\s*$")
 _LONGEST = 400  # characters
@@ -54,8 +55,16 @@ def doubtful_words(words: Sequence[tuple[int | None, str]], units: Collection[st
         short = text[:_LONGEST]
         if _CHANGES.search(short) and not _dated(short):
             yield line, short
+        elif (said := _OF_UNIT.search(short)) and _contradicts(said[1], units):
+            yield line, short
         elif any(_is_other_unit(short, match, units) for match in _UNIT.finditer(short)):
             yield line, short
+
+
+def _contradicts(text: str, units: Collection[str]) -> bool:
+    """Whether a text names units, none of which is that of a column."""
+    named = [canonical_unit(word, dimension_of(word)) for word in re.split(r"[\s,;]+", text) if dimension_of(word)]
+    return bool(named) and not any(unit in units for unit in named)
 
 
 def _dated(text: str) -> bool:
