@@ -44,7 +44,7 @@ _EFFECTIVE = "fit-effective.yaml"  # of a law at the pressures above its thresho
 def identify(
     data: Data,
     law: Annotated[
-        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben laws' lists them; 'all' ranks them.")
+        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben catalog' lists them; 'all' ranks them.")
     ] = "exponential",
     level: Annotated[float, Option(help="Confidence level of the intervals.")] = _LEVEL,
     profile: Annotated[bool, Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
