@@ -20,7 +20,6 @@ import typer
 from typer import Argument, Option
 
 import mckibben
-from mckibben.cli.bench import bench
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.catalog import catalog
 from mckibben.cli.check import check
@@ -46,12 +45,12 @@ from mckibben.cli.options import (
     table,
     with_accuracy,
 )
-from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
+from mckibben.cli.plan import envelope, margins, plan, stiffness
 from mckibben.cli.points import points
 from mckibben.cli.recordings import identify_air, identify_creep
 from mckibben.cli.rig import rig
 from mckibben.cli.size import size
-from mckibben.cli.sweep import merge, sweep, tune
+from mckibben.cli.sweep import sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder, to_json, write_json
 
@@ -197,8 +196,8 @@ _PANELS = {
         catalog,
         rig,
     ),
-    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, oracle, calibrate, leg),
-    "Studies": (tune, compare, sweep, merge, bench),
+    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, calibrate, leg),
+    "Studies": (tune, compare, sweep),
     "Other programs": (web, export, check),
 }
 for _panel, _commands in _PANELS.items():

@@ -249,7 +249,6 @@ def parse_text(
 
 
 _KINDS = (
-    ({"task", "train", "test"}, "a task, which `mckibben bench` reads"),
     ({"leg"}, "a leg, which `mckibben leg` reads"),
     ({"controllers", "references"}, "a suite, which `mckibben compare` reads"),
     ({"joint", "controller", "reference"}, "a scenario of a joint, which `mckibben simulate` reads"),
