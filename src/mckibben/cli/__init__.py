@@ -45,7 +45,7 @@ from mckibben.cli.options import (
     table,
     with_accuracy,
 )
-from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
+from mckibben.cli.plan import envelope, margins, plan, stiffness
 from mckibben.cli.points import points
 from mckibben.cli.recordings import identify_air, identify_creep
 from mckibben.cli.rig import rig
@@ -260,7 +260,7 @@ _PANELS = {
         specimens,
         rig,
     ),
-    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, oracle, calibrate, leg),
+    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, calibrate, leg),
     "Studies": (tune, compare, sweep, merge, bench),
     "Other programs": (web, export, check),
 }
