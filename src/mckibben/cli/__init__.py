@@ -95,7 +95,7 @@ def reproduce(
         echo(to_json(done.results()))
         return
     for title, claims in (("The paper's claims", done.paper_claims), ("Our own questions", done.questions)):
-        verdicts = [("holds" if claim.holds else "does not hold", claim.claim, claim.source) for claim in claims]
+        verdicts = [(claim.verdict, claim.claim, claim.source) for claim in claims]
         table(title, ("verdict", "statement", "source"), verdicts)
     echo(done.verdict)
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")

@@ -1,4 +1,4 @@
-"""`mckibben plan`, `mckibben stiffness`, `mckibben margins`, `mckibben oracle` and `mckibben envelope`."""
+"""`mckibben plan`, `mckibben stiffness`, `mckibben margins` and `mckibben envelope`."""
 
 from __future__ import annotations
 
