@@ -49,8 +49,8 @@ class Reproduction:
         testable = [claim for claim in self.paper_claims if not claim.needs_muscle]
         others = len(self.paper_claims) - len(testable)
         return (
-            f"Of the paper's own claims, {sum(claim.holds for claim in testable)} of {len(testable)} that can be tested "
-            f"here hold; {others} need the paper's muscle."
+            f"Of the paper's own claims, {sum(claim.holds for claim in testable)} of {len(testable)} that can be "
+            f"tested here hold; {others} need the paper's muscle."
         )
 
     def results(self) -> dict[str, Any]:
