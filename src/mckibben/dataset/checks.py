@@ -29,14 +29,17 @@ _DIAMETERS = 1.7 * mm, 80 * mm  # implied by force and pressure
 _SMALL = 0.05  # of the largest force: below, the muscle may be slack
 _UNEXPLAINED = 0.3  # of the variance of taut forces
 _ATMOSPHERE = 0.75 * bar, 1.6 * bar  # pressure at which the force begins, if pressures are absolute
-_UNIT = "check the unit in the header, or name it: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
+_UNIT = (
+    "check the unit in the header, or name it: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
+)
 _MOST = 3000  # points that are compared in pairs
 
 
 @dataclass(frozen=True)
 class Points:
     """Points of a test in the order of its rows: pressure [Pa], contraction [-], force [N], the line of each,
-    and the force before an offset was subtracted."""
+    and the force before an offset was subtracted.
+    """
 
     pressure: Floats
     contraction: Floats
@@ -71,7 +74,20 @@ def questions_of_points(points: Points, specimen: Specimen | None = None) -> lis
     if asked:
         return asked
     checks: Sequence[Callable[[Points], Iterator[Question]]] = (
-        _summaries, _integers, _copies, _saturated, _trend, _exchanged, _outliers, _repeats, _zeros, _held, _counted, _reach, _offsets, _few_slack,
+        _summaries,
+        _integers,
+        _copies,
+        _saturated,
+        _trend,
+        _exchanged,
+        _outliers,
+        _repeats,
+        _zeros,
+        _held,
+        _counted,
+        _reach,
+        _offsets,
+        _few_slack,
     )
     return [asked for check in checks for asked in check(points)]
 
@@ -92,16 +108,33 @@ def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
     pressure, contraction, force = points.pressure, points.contraction, points.force
     low, high = _PRESSURES
     if not low <= pressure.max() <= high or pressure.min() < -0.3 * bar:
-        text = f"pressures of {pressure.min() / bar:.3g} to {pressure.max() / bar:.3g} bar are not those of a muscle test"
+        text = (
+            f"pressures of {pressure.min() / bar:.3g} to {pressure.max() / bar:.3g} bar are not those of a muscle test"
+        )
         yield question("range", text, field="pressure", remedy=_UNIT)
     least, most, first = _CONTRACTIONS
     taut = contraction[points.taut] if points.taut.any() else contraction
-    if contraction.min() < least or taut.max() > most or contraction.min() > first or 0 < np.abs(contraction).max() < 0.01:
+    if (
+        contraction.min() < least
+        or taut.max() > most
+        or contraction.min() > first
+        or 0 < np.abs(contraction).max() < 0.01
+    ):
         text = f"contractions of {contraction.min() / percent:.3g} to {taut.max() / percent:.3g} % are not those of a muscle test"
-        yield question("range", text, field="contraction", remedy=f"{_UNIT}, and its sign, and initial_length (command line: --initial-length)")
+        yield question(
+            "range",
+            text,
+            field="contraction",
+            remedy=f"{_UNIT}, and its sign, and initial_length (command line: --initial-length)",
+        )
     at = int(np.argmax(force))
     if not (force[at] > 0 and pressure[at] > 0):
-        yield question("range", "no force is above 0" if force[at] <= 0 else "the largest force is at no pressure", field="force", remedy=_UNIT)
+        yield question(
+            "range",
+            "no force is above 0" if force[at] <= 0 else "the largest force is at no pressure",
+            field="force",
+            remedy=_UNIT,
+        )
         return
     diameter, known = air.implied_diameter(force[at] / pressure[at]), specimen.initial_diameter if specimen else None
     smallest, largest = (known * ratio for ratio in air.USUAL_DIAMETERS) if known else _DIAMETERS
@@ -114,7 +147,14 @@ def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
 def _resolution(values: Floats) -> float:
     """Largest power of ten of which all values are multiples."""
     steps = 10.0 ** np.arange(np.floor(np.log10(max(np.abs(values).max(), 1e-300))), -9, -1)
-    return next((float(step) for step in steps if np.allclose(values, step * np.round(values / step), rtol=0, atol=1e-6 * step)), 0.0)
+    return next(
+        (
+            float(step)
+            for step in steps
+            if np.allclose(values, step * np.round(values / step), rtol=0, atol=1e-6 * step)
+        ),
+        0.0,
+    )
 
 
 def _summaries(points: Points) -> Iterator[Question]:
@@ -139,7 +179,16 @@ def _summaries(points: Points) -> Iterator[Question]:
 
 def _statistics(part: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     low, high = part.min(axis=0), part.max(axis=0)
-    return [part.mean(axis=0), np.median(part, axis=0), part.std(axis=0), part.std(axis=0, ddof=1), low, high, high - low, part.sum(axis=0)]
+    return [
+        part.mean(axis=0),
+        np.median(part, axis=0),
+        part.std(axis=0),
+        part.std(axis=0, ddof=1),
+        low,
+        high,
+        high - low,
+        part.sum(axis=0),
+    ]
 
 
 def _integers(points: Points) -> Iterator[Question]:
@@ -148,7 +197,12 @@ def _integers(points: Points) -> Iterator[Question]:
     whole = np.all(np.abs(rows - np.round(rows)) < 1e-9, axis=1)
     zeros = np.all(rows == 0, axis=1) & (np.arange(len(rows)) > 0)
     if np.allclose(rows[0], (1, 2, 3)):
-        yield question("rows", "looks like numbers of channels (1, 2, 3)", line=int(points.lines[0]), remedy="leave it out of the file")
+        yield question(
+            "rows",
+            "looks like numbers of channels (1, 2, 3)",
+            line=int(points.lines[0]),
+            remedy="leave it out of the file",
+        )
         return
     few = np.flatnonzero(whole if np.count_nonzero(whole) <= max(1, 0.05 * len(rows)) else zeros)
     decimals = np.mean(np.abs(points.force - np.round(points.force)) > 1e-9)
@@ -184,14 +238,20 @@ def _copies(points: Points) -> Iterator[Question]:
 def _saturated(points: Points) -> Iterator[Question]:
     """Largest values that repeat, or that are reached under very different conditions."""
     for name, values, scale, unit in (
-        ("force", points.force, 1.0, "N"), ("pressure", points.pressure, bar, "bar"), ("contraction", points.contraction, percent, "%"),
+        ("force", points.force, 1.0, "N"),
+        ("pressure", points.pressure, bar, "bar"),
+        ("contraction", points.contraction, percent, "%"),
     ):
         levels, counts = np.unique(values, return_counts=True)
         others = counts[:-1][levels[:-1] > 0.1 * levels[-1]].max(initial=1)
         if name == "pressure":
             counts[-1], others = (3, 1) if _is_cut_off(values) else (0, 1)
         if len(levels) > 2 and counts[-1] > max(2 * others, 2):
-            remedy = f"leave such rows out: in a recipe largest_force: {values.max():g} N" if name == "force" else "leave such rows out of the file"
+            remedy = (
+                f"leave such rows out: in a recipe largest_force: {values.max():g} N"
+                if name == "force"
+                else "leave such rows out of the file"
+            )
             text = f"the largest {name}, {values.max() / scale:.4g} {unit}, repeats: is the sensor saturated?"
             yield question("saturation", text, field=name, remedy=remedy)
             return
@@ -200,11 +260,18 @@ def _saturated(points: Points) -> Iterator[Question]:
         return
     shorter = points.contraction[top, None] - points.contraction[top]
     stroke, weaker = np.ptp(points.contraction), points.pressure[top] > 1.15 * points.pressure[top, None]
-    apart = (weaker & (shorter > 0.1 * stroke)) | ((shorter > max(0.25 * stroke, 2.5 * percent)) & (1.05 * points.pressure[top] >= points.pressure[top, None]))
+    apart = (weaker & (shorter > 0.1 * stroke)) | (
+        (shorter > max(0.25 * stroke, 2.5 * percent)) & (1.05 * points.pressure[top] >= points.pressure[top, None])
+    )
     if apart.any():
         one, other = np.argwhere(apart)[0]
         text = f"forces within 3 % of the largest are reached at {points.named(top[one])} and {points.named(top[other])}: is the sensor saturated?"
-        yield question("saturation", text, field="force", remedy=f"leave such rows out: in a recipe largest_force: {0.97 * points.force.max():.4g} N")
+        yield question(
+            "saturation",
+            text,
+            field="force",
+            remedy=f"leave such rows out: in a recipe largest_force: {0.97 * points.force.max():.4g} N",
+        )
 
 
 def _is_cut_off(values: Floats) -> bool:
@@ -216,23 +283,36 @@ def _is_cut_off(values: Floats) -> bool:
     scatter = [len(np.unique(level)) for level in others]
     if len(top) < 4 or not others or min(scatter) < 2:
         return False
-    rare = min(scatter) > 2 and all(np.mean(level == level[-1]) < 0.35 for level in others)
+    rare = min(scatter) > 2 and all(np.mean(level == level[-1]) < 0.35 + 0.2 * (share > 0.85) for level in others)
     return bool(share == 1 or (rare and share > (0.6 if len(top) > 5 else 0.75)))
 
 
 def _trend(points: Points) -> Iterator[Question]:
     """Force that falls with the pressure or rises with the contraction, or does not depend on them."""
     taut = points.taut
-    p, c, f = (values[taut] - values[taut].mean() for values in (points.pressure / bar, points.contraction / percent, points.force))
+    p, c, f = (
+        values[taut] - values[taut].mean()
+        for values in (points.pressure / bar, points.contraction / percent, points.force)
+    )
     if len(f) < 4 or np.ptp(f) < 0.15 * points.force.max():
         return
     slopes = np.linalg.lstsq(np.column_stack([p, c]), f, rcond=None)[0]
     rest = f - np.column_stack([p, c]) @ slopes
-    still = [np.ptp(values) < 0.02 * np.abs(whole).max() for values, whole in ((p, points.pressure / bar), (c, points.contraction / percent))]
-    wrong = (slopes[0] <= 0 and not still[0]) or (slopes[1] >= 0 and not still[1]) or rest @ rest > _UNEXPLAINED * (f @ f)
+    still = [
+        np.ptp(values) < 0.02 * np.abs(whole).max()
+        for values, whole in ((p, points.pressure / bar), (c, points.contraction / percent))
+    ]
+    wrong = (
+        (slopes[0] <= 0 and not still[0]) or (slopes[1] >= 0 and not still[1]) or rest @ rest > _UNEXPLAINED * (f @ f)
+    )
     if wrong:
         text = "the force does not rise with the pressure and fall with the contraction: columns may be exchanged, or a sign wrong"
-        yield question("order", text, field="force", remedy="check columns, the sign of the contraction and the direction of a displacement")
+        yield question(
+            "order",
+            text,
+            field="force",
+            remedy="check columns, the sign of the contraction and the direction of a displacement",
+        )
 
 
 def _exchanged(points: Points) -> Iterator[Question]:
@@ -268,26 +348,38 @@ def _outliers(points: Points) -> Iterator[Question]:
     if len(rows):
         share = np.abs(residual) / np.maximum(points.force[rows], 0.15 * points.force.max())
         usual = np.quantile(share, 0.8)
-        far = np.flatnonzero((share > max(4 * usual, 0.12)))
+        far = np.flatnonzero(share > max(4 * usual, 0.12))
         if 0 < len(far) <= max(3, 0.1 * len(rows)):
             worst = rows[far[np.argmax(share[far])]]
             text = f"{len(far)} of {len(points.force)} points are off the surface through the others, most {points.named(worst)}"
             yield question("order", text, line=int(points.lines[worst]), field="force", remedy="check these rows")
             return
         if usual > 0.25:
-            yield question("order", f"forces scatter by {100 * usual:.0f} % about a smooth surface: are they of one muscle?", field="force", remedy="check the rows")
+            yield question(
+                "order",
+                f"forces scatter by {100 * usual:.0f} % about a smooth surface: are they of one muscle?",
+                field="force",
+                remedy="check the rows",
+            )
             return
     levels = [level for level in points.levels if len(level) > 2]
     alone = [int(level[0]) for level in points.levels if len(level) == 1]
     if len(levels) > 1 and len(alone) == 1 and 0 < alone[0] < len(points.force) - 1:
         beside = [points.pressure[alone[0] + step] for step in (-1, 1)]
         if abs(beside[0] - beside[1]) < 0.03 * points.pressure.max():
-            yield question("order", f"the pressure of {points.named(alone[0])} is far from those around it", line=int(points.lines[alone[0]]), remedy="check this row")
+            yield question(
+                "order",
+                f"the pressure of {points.named(alone[0])} is far from those around it",
+                line=int(points.lines[alone[0]]),
+                remedy="check this row",
+            )
 
 
 def _repeats(points: Points) -> Iterator[Question]:
     """Forces at the same pressure and contraction that differ by more than friction and creep."""
-    places = np.column_stack([np.round(points.pressure / (0.01 * points.pressure.max())), np.round(points.contraction / 0.1 / percent)])
+    places = np.column_stack(
+        [np.round(points.pressure / (0.01 * points.pressure.max())), np.round(points.contraction / 0.1 / percent)]
+    )
     _, place = np.unique(places, axis=0, return_inverse=True)
     place = place.ravel()
     high, low = np.full(place.max() + 1, -np.inf), np.full(place.max() + 1, np.inf)
@@ -307,8 +399,12 @@ def _zeros(points: Points) -> Iterator[Question]:
     for row in np.flatnonzero(points.measured == 0)[:_MOST]:
         longer = (force > 0.1 * force.max()) & (contraction >= contraction[row]) & (pressure <= 1.01 * pressure[row])
         if longer.any():
-            text = f"the force is 0 ({points.named(row)}), but the muscle pulls at less pressure and a larger contraction"
-            yield question("rows", text, line=int(points.lines[row]), field="force", remedy="leave rows without a measurement out")
+            text = (
+                f"the force is 0 ({points.named(row)}), but the muscle pulls at less pressure and a larger contraction"
+            )
+            yield question(
+                "rows", text, line=int(points.lines[row]), field="force", remedy="leave rows without a measurement out"
+            )
             return
     rows = np.flatnonzero(points.taut)
     if 0 < np.count_nonzero(points.measured == 0) <= max(3, 0.1 * len(force)):
@@ -319,8 +415,16 @@ def _zeros(points: Points) -> Iterator[Question]:
                 slope = np.diff(force[order])[0] / np.diff(contraction[order])[0]
                 line = force[order[0]] + slope * (contraction[row] - contraction[order[0]])
                 if line > 0.04 * force.max():
-                    text = f"the force is 0 ({points.named(row)}), but the line through its neighbours is at {line:.3g} N"
-                    yield question("rows", text, line=int(points.lines[row]), field="force", remedy="leave rows without a measurement out")
+                    text = (
+                        f"the force is 0 ({points.named(row)}), but the line through its neighbours is at {line:.3g} N"
+                    )
+                    yield question(
+                        "rows",
+                        text,
+                        line=int(points.lines[row]),
+                        field="force",
+                        remedy="leave rows without a measurement out",
+                    )
                     return
     for row in np.flatnonzero(contraction == 0)[:_MOST]:
         same = np.abs(pressure - pressure[row]) < 0.02 * pressure.max()
@@ -339,7 +443,13 @@ def _held(points: Points) -> Iterator[Question]:
     often = np.mean(same) > 0.2 and _resolution(points.force) < 0.01 * points.force.max()
     if len(runs) and (runs.max() >= 2 or often) and len(np.unique(points.force)) > len(points.force) / 3:
         row = int(np.argmax(same))
-        yield question("rows", f"the force stands still from {points.named(row)} on, although the muscle moved", line=int(points.lines[row]), field="force", remedy="check these rows")
+        yield question(
+            "rows",
+            f"the force stands still from {points.named(row)} on, although the muscle moved",
+            line=int(points.lines[row]),
+            field="force",
+            remedy="check these rows",
+        )
 
 
 def _counted(points: Points) -> Iterator[Question]:
@@ -354,23 +464,38 @@ def _counted(points: Points) -> Iterator[Question]:
 def _reach(points: Points) -> Iterator[Question]:
     """A contraction at which the force would end that no muscle reaches."""
     stroke = np.ptp(points.contraction)
-    wide = [level for level in points.levels if len(level) > 3 and np.ptp(points.contraction[level]) >= max(0.5 * stroke, 5 * percent)]
+    wide = [
+        level
+        for level in points.levels
+        if len(level) > 3 and np.ptp(points.contraction[level]) >= max(0.5 * stroke, 5 * percent)
+    ]
     if wide:
         rows = max(wide, key=lambda level: points.force[level].mean())
         slope, start = np.polyfit(points.contraction[rows], points.force[rows], 1)
         if slope < 0 and -slope * np.ptp(points.contraction[rows]) > 0.15 * start and -start / slope > 0.45:
             text = f"the force would end at a contraction of {-start / slope / percent:.2g} %, but muscles contract by 20 to 35 %"
-            yield question("zero", text, field="contraction", remedy=f"{_UNIT}, initial_length (command line: --initial-length), and the zero of the load cell")
+            yield question(
+                "zero",
+                text,
+                field="contraction",
+                remedy=f"{_UNIT}, initial_length (command line: --initial-length), and the zero of the load cell",
+            )
 
 
 def _offsets(points: Points) -> Iterator[Question]:
     """Forces that begin at the pressure of the atmosphere, or that remain without pressure."""
     force, pressure, contraction = points.force, points.pressure, points.contraction
-    used = (force > max(0.15 * force.max(), points.slack_force)) & (contraction <= contraction.min() + 0.6 * np.ptp(contraction))
+    used = (force > max(0.15 * force.max(), points.slack_force)) & (
+        contraction <= contraction.min() + 0.6 * np.ptp(contraction)
+    )
     stroke = np.ptp(contraction) or 1.0
     p, eps = pressure[used] / bar, (contraction[used] - contraction.min()) / stroke
     design = np.column_stack([p, np.ones(len(p)), eps, p * eps, p * eps**2])[:, : 5 if np.ptp(contraction) else 2]
-    if contraction.min() > 0.5 * percent or len(p) <= design.shape[1] + 1 or len(np.unique(np.round(p / (0.05 * p.max())))) < 3:
+    if (
+        contraction.min() > 0.5 * percent
+        or len(p) <= design.shape[1] + 1
+        or len(np.unique(np.round(p / (0.05 * p.max())))) < 3
+    ):
         return
     solution = np.linalg.lstsq(design, force[used], rcond=None)[0]
     residual = force[used] - design @ solution
@@ -382,18 +507,31 @@ def _offsets(points: Points) -> Iterator[Question]:
     gradient = np.array([begin, 1.0]) / slope
     error = float(np.sqrt(gradient @ covariance[:2, :2] @ gradient))
     low, high = _ATMOSPHERE
-    if pressure.min() >= 0.7 * bar and low <= (begin + error) * bar and (begin - error) * bar <= high and begin > 2.5 * error:
+    if (
+        pressure.min() >= 0.7 * bar
+        and low <= (begin + error) * bar
+        and (begin - error) * bar <= high
+        and begin > 2.5 * error
+    ):
         text = f"the force at the initial length begins at about {begin:.2g} bar: are the pressures absolute?"
         remedy = "name it: columns={'HEADER': 'pressure_bar_abs'}, ambient=101300.0 (command line: --column 'HEADER=pressure_bar_abs' --ambient '101.3 kPa')"
         yield question("gauge", text, field="pressure", remedy=remedy)
         return
     ends = np.array([1.0, 0.0]), np.array([1.0, eps.max()])
-    pulls = np.array([solution[1 : 1 + len(end)] @ end for end in ends]) if design.shape[1] > 2 else np.array([start, start])
-    errors = np.array([np.sqrt(end @ covariance[1:3, 1:3] @ end) for end in ends]) if design.shape[1] > 2 else np.zeros(2)
+    pulls = (
+        np.array([solution[1 : 1 + len(end)] @ end for end in ends])
+        if design.shape[1] > 2
+        else np.array([start, start])
+    )
+    errors = (
+        np.array([np.sqrt(end @ covariance[1:3, 1:3] @ end) for end in ends]) if design.shape[1] > 2 else np.zeros(2)
+    )
     alike = pulls.max() - errors.max() < 1.5 * pulls.min()
     if np.all(pulls > np.maximum(0.05 * force.max(), 2.5 * errors)) and alike and pulls.max() < 0.6 * force.max():
         text = f"without pressure, a force of about {pulls.mean():.3g} N would remain at all contractions: an offset of the load cell?"
-        yield question("zero", text, field="force", remedy="subtract it in the file, or measure points of the slack muscle")
+        yield question(
+            "zero", text, field="force", remedy="subtract it in the file, or measure points of the slack muscle"
+        )
 
 
 def _few_slack(points: Points) -> Iterator[Question]:
@@ -410,7 +548,12 @@ def _few_slack(points: Points) -> Iterator[Question]:
     mean = float(points.force[ends].mean()) if ends else 0.0
     if ends and mean > max(0.02 * largest, points.slack_force) and mean <= points.force.min() + 0.01 * largest:
         text = f"the force at the {len(ends)} largest contractions is about {mean:.3g} N at each: an offset of the load cell?"
-        yield question("zero", text, field="force", remedy="subtract it in the file, or measure five or more points of the slack muscle")
+        yield question(
+            "zero",
+            text,
+            field="force",
+            remedy="subtract it in the file, or measure five or more points of the slack muscle",
+        )
 
 
 def questions_of_labels(dataset: IsobaricDataset) -> Iterator[Question]:

@@ -112,7 +112,9 @@ def _read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: st
         if (table := _sheet(sheet, mapping, budget)) is not None:
             tables[sheet.title] = table
         else:
-            others += [(None, text) for row in sheet.iter_rows(values_only=True, max_row=200) if (text := _text_of(row))]
+            others += [
+                (None, text) for row in sheet.iter_rows(values_only=True, max_row=200) if (text := _text_of(row))
+            ]
     if not tables:
         text = f"no sheet has a header that is understood; it has {', '.join(book.sheetnames[:20])}"
         remedy = "name the columns: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
@@ -147,8 +149,10 @@ def _sheet(sheet: Worksheet, mapping: Mapping[str, str], budget: Budget) -> RawT
     table.words += [(number, text) for number, row in enumerate(grid[:at], 1) if (text := _text_of(row))]
     header, first = texts[at], at + 1
     units = [""] * len(header)
-    if first < len(texts) and any(map(dimension_of, texts[first])) and not any(
-        isinstance(cell, int | float) for cell in grid[first]
+    if (
+        first < len(texts)
+        and any(map(dimension_of, texts[first]))
+        and not any(isinstance(cell, int | float) for cell in grid[first])
     ):
         units, first = [cell.strip("[]()") for cell in texts[first]], first + 1
     places = [column for column, name in enumerate(header) if name]
@@ -162,13 +166,17 @@ def _sheet(sheet: Worksheet, mapping: Mapping[str, str], budget: Budget) -> RawT
         elif [str(cell) for cell in filled] != [name for name in header if name]:
             table.words.append((number, _text_of(row)))
     table.lines = [number for number, _ in rows]
-    table.decimal, table.ambiguous = decimal_sign([[str(row[column]) for _, row in rows if isinstance(row[column], str)] for column in places], ";")
+    table.decimal, table.ambiguous = decimal_sign(
+        [[str(row[column]) for _, row in rows if isinstance(row[column], str)] for column in places], ";"
+    )
     for column in range(len(header)):
         cells = [row[column] for _, row in rows]
         if column in places:
             table.columns.append(_column_of_cells(header[column], cells, units[column], sheet, table.lines, column))
         elif any(cell is not None for cell in cells):
-            table.words += [(number, str(cell)) for number, cell in zip(table.lines, cells, strict=True) if cell is not None]
+            table.words += [
+                (number, str(cell)) for number, cell in zip(table.lines, cells, strict=True) if cell is not None
+            ]
     _ask_of_layout(table, sheet, {*places}, at)
     return table
 
@@ -199,7 +207,11 @@ def _ask_of_layout(table: RawTable, sheet: Worksheet, places: set[int], header: 
     found = []
     if hidden or sheet.sheet_state != "visible":
         found.append(f"rows or columns are hidden: {', '.join(hidden[:5]) or 'the sheet'}")
-    wide = [area for area in sheet.merged_cells.ranges if area.max_row >= header and area.max_col - area.min_col + 1 < max(len(places), 2)]
+    wide = [
+        area
+        for area in sheet.merged_cells.ranges
+        if area.max_row >= header and area.max_col - area.min_col + 1 < max(len(places), 2)
+    ]
     if wide:
         found.append(f"cells are merged: {', '.join(map(str, wide[:5]))}")
     marked: Counter[str] = Counter()
@@ -265,7 +277,9 @@ def _attributes(node: h5py.Group | h5py.Dataset) -> list[tuple[None, str]]:
     """Attributes that may say something of the numbers."""
     texts = []
     for key in list(node.attrs)[:200]:
-        if key.lower() in (*_UNITS, *_PACKING) or (_SAYS_NOTHING.fullmatch(key) and not key.lower().endswith("long_name")):
+        if key.lower() in (*_UNITS, *_PACKING) or (
+            _SAYS_NOTHING.fullmatch(key) and not key.lower().endswith("long_name")
+        ):
             continue
         value = node.attrs[key]
         if np.size(value) <= 8:
@@ -311,7 +325,9 @@ def _unpacked(node: h5py.Dataset) -> np.ndarray:
     values = raw.astype(np.float64)
     for key in ("_fillvalue", "missing_value"):
         values[np.isin(raw, attributes.get(key, []))] = np.nan
-    low, high = attributes.get("valid_range", [*attributes.get("valid_min", [-np.inf]), *attributes.get("valid_max", [np.inf])])
+    low, high = attributes.get(
+        "valid_range", [*attributes.get("valid_min", [-np.inf]), *attributes.get("valid_max", [np.inf])]
+    )
     values[(values < low) | (values > high)] = np.nan
     return values * attributes.get("scale_factor", [1.0])[0] + attributes.get("add_offset", [0.0])[0]
 
@@ -326,7 +342,9 @@ def _add_matrix(table: RawTable, name: str, array: np.ndarray, unit: str = "") -
     if matrix.ndim == 2 and matrix.shape[1] <= 64:
         for at, values in enumerate(matrix.T):
             full = name if matrix.shape[1] == 1 else f"{name}(:,{at + 1})"
-            table.columns.append(RawColumn(full, np.ascontiguousarray(values), label=re.split(r"[./]", full)[-1], unit=unit))
+            table.columns.append(
+                RawColumn(full, np.ascontiguousarray(values), label=re.split(r"[./]", full)[-1], unit=unit)
+            )
 
 
 def _read_matlab(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
@@ -365,6 +383,7 @@ def _add_variable(table: RawTable, name: str, value: Value, unit: str = "") -> N
         units = next((value[key] for key in _UNITS if isinstance(value.get(key), dict)), {})
         for key, field in value.items():
             said = units.get(key, "") if isinstance(units, dict) else ""
+            said = "s" if key == "time" and "signals" in value else said  # of Simulink
             _add_variable(table, f"{name}.{key}", field, said if isinstance(said, str) else "")
     elif isinstance(value, list):
         if value and all(isinstance(cell, str) for cell in value):
@@ -467,14 +486,22 @@ def _read_lvm(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -
     units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
     if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
         units["X_Value"] = "s"
-    header = separator.join(f"{name} [{units[name]}]" if units.get(name) else name for name in names if name != "Comment")
+    header = separator.join(
+        f"{name} [{units[name]}]" if units.get(name) else name for name in names if name != "Comment"
+    )
     blank = "\n" * text[: text.rindex(end)].count("\n")
-    comments = [line.split(separator, len(names) - 1)[-1].strip() for line in rows.splitlines() if line.count(separator) >= len(names) - 1]
+    comments = [
+        line.split(separator, len(names) - 1)[-1].strip()
+        for line in rows.splitlines()
+        if line.count(separator) >= len(names) - 1
+    ]
     if names[-1] == "Comment":
         rows = "\n".join(separator.join(line.split(separator)[: len(names) - 1]) for line in rows.splitlines())
     table = read_text(f"{blank}\n{header}\n{rows}", path, mapping, decimal)
     table.words += [(None, comment) for comment in comments if comment and names[-1] == "Comment"]
-    table.words += [(None, " ".join(cells)) for cells in fields if cells[0] in ("Notes", "Description", "UserName", "Y_Dimension_Label")]
+    table.words += [
+        (None, " ".join(cells))
+        for cells in fields
+        if cells[0] in ("Notes", "Description", "UserName", "Y_Dimension_Label")
+    ]
     return table
-
-

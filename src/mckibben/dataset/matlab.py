@@ -14,7 +14,20 @@ import numpy as np
 
 from mckibben.dataset.raw import Budget
 
-_TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8", 16: "u1", 17: "u2"}
+_TYPES = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+    16: "u1",
+    17: "u2",
+}
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _NUMBERS = 1, 2, 3, 4, 5, range(6, 16)
 _DEEPEST, _FIELDS = 8, 1000
@@ -115,7 +128,9 @@ class MatlabReader:
         size, at = int(self._numbers(length)[0]), names.end
         if size <= 0 or len(names.data) // size * count > _FIELDS:
             raise ValueError("a struct has too many fields")
-        texts = [bytes(names.data[i : i + size]).split(b"\0")[0].decode("latin-1") for i in range(0, len(names.data), size)]
+        texts = [
+            bytes(names.data[i : i + size]).split(b"\0")[0].decode("latin-1") for i in range(0, len(names.data), size)
+        ]
         structs: list[Value] = []
         for _ in range(count):
             fields: dict[str, Value] = {}

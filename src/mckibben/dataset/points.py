@@ -175,7 +175,9 @@ def checked(points: ExtractedPoints) -> ExtractedPoints:
     if falls and np.count_nonzero(force < -limit) > np.count_nonzero(force > limit):
         text = f"most forces are negative, down to {force.min():.4g} N, but a muscle only pulls"
         remedy = "turn the sign: force_sign=-1 (command line: --column 'HEADER=-force_N')"
-        raise DatasetError(points.dataset.table.attrs["source"] or "recording", [Problem(text, field="force", remedy=remedy)])
+        raise DatasetError(
+            points.dataset.table.attrs["source"] or "recording", [Problem(text, field="force", remedy=remedy)]
+        )
     return points
 
 

@@ -41,7 +41,9 @@ _RATE = (
 Kind = TypeVar("Kind", IsobaricDataset, Recording)
 
 
-def read_dataset(path: FilePaths, recipe: Recipe | None = None, *, specimen: Specimen | None = None, **options: object) -> IsobaricDataset:
+def read_dataset(
+    path: FilePaths, recipe: Recipe | None = None, *, specimen: Specimen | None = None, **options: object
+) -> IsobaricDataset:
     """Read the points of isobaric tests from a file, or from several files of one test.
 
     Formats are recognised by their first bytes: text (comma, semicolon, tab, ``|`` or blanks between cells), Excel,
@@ -76,7 +78,7 @@ def read_dataset(path: FilePaths, recipe: Recipe | None = None, *, specimen: Spe
     shorter it is. Points that break this, or that look like summaries, copies, saturation, absolute pressures or an
     offset of the load cell, are questions, which ``accept=[topic]`` answers.
     """
-    recipe = _recipe(recipe, options)
+    recipe = (recipe or Recipe()).with_options(options)
     parts = [_read_points(file, recipe) for file in _paths(path)]
     dataset, source = _joined([part for part, _ in parts], path)
     if all(own for _, own in parts):
@@ -102,38 +104,45 @@ def read_recording(path: FilePaths, recipe: Recipe | None = None, **options: obj
     DatasetError, ScenarioError
         As `read_dataset`.
     """
-    recipe = _recipe(recipe, options)
+    recipe = (recipe or Recipe()).with_options(options)
     return _joined([_read_samples(file, recipe) for file in _paths(path)], path)[0]
 
 
 def read_columns(path: str | os.PathLike[str], recipe: Recipe | None = None, **options: object) -> Table:
     """Show what is understood of a file: its columns, where quantity and unit are from, and open questions."""
-    return _understood(Path(path), _recipe(recipe, options), _POINTS)[0]
+    return _understood(Path(path), (recipe or Recipe()).with_options(options), _POINTS)[0]
 
 
 def check_points(
-    dataset: IsobaricDataset, source: str, accept: Sequence[str], specimen: Specimen | None = None, measured: np.ndarray | None = None
+    dataset: IsobaricDataset,
+    source: str,
+    accept: Sequence[str],
+    specimen: Specimen | None = None,
+    measured: np.ndarray | None = None,
 ) -> None:
     """Raise a `DatasetError` with the questions that the points raise and `accept` does not answer."""
-    lines = np.concatenate([np.asarray(part.numbers) for part in dataset.lines]) if dataset.lines else np.arange(1, len(dataset) + 1)
+    lines = (
+        np.concatenate([np.asarray(part.numbers) for part in dataset.lines])
+        if dataset.lines
+        else np.arange(1, len(dataset) + 1)
+    )
     force = dataset.force if measured is None else measured
-    points = Points(dataset.pressure, dataset.contraction, dataset.force, lines, force, dataset.table.attrs["slack_force"])
+    points = Points(
+        dataset.pressure, dataset.contraction, dataset.force, lines, force, dataset.table.attrs["slack_force"]
+    )
     asked = [*questions_of_points(points, specimen), *questions_of_labels(dataset)]
     if problems := [question.problem for question in asked if question.topic not in accept or not question.topic]:
         raise DatasetError(source, problems)
 
 
-def _recipe(recipe: Recipe | None, options: Mapping[str, object]) -> Recipe:
-    """Recipe with further options."""
-    if recipe is None:
-        return Recipe(**options)  # type: ignore[arg-type]
-    return Recipe(**{**recipe.model_dump(exclude_defaults=True), **options}) if options else recipe
-
-
 def _paths(path: FilePaths) -> list[Path]:
     """The files of a test."""
     several = [path] if isinstance(path, str | os.PathLike) else path
-    if not isinstance(several, Sequence) or not several or not all(isinstance(name, str | os.PathLike) for name in several):
+    if (
+        not isinstance(several, Sequence)
+        or not several
+        or not all(isinstance(name, str | os.PathLike) for name in several)
+    ):
         remedy = "give a path, or a list of paths"
         raise RangeError(f"{described(path)} is not a file", field="path", value=path, remedy=remedy)
     return [Path(name) for name in several]
@@ -163,7 +172,11 @@ def _attributes(table: Table) -> dict[str, str | float | None]:
 
 def _kept(table: Table) -> dict[str, str]:
     """Attributes that say how a file was read."""
-    texts = {"columns_read": str(table), "ignored_columns": ", ".join(table.ignored), "repairs": "\n".join(table.repairs)}
+    texts = {
+        "columns_read": str(table),
+        "ignored_columns": ", ".join(table.ignored),
+        "repairs": "\n".join(table.repairs),
+    }
     return {name: text for name, text in texts.items() if text}
 
 
@@ -197,7 +210,9 @@ def _read_samples(path: Path, recipe: Recipe) -> Recording:
     table, _ = _understood(path, recipe, ("pressure", "force"))
     motion = recipe.contraction is not None and "contraction" not in table.columns
     if motion:
-        table.questions = [asked for asked in table.questions if asked.problem.field not in ("initial_length", "displacement")]
+        table.questions = [
+            asked for asked in table.questions if asked.problem.field not in ("initial_length", "displacement")
+        ]
     values = {name: table.columns[name].values for name in _SAMPLES if name in table.columns}
     if "time" not in values:
         rate = recipe.sample_rate
@@ -223,7 +238,9 @@ def _no_clock(text: str) -> Question:
 def _own(kind: type[Kind], path: Path, recipe: Recipe) -> Kind:
     """Dataset or recording of a file that this program wrote, with the options that apply."""
     if recipe.columns or recipe.from_name:
-        problem = Problem("was written by this program: its columns cannot be renamed", remedy="leave columns and from_name out")
+        problem = Problem(
+            "was written by this program: its columns cannot be renamed", remedy="leave columns and from_name out"
+        )
         raise DatasetError(str(path), [problem])
     data = kind.from_netcdf(path)
     options = {name: getattr(recipe, name) for name in ("initial_length", "specimen", "slack_force")}
@@ -231,7 +248,9 @@ def _own(kind: type[Kind], path: Path, recipe: Recipe) -> Kind:
     table = data.table.assign(force=(recipe.force_sign or 1) * data.table["force"])
     if recipe.largest_force is not None:
         table = table.isel({table["force"].dims[0]: (table["force"] < recipe.largest_force).to_numpy()})
-    return kind(table.assign_attrs(changes)) if changes or recipe.force_sign or recipe.largest_force is not None else data
+    return (
+        kind(table.assign_attrs(changes)) if changes or recipe.force_sign or recipe.largest_force is not None else data
+    )
 
 
 def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
@@ -245,7 +264,10 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     problems = []
     for name in ("specimen", "initial_length", "slack_force"):
         if len(values := list(dict.fromkeys(table.attrs.get(name) for table in tables))) > 1:
-            shown = " and ".join(show(value, "mm" if "length" in name else "N") if isinstance(value, float) else str(value) for value in values)
+            shown = " and ".join(
+                show(value, "mm" if "length" in name else "N") if isinstance(value, float) else str(value)
+                for value in values
+            )
             remedy = f"give {name} for all (in a recipe, or as an argument)"
             problems.append(Problem(f"differs between the files: {shown}", field=name, remedy=remedy))
     columns = [name for name, variable in parts[0].schema.items() if len(variable.dims) == 1]
@@ -256,7 +278,9 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
         raise DatasetError(source, problems)
     attrs["source"] = ", ".join(dict.fromkeys(str(table.attrs["source"]) for table in tables))
     for name in ("columns_read", "ignored_columns", "repairs", "preprocessing"):
-        texts = [f"{file}:\n{table.attrs[name]}" for file, table in zip(names, tables, strict=True) if name in table.attrs]
+        texts = [
+            f"{file}:\n{table.attrs[name]}" for file, table in zip(names, tables, strict=True) if name in table.attrs
+        ]
         attrs |= {name: "\n".join(texts)} if texts else {}
     tables = [table[common] for table in tables]
     tables = _distinct_repeats(tables) if "repeat" in common else tables

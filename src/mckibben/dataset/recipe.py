@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator
@@ -97,6 +98,10 @@ class Recipe(DocumentModel):
         if all(not line.strip() or line.lstrip().startswith("#") for line in text.splitlines()):
             return cls()
         return super().parse(text, source=source, folder=folder)
+
+    def with_options(self, options: Mapping[str, object]) -> Self:
+        """Recipe with further options, which are checked as its own."""
+        return type(self)(**{**self.model_dump(exclude_defaults=True), **options}) if options else self
 
     def __repr__(self) -> str:
         return f"<Recipe: {', '.join(self.dumps().splitlines())}>"

@@ -14,10 +14,18 @@ import numpy as np
 from mckibben.dataset.clock import seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.text import NUMBER, to_numbers
-from mckibben.dataset.vocabulary import QUANTITIES, Header, canonical_unit, dimension_of, is_harmless, parse_header, si_factor
+from mckibben.dataset.vocabulary import (
+    QUANTITIES,
+    Header,
+    canonical_unit,
+    dimension_of,
+    is_harmless,
+    parse_header,
+    si_factor,
+)
 from mckibben.dataset.words import doubtful_words
 from mckibben.errors import DatasetError, Problem, UnitError, closest, printable
-from mckibben.units import mm, quantity, show
+from mckibben.units import quantity, show
 
 if TYPE_CHECKING:
     from mckibben.dataset.recipe import Recipe
@@ -74,7 +82,9 @@ class Question(NamedTuple):
 def question(topic: str, text: str, *, line: int | None = None, field: str = "", remedy: str = "") -> Question:
     """A question that `accept` answers too."""
     accepted = f"accept=[{topic!r}] (command line: --accept {topic}) if {TOPICS[topic]}"
-    return Question(Problem(text, line=line, field=field, remedy=f"{remedy}, or {accepted}" if remedy else accepted), topic)
+    return Question(
+        Problem(text, line=line, field=field, remedy=f"{remedy}, or {accepted}" if remedy else accepted), topic
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +159,9 @@ class Table:
 
     def ask(self, accept: Sequence[str]) -> None:
         """Raise a `DatasetError` with all questions that are not answered by a topic of `accept`."""
-        open_questions = [question.problem for question in self.questions if question.topic not in accept or not question.topic]
+        open_questions = [
+            question.problem for question in self.questions if question.topic not in accept or not question.topic
+        ]
         if open_questions:
             raise DatasetError(str(self.path), sorted(open_questions, key=lambda problem: problem.line or 0))
 
@@ -168,7 +180,9 @@ def describe(table: Table) -> str:
         if column.quantity in _MOTIONS and table.initial_length:
             remarks.append(f"initial length {show(table.initial_length, 'mm', 5)}")
         origin = column.source if column.unit else ""
-        rows.append((printable(column.header), column.quantity, column.unit, origin, shown, ", ".join(filter(None, remarks))))
+        rows.append(
+            (printable(column.header), column.quantity, column.unit, origin, shown, ", ".join(filter(None, remarks)))
+        )
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     return "\n".join([*lines, f"{len(table.lines)} rows"])
@@ -216,11 +230,20 @@ class _Reader:
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
             names = ", ".join(column.name for column in raw.columns[:20])
             kinds = " and ".join(missing)
-            remedy = "name them: " + " ".join(f"--column 'HEADER={name}_{QUANTITIES[name][0]}'" for name in missing if QUANTITIES[name])
+            remedy = "name them: " + " ".join(
+                f"--column 'HEADER={name}_{QUANTITIES[name][0]}'" for name in missing if QUANTITIES[name]
+            )
             self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"{remedy} (in Python columns={{...}})")
         units = {column.unit for column in table.columns.values()}
         for line, text in doubtful_words(raw.words, units):
-            self.asked.append(question("words", f"beside the table stands {text[:200]!r}", line=line, remedy="apply it to the numbers in the file"))
+            self.asked.append(
+                question(
+                    "words",
+                    f"beside the table stands {text[:200]!r}",
+                    line=line,
+                    remedy="apply it to the numbers in the file",
+                )
+            )
         self._leave_out()
         return table
 
@@ -260,6 +283,8 @@ class _Reader:
                 continue
             sign = -1 if name.startswith("-") else 1
             header = parse_header(name.lstrip("-")) if name else parse_header(label, column.unit)
+            if re.fullmatch(r"column \d+", column.name) and not isinstance(column.cells, np.ndarray):
+                header = Header("time", "") if seconds_of(header, column.cells) is not None else header
             if name and (not header.quantity or not (header.unit or not QUANTITIES[header.quantity])):
                 remedy = f"name quantity and unit, such as {closest(name, [f'{q}_{u[0]}' for q, u in QUANTITIES.items() if u]) or 'force_N'}"
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
@@ -275,7 +300,13 @@ class _Reader:
         """Ask about a unit of the recipe that is not the one in the file."""
         stated = column.unit or (match[1] if (match := re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", label)) else "")
         dimension = dimension_of(stated)
-        if named and stated and header.unit and canonical_unit(stated, header.quantity) != header.unit and (dimension or stated.lower() in _ELECTRICAL):
+        if (
+            named
+            and stated
+            and header.unit
+            and canonical_unit(stated, header.quantity) != header.unit
+            and (dimension or stated.lower() in _ELECTRICAL)
+        ):
             text = f"is in {stated!r} by the file, and in {header.unit!r} by columns"
             self.asked.append(question("columns", text, field=column.name, remedy="name the unit of the file"))
 
@@ -300,27 +331,39 @@ class _Reader:
         dimension = dimension_of(unit) if unit != label else dimension_of(label.rpartition("_")[2])
         numeric = isinstance(column.cells, np.ndarray)
         texts = set() if numeric else {str(cell).strip() for cell in column.cells}
-        named = any(word in label.lower() for word in ("force", "kraft", "press", "druck", "length", "länge", "contract", "kontrak"))
+        named = any(
+            word in label.lower()
+            for word in ("force", "kraft", "press", "druck", "length", "länge", "contract", "kontrak")
+        )
         numbers = 0 if numeric else sum(bool(NUMBER.fullmatch(text)) for text in texts)
         named_otherwise = numeric and bool(unit) and unit != label and not dimension
-        if dimension in ("pressure", "force", "contraction", "length") or (named and not named_otherwise) or 0 < numbers < len(texts - {""}):
+        if (
+            dimension in ("pressure", "force", "contraction", "length")
+            or (named and not named_otherwise)
+            or 0 < numbers < len(texts - {""})
+        ):
             pass
         elif numeric and re.fullmatch(r"column \d+", column.name):
             if np.array_equal(np.diff(column.cells), np.ones(len(column.cells) - 1)):
                 return
-        elif named_otherwise or is_harmless(label) or not texts - {""} | ({"x"} if numeric else set()):
-            return
-        elif not numeric and len(texts) == 1 and not any(map(str.isdigit, texts)):
+        elif named_otherwise or is_harmless(label) or not texts - {""} | ({"x"} if numeric else set()) or (not numeric and len(texts) == 1 and not any(map(str.isdigit, texts))):
             return
         remedy = _NEEDLESS.format(column.name)
-        meant = {"pressure": "pressure_bar", "force": "force_N", "length": "length_mm", "contraction": "contraction_percent"}.get(dimension)
+        meant = {
+            "pressure": "pressure_bar",
+            "force": "force_N",
+            "length": "length_mm",
+            "contraction": "contraction_percent",
+        }.get(dimension)
         if meant and dimension != "contraction":
             meant = f"{dimension}_{unit}"
         if meant:
             remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}; {remedy}"
         self.asked.append(question("columns", "is not understood", field=column.name, remedy=remedy))
 
-    def _choose(self, understood: Sequence[tuple[RawColumn, Header, int, str]]) -> list[tuple[RawColumn, Header, int, str]]:
+    def _choose(
+        self, understood: Sequence[tuple[RawColumn, Header, int, str]]
+    ) -> list[tuple[RawColumn, Header, int, str]]:
         """One column for each quantity: the one that the recipe names, or the only one."""
         chosen: dict[str, tuple[RawColumn, Header, int, str]] = {}
         for entry in understood:
@@ -351,10 +394,15 @@ class _Reader:
     def _agree(column: RawColumn, header: Header, other: tuple[RawColumn, Header, int, str]) -> bool:
         """Whether two columns have the same values, perhaps in different units."""
         first, second = column.cells, other[0].cells
-        if not (isinstance(first, np.ndarray) and isinstance(second, np.ndarray)) or header.absolute != other[1].absolute:
+        if (
+            not (isinstance(first, np.ndarray) and isinstance(second, np.ndarray))
+            or header.absolute != other[1].absolute
+        ):
             return False
         scales = si_factor(header), si_factor(other[1])
-        return bool(np.allclose(first * scales[0], second * scales[1], rtol=2e-3, atol=1e-3 * np.abs(second).max() * scales[1]))
+        return bool(
+            np.allclose(first * scales[0], second * scales[1], rtol=2e-3, atol=1e-3 * np.abs(second).max() * scales[1])
+        )
 
     def _check_mapping(self) -> None:
         """Questions about headers of the recipe that the file does not have."""
@@ -382,14 +430,22 @@ class _Reader:
             self.asked_about |= {"contraction"} if name in _MOTIONS else {name}
             if name == "displacement":
                 name = "shortening"
-            self.ask("has no unit that is understood", field=column.name, remedy=_COLUMN_REMEDY.format(column.name, f"{name}_{unit}"))
+            self.ask(
+                "has no unit that is understood",
+                field=column.name,
+                remedy=_COLUMN_REMEDY.format(column.name, f"{name}_{unit}"),
+            )
             self.table.ignored.append(column.name)
             return
         else:
             values = self._numbers(column, name) * si_factor(header)
         if name == "displacement" and not self.recipe.displacement:
             self.asked_about.add("contraction")
-            self.ask("may grow with shortening or with lengthening", field=column.name, remedy=_SIGN_REMEDY.format(column.name, header.unit))
+            self.ask(
+                "may grow with shortening or with lengthening",
+                field=column.name,
+                remedy=_SIGN_REMEDY.format(column.name, header.unit),
+            )
             return
         if name == "force":
             sign *= self.recipe.force_sign or 1
@@ -400,7 +456,9 @@ class _Reader:
                 self.ask("is an absolute pressure", field=column.name, remedy=_AMBIENT)
                 return
             values, reference = values - self.recipe.ambient, f"absolute, less {show(self.recipe.ambient, 'kPa')}"
-        self.table.columns[name] = Column(column.name, name, header.unit, values if sign > 0 else -values, sign, reference, source)
+        self.table.columns[name] = Column(
+            column.name, name, header.unit, values if sign > 0 else -values, sign, reference, source
+        )
 
     def _unread_clock(self, column: RawColumn, header: Header) -> None:
         self.table.ignored.append(column.name)
@@ -409,10 +467,16 @@ class _Reader:
     def _numbers(self, column: RawColumn, name: str) -> Floats:
         """Numbers of a column; cells that are none are corrupt."""
         header, cells = column.name, column.cells
-        values = cells.copy() if isinstance(cells, np.ndarray) else to_numbers(cells, self.raw.decimal, certain=bool(self.recipe.decimal))
+        values = (
+            cells.copy()
+            if isinstance(cells, np.ndarray)
+            else to_numbers(cells, self.raw.decimal, certain=bool(self.recipe.decimal))
+        )
         wrong = ~np.isfinite(values)
         if name == "set_pressure":
-            wrong &= np.array([bool(str(cell).strip()) for cell in cells]) if not isinstance(cells, np.ndarray) else False
+            wrong &= (
+                np.array([bool(str(cell).strip()) for cell in cells]) if not isinstance(cells, np.ndarray) else False
+            )
         for row in np.flatnonzero(wrong):
             text = f"{str(cells[row])[:40]!r} is not a number"
             self._corrupt(int(row), header, text)
@@ -421,15 +485,38 @@ class _Reader:
         size = np.abs(values)
         if name == "force" and len(usual) and usual.max() in _ENDS and np.count_nonzero(usual == usual.max()) > 1:
             text = f"the largest value, {usual.max():g}, is the end of a converter's range"
-            self.asked.append(question("saturation", text, field=header, remedy=f"leave these rows out: in a recipe largest_force: {usual.max():g} N"))
-        marks = (np.isclose(size[:, None], _MARKS[:-1], rtol=1e-12).any(axis=1) if size.max(initial=0) > 990 else np.zeros(len(size), bool)) | (size >= 1e29)
+            self.asked.append(
+                question(
+                    "saturation",
+                    text,
+                    field=header,
+                    remedy=f"leave these rows out: in a recipe largest_force: {usual.max():g} N",
+                )
+            )
+        marks = (
+            np.isclose(size[:, None], _MARKS[:-1], rtol=1e-12).any(axis=1)
+            if size.max(initial=0) > 990
+            else np.zeros(len(size), bool)
+        ) | (size >= 1e29)
         marks |= (values <= -999) & (np.modf(values)[0] == 0) & (usual.max(initial=0) > 0) & (np.isin(size, _MARKS))
         if marks.any() and 2 * np.count_nonzero(marks) < len(values):
             others = values[~marks & ~wrong]
-            if len(others) and (values[marks].max() > 2 * np.abs(others).max() or values[marks].min() < 0 <= others.min() or not _between(values, marks)):
+            if len(others) and (
+                values[marks].max() > 2 * np.abs(others).max()
+                or values[marks].min() < 0 <= others.min()
+                or not _between(values, marks)
+            ):
                 row = int(np.argmax(marks))
                 text = f"{values[row]:g} may mark a missing value"
-                self.asked.append(question("rows", text, line=int(self.table.lines[row]), field=header, remedy="leave these rows out of the file"))
+                self.asked.append(
+                    question(
+                        "rows",
+                        text,
+                        line=int(self.table.lines[row]),
+                        field=header,
+                        remedy="leave these rows out of the file",
+                    )
+                )
         return values
 
     def _corrupt(self, row: int, header: str, text: str) -> None:
@@ -446,7 +533,12 @@ class _Reader:
             if cell not in said:
                 shown = str(column.cells[cells.index(cell)])[:40]
                 remedy = f"give its meaning: columns={{{shown!r}: {first!r}}} (command line: --column '{shown}={first}', or {second})"
-                self.ask(f"{shown!r} is not a {name}", field=column.name, line=int(self.table.lines[cells.index(cell)]), remedy=remedy)
+                self.ask(
+                    f"{shown!r} is not a {name}",
+                    field=column.name,
+                    line=int(self.table.lines[cells.index(cell)]),
+                    remedy=remedy,
+                )
         return np.array([said.get(cell, "") for cell in cells], "<U9")
 
     def _lengths(self) -> None:
@@ -454,7 +546,11 @@ class _Reader:
         table, recipe = self.table, self.recipe
         motions = [name for name in _MOTIONS if name in table.columns]
         if recipe.initial_length and recipe.initial_length > _LONGEST:
-            self.ask(f"{recipe.initial_length:g} m is longer than any muscle", field="initial_length", remedy=f"{_LENGTH_REMEDY}, in Python in m")
+            self.ask(
+                f"{recipe.initial_length:g} m is longer than any muscle",
+                field="initial_length",
+                remedy=f"{_LENGTH_REMEDY}, in Python in m",
+            )
         if not motions:
             return
         initial = table.initial_length
@@ -476,10 +572,14 @@ class _Reader:
             return
         first, *others = lengths.values()
         if others and not np.allclose(first, others[0], atol=_ROUNDING[0]):
-            self.ask(f"and {motions[1]!r} give different lengths", field=motions[0], remedy="ignore one of the two columns")
+            self.ask(
+                f"and {motions[1]!r} give different lengths", field=motions[0], remedy="ignore one of the two columns"
+            )
         if np.nanmin(first, initial=np.inf) <= 0 or np.nanmax(first, initial=0) > 2 * initial:
             text = f"lengths of {show(float(np.nanmin(first)), 'mm', 4)} to {show(float(np.nanmax(first)), 'mm', 4)} do not fit the initial length, {show(initial, 'mm', 5)}"
-            self.ask(text, field=motions[0], remedy="check its unit and initial_length (command line: --initial-length)")
+            self.ask(
+                text, field=motions[0], remedy="check its unit and initial_length (command line: --initial-length)"
+            )
         column = table.columns[motions[0]]
         values = 1 - first / initial
         table.columns["contraction"] = Column(column.header, "contraction", "", values, source=column.source)
@@ -507,14 +607,20 @@ class _Reader:
         bad = self.bad.copy() if "corrupt" in self.recipe.accept else np.zeros(len(self.bad), bool)
         if self.recipe.largest_force is not None and "force" in table.columns:
             full = table.columns["force"].values >= self.recipe.largest_force
-            table.repairs += [f"{table.place} {line}: force at the end of the sensor's range" for line in table.lines[full]]
+            table.repairs += [
+                f"{table.place} {line}: force at the end of the sensor's range" for line in table.lines[full]
+            ]
             bad |= full
         if 2 * np.count_nonzero(bad) > len(bad):
-            self.ask(f"{np.count_nonzero(bad)} of {len(bad)} rows would be left out", remedy="check columns and decimal sign")
+            self.ask(
+                f"{np.count_nonzero(bad)} of {len(bad)} rows would be left out", remedy="check columns and decimal sign"
+            )
         elif bad.any():
             table.lines = table.lines[~bad]
             table.columns = {
-                name: Column(column.header, name, column.unit, column.values[~bad], column.sign, column.reference, column.source)
+                name: Column(
+                    column.header, name, column.unit, column.values[~bad], column.sign, column.reference, column.source
+                )
                 for name, column in table.columns.items()
             }
 

@@ -88,7 +88,6 @@ def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -
             break
         header = [f"{name} [{unit}]" if unit else name for name, unit in zip(header, units, strict=True)]
         first = row + 1
-    header = _names_of_channels(header, lines[: layout.row], layout.separator)
     rows = _body(table, lines, first, layout, len(header))
     if not rows:
         raise DatasetError(str(path), [Problem("has a header, and no rows of numbers", line=layout.row + 1)])
@@ -99,8 +98,12 @@ def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -
     table.lines = [number for number, _ in rows]
     names = _distinct(header, layout.header)
     _parse_cells(table, [line for _, line in rows], names, layout.separator, decimal)
-    if not text.endswith("\n") and _is_cut(_split(rows[-1][1], layout.separator), [_split(line, layout.separator) for _, line in rows[-50:-1]]):
-        table.corrupt.append(Problem("its last number has fewer digits than all others: was the file truncated?", line=rows[-1][0]))
+    if not text.endswith("\n") and _is_cut(
+        _split(rows[-1][1], layout.separator), [_split(line, layout.separator) for _, line in rows[-50:-1]]
+    ):
+        table.corrupt.append(
+            Problem("its last number has fewer digits than all others: was the file truncated?", line=rows[-1][0])
+        )
     if stamped:
         original = text.split("\n")
         found = [_STAMP.match(original[number - 1]) for number in table.lines]
@@ -110,7 +113,9 @@ def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -
 
 def _is_cut(last: Sequence[str], others: Sequence[Sequence[str]]) -> bool:
     """Whether the last cell of a file has fewer decimals than all others of its column, which have the same number."""
-    decimals = {len(re.split("[.,]", cells[-1])[-1]) if re.search("[.,]", cells[-1]) else 0 for cells in others if cells}
+    decimals = {
+        len(re.split("[.,]", cells[-1])[-1]) if re.search("[.,]", cells[-1]) else 0 for cells in others if cells
+    }
     own = len(re.split("[.,]", last[-1])[-1]) if re.search("[.,]", last[-1]) else 0
     return len(others) > 3 and len(decimals) == 1 and own < decimals.pop()
 
@@ -154,6 +159,7 @@ def _find_layout(lines: Sequence[str], mapping: Mapping[str, str]) -> Layout | N
                 cells = wide if score_of(wide, mapping) >= score_of(cells, mapping) else cells
             if any(NUMBER.fullmatch(cell) for cell in cells) or len(cells) < 2:
                 continue
+            cells = _named_channels(cells, lines[:row], separator)
             score = score_of(cells, mapping)
             if bare is not line and score and not _precedes_rows(lines, row, separator, len(cells)):
                 continue
@@ -192,11 +198,13 @@ def _units_row(cells: Sequence[str], count: int) -> list[str]:
     return [""] * count if all(cell.lower() in _PROCESSED for cell in bare) and any(bare) else []
 
 
-def _names_of_channels(header: Sequence[str], preamble: Sequence[str], separator: str) -> list[str]:
+def _named_channels(cells: Sequence[str], preamble: Sequence[str], separator: str) -> list[str]:
     """Header with the names that a block above the table gives to its channels (CH1, Force)."""
-    cells = [_split(line, separator) for line in preamble]
-    named = {row[0]: row[1] for row in cells if len(row) > 2 and parse_header(row[1]).quantity}
-    return [re.sub(r"^[^\[]*", f"{named[key]} ", text) if (key := text.partition(" [")[0]) in named else text for text in header]
+    if not any(re.fullmatch(r"CH ?\d+", cell) for cell in cells):
+        return [*cells]
+    rows = [_split(line, separator) for line in preamble]
+    named = {row[0]: row[1] for row in rows if len(row) > 2 and parse_header(row[1]).quantity}
+    return [named.get(cell, cell) for cell in cells]
 
 
 def _take_words(table: RawTable, lines: Iterator[tuple[int, str]] | Sequence[tuple[int, str]], path: Path) -> None:
@@ -236,7 +244,9 @@ def _aligned(
     if separator == " ":
         counts = np.array([len(line.split()) for _, line in rows])
     else:
-        counts = np.array([len(_split(line, separator)) if '"' in line else line.count(separator) + 1 for _, line in rows])
+        counts = np.array(
+            [len(_split(line, separator)) if '"' in line else line.count(separator) + 1 for _, line in rows]
+        )
     width = len(header)
     if counts.min() > width:
         ends = [_split(line, separator) for _, line in rows[:1000]]
@@ -266,7 +276,14 @@ def _distinct(header: Sequence[str], original: Sequence[str]) -> list[RawColumn]
         name = original[at - offset] if at >= offset else label
         repeats = sum(column.name.partition(" (")[0] == name for column in columns) if name else 0
         unit = label[len(name) :].strip(" []") if label.startswith(name) else ""
-        columns.append(RawColumn(f"{name} ({at + 1})" if repeats else name or f"column {at + 1}", (), label=name if unit else label, unit=unit))
+        columns.append(
+            RawColumn(
+                f"{name} ({at + 1})" if repeats else name or f"column {at + 1}",
+                (),
+                label=name if unit else label,
+                unit=unit,
+            )
+        )
     return columns
 
 
@@ -290,11 +307,17 @@ def _parse_cells(table: RawTable, rows: Sequence[str], columns: list[RawColumn],
     )
     texts = [[cell.strip() for cell in read[at].tolist()] for at in range(len(columns))]
     bare = [_common_unit(cells) for cells in texts]
-    measured = [cells for column, (_, cells) in zip(columns, bare, strict=True) if parse_header(column.label, column.unit).quantity != "time"]
+    measured = [
+        cells
+        for column, (_, cells) in zip(columns, bare, strict=True)
+        if parse_header(column.label, column.unit).quantity != "time"
+    ]
     table.decimal, table.ambiguous = (decimal, "") if decimal else decimal_sign(measured, separator)
     for column, (unit, cells) in zip(columns, bare, strict=True):
         numbers = to_numbers(cells, table.decimal, certain=bool(decimal))
-        table.columns.append(replace(column, cells=cells if np.isnan(numbers).any() else numbers, unit=column.unit or unit))
+        table.columns.append(
+            replace(column, cells=cells if np.isnan(numbers).any() else numbers, unit=column.unit or unit)
+        )
 
 
 def _common_unit(cells: Sequence[str]) -> tuple[str, Sequence[str]]:

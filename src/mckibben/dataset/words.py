@@ -53,11 +53,7 @@ def doubtful_words(words: Sequence[tuple[int | None, str]], units: Collection[st
     """
     for line, text in words:
         short = text[:_LONGEST]
-        if _CHANGES.search(short) and not _dated(short):
-            yield line, short
-        elif (said := _OF_UNIT.search(short)) and _contradicts(said[1], units):
-            yield line, short
-        elif any(_is_other_unit(short, match, units) for match in _UNIT.finditer(short)):
+        if (_CHANGES.search(short) and not _dated(short)) or ((said := _OF_UNIT.search(short)) and _contradicts(said[1], units)) or any(_is_other_unit(short, match, units) for match in _UNIT.finditer(short)):
             yield line, short
 
 
@@ -76,7 +72,16 @@ def _is_other_unit(text: str, match: re.Match[str], units: Collection[str]) -> b
     """Whether a word is a unit of pressure, force or length without a number before it, and of no column that is read."""
     word = match[1]
     quantity = dimension_of(word)
-    if quantity not in ("pressure", "force", "length", "contraction") or word in ("p", "P", "m", "g", "in", "at", "1", "-"):
+    if quantity not in ("pressure", "force", "length", "contraction") or word in (
+        "p",
+        "P",
+        "m",
+        "g",
+        "in",
+        "at",
+        "1",
+        "-",
+    ):
         return False
     if _NUMBER_BEFORE.search(text[: match.start()]) and not _QUANTITY.search(text):
         return False
