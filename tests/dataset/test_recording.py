@@ -10,7 +10,7 @@ from mckibben.dataset.points import saturated_samples
 from mckibben.errors import DatasetError, McKibbenWarning, RangeError
 from mckibben.units import bar, kPa, percent
 
-from .conftest import said_of
+from .conftest import problems_of as said_of
 
 RATE = 200.0  # Hz
 FRICTION = 6.0  # N

@@ -158,20 +158,24 @@ def _resolution(values: Floats) -> float:
 
 
 def _summaries(points: Points) -> Iterator[Question]:
-    """Rows that are the mean, median or deviation of rows before them, or of all others."""
+    """Rows that are the mean, median or deviation of the rows of their block, of all before them, or after the first."""
     rows = np.column_stack([points.pressure / bar, points.contraction / percent, points.force])
     count = len(rows)
     if not 4 <= count <= _MOST:
         return
-    step = np.array([max(_resolution(column), 1e-9) for column in rows.T])
-    tolerance = np.maximum(0.6 * step, 2e-4 * np.abs(rows).max(axis=0))
+    tolerance = 0.6 * np.array([max(_resolution(column), 1e-9) for column in rows.T])
+    jumps = np.abs(np.diff(rows[:, 1], prepend=rows[0, 1])) > 0.5 * np.ptp(rows[:, 1])
+    jumps |= np.abs(np.diff(rows[:, 0], prepend=rows[0, 0])) > 0.03 * rows[:, 0].max()
+    start, begun = 0, 0
     for row in range(count):
-        parts = [rows[start:row] for start in sorted({0, *range(max(0, row - 16), row - 2)}) if row > 2]
-        parts += [rows[row + 1 :]] * (row < 2) + [rows[: row - 1]] * (row > 4)
+        begun, start = (start, row) if jumps[row] else (begun, start)
+        if not points.taut[row]:
+            continue
+        parts = [rows[begin:row] for begin in {0, begun, start} if row - begin > 2] + [rows[row + 1 :]] * (row < 2)
+        parts += [rows[: row - 1]] * (row > 4)
         for part in parts:
-            close = [np.all(np.abs(statistic - rows[row]) <= tolerance) for statistic in _statistics(part)]
-            varied = np.count_nonzero(np.ptp(part, axis=0) > 3 * tolerance) > 1
-            if varied and any(close):
+            close = any(np.all(np.abs(statistic - rows[row]) <= tolerance) for statistic in _statistics(part))
+            if close and np.all(np.ptp(part[:, 1:], axis=0) > 0.1 * np.ptp(rows[:, 1:], axis=0)):
                 text = "equals the mean, median, range or deviation of other rows: a summary is not a measurement"
                 yield question("rows", text, line=int(points.lines[row]), remedy="leave it out of the file")
                 return
@@ -195,7 +199,7 @@ def _integers(points: Points) -> Iterator[Question]:
     """Single rows of integers among decimals: numbers of channels, full scales, zeros after a restart."""
     rows = np.column_stack([points.pressure / bar, points.contraction / percent, points.force])
     whole = np.all(np.abs(rows - np.round(rows)) < 1e-9, axis=1)
-    zeros = np.all(rows == 0, axis=1) & (np.arange(len(rows)) > 0)
+    zeros = np.all(rows == 0, axis=1) & (np.count_nonzero(rows[:, 0] < 0.02 * rows[:, 0].max()) < 3)
     if np.allclose(rows[0], (1, 2, 3)):
         yield question(
             "rows",
@@ -406,26 +410,22 @@ def _zeros(points: Points) -> Iterator[Question]:
                 "rows", text, line=int(points.lines[row]), field="force", remedy="leave rows without a measurement out"
             )
             return
-    rows = np.flatnonzero(points.taut)
-    if 0 < np.count_nonzero(points.measured == 0) <= max(3, 0.1 * len(force)):
-        for row in np.flatnonzero(points.measured == 0):
-            same = rows[np.abs(pressure[rows] - pressure[row]) < 0.03 * pressure.max()]
-            order = same[np.argsort(np.abs(contraction[same] - contraction[row]))][:2]
-            if len(order) == 2 and np.ptp(contraction[order]) > 0:
-                slope = np.diff(force[order])[0] / np.diff(contraction[order])[0]
-                line = force[order[0]] + slope * (contraction[row] - contraction[order[0]])
-                if line > 0.04 * force.max():
-                    text = (
-                        f"the force is 0 ({points.named(row)}), but the line through its neighbours is at {line:.3g} N"
-                    )
-                    yield question(
-                        "rows",
-                        text,
-                        line=int(points.lines[row]),
-                        field="force",
-                        remedy="leave rows without a measurement out",
-                    )
-                    return
+    at = np.flatnonzero(points.measured == 0)
+    least = max(0.01 * force.max(), 3 * _resolution(points.measured))
+    for step in (-1, 1):
+        rows = at[(at + 2 * step >= 0) & (at + 2 * step < len(force))]
+        near, far = rows + step, rows + 2 * step
+        with np.errstate(all="ignore"):
+            ratio = (contraction[rows] - contraction[near]) / (contraction[near] - contraction[far])
+            line = force[near] + (force[near] - force[far]) * ratio
+        level = np.abs(pressure[[near, far]] - pressure[rows]).max(axis=0) <= 0.05 * pressure[rows]
+        lost = rows[level & (ratio > 0) & (ratio <= 1.5) & (line > np.maximum(least, 0.1 * force[near]))]
+        clear = (0.03 if len(at) <= max(3, 0.02 * len(force)) else 0.1) * force.max()
+        lost = lost[force[lost + step] > clear]
+        if lost.size:
+            text = f"the force is 0 ({points.named(lost[0])}), but the line through its neighbours is clearly above"
+            yield question("rows", text, line=int(points.lines[lost[0]]), field="force", remedy="leave it out")
+            return
     for row in np.flatnonzero(contraction == 0)[:_MOST]:
         same = np.abs(pressure - pressure[row]) < 0.02 * pressure.max()
         stronger = same & (contraction > 0.3 * contraction.max()) & (force > force[row] + 0.01 * force.max())

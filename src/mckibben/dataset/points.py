@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset.checks import Points, questions_of_points
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.schema import OF_FILE
 from mckibben.errors import DatasetError, Problem, RangeError
@@ -168,7 +169,10 @@ def extracted_points(
 
 
 def checked(points: ExtractedPoints) -> ExtractedPoints:
-    """The points; raises a `DatasetError` if most forces are negative, and do not rise with the pressure."""
+    """The points, with notes of what no muscle does.
+
+    Raises a `DatasetError` if most forces are negative, and do not rise with the pressure.
+    """
     pressure, force = points.dataset.pressure, points.dataset.force
     limit = _SMALL * np.abs(force).max(initial=0.0)
     falls = (pressure - pressure.mean()) @ force <= 0  # otherwise it is a pull with an offset

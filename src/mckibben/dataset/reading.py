@@ -41,9 +41,7 @@ _RATE = (
 Kind = TypeVar("Kind", IsobaricDataset, Recording)
 
 
-def read_dataset(
-    path: FilePaths, recipe: Recipe | None = None, *, specimen: Specimen | None = None, **options: object
-) -> IsobaricDataset:
+def read_dataset(path: FilePaths, recipe: Recipe | None = None, **options: object) -> IsobaricDataset:
     """Read the points of isobaric tests from a file, or from several files of one test.
 
     Formats are recognised by their first bytes: text (comma, semicolon, tab, ``|`` or blanks between cells), Excel,
@@ -61,8 +59,6 @@ def read_dataset(
         File, or a list of files in the order of the test. No stroke extends across two, and repeats are numbered on.
     recipe
         Options of reading; or give them by name, see `Recipe`: ``columns``, ``initial_length``, ``ambient`` ...
-    specimen
-        Muscle of the test, with whose diameter the forces are compared.
 
     Raises
     ------
@@ -81,13 +77,15 @@ def read_dataset(
     recipe = (recipe or Recipe()).with_options(options)
     parts = [_read_points(file, recipe) for file in _paths(path)]
     dataset, source = _joined([part for part, _ in parts], path)
-    if all(own for _, own in parts):
+    own = all(written for _, written in parts)
+    if own and len(parts) == 1:
         return dataset
     known = recipe.slack_force is not None or bool(dataset.table.attrs["slack_force"])
     files = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts])
     measured = dataset.force
     dataset = replace(dataset, table=preprocess(dataset.table, slack_known=known, files=files))
-    check_points(dataset, source, recipe.accept, specimen, measured)
+    if not own:
+        check_points(dataset, source, recipe.accept, measured=measured)
     return dataset
 
 
@@ -170,7 +168,7 @@ def _attributes(table: Table) -> dict[str, str | float | None]:
     }
 
 
-def _kept(table: Table) -> dict[str, str]:
+def _attributes_of_reading(table: Table) -> dict[str, str]:
     """Attributes that say how a file was read."""
     texts = {
         "columns_read": str(table),
@@ -180,14 +178,18 @@ def _kept(table: Table) -> dict[str, str]:
     return {name: text for name, text in texts.items() if text}
 
 
-def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray]) -> Kind:
+def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, own: bool = False) -> Kind:
     """Dataset or recording of the columns of a file; errors name it."""
     try:
         made = kind.of(**values, **_attributes(table))  # type: ignore[arg-type]
     except DatasetError as error:
         raise DatasetError(str(table.path), error.problems) from None
     units = {name: column.unit for name, column in table.columns.items()}
-    return replace(kind(made.table.assign_attrs(_kept(table))), lines=(FileLines(table.place, table.lines, units),))
+    attrs = _attributes_of_reading(table)
+    if own:
+        attrs = {name: text for name, text in attrs.items() if name == "repairs"}
+        attrs |= {"preprocessing": table.preprocessing} if table.preprocessing != "none" else {}
+    return replace(kind(made.table.assign_attrs(attrs)), lines=(FileLines(table.place, table.lines, units),))
 
 
 def _read_points(path: Path, recipe: Recipe) -> tuple[IsobaricDataset, bool]:
@@ -197,7 +199,7 @@ def _read_points(path: Path, recipe: Recipe) -> tuple[IsobaricDataset, bool]:
     table, own = _understood(path, recipe, _POINTS)
     table.ask(recipe.accept)
     names = [name for name in CSV_COLUMNS if name in table.columns]
-    return _made(IsobaricDataset, table, {name: table.columns[name].values for name in names}), own
+    return _made(IsobaricDataset, table, {name: table.columns[name].values for name in names}, own=own), own
 
 
 def _read_samples(path: Path, recipe: Recipe) -> Recording:

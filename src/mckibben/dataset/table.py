@@ -140,6 +140,7 @@ class Table:
     place: str = "line"
     questions: list[Question] = field(default_factory=list)
     repairs: list[str] = field(default_factory=list)
+    preprocessing: str = ""
     specimen: str = ""
     source: str = ""
     initial_length: float | None = None
@@ -268,6 +269,8 @@ class _Reader:
         table.initial_length, table.slack_force = numbers["initial_length"], numbers["slack_force"]
         from mckibben.dataset.schema import unquote
 
+        table.preprocessing = unquote(said.get("preprocessing", "none"))
+        table.repairs += unquote(said.get("repairs", "")).splitlines()
         table.specimen = recipe.specimen or unquote(said.get("specimen", ""))
         table.source = unquote(said["source"]) if "source" in said else table.path.name
 

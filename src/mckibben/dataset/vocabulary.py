@@ -41,7 +41,7 @@ _NAMES: Mapping[str, str] = {
     "commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll, sollwert druck, druck sollwert",
     "time": "t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp, test time, zeit, messzeit, millis, micros, tout, "
     "x value, date time, datetime, date and time, date, datum, uhrzeit, zeitstempel, system time, abs time, rel time, "
-    "sample time, record time, datum uhrzeit, date/time, datum/uhrzeit",
+    "sample time, record time, datum uhrzeit, date&time, date/time, datum/uhrzeit",
     "direction": "direction, richtung",
     "phase": "phase",
     "repeat": "repeat, wiederholung",

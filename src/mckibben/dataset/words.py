@@ -15,7 +15,7 @@ _CHANGES = re.compile(
     | absolut | abs\b | atmosph | barom | vacuum | relative\ to | referred | instead | actually | swapped | exchanged | vertauscht
     | invert | revers | negative | wrong | falsch | fault | defekt | invalid | ung[üu]ltig | broken | slipp | replaced | changed | switched | gewechselt
     | in\ parallel | both\ muscles | (?:two|three|four|zwei|[2-9])\ (?:muscles|muskeln|actuators) | (?:two|zwei)\b | half\b | halb | twice | doppelt
-    | fitting | stretch | nominal | preload | vorlast | not\ (?:tared|zeroed|calibrated) | untared | uncalib | estimat | satur | overload | filter
+    | fitting | stretch | nominal | preload | vorlast | not\ (?:tared|zeroed|calibrated) | untared | uncalib | estimat | satur | overload
     | ignore | exclude | discard | mv/v | v/n | n/v | true\b | real\b | unsure | check\b | todo | summe?\b | muscle\ (?:[b-h]|[2-9])\b | delay | lag\b | shift
     )|(?:^|[\s=])[x×*]\ ?\d|\d\s[x×*]\s|\b(?:mean|average|mittel)\b""",
     re.IGNORECASE | re.VERBOSE,

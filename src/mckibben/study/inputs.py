@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> IsobaricDataset:
     """A dataset of the catalog, or files of measurements, read by the recipe."""
     from mckibben.dataset import Recipe, read_dataset
+    from mckibben.dataset.reading import check_points
 
     recipe = recipe or Recipe()
     names = [names] if isinstance(names, str) else names
@@ -48,7 +49,10 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
             message = f"there is no file {name!r}, and no dataset of that name"
             remedy = f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}"
             raise NotInCatalogError(message, value=name, remedy=remedy)
-    return read_dataset(names, recipe)
+    dataset = read_dataset(names, recipe)
+    if (kind := dataset.table.attrs["specimen"]) in catalog.names("specimens"):
+        check_points(dataset, name, recipe.accept, catalog.specimen(kind))
+    return dataset
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:
