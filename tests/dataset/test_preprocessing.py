@@ -293,40 +293,12 @@ def test_points_without_levels_have_blocks_all_the_same(written):
 
 
 
-def quadratic(slack_from=0.28, threshold=0.0):
-    """Pressure [bar], contraction and force [N] of a muscle that is slack from a contraction or below a pressure."""
-    pressure, contraction = (
-        grid.ravel() for grid in np.meshgrid([1.5, 3, 5, 6], np.linspace(0, 0.18, 7), indexing="ij")
-    )
-    length = np.maximum(1 - contraction / slack_from, 0)
-    return pressure, contraction, (150 * np.maximum(pressure - threshold, 0) * length**2).round(1)
 
 
-@pytest.mark.parametrize("order", [np.arange(28), np.arange(28)[::-1], np.arange(28).reshape(4, 7).T.ravel()])
-def test_a_lost_force_is_told_at_every_point(order):
-    """Row by row of the tests at constant pressure, backward, and of tests at constant length."""
-    pressure, contraction, force = quadratic()
-    assert not zeros_told(pressure[order], contraction[order], force[order])
-    for row in range(len(force)):
-        lost = np.where(np.arange(len(force)) == row, 0.0, force)
-        assert len(zeros_told(pressure[order], contraction[order], lost[order])) == 1, row
 
 
-@pytest.mark.parametrize("threshold", [0, 0.5, 1.5])
-@pytest.mark.parametrize("slack_from", [0.05, 0.1, 0.15, 0.17, 0.178])
-def test_zeros_of_a_slack_muscle_are_not_told(slack_from, threshold):
-    pressure, contraction, force = quadratic(slack_from, threshold)
-    rng = np.random.default_rng(0)
-    noisy = np.where(force > 0, np.maximum(force + rng.normal(0, 0.002 * force.max(), len(force)), 0), 0)
-    assert (force == 0).any()
-    for one in (force, force.round(-1), noisy):
-        assert not zeros_told(pressure, contraction, one)
 
 
-@pytest.mark.parametrize("name", catalog.names("datasets"))
-def test_zeros_of_measured_muscles_are_not_told(name):
-    data = catalog.dataset(name)
-    assert not zeros_told(data.pressure / bar, data.contraction, data.force)
 
 
 @pytest.mark.parametrize("rows", ["1,02;350,5;245,0\n2,01;400;240\n", "1.02\t350.5\t245.0\n2.01\t400\t240\n"])

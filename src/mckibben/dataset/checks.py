@@ -455,7 +455,7 @@ def _held(points: Points) -> Iterator[Question]:
 def _counted(points: Points) -> Iterator[Question]:
     """Columns that a spreadsheet counted up, and pressures that stand still while forces differ."""
     steps, moves = np.diff(points.pressure), np.diff(points.contraction)
-    reversals = np.count_nonzero(np.diff(np.sign(moves[np.abs(moves) > 0.1 * np.abs(moves).max(initial=0)])))
+    reversals = np.count_nonzero(np.diff(np.sign(moves[np.abs(moves) > 0.1 * np.median(np.abs(moves))])))
     if steps.any() and len(steps) > 3 and np.allclose(steps, steps[0], rtol=1e-6, atol=0) and reversals > 1:
         text = f"each row has {steps[0] / bar:.3g} bar more than the one before, although the muscle reversed: was it counted up?"
         yield question("rows", text, field="pressure", remedy="check the column")

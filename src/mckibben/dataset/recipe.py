@@ -90,7 +90,7 @@ class Recipe(DocumentModel):
     decimal: Annotated[str, OneOf((".", ","))] | None = None
     specimen: str | None = None
     from_name: Annotated[str, AfterValidator(_check_pattern)] | None = None
-    accept: list[Annotated[str, OneOf(tuple(TOPICS))]] = []
+    accept: tuple[Annotated[str, OneOf(tuple(TOPICS))], ...] = ()
 
     @classmethod
     def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
@@ -107,4 +107,4 @@ class Recipe(DocumentModel):
         return f"<Recipe: {', '.join(self.dumps().splitlines())}>"
 
     def _written(self, folder: Any) -> dict[str, Any]:
-        return {key: value for key, value in super()._written(folder).items() if value not in (None, [])}
+        return {key: value for key, value in super()._written(folder).items() if value not in (None, [], ())}

@@ -193,7 +193,7 @@ def _named(name: str) -> str:
 
 
 def _plain(text: str) -> str:
-    return " ".join(re.sub(r"[_\-<>|]+", " ", text.strip(" \"'")).lower().split())
+    return " ".join(re.sub(r"[_\-<>|.]+", " ", text.strip(" \"'")).lower().split())
 
 
 def is_harmless(text: str) -> bool:
