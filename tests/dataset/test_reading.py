@@ -97,7 +97,7 @@ def test_decimals_that_may_be_thousands(put, decimal, factor):
     forces = [f"{1 + f / 1e3:.3f}" for f in F]
     path = put(table(HEADER, np.round(P), np.round(C), forces).replace("[N]", "[kN]" if factor == 1 else "[N]"))
     assert any("may be a decimal or a thousand" in problem for problem in problems_of(path))
-    data = read_dataset(path, decimal=decimal, accept=TOPICS)
+    data = read_dataset(path, decimal=decimal, accept=list(TOPICS))
     np.testing.assert_allclose(data.force, 1e3 + F, atol=0.51)
 
 

@@ -142,11 +142,12 @@ _OF_READING: Mapping[str, object] = {  # names as in a recipe, which has them al
         str, Option("--decimal", metavar=".|,", help="Decimal sign of a text, if the file does not determine it.")
     ],
     "sample_rate": Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")],
+    "contraction": Annotated[str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")],
     "accept": Annotated[
         list[str] | None, Option(metavar="TOPIC", help="Answer the questions of a topic with yes; repeatable.")
     ],
 }
-_UNITS = {"initial_length": "m", "ambient": "Pa", "sample_rate": "Hz"}
+_UNITS = {"initial_length": "m", "ambient": "Pa", "sample_rate": "Hz", "contraction": "1"}
 _UNSET = {"column": None, "read": None, "accept": None}
 
 

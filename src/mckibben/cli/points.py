@@ -54,9 +54,6 @@ def points(
     strokes: Annotated[
         bool, Option("--strokes", help="Points along strokes at constant pressures, also fast ones.")
     ] = False,
-    contraction: Annotated[
-        str, Option(metavar="RATIO", help="Contraction of a test at a fixed length, such as '10 %'.")
-    ] = "",
     levels: Annotated[
         str, Option(metavar="'1, 2, 3 bar'", help="Levels of --isometric (default: evenly spaced).")
     ] = "",
@@ -90,9 +87,7 @@ def points(
             check_new(file, *endings)
     pressures = _levels(levels)
     recipe = reading.recipe
-    held = parse_optional_quantity("--contraction", contraction, "1")
-    held = recipe.contraction if held is None else held
-    recipe = recipe.with_options({"contraction": held} if held is not None else {})
+    held = recipe.contraction if isometric else None
     limits = {
         "gap": parse_optional_quantity("--gap", gap, "s"),
         "contraction_tolerance": parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1"),

@@ -197,6 +197,8 @@ def _read_points(path: Path, recipe: Recipe) -> tuple[IsobaricDataset, bool]:
     if holds_own_table(path):
         return _own(IsobaricDataset, path, recipe), True
     table, own = _understood(path, recipe, _POINTS)
+    if own:
+        table.questions = [asked for asked in table.questions if asked.topic in ("", "corrupt")]
     table.ask(recipe.accept)
     names = [name for name in CSV_COLUMNS if name in table.columns]
     return _made(IsobaricDataset, table, {name: table.columns[name].values for name in names}, own=own), own

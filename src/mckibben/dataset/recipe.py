@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BeforeValidator
 
 from mckibben.config.fields import OneOf
 from mckibben.config.model import DocumentModel, fail_validation
@@ -25,6 +25,10 @@ def _check_pattern(pattern: str) -> str:
     if problem := pattern_problem(pattern):
         fail_validation(problem, "write a pattern such as 'L{length_mm}mm' for Muscle_L190mm.csv")
     return pattern
+
+
+def _as_tuple(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
 
 
 class Recipe(DocumentModel):
@@ -90,7 +94,7 @@ class Recipe(DocumentModel):
     decimal: Annotated[str, OneOf((".", ","))] | None = None
     specimen: str | None = None
     from_name: Annotated[str, AfterValidator(_check_pattern)] | None = None
-    accept: tuple[Annotated[str, OneOf(tuple(TOPICS))], ...] = ()
+    accept: Annotated[tuple[Annotated[str, OneOf(tuple(TOPICS))], ...], BeforeValidator(_as_tuple)] = ()
 
     @classmethod
     def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:

@@ -222,11 +222,11 @@ class _Reader:
         if raw.ambiguous and not self.recipe.decimal:
             text = f"{raw.ambiguous!r} may be a decimal or a thousand" if raw.ambiguous[0].isdigit() else raw.ambiguous
             self.ask(text, remedy="give the decimal sign: decimal=',' or decimal='.' (command line: --decimal)")
+        for column, header, sign, source in chosen:
+            self._convert(column, header, sign, source)
         for problem in raw.corrupt:
             self.asked.append(question("corrupt", problem.message, line=problem.line))
             table.repairs.append(str(problem))
-        for column, header, sign, source in chosen:
-            self._convert(column, header, sign, source)
         self._lengths()
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
             names = ", ".join(column.name for column in raw.columns[:20])
