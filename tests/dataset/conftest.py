@@ -16,10 +16,15 @@ F = (643.0 * P * (1 - C / 28) ** 2).round(1)
 """Points of a muscle: pressure [bar], contraction [%], force [N]."""
 
 
-def table(header: str = "Pressure [bar];Contraction [%];Force [N]", *columns: np.ndarray, sep: str = ";", decimal: str = ".") -> str:
+def table(
+    header: str = "Pressure [bar];Contraction [%];Force [N]", *columns: np.ndarray, sep: str = ";", decimal: str = "."
+) -> str:
     """A header and rows, by default of the points."""
     rows = zip(*(np.asarray(column).tolist() for column in columns or (P, C, F)), strict=True)
-    cells = [[f"{cell:.10g}".replace(".", decimal) if isinstance(cell, float | int) else cell for cell in row] for row in rows]
+    cells = [
+        [f"{cell:.10g}".replace(".", decimal) if isinstance(cell, float | int) else cell for cell in row]
+        for row in rows
+    ]
     return "\n".join([header, *map(sep.join, cells)]) + "\n"
 
 
@@ -41,7 +46,9 @@ def are_the_points(dataset: IsobaricDataset) -> None:
     np.testing.assert_allclose(dataset.force, F, rtol=1e-6)
 
 
-def problems_of(path: Path, read: Callable[..., IsobaricDataset | Recording] = read_dataset, **options: object) -> list[str]:
+def problems_of(
+    path: Path, read: Callable[..., IsobaricDataset | Recording] = read_dataset, **options: object
+) -> list[str]:
     """The problems of a file, each with its remedy."""
     with pytest.raises(DatasetError) as caught:
         read(path, **options)

@@ -55,18 +55,22 @@ def test_an_isotonic_test_raises_no_question(seed):
 def row(at: int, pressure: float, contraction: float, force: float) -> Callable[[Arrays], Arrays]:
     """A row put among the points, in bar, percent and newtons."""
     return lambda arrays: tuple(  # type: ignore[return-value]
-        np.insert(values, at, value) for values, value in zip(arrays, (pressure * 1e5, contraction / 100, force), strict=True)
+        np.insert(values, at, value)
+        for values, value in zip(arrays, (pressure * 1e5, contraction / 100, force), strict=True)
     )
 
 
 def changed(**factors: Callable[[np.ndarray], np.ndarray]) -> Callable[[Arrays], Arrays]:
     """Columns that a function changes."""
     names = ("pressure", "contraction", "force")
-    return lambda arrays: tuple(factors.get(name, np.asarray)(values) for name, values in zip(names, arrays, strict=True))  # type: ignore[return-value]
+    return lambda arrays: tuple(
+        factors.get(name, np.asarray)(values) for name, values in zip(names, arrays, strict=True)
+    )  # type: ignore[return-value]
 
 
 def summary(statistic: Callable[..., np.ndarray], count: int = 60) -> Callable[[Arrays], Arrays]:
     """Means, say, of the first rows below them."""
+
     def added(arrays: Arrays) -> Arrays:
         rows = np.column_stack([arrays[0][:count] / 1e5, 100 * arrays[1][:count], arrays[2][:count]])
         pressure, contraction, force = statistic(rows, axis=0)
@@ -98,7 +102,10 @@ MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
     "full scales": (row(0, 10, 30, 5000), "rows"),
     "zeros after a restart": (row(20, 0, 0, 0), "rows"),
     "a force of a lost sample": (changed(force=lambda f: np.where(np.arange(len(f)) == 31, 0.0, f)), "rows"),
-    "a force that stands still": (changed(force=lambda f: np.where((np.arange(len(f)) > 31) & (np.arange(len(f)) < 37), f[31], f)), "rows"),
+    "a force that stands still": (
+        changed(force=lambda f: np.where((np.arange(len(f)) > 31) & (np.arange(len(f)) < 37), f[31], f)),
+        "rows",
+    ),
     "a digit lost": (changed(force=lambda f: np.where(np.arange(len(f)) == 47, f - 300, f)), "order"),
     "rows of two muscles": (changed(force=lambda f: f * np.where(np.arange(len(f)) % 2, 0.5, 1.0)), "order"),
     "sorted forces": (changed(force=np.sort), "order"),
@@ -111,4 +118,6 @@ MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
 @pytest.mark.parametrize("seed", range(2))
 def test_a_mistake_raises_a_question_of_its_topic(mistake, seed):
     change, topic = MISTAKES[mistake]
-    assert topic in topics(*change(muscle(seed=seed))) or (topic == "sign" and topics(*change(muscle(seed=seed))) == {""})
+    assert topic in topics(*change(muscle(seed=seed))) or (
+        topic == "sign" and topics(*change(muscle(seed=seed))) == {""}
+    )

@@ -218,8 +218,6 @@ def test_published_data_are_not_changed():
         assert data.table.attrs["slack_force"] == 0
 
 
-
-
 def test_levels_and_their_nominal_pressures():
     rng = np.random.default_rng(1)
     bars = np.repeat([0.5, 1.0, 1.5, 3.0], [5, 9, 7, 12])
@@ -241,8 +239,6 @@ def test_scatter_about_one_pressure_is_one_level_and_determines_nothing_of_the_p
     with pytest.raises(IdentificationError) as caught:
         identify(ExponentialLaw, data)
     assert caught.value.value > caught.value.upper
-
-
 
 
 def test_passes_need_reversals():
@@ -283,24 +279,6 @@ def test_points_without_levels_have_blocks_all_the_same(written):
     assert len(identify(ExponentialLaw, data).leave_one_pressure_out.by_pressure) == 8
 
 
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
-
 @pytest.mark.parametrize("rows", ["1,02;350,5;245,0\n2,01;400;240\n", "1.02\t350.5\t245.0\n2.01\t400\t240\n"])
 def test_columns_without_a_header_go_by_position(tmp_path, rows):
     path = tmp_path / "bare.txt"
@@ -332,8 +310,6 @@ def test_an_empty_dataset_stays_empty():
 )
 def test_the_mode_is_in_the_densest_half(values, mode):
     assert half_sample_mode(np.array(values)) == pytest.approx(mode)
-
-
 
 
 def runs_row_by_row(values):

@@ -34,19 +34,53 @@ def test_headers_in_english_and_german(header, quantity, unit):
 
 @pytest.mark.parametrize(
     "header",
-    ["T [K]", "f [Hz]", "Strain (%)", "Dehnung [%]", "Relative length", "Force max [N]", "Supply pressure [bar]", "Kanal 1", "Force offset [N]", "pressure [mpa]"],
+    [
+        "T [K]",
+        "f [Hz]",
+        "Strain (%)",
+        "Dehnung [%]",
+        "Relative length",
+        "Force max [N]",
+        "Supply pressure [bar]",
+        "Kanal 1",
+        "Force offset [N]",
+        "pressure [mpa]",
+    ],
 )
 def test_headers_that_are_not_plain_are_not_read(header):
     parsed = parse_header(header)
     assert not (parsed.quantity in ("pressure", "force", "contraction") and parsed.unit)
 
 
-@pytest.mark.parametrize("text", ["Tare force 15 N", "All pressures are absolute", "Force gain | 2 | N/V", "force unit: kgf", "Kraft in daN", "F_true = 9.81 x F", "lengths include 60 mm of fittings", "two muscles in parallel"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Tare force 15 N",
+        "All pressures are absolute",
+        "Force gain | 2 | N/V",
+        "force unit: kgf",
+        "Kraft in daN",
+        "F_true = 9.81 x F",
+        "lengths include 60 mm of fittings",
+        "two muscles in parallel",
+    ],
+)
 def test_words_that_change_numbers_are_doubtful(text):
     assert list(doubtful_words([(3, text)], ["bar", "N", "percent"])) == [(3, text)]
 
 
-@pytest.mark.parametrize("text", ["Rig 3", "Operator: A. B.", "Sensor: U9C, 1 kN", "units: bar, %, N", "Date 12.03.2024", "Versuch 7", "Range 10 bar"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Rig 3",
+        "Operator: A. B.",
+        "Sensor: U9C, 1 kN",
+        "units: bar, %, N",
+        "Date 12.03.2024",
+        "Versuch 7",
+        "Range 10 bar",
+    ],
+)
 def test_plain_words_are_not_doubtful(text):
     assert not list(doubtful_words([(1, text)], ["bar", "N", "percent"]))
 
@@ -81,7 +115,11 @@ QUESTIONS: dict[str, tuple[str, str, dict[str, object]]] = {  # text, words of t
 def test_what_is_not_plain_is_a_question_with_its_answer(case, put):
     text, said, answer = QUESTIONS[case]
     path = put(text)
-    asked = {name: value for name, value in answer.items() if name != "columns" and case == "unit of the recipe" and name != "accept"}
+    asked = {
+        name: value
+        for name, value in answer.items()
+        if name != "columns" and case == "unit of the recipe" and name != "accept"
+    }
     if case == "unit of the recipe":
         asked = {"columns": answer["columns"]}
     problems = problems_of(path, **asked)
@@ -103,12 +141,22 @@ def test_decimals_that_may_be_thousands(put, decimal, factor):
 
 def test_every_mistake_is_listed_with_its_line(put):
     text = table(HEADER).replace("3.01;5;", "a;5;").replace("4.02;0;", "4.02;0;b;").replace("2;2.5;", "c;2.5;")
-    assert [problem.partition(":")[0] for problem in problems_of(put(text))] == ["line 3, Pressure [bar]", "line 10, Pressure [bar]", "line 14", "line 15, Pressure [bar]"]
+    assert [problem.partition(":")[0] for problem in problems_of(put(text))] == [
+        "line 3, Pressure [bar]",
+        "line 10, Pressure [bar]",
+        "line 14",
+        "line 15, Pressure [bar]",
+    ]
 
 
 def test_a_table_shows_where_each_column_is_from(put):
     text = table("Druck;p abs [kPa];Contraction;Kraft [N];Raumtemperatur [°C]", P, 100 * P, C, F, 21 + 0 * P)
-    columns = {"Druck": "pressure_bar", "p abs [kPa]": "ignore", "Contraction": "contraction_percent", "Kraft [N]": "-force_N"}
+    columns = {
+        "Druck": "pressure_bar",
+        "p abs [kPa]": "ignore",
+        "Contraction": "contraction_percent",
+        "Kraft [N]": "-force_N",
+    }
     understood = read_columns(put(text), columns=columns)
     lines = str(understood).splitlines()
     assert [line.split() for line in lines[:3]] == [
@@ -158,7 +206,10 @@ def test_options_of_a_file_are_a_recipe(put, tmp_path):
 
 
 def test_a_number_in_the_name_of_a_file(put, tmp_path):
-    paths = [put(table("Contraction [%];Force [N]", C[:6], F[P == level]), f"p{level:g}bar.csv") for level in (2.0, 3.01, 4.02)]
+    paths = [
+        put(table("Contraction [%];Force [N]", C[:6], F[P == level]), f"p{level:g}bar.csv")
+        for level in (2.0, 3.01, 4.02)
+    ]
     are_the_points(read_dataset(paths, from_name="p{pressure_bar}bar"))
     assert "does not match" in problems_of(paths[0], from_name="x{pressure_bar}")[0]
 
@@ -185,13 +236,13 @@ def problems_of_several(paths: list[Path]) -> list[str]:
 
 
 def test_what_this_program_wrote_is_read_as_it_is(tmp_path):
-    data = IsobaricDataset.of(pressure=P * 1e5, contraction=C / 100, force=F, specimen="of, \"us\"", initial_length=0.2)
+    data = IsobaricDataset.of(pressure=P * 1e5, contraction=C / 100, force=F, specimen='of, "us"', initial_length=0.2)
     data.to_csv(tmp_path / "own.csv")
     data.to_netcdf(tmp_path / "own.nc")
     for name in ("own.csv", "own.nc"):
         read = read_dataset(tmp_path / name)
         np.testing.assert_array_equal(read.force, data.force)
-        assert read.table.attrs["specimen"] == "of, \"us\"" and read.table.attrs["initial_length"] == 0.2
+        assert read.table.attrs["specimen"] == 'of, "us"' and read.table.attrs["initial_length"] == 0.2
     assert read_dataset(tmp_path / "own.nc", slack_force=3.0).table.attrs["slack_force"] == 3.0
     assert len(read_dataset(tmp_path / "own.nc", largest_force=1000.0)) < len(data)
 
@@ -210,7 +261,12 @@ def test_the_time_of_a_recording(put):
 
 @pytest.mark.parametrize(
     ("first", "last", "seconds"),
-    [("23:59:59.5", "00:00:00.5", 1.0), ("31.01.2024 23:59:59", "01.02.2024 00:00:01", 2.0), ("1/31/2024 11:59:59 PM", "2/1/2024 12:00:01 AM", 2.0), ("2024-02-28T23:59:59", "2024-02-29T00:00:00", 1.0)],
+    [
+        ("23:59:59.5", "00:00:00.5", 1.0),
+        ("31.01.2024 23:59:59", "01.02.2024 00:00:01", 2.0),
+        ("1/31/2024 11:59:59 PM", "2/1/2024 12:00:01 AM", 2.0),
+        ("2024-02-28T23:59:59", "2024-02-29T00:00:00", 1.0),
+    ],
 )
 def test_a_clock_that_passes_midnight(put, first, last, seconds):
     path = put(table("time;Pressure [bar];Force [N]", [first] * 3 + [last] * 3, P[:6], F[:6]))
@@ -218,5 +274,7 @@ def test_a_clock_that_passes_midnight(put, first, last, seconds):
 
 
 def test_days_and_months_that_may_be_exchanged_are_no_clock(put):
-    path = put(table("time;Pressure [bar];Force [N]", ["01/02/2024 23:59:59"] * 3 + ["02/02/2024 00:00:01"] * 3, P[:6], F[:6]))
+    path = put(
+        table("time;Pressure [bar];Force [N]", ["01/02/2024 23:59:59"] * 3 + ["02/02/2024 00:00:01"] * 3, P[:6], F[:6])
+    )
     assert any("not understood as a clock" in problem for problem in problems_of(path, read_recording))

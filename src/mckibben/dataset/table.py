@@ -349,7 +349,12 @@ class _Reader:
         elif numeric and re.fullmatch(r"column \d+", column.name):
             if np.array_equal(np.diff(column.cells), np.ones(len(column.cells) - 1)):
                 return
-        elif named_otherwise or is_harmless(label) or not texts - {""} | ({"x"} if numeric else set()) or (not numeric and len(texts) == 1 and not any(map(str.isdigit, texts))):
+        elif (
+            named_otherwise
+            or is_harmless(label)
+            or not texts - {""} | ({"x"} if numeric else set())
+            or (not numeric and len(texts) == 1 and not any(map(str.isdigit, texts)))
+        ):
             return
         remedy = _NEEDLESS.format(column.name)
         meant = {

@@ -53,7 +53,11 @@ def doubtful_words(words: Sequence[tuple[int | None, str]], units: Collection[st
     """
     for line, text in words:
         short = text[:_LONGEST]
-        if (_CHANGES.search(short) and not _dated(short)) or ((said := _OF_UNIT.search(short)) and _contradicts(said[1], units)) or any(_is_other_unit(short, match, units) for match in _UNIT.finditer(short)):
+        if (
+            (_CHANGES.search(short) and not _dated(short))
+            or ((said := _OF_UNIT.search(short)) and _contradicts(said[1], units))
+            or any(_is_other_unit(short, match, units) for match in _UNIT.finditer(short))
+        ):
             yield line, short
 
 
