@@ -405,7 +405,7 @@ def _reach(points: Points) -> Iterator[Question]:
         rows = max(wide, key=lambda level: float(points.force[level].mean()))
         slope, start = np.polyfit(points.contraction[rows], points.force[rows], 1)
         if slope < 0 and -slope * np.ptp(points.contraction[rows]) > 0.15 * start and -start / slope > 0.45:
-            text = f"the force would end at a contraction of {-start / slope / percent:.2g} %: check unit and initial length"
+            text = f"the force would end at a contraction of {-start / slope / percent:.2g} %: a wrong unit or length?"
             yield points.ask("zero", text, field="contraction")
 
 
@@ -419,11 +419,8 @@ def _offsets(points: Points) -> Iterator[Question]:
     used = (force > max(0.15 * force.max(), points.slack_force)) & (contraction <= contraction.min() + 0.6 * stroke)
     p, eps = pressure[used] / bar, (contraction[used] - contraction.min()) / (stroke or 1.0)
     design = np.column_stack([p, np.ones(len(p)), eps, p * eps, p * eps**2])[:, : 5 if stroke else 2]
-    if (
-        contraction.min() > 0.5 * percent
-        or len(p) <= design.shape[1] + 1
-        or len(np.unique(np.round(20 * p / p.max()))) < 3
-    ):
+    few = len(p) <= design.shape[1] + 1 or len(np.unique(np.round(20 * p / p.max()))) < 3
+    if contraction.min() > 0.5 * percent or few:
         return
     solution = np.linalg.lstsq(design, force[used], rcond=None)[0]
     residual = force[used] - design @ solution

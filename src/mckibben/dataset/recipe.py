@@ -1,4 +1,4 @@
-"""Recipe for reading files: every option of a reader in one place, for Python, the command line, the page and the next file."""
+"""Recipe for reading files: every option of a reader, for Python, the command line and the page."""
 
 from __future__ import annotations
 

@@ -49,8 +49,8 @@ _NEEDLESS = "if it is not needed: columns={{{0!r}: 'ignore'}} (command line: --c
 _AMBIENT = "give the ambient pressure: ambient=101300.0 (command line: --ambient '101.3 kPa')"
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _SIGN_REMEDY = (
-    "name the direction in which it grows: columns={{{0!r}: 'shortening_{1}'}} (command line: --column '{0}=shortening_{1}', "
-    "or lengthening_{1}); and in a recipe zero_length, the length at 0, if it is not the initial length"
+    "name the direction in which it grows, shortening or lengthening: columns={{{0!r}: 'shortening_{1}'}} "
+    "(command line: --column '{0}=shortening_{1}'); and in a recipe zero_length, the length at 0, if it is not the initial length"
 )
 _WORDS: Mapping[str, Mapping[str, str]] = {
     "direction": {
@@ -68,6 +68,8 @@ _MARKS = np.array([9999.0, 99999.0, 999999.0, 999.9, 999.99, 999.0, 9999.9, 3276
 _ENDS = (127.0, 255.0, 511.0, 1023.0, 2047.0, 4095.0, 8191.0, 16383.0)
 _ROUNDING = 0.5e-3, 0.002  # m and relative: precision of lengths
 _LONGEST = 20.0  # m
+_UNNAMED = re.compile(r"column \d+")
+_MEASURED = re.compile("force|kraft|press|druck|length|länge|contract|kontrak", re.IGNORECASE)
 _ELECTRICAL = frozenset(("v", "mv", "a", "ma", "mv/v", "counts", "digits", "raw", "lsb", "adc"))
 _MOTIONS = ("length", "shortening", "lengthening", "displacement")
 
@@ -202,6 +204,15 @@ def understand(path: Path, raw: RawTable, recipe: Recipe, needed: Sequence[str])
     return _Reader(path, raw, recipe).read(needed)
 
 
+class _Entry(NamedTuple):
+    """Column of a file, what its header means, its sign, and where this is from."""
+
+    column: RawColumn
+    header: Header
+    sign: int
+    source: str
+
+
 class _Reader:
     """Steps of `understand`."""
 
@@ -222,8 +233,8 @@ class _Reader:
         if raw.ambiguous and not self.recipe.decimal:
             text = f"{raw.ambiguous!r} may be a decimal or a thousand" if raw.ambiguous[0].isdigit() else raw.ambiguous
             self.ask(text, remedy="give the decimal sign: decimal=',' or decimal='.' (command line: --decimal)")
-        for column, header, sign, source in chosen:
-            self._convert(column, header, sign, source)
+        for entry in chosen:
+            self._convert(entry)
         for problem in raw.corrupt:
             self.asked.append(question("corrupt", problem.message, line=problem.line))
             table.repairs.append(str(problem))
@@ -274,7 +285,7 @@ class _Reader:
         table.specimen = recipe.specimen or unquote(said.get("specimen", ""))
         table.source = unquote(said["source"]) if "source" in said else table.path.name
 
-    def _headers(self) -> list[tuple[RawColumn, Header, int, str]]:
+    def _headers(self) -> list[_Entry]:
         """Columns that are understood, with sign and origin; questions about the others."""
         understood = []
         self._units_beside()
@@ -284,32 +295,27 @@ class _Reader:
             if name.lower() in ("ignore", "ignored"):
                 self.table.ignored.append(column.name)
                 continue
-            sign = -1 if name.startswith("-") else 1
             header = parse_header(name.lstrip("-")) if name else parse_header(label, column.unit)
-            if re.fullmatch(r"column \d+", column.name) and not isinstance(column.cells, np.ndarray):
+            if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
                 header = Header("time", "") if seconds_of(header, column.cells) is not None else header
             if name and (not header.quantity or not (header.unit or not QUANTITIES[header.quantity])):
-                remedy = f"name quantity and unit, such as {closest(name, [f'{q}_{u[0]}' for q, u in QUANTITIES.items() if u]) or 'force_N'}"
+                known = [f"{quantity}_{units[0]}" for quantity, units in QUANTITIES.items() if units]
+                remedy = f"name quantity and unit, such as {closest(name, known) or 'force_N'}"
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
             elif header.quantity:
                 self._compare_units(column, label, header, bool(name))
                 source = "columns" if name else "file" if column.unit and not parse_header(label).unit else "header"
-                understood.append((column, header, sign, source))
+                understood.append(_Entry(column, header, -1 if name.startswith("-") else 1, source))
             else:
                 self._unread(column, label)
         return understood
 
     def _compare_units(self, column: RawColumn, label: str, header: Header, named: bool) -> None:
         """Ask about a unit of the recipe that is not the one in the file."""
-        stated = column.unit or (match[1] if (match := re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", label)) else "")
-        dimension = dimension_of(stated)
-        if (
-            named
-            and stated
-            and header.unit
-            and canonical_unit(stated, header.quantity) != header.unit
-            and (dimension or stated.lower() in _ELECTRICAL)
-        ):
+        match = re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", label)
+        stated = column.unit or (match[1] if match else "")
+        is_unit = dimension_of(stated) or stated.lower() in _ELECTRICAL
+        if named and is_unit and header.unit and canonical_unit(stated, header.quantity) != header.unit:
             text = f"is in {stated!r} by the file, and in {header.unit!r} by columns"
             self.asked.append(question("columns", text, field=column.name, remedy="name the unit of the file"))
 
@@ -331,86 +337,40 @@ class _Reader:
         """Ask about a column that is not understood, unless its name or its content says that it is not needed."""
         self.table.ignored.append(column.name)
         unit = column.unit or (label.rpartition("[")[2] or label.rpartition("(")[2]).rstrip("])")
-        dimension = dimension_of(unit) if unit != label else dimension_of(label.rpartition("_")[2])
-        numeric = isinstance(column.cells, np.ndarray)
-        texts = set() if numeric else {str(cell).strip() for cell in column.cells}
-        named = any(
-            word in label.lower()
-            for word in ("force", "kraft", "press", "druck", "length", "länge", "contract", "kontrak")
-        )
-        numbers = 0 if numeric else sum(bool(NUMBER.fullmatch(text)) for text in texts)
-        named_otherwise = numeric and bool(unit) and unit != label and not dimension
-        if (
-            dimension in ("pressure", "force", "contraction", "length")
-            or (named and not named_otherwise)
-            or 0 < numbers < len(texts - {""})
-        ):
-            pass
-        elif numeric and re.fullmatch(r"column \d+", column.name):
-            if np.array_equal(np.diff(column.cells), np.ones(len(column.cells) - 1)):
-                return
-        elif (
-            named_otherwise
-            or is_harmless(label)
-            or not texts - {""} | ({"x"} if numeric else set())
-            or (not numeric and len(texts) == 1 and not any(map(str.isdigit, texts)))
-        ):
+        unit = unit if unit != label else label.rpartition("_")[2] if dimension_of(label.rpartition("_")[2]) else ""
+        dimension = dimension_of(unit)
+        if dimension in ("", "time") and _is_needless(column, label, other_unit=bool(unit)):
             return
         remedy = _NEEDLESS.format(column.name)
-        meant = {
-            "pressure": "pressure_bar",
-            "force": "force_N",
-            "length": "length_mm",
-            "contraction": "contraction_percent",
-        }.get(dimension)
-        if meant and dimension != "contraction":
-            meant = f"{dimension}_{unit}"
-        if meant:
+        if dimension and dimension != "time":
+            meant = f"{dimension}_{canonical_unit(unit, dimension) or QUANTITIES[dimension][0]}"
             remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}; {remedy}"
         self.asked.append(question("columns", "is not understood", field=column.name, remedy=remedy))
 
-    def _choose(
-        self, understood: Sequence[tuple[RawColumn, Header, int, str]]
-    ) -> list[tuple[RawColumn, Header, int, str]]:
+    def _choose(self, understood: Sequence[_Entry]) -> list[_Entry]:
         """One column for each quantity: the one that the recipe names, or the only one."""
-        chosen: dict[str, tuple[RawColumn, Header, int, str]] = {}
+        chosen: dict[str, _Entry] = {}
         for entry in understood:
-            column, header, _, source = entry
-            other = chosen.get(header.quantity)
-            if other is None:
-                chosen[header.quantity] = entry
-            elif (source == "columns") != (other[3] == "columns"):
-                chosen[header.quantity] = entry if source == "columns" else other
-                self.table.ignored.append((other[0] if source == "columns" else column).name)
-            elif header.quantity == "time":
-                best = entry if header.unit and not other[1].unit else other
-                chosen["time"] = best
-                self.table.ignored.append((other if best is entry else entry)[0].name)
-            elif self._agree(column, header, other):
-                units = QUANTITIES[header.quantity]
-                best = min(other, entry, key=lambda choice: units.index(choice[1].unit))
-                chosen[header.quantity] = best
-                self.table.ignored.append((other if best is entry else entry)[0].name)
+            name = entry.header.quantity
+            other = chosen.setdefault(name, entry)
+            if other is entry:
+                continue
+            named = [candidate for candidate in (other, entry) if candidate.source == "columns"]
+            if len(named) == 1:
+                best = named[0]
+            elif name == "time":
+                best = entry if entry.header.unit and not other.header.unit else other
+            elif _agree(entry, other):
+                best = min(other, entry, key=lambda candidate: QUANTITIES[name].index(candidate.header.unit))
             else:
-                self.asked_about.add(header.quantity)
-                text = f"and {other[0].name!r} are both a {header.quantity.replace('_', ' ')}"
-                remedy = f"name the one that is meant: {_COLUMN_REMEDY.format(column.name, f'{header.quantity}_{header.unit}')}"
-                self.ask(text, field=column.name, remedy=remedy)
+                self.asked_about.add(name)
+                meant = _COLUMN_REMEDY.format(entry.column.name, f"{name}_{entry.header.unit}")
+                text = f"and {other.column.name!r} are both a {name.replace('_', ' ')}"
+                self.ask(text, field=entry.column.name, remedy=f"name the one that is meant: {meant}")
+                continue
+            chosen[name] = best
+            self.table.ignored.append((other if best is entry else entry).column.name)
         return list(chosen.values())
-
-    @staticmethod
-    def _agree(column: RawColumn, header: Header, other: tuple[RawColumn, Header, int, str]) -> bool:
-        """Whether two columns have the same values, perhaps in different units."""
-        first, second = column.cells, other[0].cells
-        if (
-            not (isinstance(first, np.ndarray) and isinstance(second, np.ndarray))
-            or header.absolute != other[1].absolute
-        ):
-            return False
-        scales = si_factor(header), si_factor(other[1])
-        return bool(
-            np.allclose(first * scales[0], second * scales[1], rtol=2e-3, atol=1e-3 * np.abs(second).max() * scales[1])
-        )
 
     def _check_mapping(self) -> None:
         """Questions about headers of the recipe that the file does not have."""
@@ -422,175 +382,125 @@ class _Reader:
                 remedy = f"did you mean {close!r}?" if close else f"the file has {', '.join(known[:20])}"
                 self.ask(f"there is no column {key!r}", remedy=remedy)
 
-    def _convert(self, column: RawColumn, header: Header, sign: int, source: str) -> None:
+    def _convert(self, entry: _Entry) -> None:
         """Add a column in SI units, or a question."""
+        column, header, sign, source = entry
         name = header.quantity
-        if name in _WORDS:
-            values = self._meaning(name, column)
-        elif name == "time":
+        if name == "time":
             clock = seconds_of(header, column.cells)
             if clock is None:
-                self._unread_clock(column, header)
+                self.table.ignored.append(column.name)
+                self.table.clock = column.name
                 return
             values = clock
-        elif QUANTITIES[name] and not header.unit:
-            unit = QUANTITIES[name][0]
+        elif name in _WORDS:
+            values = self._meaning(name, column)
+        elif problem := self._not_convertible(column, header):
             self.asked_about |= {"contraction"} if name in _MOTIONS else {name}
-            if name == "displacement":
-                name = "shortening"
-            self.ask(
-                "has no unit that is understood",
-                field=column.name,
-                remedy=_COLUMN_REMEDY.format(column.name, f"{name}_{unit}"),
-            )
-            self.table.ignored.append(column.name)
+            self.asked.append(Question(problem))
             return
         else:
             values = self._numbers(column, name) * si_factor(header)
-        if name == "displacement" and not self.recipe.displacement:
-            self.asked_about.add("contraction")
-            self.ask(
-                "may grow with shortening or with lengthening",
-                field=column.name,
-                remedy=_SIGN_REMEDY.format(column.name, header.unit),
-            )
-            return
         if name == "force":
             sign *= self.recipe.force_sign or 1
         reference = "gauge" if name.endswith("pressure") else ""
-        if header.absolute:
-            if self.recipe.ambient is None:
-                self.asked_about.add(name)
-                self.ask("is an absolute pressure", field=column.name, remedy=_AMBIENT)
-                return
+        if header.absolute and self.recipe.ambient is not None:
             values, reference = values - self.recipe.ambient, f"absolute, less {show(self.recipe.ambient, 'kPa')}"
-        self.table.columns[name] = Column(
-            column.name, name, header.unit, values if sign > 0 else -values, sign, reference, source
-        )
+        values = values if sign > 0 else -values
+        self.table.columns[name] = Column(column.name, name, header.unit, values, sign, reference, source)
 
-    def _unread_clock(self, column: RawColumn, header: Header) -> None:
-        self.table.ignored.append(column.name)
-        self.table.clock = column.name
+    def _not_convertible(self, column: RawColumn, header: Header) -> Problem | None:
+        """Why the numbers of a column have no plain unit, sign or reference."""
+        name = header.quantity
+        if QUANTITIES[name] and not header.unit:
+            self.table.ignored.append(column.name)
+            meant = f"{'shortening' if name == 'displacement' else name}_{QUANTITIES[name][0]}"
+            remedy = _COLUMN_REMEDY.format(column.name, meant)
+            return Problem("has no unit that is understood", field=column.name, remedy=remedy)
+        if name == "displacement" and not self.recipe.displacement:
+            remedy = _SIGN_REMEDY.format(column.name, header.unit)
+            return Problem("may grow with shortening or with lengthening", field=column.name, remedy=remedy)
+        if header.absolute and self.recipe.ambient is None:
+            return Problem("is an absolute pressure", field=column.name, remedy=_AMBIENT)
+        return None
 
     def _numbers(self, column: RawColumn, name: str) -> Floats:
         """Numbers of a column; cells that are none are corrupt."""
-        header, cells = column.name, column.cells
-        values = (
-            cells.copy()
-            if isinstance(cells, np.ndarray)
-            else to_numbers(cells, self.raw.decimal, certain=bool(self.recipe.decimal))
-        )
+        cells = column.cells
+        if isinstance(cells, np.ndarray):
+            values, filled = cells.copy(), np.ones(len(cells), bool)
+        else:
+            values = to_numbers(cells, self.raw.decimal, certain=bool(self.recipe.decimal))
+            filled = np.array([bool(cell.strip()) for cell in cells])
         wrong = ~np.isfinite(values)
         if name == "set_pressure":
-            wrong &= (
-                np.array([bool(str(cell).strip()) for cell in cells]) if not isinstance(cells, np.ndarray) else False
-            )
-        for row in np.flatnonzero(wrong):
-            text = f"{str(cells[row])[:40]!r} is not a number"
-            self._corrupt(int(row), header, text)
+            wrong &= filled
+        for row in np.flatnonzero(wrong).tolist():
+            text, line = f"{str(cells[row])[:40]!r} is not a number", int(self.table.lines[row])
+            self.asked.append(question("corrupt", text, line=line, field=column.name, remedy="correct it"))
+            self.table.repairs.append(f"{self.table.place} {line}, {column.name}: {text}")
         self.bad |= wrong
-        usual = values[~wrong]
-        size = np.abs(values)
-        if name == "force" and len(usual) and usual.max() in _ENDS and np.count_nonzero(usual == usual.max()) > 1:
-            text = f"the largest value, {usual.max():g}, is the end of a converter's range"
-            self.asked.append(
-                question(
-                    "saturation",
-                    text,
-                    field=header,
-                    remedy=f"leave these rows out: in a recipe largest_force: {usual.max():g} N",
-                )
-            )
-        marks = (
-            np.isclose(size[:, None], _MARKS[:-1], rtol=1e-12).any(axis=1)
-            if size.max(initial=0) > 990
-            else np.zeros(len(size), bool)
-        ) | (size >= 1e29)
-        marks |= (values <= -999) & (np.modf(values)[0] == 0) & (usual.max(initial=0) > 0) & (np.isin(size, _MARKS))
-        if marks.any() and 2 * np.count_nonzero(marks) < len(values):
-            others = values[~marks & ~wrong]
-            if len(others) and (
-                values[marks].max() > 2 * np.abs(others).max()
-                or values[marks].min() < 0 <= others.min()
-                or not _between(values, marks)
-            ):
-                row = int(np.argmax(marks))
-                text = f"{values[row]:g} may mark a missing value"
-                self.asked.append(
-                    question(
-                        "rows",
-                        text,
-                        line=int(self.table.lines[row]),
-                        field=header,
-                        remedy="leave these rows out of the file",
-                    )
-                )
+        if (row := missing_mark(values)) is not None:
+            text, line = f"{values[row]:g} may mark a missing value", int(self.table.lines[row])
+            remedy = "leave these rows out of the file"
+            self.asked.append(question("rows", text, line=line, field=column.name, remedy=remedy))
+        highest = float(np.max(values[~wrong], initial=0.0))
+        if name == "force" and highest in _ENDS and np.count_nonzero(values == highest) > 1:
+            text = f"the largest value, {highest:g}, is the end of a converter's range"
+            remedy = f"leave these rows out: in a recipe largest_force: {highest:g} N"
+            self.asked.append(question("saturation", text, field=column.name, remedy=remedy))
         return values
-
-    def _corrupt(self, row: int, header: str, text: str) -> None:
-        line = int(self.table.lines[row])
-        self.asked.append(question("corrupt", text, line=line, field=header, remedy="correct it"))
-        self.table.repairs.append(f"{self.table.place} {line}, {header}: {text}")
 
     def _meaning(self, name: str, column: RawColumn) -> np.ndarray:
         """Directions or phases by their words."""
         said = {**_WORDS[name], **{key.lower(): word for key, word in self.mapping.items() if word in _WORDS[name]}}
         cells = [str(cell).strip().lower() for cell in column.cells]
         first, second = list(dict.fromkeys(filter(None, _WORDS[name].values())))
-        for cell in dict.fromkeys(cells):
-            if cell not in said:
-                shown = str(column.cells[cells.index(cell)])[:40]
-                remedy = f"give its meaning: columns={{{shown!r}: {first!r}}} (command line: --column '{shown}={first}', or {second})"
-                self.ask(
-                    f"{shown!r} is not a {name}",
-                    field=column.name,
-                    line=int(self.table.lines[cells.index(cell)]),
-                    remedy=remedy,
-                )
+        for cell in [cell for cell in dict.fromkeys(cells) if cell not in said]:
+            at = cells.index(cell)
+            shown = str(column.cells[at])[:40]
+            meant = f"columns={{{shown!r}: {first!r}}} (command line: --column '{shown}={first}')"
+            remedy = f"give its meaning, {first} or {second}: {meant}"
+            line = int(self.table.lines[at])
+            self.ask(f"{shown!r} is not a {name}", field=column.name, line=line, remedy=remedy)
         return np.array([said.get(cell, "") for cell in cells], "<U9")
 
     def _lengths(self) -> None:
         """Contractions from lengths or displacements; a question where both are given and differ."""
-        table, recipe = self.table, self.recipe
-        motions = [name for name in _MOTIONS if name in table.columns]
+        table, recipe, initial = self.table, self.recipe, self.table.initial_length
         if recipe.initial_length and recipe.initial_length > _LONGEST:
-            self.ask(
-                f"{recipe.initial_length:g} m is longer than any muscle",
-                field="initial_length",
-                remedy=f"{_LENGTH_REMEDY}, in Python in m",
-            )
-        if not motions:
-            return
-        initial = table.initial_length
-        lengths = {}
-        for name in motions:
-            column = table.columns[name]
-            way = {"displacement": recipe.displacement}.get(name, name)
-            zero = recipe.zero_length if recipe.zero_length is not None else initial
+            text = f"{recipe.initial_length:g} m is longer than any muscle"
+            self.ask(text, field="initial_length", remedy=f"{_LENGTH_REMEDY}, in Python in m")
+        zero = recipe.zero_length if recipe.zero_length is not None else initial
+        lengths: dict[str, Floats] = {}
+        for name in [name for name in _MOTIONS if name in table.columns]:
+            values = table.columns[name].values
+            way = (recipe.displacement or "") if name == "displacement" else name
             if name == "length":
-                lengths[name] = column.values
+                lengths[name] = values
             elif zero is not None:
-                lengths[name] = zero + (column.values if way == "lengthening" else -column.values)
+                lengths[name] = zero + (values if way == "lengthening" else -values)
         if "contraction" in table.columns:
             self._compare(lengths)
-            return
-        if initial is None:
+        elif initial is None and any(name in table.columns for name in _MOTIONS):
             self.asked_about.add("contraction")
             self.ask("is needed for lengths and displacements", field="initial_length", remedy=_LENGTH_REMEDY)
-            return
-        first, *others = lengths.values()
-        if others and not np.allclose(first, others[0], atol=_ROUNDING[0]):
-            self.ask(
-                f"and {motions[1]!r} give different lengths", field=motions[0], remedy="ignore one of the two columns"
-            )
-        if np.nanmin(first, initial=np.inf) <= 0 or np.nanmax(first, initial=0) > 2 * initial:
-            text = f"lengths of {show(float(np.nanmin(first)), 'mm', 4)} to {show(float(np.nanmax(first)), 'mm', 4)} do not fit the initial length, {show(initial, 'mm', 5)}"
-            self.ask(
-                text, field=motions[0], remedy="check its unit and initial_length (command line: --initial-length)"
-            )
-        column = table.columns[motions[0]]
-        values = 1 - first / initial
-        table.columns["contraction"] = Column(column.header, "contraction", "", values, source=column.source)
+        elif initial is not None and lengths:
+            self._contract(lengths, initial)
+
+    def _contract(self, lengths: Mapping[str, Floats], initial: float) -> None:
+        """Add the contraction of lengths."""
+        name, length = next(iter(lengths.items()))
+        if any(not np.allclose(length, other, atol=_ROUNDING[0]) for other in lengths.values()):
+            self.ask("differs from the lengths of another column", field=name, remedy="ignore one of the two columns")
+        shortest, longest = float(np.nanmin(length, initial=np.inf)), float(np.nanmax(length, initial=0.0))
+        if shortest <= 0 or longest > 2 * initial:
+            span = f"{show(shortest, 'mm', 4)} to {show(longest, 'mm', 4)}"
+            text = f"lengths of {span} do not fit the initial length, {show(initial, 'mm', 5)}"
+            self.ask(text, field=name, remedy="check its unit and initial_length (command line: --initial-length)")
+        column = self.table.columns[name]
+        contraction = Column(column.header, "contraction", "", 1 - length / initial, source=column.source)
+        self.table.columns["contraction"] = contraction
 
     def _compare(self, lengths: Mapping[str, Floats]) -> None:
         """Compare contractions with lengths, which give the initial length."""
@@ -633,9 +543,41 @@ class _Reader:
             }
 
 
-def _between(values: Floats, marks: np.ndarray) -> bool:
-    """Whether each marked value is close to one of its neighbours, as a measurement is."""
+def _is_needless(column: RawColumn, label: str, *, other_unit: bool) -> bool:
+    """Whether the name or the content of a column says that it is no pressure, force, length or mark of rows."""
+    cells = column.cells
+    if isinstance(cells, np.ndarray):
+        if _UNNAMED.fullmatch(column.name):
+            return bool(np.all(np.diff(cells) == 1))
+        return other_unit or (is_harmless(label) and not _MEASURED.search(label))
+    texts = {str(cell).strip() for cell in cells} - {""}
+    numbers = sum(bool(NUMBER.fullmatch(text)) for text in texts)
+    if 0 < numbers < len(texts) or (_MEASURED.search(label) and texts):
+        return False
+    return is_harmless(label) or not texts or (len(texts) == 1 and not any(map(str.isdigit, texts)))
+
+
+def _agree(entry: _Entry, other: _Entry) -> bool:
+    """Whether two columns have the same values, perhaps in different units."""
+    first, second = entry.column.cells, other.column.cells
+    if not (isinstance(first, np.ndarray) and isinstance(second, np.ndarray)):
+        return False
+    first, second = first * si_factor(entry.header), second * si_factor(other.header)
+    alike = np.allclose(first, second, rtol=2e-3, atol=1e-3 * float(np.abs(second).max(initial=0.0)))
+    return alike and entry.header.absolute == other.header.absolute
+
+
+def missing_mark(values: Floats) -> int | None:
+    """First row of a number such as -9999 that marks missing values, far from the others or from its neighbours."""
+    size = np.abs(values)
+    if not size.max(initial=0.0) > 990:
+        return None
+    marks = np.isin(size, _MARKS) | (size >= 1e29)
+    others = values[~marks & np.isfinite(values)]
+    if not (marks.any() and 2 * np.count_nonzero(marks) < len(values) and len(others)):
+        return None
     rows = np.flatnonzero(marks)
-    before, after = values[np.clip(rows - 1, 0, None)], values[np.clip(rows + 1, None, len(values) - 1)]
-    near = np.minimum(np.abs(before - values[rows]), np.abs(after - values[rows])) <= 0.25 * np.abs(values[rows])
-    return bool(near.all())
+    beside = values[np.clip(rows - 1, 0, None)], values[np.clip(rows + 1, None, len(values) - 1)]
+    apart = np.min([np.abs(neighbour - values[rows]) for neighbour in beside], axis=0) > 0.02 * size[rows]
+    far = values[rows].max() > 2 * np.abs(others).max() or values[rows].min() < 0 <= others.min()
+    return int(rows[0]) if far or apart.any() else None

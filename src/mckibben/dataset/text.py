@@ -260,7 +260,7 @@ def _aligned(
             if separator != "," or any("." in line for _, line in rows):
                 header, width = ["row number", *header], width + 1
     for at in np.flatnonzero(counts != width):
-        number, line = rows[at]
+        number = rows[at][0]
         text = f"has {counts[at]} cell{'s' if counts[at] != 1 else ''}, the header {width}"
         if number == len(lines):
             text += ", and no line end: the file was truncated here"
