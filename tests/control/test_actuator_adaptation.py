@@ -149,7 +149,7 @@ def test_in_the_loop_the_error_falls_and_the_speed_is_found():
     runs = []
     for adaptation in (None, ActuatorAdaptation()):
         control = dataclasses.replace(slow.controller, actuator_adaptation=adaptation)
-        runs.append(run_scenario(slow.model_copy(update={"controller": control})).result)
+        runs.append(run_scenario(slow.model_copy(update={"controller": control})))
     fixed, adapted = (np.sqrt(np.mean((run["angle"] - run["desired_angle"])[3000:] ** 2)) for run in runs)
     assert adapted < 0.85 * fixed
     assert runs[1]["valve_speed_estimate"][-1] == pytest.approx(0.7, rel=0.05)

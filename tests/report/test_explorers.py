@@ -27,7 +27,7 @@ needs_node = pytest.mark.skipif(NODE is None, reason="needs Node, which runs the
 @pytest.fixture(scope="module")
 def case():
     scenario = pid_scenario(PRE_CONTRACTED, StiffnessReference.STEP)
-    return ControllerRun(scenario, run_scenario(scenario).result, None)
+    return ControllerRun(scenario, run_scenario(scenario), None)
 
 
 @pytest.fixture(scope="module")

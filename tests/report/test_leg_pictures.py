@@ -41,7 +41,7 @@ def landing_of(plant):
 @pytest.mark.parametrize("side", [False, True])
 def test_what_is_drawn_is_where_mujoco_has_it(landing, side):
     plant, run = landing_of(LEG["plant_of"]("floating", side=True)) if side else landing
-    at = run.to_xarray().isel(time=[0, 40, 99])
+    at = run.to_dataset().isel(time=[0, 40, 99])
     points, paths = skeleton(plant, at), straight_paths(plant, at)
     scene = leg_scene(plant, plant.begin(LEG["start_of"](plant, 0.0, 0.0)[0]))
     expected = {"hip1", "hip2", "knee1", "knee2", "hamstring", *(("side1", "side2") if side else ())}
@@ -62,7 +62,7 @@ def test_what_is_drawn_is_where_mujoco_has_it(landing, side):
 @pytest.mark.slow
 def test_muscles_have_the_volume_of_their_contraction(landing):
     plant, run = landing
-    shapes = muscle_shapes(plant, run.to_xarray(), 5e5)
+    shapes = muscle_shapes(plant, run.to_dataset(), 5e5)
     for name, muscle in zip(plant.leg.muscle_names, plant.leg.muscles, strict=True):
         one, contraction = shapes[name], run["contraction"][run.muscles.index(name)]
         volume = np.asarray(muscle.specimen.volume(contraction))
@@ -74,7 +74,7 @@ def test_a_muscle_of_unknown_volume_is_drawn_slender(landing):
     plant, run = landing
     unknown = dataclasses.replace(plant.leg.joints[0].muscles.muscle1.specimen, braid_angle=None, volume_terms=None)
     plant = eqx.tree_at(lambda x: x.leg.joints[0].muscles.muscle1.specimen, plant, unknown)
-    one = muscle_shapes(plant, run.to_xarray(), 5e5)["hip1"]
+    one = muscle_shapes(plant, run.to_dataset(), 5e5)["hip1"]
     np.testing.assert_allclose(one.diameter, 0.07 * one.length)
 
 

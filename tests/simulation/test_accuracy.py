@@ -23,7 +23,7 @@ from mckibben import (
     simulate_many,
 )
 from mckibben.errors import McKibbenWarning, SimulationError
-from mckibben.simulation import Result
+from mckibben.simulation import SimulationResult
 from mckibben.simulation.accuracy import (
     BLOCK,
     Refinement,
@@ -127,7 +127,7 @@ def test_an_accuracy_between_rounding_and_the_finest_steps_is_refused_with_the_o
 def test_the_resolution_is_kept_in_a_file(tmp_path):
     run = simulate(PLANT, CONTROL, SMOOTH, **RUN)
     run.to_netcdf(tmp_path / "run.nc")
-    again = Result.from_netcdf(tmp_path / "run.nc").resolution
+    again = SimulationResult.from_netcdf(tmp_path / "run.nc").resolution
     assert again[:2] == run.resolution[:2] and again.resolved
 
 

@@ -16,7 +16,7 @@ from mckibben import (
     Multisine,
     PositionStiffnessControl,
     Reference,
-    Result,
+    SimulationResult,
     Sine,
     catalog,
     differentiate,
@@ -180,6 +180,6 @@ def test_a_domain_has_numbers():
 def test_a_diverged_run_names_the_likely_cause(command, cause):
     columns = {"angle": np.array([0.0, 0.1, np.nan]), "command1": np.array([3e5, command, np.nan])}
     columns["command2"] = columns["command1"]
-    text = Result(columns, 1e-3, outcome=Outcome.DIVERGED).describe()
+    text = SimulationResult(columns, 1e-3, known_outcome=Outcome.DIVERGED).verdict()
     assert cause in text
     assert "0.001 s" in text

@@ -101,10 +101,10 @@ def test_a_start_that_cannot_be_held_is_an_error(plant, control):
 def test_the_same_inputs_give_the_same_run_and_stay_as_they_were(plant, control):
     before = jax.tree.map(np.array, eqx.filter((plant, control, REFERENCE), eqx.is_inexact_array_like))
     one, two = (simulate(plant, control, REFERENCE, duration=0.2, scenario="this") for _ in range(2))
-    assert one.to_xarray().identical(two.to_xarray())
+    assert one.to_dataset().identical(two.to_dataset())
     after = jax.tree.map(np.array, eqx.filter((plant, control, REFERENCE), eqx.is_inexact_array_like))
     jax.tree.map(np.testing.assert_array_equal, before, after)
-    assert one.to_xarray().attrs["scenario"] == "this"
+    assert one.to_dataset().attrs["scenario"] == "this"
     assert one.times == pytest.approx(np.arange(200) * 1e-3)
 
 
@@ -123,7 +123,7 @@ def test_it_starts_at_rest_on_the_reference_unless_told(plant, control):
 def test_a_start_in_whole_numbers_is_a_start(plant, control):
     whole = simulate(plant, control, REFERENCE, duration=0.2, initial=PlantState(0, 0, (200_000, 200_000)))
     real = simulate(plant, control, REFERENCE, duration=0.2, initial=PlantState(0.0, 0.0, (2e5, 2e5)))
-    assert whole.to_xarray().identical(real.to_xarray())
+    assert whole.to_dataset().identical(real.to_dataset())
 
 
 def test_out_of_reach_is_a_warning_in_words(as_printed, load, plant, control):

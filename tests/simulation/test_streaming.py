@@ -17,9 +17,8 @@ from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import Metrics, Trajectory, episode, measure, trajectory, without_last_change
 from mckibben.simulation.loop import streaming_episode
-from mckibben.simulation.metrics import Course, MetricSample, last_change
+from mckibben.simulation.metrics import Course, MetricSample, Run, last_change, values_of
 from mckibben.simulation.oscillation import find_limit_cycle
-from mckibben.simulation.reduction import Run, values_of
 
 PERIOD = 1e-3
 FLAGS = ("saturated", "slack", "outside_domain", "overloaded")

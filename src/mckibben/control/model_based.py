@@ -135,6 +135,7 @@ class ModelBasedControl(Controller):
     telemetry_labels: ClassVar = {
         "velocity_estimate": Label("rad/s", "controller's estimate of the angular velocity"),
         "disturbance_estimate": Label("N*m", "controller's estimate of the disturbance torque"),
+        "friction_compensation": Label("N*m", "friction torque compensated by the controller"),
         "strength1_estimate": Label("1", "controller's estimate of the strength of muscle 1 relative to its law"),
         "strength2_estimate": Label("1", "controller's estimate of the strength of muscle 2 relative to its law"),
         "command_delay_estimate": Label("s", "controller's estimate of the delay of the commands"),

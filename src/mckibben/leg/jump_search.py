@@ -20,7 +20,7 @@ from mckibben.leg.study_journal import StudyJournal
 from mckibben.numerics.compiled import numeric
 from mckibben.simulation.engine import BatchFunction, dynamic_steps
 from mckibben.simulation.problem import sampling_times
-from mckibben.simulation.table import Batch
+from mckibben.simulation.result import Batch
 
 Floats = NDArray[np.float64]
 

@@ -47,11 +47,9 @@ class Reproduction:
     def verdict(self) -> str:
         """How many of the paper's own claims that can be tested here hold, and how many need the paper's muscle."""
         testable = [claim for claim in self.paper_claims if not claim.needs_muscle]
-        others = len(self.paper_claims) - len(testable)
-        return (
-            f"Of the paper's own claims, {sum(claim.holds for claim in testable)} of {len(testable)} that can be tested "
-            f"here hold; {others} need the paper's muscle."
-        )
+        hold, others = sum(claim.holds for claim in testable), len(self.paper_claims) - len(testable)
+        counted = f"{hold} of {len(testable)} that can be tested here hold"
+        return f"Of the paper's own claims, {counted}; {others} need the paper's muscle."
 
     def results(self) -> dict[str, Any]:
         """All numbers as plain data for JSON; NaN as None."""
@@ -193,7 +191,7 @@ def _run(run: ControllerRun) -> dict[str, Any]:
     if run.seeds is not None:
         found["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
         found["unstable"] = run.unstable
-    return found | {"outcome": run.result.describe()}
+    return found | {"outcome": run.result.verdict()}
 
 
 def _tuned(tuned: Any) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from mckibben.paper.settings import (
     pid_scenario,
 )
 from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import Metrics, Result, rms, run_episode, sampled
+from mckibben.simulation import Metrics, SimulationResult, rms, run_episode, sampled
 from mckibben.study.tune import Cost, Method, TuningResult, gain_ranges, tune
 from mckibben.units import quantity
 
@@ -39,7 +39,7 @@ class ControllerRun:
     """A run (for BP, with the first seed) and the metrics per seed; None for a controller without seeds."""
 
     scenario: Scenario
-    result: Result
+    result: SimulationResult
     seeds: Metrics | None
 
     def median(self, metric: str) -> float:
@@ -150,7 +150,7 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
 
 
 def _run_pid(scenario: Scenario) -> ControllerRun:
-    return ControllerRun(scenario, run_scenario(scenario).result, None)
+    return ControllerRun(scenario, run_scenario(scenario), None)
 
 
 def _steps(scenario: Scenario) -> tuple[float, int | None]:
@@ -169,7 +169,7 @@ def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
 
     # One by one, with the program of the single run: a batch would need another compilation.
     each = [metrics(seed) for seed in range(seeds)]
-    return ControllerRun(scenario, run_scenario(scenario).result, jax.tree.map(lambda *m: jnp.stack(m), *each))
+    return ControllerRun(scenario, run_scenario(scenario), jax.tree.map(lambda *m: jnp.stack(m), *each))
 
 
 def _coupling(setting: Setting, stepping: ControllerRun) -> Coupling:

@@ -234,7 +234,7 @@ def run_explorer(
 ) -> Explorer:
     """Explorer of a run of a scenario; sliders have addresses of its parameters.
 
-    Charts have columns of `mckibben.simulation.Result`. A controller's model does not follow changes of the plant. The
+    Charts have columns of `mckibben.SimulationResult`. A controller's model does not follow changes of the plant. The
     run starts in the equilibrium of the given scenario.
     """
     places = {one.name: find_parameter(scenario, one.name).places for one in sliders}

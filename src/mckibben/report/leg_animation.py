@@ -71,7 +71,7 @@ def render_leg(
         If the file exists and `overwrite` is not set.
     """
     animation_format(path)
-    table = run.to_xarray()
+    table = run.to_dataset()
     chosen = evenly_spaced(table.sizes["time"], frames)
     pictures = _pictures(plant, table, chosen)
     plot, places, rows = _plot(plant, table, seconds)

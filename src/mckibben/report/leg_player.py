@@ -37,7 +37,7 @@ def leg_player(runs: Mapping[str, tuple[LegPlant, LegResult]], key: str = "leg")
     """
     force = max(float(np.linalg.norm([run[name] for name in _FORCE], axis=0).max()) for _, run in runs.values()) or 1.0
     pressure = max(float(run["pressure"].max()) for _, run in runs.values()) or 1.0
-    shown = [_run(title, plant, run.to_xarray(), force, pressure) for title, (plant, run) in runs.items()]
+    shown = [_run(title, plant, run.to_dataset(), force, pressure) for title, (plant, run) in runs.items()]
     corners = np.array([one.pop("corners") for one in shown])
     options = {
         "runs": shown,

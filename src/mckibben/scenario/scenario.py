@@ -44,7 +44,7 @@ from mckibben.plant import (
     PlantState,
     Sensors,
 )
-from mckibben.simulation import ACCURACY, AtRest, CheckedRun, Margins, Result, checked_run, margins, needed_substeps
+from mckibben.simulation import ACCURACY, AtRest, Margins, SimulationResult, margins, needed_substeps, run_quietly
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
@@ -248,15 +248,15 @@ class Scenario(RunSettings):
         return self.model_copy(update={"controller": independent(self.control())})
 
     @checked_call
-    def simulate(self, controller: Controller | None = None, **changes: Any) -> Result:
+    def simulate(self, controller: Controller | None = None, **changes: Any) -> SimulationResult:
         """Run the scenario, with another controller or other changes as for `replace`; see `mckibben.simulate`.
 
         Warns if its reference is not statically feasible.
         """
         changes |= {} if controller is None else {"controller": controller}
-        result, feasibility = run_scenario(self.replace(**changes) if changes else self)
-        if not feasibility.feasible:
-            warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=user_level())
+        result = run_scenario(self.replace(**changes) if changes else self)
+        if result.feasibility and not result.feasibility.feasible:
+            warnings.warn(result.feasibility.verdict(), ReachabilityWarning, stacklevel=user_level())
         return result
 
     @checked_call
@@ -334,8 +334,8 @@ def initial_state(scenario: Scenario) -> AtRest:
     return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)
 
 
-def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
-    """Result of a scenario, with its text, and feasibility of its reference; `source` is its file, for errors.
+def run_scenario(scenario: Scenario, *, source: str = "") -> SimulationResult:
+    """Result of a scenario, with its text and the feasibility of its reference; `source` is its file, for errors.
 
     Raises `ScenarioError` if its parts do not fit together.
     """
@@ -356,7 +356,7 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
     with building("controller"):
         control = scenario.control()
     with building("start"):  # all else has been checked
-        return checked_run(
+        return run_quietly(
             plant,
             control,
             scenario.reference(),
@@ -364,15 +364,3 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
             initial=initial_state(scenario),
             scenario=scenario.dumps(),
         )
-
-
-def unknown_air(scenario: Scenario) -> str:
-    """Message that the use of air is unknown, with the remedy; empty if both muscles have a volume."""
-    specimens = scenario.joint.muscle1.specimen, scenario.joint.muscle2.specimen
-    names = [*dict.fromkeys(one.name for one in specimens if not one.has_volume)]
-    if not names:
-        return ""
-    return (
-        f"air is unknown: {' and '.join(names)} {'have' if len(names) > 1 else 'has'} no volume; give the specimen "
-        "initial_diameter and braid_angle, or volume_terms, or identify the muscle with its inner diameter"
-    )

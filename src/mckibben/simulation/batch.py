@@ -50,7 +50,7 @@ from mckibben.simulation.problem import (
     sampling_times,
     split_runs,
 )
-from mckibben.simulation.table import Batch, batch_table
+from mckibben.simulation.result import Batch, batch_table
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -22,12 +22,14 @@ from mckibben.simulation.metrics import (
     Course,
     Metrics,
     MetricSample,
+    Run,
+    Totals,
     angle_at_end,
     last_change,
     trajectory,
+    values_of,
 )
 from mckibben.simulation.oscillation import Oscillation
-from mckibben.simulation.reduction import Run, Totals, values_of
 
 
 class Record(NamedTuple):

@@ -149,7 +149,7 @@ def film_of(plant: LegPlant, run: LegResult, largest: float) -> LegFilm:
     """Return the film of a run, with muscles coloured relative to a largest pressure [Pa]."""
     from mckibben.report.leg_shapes import muscle_shapes, place_of, skeleton, straight_paths
 
-    every = run.to_xarray()
+    every = run.to_dataset()
     chosen = evenly_spaced(every.sizes["time"], _FRAMES)
     at = every.isel(time=chosen)
     shapes = muscle_shapes(plant, at, largest)
