@@ -41,7 +41,7 @@ from mckibben.study.rig.document import MountedMuscle
 from mckibben.units import Bandwidth, Quantity, SignalValue, bar, deg, mm
 
 for module in pkgutil.walk_packages(mckibben.__path__, "mckibben."):
-    absent = ("mckibben.cli", "mckibben.web", "mckibben.__main__", "mckibben.export.mjlab", "mckibben.export.newton")
+    absent = ("mckibben.cli", "mckibben.web", "mckibben.__main__")
     if not module.name.startswith(absent):
         importlib.import_module(module.name)
 CLASSES = {

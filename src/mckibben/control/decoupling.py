@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -98,7 +98,6 @@ class DecouplingControl(ModelBasedControl):
     """
 
     short_name = "decoupling"
-    renamed: ClassVar = {**ModelBasedControl.renamed, "poles": "feedback", "sliding": "feedback"}
 
     feedback: Feedback
     observer: Observer = ExtendedStateObserver()

@@ -65,7 +65,6 @@ class SupplyLimit(Controller):
     """
 
     short_name = "supply_limit"
-    renamed: ClassVar = {"valve_time_constant": "valve: {time_constant: ...}"}
     telemetry_labels: ClassVar = {"supply_estimate": Label("Pa", "controller's estimate of the supply pressure")}
 
     controller: Controller
