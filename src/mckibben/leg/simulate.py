@@ -36,11 +36,12 @@ from mckibben.simulation.accuracy import (
     resolution_of,
     spacing,
 )
+from mckibben.simulation.batch import Batch, batch_table
 from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
 from mckibben.simulation.loop import Record, control_period, initial_loop, positions_over_time
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import float_type, sampling_times, single_run, split_runs
-from mckibben.simulation.result import Batch, RunResult, batch_table
+from mckibben.simulation.result import RunResult
 
 
 class LegProblem(NamedTuple):

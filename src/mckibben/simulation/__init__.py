@@ -1,17 +1,18 @@
 """The sampled-data loop, its result and metrics, and the static feasibility of a reference."""
 
 from mckibben.simulation.accuracy import ACCURACY, Resolution
-from mckibben.simulation.batch import simulate_many
+from mckibben.simulation.batch import Batch, simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
 from mckibben.simulation.dynamic_stiffness import DynamicStiffness, closed_valves, dynamic_stiffness
 from mckibben.simulation.feasibility import Feasibility, check_reference
 from mckibben.simulation.loop import compiled_episode, episode
-from mckibben.simulation.metrics import SETTLING_PART, Metrics, Trajectory, measure, rms, settling_band, trajectory
+from mckibben.simulation.metrics import SETTLING_PART, Metrics, measure, rms, settling_band
 from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, sampled_signal, without_last_change
-from mckibben.simulation.result import Batch, RunResult, SimulationResult, compute_metrics, compute_trajectory
+from mckibben.simulation.result import RunResult, SimulationResult, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import needed_substeps, run_episode, run_quietly, simulate, unknown_air
 from mckibben.simulation.stability import Margins, disk_margins, linear_loop, margins
+from mckibben.simulation.trajectories import Trajectory, trajectory
 
 __all__ = [
     "ACCURACY",

@@ -26,10 +26,10 @@ from mckibben.simulation.metrics import (
     Totals,
     angle_at_end,
     last_change,
-    trajectory,
     values_of,
 )
 from mckibben.simulation.oscillation import Oscillation
+from mckibben.simulation.trajectories import trajectory
 
 
 class Record(NamedTuple):

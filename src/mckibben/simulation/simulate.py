@@ -32,7 +32,6 @@ from mckibben.simulation.accuracy import (
 from mckibben.simulation.engine import check_engine, compute_with, run_alone
 from mckibben.simulation.feasibility import Feasibility, feasibility, static_band
 from mckibben.simulation.loop import Record
-from mckibben.simulation.metrics import Trajectory
 from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import (
     AtRest,
@@ -44,6 +43,7 @@ from mckibben.simulation.problem import (
     without_last_change,
 )
 from mckibben.simulation.result import BAND, Columns, SimulationResult, compute_trajectory, joint_columns
+from mckibben.simulation.trajectories import Trajectory
 from mckibben.units import deg
 
 

@@ -20,9 +20,9 @@ from mckibben.notebook import html_table
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts
+from mckibben.simulation.batch import RunTable, outcome_variable
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
-from mckibben.simulation.result import RunTable, outcome_variable
 from mckibben.storage.files import append_seal, atomic_write
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
 from mckibben.study.sweep.plan import SweepPlan, digest_of_model
