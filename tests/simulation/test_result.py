@@ -7,7 +7,6 @@ import re
 import equinox as eqx
 import numpy as np
 import pytest
-import xarray as xr
 
 from mckibben import catalog
 from mckibben.component.columns import attributes
@@ -205,15 +204,6 @@ def test_netcdf_gives_the_same_run_back(which, request, tmp_path):
     assert back.control_period == result.control_period
     np.testing.assert_equal(back.metrics, result.metrics)
     assert [p.name for p in tmp_path.iterdir()] == ["run.nc"]  # nothing half-written is left
-
-
-def test_other_programs_see_the_units(completed, tmp_path):
-    completed.to_netcdf(tmp_path / "run.nc")
-    with xr.open_dataset(tmp_path / "run.nc", engine="h5netcdf") as seen:
-        assert seen["angle"].attrs["units"] == "rad"
-        assert seen.attrs["outcome"] == "COMPLETED"
-        assert seen.attrs["scenario"] == "name: α\n"
-    assert completed.to_dataset().attrs["outcome"] == "COMPLETED"
 
 
 @pytest.mark.slow
