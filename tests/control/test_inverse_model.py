@@ -127,6 +127,25 @@ def test_no_rate_makes_it_run_away_where_nothing_is_as_believed(run, plant, load
             assert float(jnp.abs(record.telemetry["feedforward_differential"]).max()) < 3e5
 
 
+@pytest.fixture(scope="module")
+def replayed(barely_compiled):
+    """The commands to measurements as they were, without the plant that they came from."""
+
+    @barely_compiled
+    def told(control, setpoints, seen, period):
+        def one(state, at):
+            return control.step(state, *at, period)
+
+        return lax.scan(one, control.init(jax.tree.map(lambda x: x[0], seen)), (setpoints, seen))[1]
+
+    def replayed(control, answer, kind=jnp.float64):
+        record, setpoints = answer
+        seen = Measurement(record.state.angle, record.state.pressures)
+        return told(*cast((numeric(control), setpoints, seen, np.asarray(PERIOD)), kind))
+
+    return replayed
+
+
 def test_without_learning_and_load_it_is_the_loops_alone(run, replayed, plant, alone):
     """But for rounding, where the setpoint stands or jumps."""
     record, setpoints = run(plant, rated(alone, 0.0), Step(0.05, 0.1, 0.5), Step(14.0, 16.0, 1.0))

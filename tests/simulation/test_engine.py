@@ -11,7 +11,7 @@ from mckibben.codegen import native
 from mckibben.codegen.native import compiler
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
-from mckibben.simulation import problem
+from mckibben.simulation import feasibility, problem
 from mckibben.simulation.engine import NATIVE, VECTOR, chunk_size, native_episode
 from mckibben.simulation.software import software
 
@@ -164,7 +164,7 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setattr(native, "compiler", lambda: "false")
     monkeypatch.setattr(native, "_WARNED", [])
-    for one in (SIMULATE._native_start, SIMULATE.static_bands._native, problem._each_sample._native, native_episode):
+    for one in (SIMULATE._native_start, feasibility.static_bands._native, problem._each_sample._native, native_episode):
         monkeypatch.setattr(one, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"

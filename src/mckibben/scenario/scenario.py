@@ -29,7 +29,6 @@ from mckibben.errors import (
     Problem,
     ReachabilityWarning,
     ScenarioError,
-    closest,
     no_attribute,
 )
 from mckibben.joint import AntagonisticJoint, Load
@@ -48,7 +47,10 @@ from mckibben.simulation import ACCURACY, AtRest, Margins, SimulationResult, mar
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
-_OF_THE_JOINT = {"stiffness": "joint.stiffness(angle, pressures)", "muscle": "joint.muscle1"}
+_MEANT = {"stiffness": "joint.stiffness(angle, pressures)", "muscle": "joint.muscle1"} | dict.fromkeys(
+    ("run", "plot", "result"), "simulate()"
+)
+"""What is meant by names that users try."""
 Substeps = Annotated[int, BoundedInt(1, 1000)]
 
 JointPart = Annotated[AntagonisticJoint, Part(AntagonisticJoint)]
@@ -217,13 +219,9 @@ class Scenario(RunSettings):
         return {key: one for key, one in written.items() if usual.get(key) != one}
 
     def __getattr__(self, name: str) -> Any:
-        public = [one for one in dir(Scenario) if not one.startswith("_") and not hasattr(ConfigModel, one)]
-        meant = "simulate" if name in ("run", "plot", "result") else closest(name, public)
         if name.startswith("_"):
             return super().__getattr__(name)  # type: ignore[misc]  # defined by pydantic
-        if not meant:
-            raise no_attribute(self, name, _OF_THE_JOINT)
-        raise AttributeError(f"a Scenario has no {name!r}; did you mean {meant}()?", name=name, obj=self)
+        raise no_attribute(self, name, _MEANT)
 
     def __repr__(self) -> str:
         parts = type(self.joint.geometry).__name__, type(self.load).__name__, type(self.controller).__name__

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +13,8 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
-from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.base import Controller, Setpoint
+from mckibben.control.open_loop import OpenLoopControl
 from mckibben.errors import RangeError
 from mckibben.joint import Load
 from mckibben.numerics.batching import batched_program
@@ -58,22 +58,6 @@ class _ImposedMotion(Load):
 
     def acceleration(self, angle: ArrayLike, velocity: ArrayLike, torque: ArrayLike) -> Array:
         return self.rate**2 * (self.centre - jnp.asarray(angle))
-
-
-class _ConstantCommands(Controller):
-    """The measured pressures at the start as commands, or openings of 0."""
-
-    openings: bool = eqx.field(static=True)
-
-    def init(self, measurement: Measurement) -> Any:
-        pressures = measurement.pressures
-        return jax.tree.map(jnp.zeros_like, pressures) if self.openings else pressures
-
-    def step(self, state: Any, setpoint: Setpoint, measurement: Measurement, period: ArrayLike) -> tuple[Any, Any]:
-        return state, state
-
-    def telemetry(self, state: Any) -> dict[str, Array]:
-        return {}
 
 
 def closed_valves(plant: JointPlant, *, polytropic_index: float | None = None) -> JointPlant:
@@ -163,7 +147,8 @@ def dynamic_stiffness(
             remedy=f"give at most {highest:g} Hz, or a shorter control period",
         )
     rates = 2 * np.pi / (each * _SAMPLES * control_period)
-    control = controller or _ConstantCommands(openings=plant.valve.direct)
+    held = (0.0, 0.0) if plant.valve.direct else initial.pressures  # openings, or pressures
+    control = controller or OpenLoopControl(*held, model=plant.joint)
     plant, control = plant.with_period(control_period), control.with_period(control_period)
     wanted = Setpoint(jnp.asarray(0.0), jnp.asarray(0.0)) if setpoint is None else setpoint
     parts = numeric((plant, control, wanted, plant.complete_state(initial), amplitudes, control_period))

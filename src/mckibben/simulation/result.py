@@ -376,26 +376,18 @@ class SimulationResult(RunResult):
         """Read a file of `to_netcdf`; `FileError` if it is missing, is not NetCDF, damaged, or lacks a column."""
         from mckibben.dataset.schema import load_netcdf
 
-        source = str(path)
-        if not Path(path).is_file():
-            raise FileError(source, [Problem("there is no such file")])
         table = load_netcdf(Path(path))
         columns = (*Trajectory._fields, *BAND)
-        missing = [name for name in columns if name not in table]
-        if missing:
-            raise FileError(source, [Problem(f"it is not a simulation result: it lacks {', '.join(missing)}")])
-        problems = [
-            Problem("it is not a numeric column over time", field=name)
-            for name in columns
-            if table[name].dims != ("time",) or table[name].dtype.kind not in "fb"
-        ]
-        outcome, period = str(table.attrs.get("outcome")), table.attrs.get("control_period", 0.0)
+        missing = [name for name in columns if name not in table or table[name].dims != ("time",)]
+        outcome = str(table.attrs.get("outcome"))
+        period: Any = table.attrs.get("control_period")
+        problems = [Problem(f"it is not a simulation result: it lacks {', '.join(missing)}")] if missing else []
         if outcome not in Outcome.__members__:
             problems.append(Problem(f"{outcome!r} is not an outcome", field="outcome"))
         if not isinstance(period, float | np.floating) or not period > 0:
             problems.append(Problem(f"{period!r} is not a positive time", field="control_period"))
         if problems:
-            raise FileError(source, problems)
+            raise FileError(str(path), problems)
         return cls(
             {str(name): variable.to_numpy() for name, variable in table.data_vars.items()},
             float(period),
