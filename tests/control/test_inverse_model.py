@@ -21,6 +21,7 @@ from mckibben.control import (
 from mckibben.control.backprop import Network
 from mckibben.control.inverse_model import FilteredSignal, InitialOffset, MeasuredMotion
 from mckibben.control.reference import ReferenceDerivatives
+from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant
 from mckibben.simulation import sampled

@@ -226,8 +226,8 @@ class ScenarioParameter:
 
     def outside(self, message: str, value: Any) -> ParameterError:
         """Error for a value [SI] outside the range."""
-        given: dict[str, Any] = {"value": value, "lower": self.lower, "upper": self.upper, "unit": self.unit}
-        return ParameterError(message, **given, remedy="choose values inside")
+        numbers: dict[str, Any] = {"value": value, "lower": self.lower, "upper": self.upper, "unit": self.unit}
+        return ParameterError(message, **numbers, remedy="choose values inside")
 
     def show(self, value: float | int, digits: int = 6) -> str:
         """Format a value [SI] in the unit of files."""
@@ -248,8 +248,8 @@ def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
     joint.muscle.specimen.initial_diameter, 10 mm, above 0 to 500 mm
     joint.muscle.specimen.braid_angle, 25 deg, 0.6 to 54.7 deg
     """
-    found = _Parameters.of(scenario)
-    return [ScenarioParameter(name, *found.numbers[name]) for name in found.listed]
+    parameters = _Parameters.of(scenario)
+    return [ScenarioParameter(name, *parameters.numbers[name]) for name in parameters.listed]
 
 
 def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
@@ -279,11 +279,11 @@ def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioPa
         ...
     mckibben.errors.ParameterError: 'load.mass2' and 'load.mass2' are the same parameter; keep one of them
     """
-    found = _Parameters.of(scenario)
+    parameters = _Parameters.of(scenario)
     spelt: dict[Place, str] = {}
     several = []
     for name in names:
-        parameter = _resolve(found, name)
+        parameter = _resolve(parameters, name)
         if twice := next((spelt[place] for place in parameter.places if place in spelt), None):
             both = f"{quoted(twice)} and {quoted(name)} are the same parameter"
             raise ParameterError(both, value=name, remedy="keep one of them")
@@ -292,20 +292,20 @@ def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioPa
     return several
 
 
-def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
+def _resolve(parameters: _Parameters, name: str) -> ScenarioParameter:
     spelling = name.strip()
-    canonical = found.spellings.get(spelling)
-    ending = [each for each in found.listed if each.endswith(f".{spelling}")]
+    canonical = parameters.spellings.get(spelling)
+    ending = [listed for listed in parameters.listed if listed.endswith(f".{spelling}")]
     if canonical is None and len(ending) == 1:
         canonical = ending[0]
     if canonical is not None:
-        return ScenarioParameter(canonical, *found.numbers[canonical])
+        return ScenarioParameter(canonical, *parameters.numbers[canonical])
     keys = spelling.split(".")
     for depth in range(len(keys), 0, -1):
-        reason = found.refused.get(".".join(keys[:depth]))
+        reason = parameters.refused.get(".".join(keys[:depth]))
         if reason is not None:
             raise ParameterError(f"{quoted(spelling)} cannot be varied: {reason[0]}", value=name, remedy=reason[1])
-    below = [known for known in found.numbers if known.startswith(f"{spelling}.")]
+    below = [known for known in parameters.numbers if known.startswith(f"{spelling}.")]
     if below and spelling:
         message = f"{quoted(spelling)} is a group of parameters"
         raise ParameterError(message, value=name, remedy=f"choose one, such as {below[0]}; {LISTING}")
@@ -315,18 +315,18 @@ def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
         )
     for depth in range(len(keys) - 1, 0, -1):
         around, rest = ".".join(keys[:depth]), ".".join(keys[depth:])
-        if around in found.parts:
-            own = {known[len(around) + 1 :]: known for known in found.numbers if known.startswith(f"{around}.")}
-            close = [own[one] for one in _close(rest, list(own))]
+        if around in parameters.parts:
+            own = {known[len(around) + 1 :]: known for known in parameters.numbers if known.startswith(f"{around}.")}
+            close = [own[key] for key in _close(rest, list(own))]
             remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
-            what = f"{around}, of class {class_name(type(found.parts[around]))}, has no parameter {quoted(rest)}"
+            what = f"{around}, of class {class_name(type(parameters.parts[around]))}, has no parameter {quoted(rest)}"
             raise ParameterError(what, value=name, remedy=remedy)
-    close = _close(spelling, list(found.spellings))
+    close = _close(spelling, list(parameters.spellings))
     remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
     raise ParameterError(f"the scenario has no parameter {quoted(spelling)}", value=name, remedy=remedy)
 
 
 def _close(name: str, known: list[str]) -> list[str]:
     """Names that end with a name, or the one closest to it."""
-    ending = [each for each in known if each.endswith(f".{name}")]
-    return ending[:2] or [one for one in (closest(name, known),) if one]
+    ending = [other for other in known if other.endswith(f".{name}")]
+    return ending[:2] or [nearest for nearest in (closest(name, known),) if nearest]

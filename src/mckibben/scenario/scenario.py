@@ -77,7 +77,7 @@ class RunSettings(DocumentModel):
             return value
         for text in version_differences(value["packages"]):
             warnings.warn(text, McKibbenWarning, stacklevel=2)
-        return {key: one for key, one in value.items() if key != "packages"}
+        return {key: part for key, part in value.items() if key != "packages"}
 
     @model_validator(mode="before")
     @classmethod
@@ -114,7 +114,7 @@ class RunSettings(DocumentModel):
         return {name: getattr(self, name) for name in ("duration", "control_period", "accuracy", "substeps")}
 
     def _written(self, folder: Path) -> dict[str, Any]:
-        packages = sorted(filter(None, {package_version(one.__module__) for one in _classes_in(self)}))
+        packages = sorted(filter(None, {package_version(kind.__module__) for kind in _classes_in(self)}))
         return super()._written(folder) | ({"packages": packages} if packages else {})
 
     @model_serializer(mode="wrap", when_used="json")
@@ -125,14 +125,14 @@ class RunSettings(DocumentModel):
 def _with_steps_once(written: dict[str, Any]) -> dict[str, Any]:
     """A written document with its substeps or, without them, its accuracy."""
     left_out = "accuracy" if written.get("substeps") is not None else "substeps"
-    return {key: one for key, one in written.items() if key != left_out}
+    return {key: value for key, value in written.items() if key != left_out}
 
 
 def _classes_in(part: Any) -> Iterator[type]:
     """Classes of the parts of a document."""
     if isinstance(part, tuple | list | dict):
-        for one in part.values() if isinstance(part, dict) else part:
-            yield from _classes_in(one)
+        for inner in part.values() if isinstance(part, dict) else part:
+            yield from _classes_in(inner)
     elif isinstance(part, ConfigModel) or (is_dataclass(part) and not isinstance(part, type)):
         yield type(part)
         yield from _classes_in(vars(part))
@@ -216,7 +216,7 @@ class Scenario(RunSettings):
     def _write(self, handler: Any) -> Any:
         written = _with_steps_once(handler(self))
         usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
-        return {key: one for key, one in written.items() if usual.get(key) != one}
+        return {key: value for key, value in written.items() if usual.get(key) != value}
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_"):

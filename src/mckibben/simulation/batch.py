@@ -318,8 +318,8 @@ class _Runs(NamedTuple):
     def begun(self, lanes: SimulationProblem) -> tuple[Any, Any, Array]:
         """Shared and varying parts of the runs of a chunk, those of their beginnings included, and their spans."""
         begun, span = _begun(lanes, self.shared, self.times, self.asked)
-        each = bool(jax.tree.leaves(lanes.reference))
-        spec = _Beginnings(setpoints=each, changes=each, starts=True, exist=True, split=False)  # type: ignore
+        varies = bool(jax.tree.leaves(lanes.reference))
+        spec = _Beginnings(setpoints=varies, changes=varies, starts=True, exist=True, split=False)  # type: ignore
         of_each, of_all = eqx.partition(begun, spec)
         unused: Any = {"reference": None, "initial": None}
         return (self.shared._replace(**unused), of_all), (lanes._replace(**unused), of_each), span
@@ -327,8 +327,8 @@ class _Runs(NamedTuple):
     def compute(self, lanes: SimulationProblem, substeps: int) -> tuple[dict[str, Array], str]:
         """Columns of a chunk of runs."""
         shared, varying, span = self.begun(lanes)
-        given = *shared, jnp.asarray(self.period, float), self.asked, dynamic_steps(substeps)
-        columns, used = _run(self.engine, given, varying, self.asked.precision)
+        constant = *shared, jnp.asarray(self.period, float), self.asked, dynamic_steps(substeps)
+        columns, used = _run(self.engine, constant, varying, self.asked.precision)
         return columns | {"_span": np.broadcast_to(span, varying[1].exist.shape)}, used
 
     def refine(self, runs: Runs, *, accuracy: float) -> Refinement:
@@ -338,16 +338,16 @@ class _Runs(NamedTuple):
         pieces = [slice(start, min(start + size, runs.size)) for start in range(0, runs.size, size)]
         begun = [self.begun(jax.tree.map(_last, pad_chunk(some, piece, size))) for piece in pieces]
         shared = begun[0][0]
-        varying = jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., : runs.size], *(one[1] for one in begun))
+        varying = jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., : runs.size], *(chunk[1] for chunk in begun))
         every = spacing(self.times.size)
         setpoints = eqx.combine(shared[1], varying[1]).setpoints.angle
         desired = np.asarray(setpoints).reshape(self.times.size, -1)[::every]
 
         def solve(substeps: int, which: Runs) -> Positions:
             padded = full_vectors(which)
-            given = *shared, jnp.asarray(self.period, float), np.asarray(substeps), every
-            found, _ = _positions(self.engine, given, jax.tree.map(lambda leaf: leaf[..., padded], varying))
-            return np.stack(found)[..., : which.size]
+            constant = *shared, jnp.asarray(self.period, float), np.asarray(substeps), every
+            positions, _ = _positions(self.engine, constant, jax.tree.map(lambda leaf: leaf[..., padded], varying))
+            return np.stack(positions)[..., : which.size]
 
         def meaningful(angles: Positions, which: Runs) -> NDArray[np.bool_]:
             near = np.abs(angles[0] - (desired if desired.shape[1] == 1 else desired[:, which])) <= SWUNG_OVER_AT
@@ -373,8 +373,8 @@ class _Runs(NamedTuple):
         """Number of steps at which the integration of all runs is stable."""
         if not jax.tree.leaves(lanes.plant):
             lanes, count = jax.tree.map(lambda leaf: leaf[:1], lanes), 1
-        each = (eqx.combine(jax.tree.map(lambda leaf, run=run: leaf[run], lanes), self.shared) for run in range(count))
-        return max(first_substeps(one, self.times, self.period) for one in each)
+        runs = (jax.tree.map(lambda leaf, run=run: leaf[run], lanes) for run in range(count))
+        return max(first_substeps(eqx.combine(run, self.shared), self.times, self.period) for run in runs)
 
 
 def _last(leaf: Any) -> Any:

@@ -140,8 +140,8 @@ def differentiate(
         return _in_order(asked, *compute_with(engine, native, by_xla)[0])
 
     def answers(piece: slice) -> Any:
-        found = _many(pad_chunk(lanes, piece, _LANES), shared, times, period, asked)
-        return jax.tree.map(lambda column: np.asarray(column)[: piece.stop - piece.start], found)
+        derivatives = _many(pad_chunk(lanes, piece, _LANES), shared, times, period, asked)
+        return jax.tree.map(lambda column: np.asarray(column)[: piece.stop - piece.start], derivatives)
 
     pieces = [answer for _, answer in map_chunks(answers, count, _LANES)]
     return _in_order(asked, *jax.tree.map(lambda *columns: np.concatenate(columns), *pieces))
@@ -202,11 +202,11 @@ def _derivatives(
     else:
         # All metrics at once: one backward program.
         values, back = jax.vjp(function, flat)
-        ones = {
+        units = {
             name: jnp.stack([jnp.full_like(value, name == other) for other in asked.metrics])
             for name, value in values.items()
         }
-        rows = jax.vmap(lambda each: back(each)[0])(ones)
+        rows = jax.vmap(lambda unit: back(unit)[0])(units)
         slopes = dict(zip(asked.metrics, rows, strict=True))
     shaped = jax.vmap(restored) if asked.many else restored
     return values, {name: shaped(slope) for name, slope in slopes.items()}
@@ -275,8 +275,8 @@ def _measured(
     start, setpoints, change = begun
     checkpoint = asked.mode is Mode.REVERSE
     parts = run.plant, run.controller, setpoints, start, period, asked.substeps
-    found = streaming_episode(*parts, change=change, split=split, checkpoint=checkpoint)
-    return {name: getattr(found.metrics, name) for name in asked.metrics}
+    streamed = streaming_episode(*parts, change=change, split=split, checkpoint=checkpoint)
+    return {name: getattr(streamed.metrics, name) for name in asked.metrics}
 
 
 def _needed(run: SimulationProblem, times: NDArray[np.float64], period: float, accuracy: float) -> int:
@@ -298,8 +298,8 @@ def _metrics(run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked:
     start, exists = run.start(setpoints)
     change = last_change(setpoints.stiffness)
     with batched_program(rolled=asked.many):
-        found = _measured(run, (start, setpoints, change), _split(change, times, asked), period, asked)
-    return {name: jnp.where(exists, value, jnp.nan) for name, value in found.items()}
+        metrics = _measured(run, (start, setpoints, change), _split(change, times, asked), period, asked)
+    return {name: jnp.where(exists, value, jnp.nan) for name, value in metrics.items()}
 
 
 def _split(change: Change, times: ArrayLike, asked: _Asked) -> Array | None:

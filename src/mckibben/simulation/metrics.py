@@ -34,12 +34,12 @@ class Totals(NamedTuple):
     @classmethod
     def of(cls, metrics: Iterable[Metric], sample: Any) -> Totals:
         """Totals of single control periods, elementwise: of scalars, or of arrays of shape (periods,)."""
-        found = cls({}, {})
+        totals = cls({}, {})
         for metric in metrics:
             terms = metric.terms(sample)
-            found.sums.update(terms.sums)
-            found.maxima.update(terms.maxima)
-        return found
+            totals.sums.update(terms.sums)
+            totals.maxima.update(terms.maxima)
+        return totals
 
     def empty(self) -> Totals:
         """Totals of no control period."""
@@ -158,10 +158,10 @@ def root(mean: Array) -> Array:
     return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), mean)
 
 
-def larger(one: ArrayLike, other: ArrayLike) -> Array:
+def larger(first: ArrayLike, second: ArrayLike) -> Array:
     """The larger of two, NaN if one of them is: XLA's own maximum does not always propagate it."""
-    one, other = jnp.asarray(one), jnp.asarray(other)
-    return jnp.where((one >= other) | jnp.isnan(one), one, other)
+    first, second = jnp.asarray(first), jnp.asarray(second)
+    return jnp.where((first >= second) | jnp.isnan(first), first, second)
 
 
 SETTLING_PART = 0.1

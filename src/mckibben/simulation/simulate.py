@@ -275,8 +275,8 @@ class _Run(NamedTuple):
         if substeps is not None:
             return *self.record(substeps), Resolution(substeps)
         solutions: list[tuple[Record, str]] = []
-        found = resolution_of(self.refined(accuracy, solutions), accuracy)
-        return *solutions[0], found
+        resolution = resolution_of(self.refined(accuracy, solutions), accuracy)
+        return *solutions[0], resolution
 
 
 def _result(
@@ -343,7 +343,7 @@ def _result(
 
 def start_of(problem: SimulationProblem, setpoints: Setpoint, *, engine: str = "auto") -> tuple[PlantState, Array]:
     """Return the initial state, and whether it exists, of a problem without controller and reference."""
-    parts = problem, jax.tree.map(lambda one: np.asarray(one)[:1], setpoints)
+    parts = problem, jax.tree.map(lambda values: np.asarray(values)[:1], setpoints)
     return compute_with(engine, lambda: _native_start(parts), lambda: _start_by_xla(*parts))[0]
 
 

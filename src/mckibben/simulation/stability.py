@@ -260,13 +260,13 @@ def disk_margins(
         some = pad_chunk(lanes, piece, _LANES)
         begun, exists = _begun(some, shared, times)
         loops, oscillation = _linearised(some, shared, begun, control_period, chosen, substeps)
-        each = zip(*loops, oscillation, np.asarray(exists), strict=True)
+        runs = zip(*loops, oscillation, np.asarray(exists), strict=True)
         return [
             (0.0 if oscillates else _least_disk_margin(LinearLoop(*loop), control_period)) if starts else np.nan
-            for *loop, oscillates, starts in itertools.islice(each, piece.stop - piece.start)
+            for *loop, oscillates, starts in itertools.islice(runs, piece.stop - piece.start)
         ]
 
-    return np.concatenate([found for _, found in map_chunks(of_chunk, count, _LANES)])
+    return np.concatenate([margins_of_chunk for _, margins_of_chunk in map_chunks(of_chunk, count, _LANES)])
 
 
 def _without_noise(plant: JointPlant, period: float) -> JointPlant:
@@ -286,13 +286,13 @@ def _without_modulation(plant: JointPlant, initial: Any) -> Any:
 def _begun(lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike) -> tuple[Any, Array]:
     """Start and setpoints of each run, and whether it can start."""
 
-    def one(lane: SimulationProblem) -> tuple[Any, Array]:
+    def begin(lane: SimulationProblem) -> tuple[Any, Array]:
         run = eqx.combine(lane, shared)
         setpoints = sample_reference(run.reference, times)
         start, exists = run.start(setpoints)
         return (start, setpoints), exists
 
-    return lax.map(one, lanes)
+    return lax.map(begin, lanes)
 
 
 def _linearised(
@@ -305,11 +305,11 @@ def _linearised(
 ) -> tuple[LinearLoop, NDArray[np.float64]]:
     """Linearisations of runs at control periods, leaves (runs, points, ...), and amplitudes of limit cycles [rad]."""
     without: Any = {"reference": None, "initial": None}
-    given = shared._replace(**without), np.asarray(control_period), np.asarray(substeps)
+    constant = shared._replace(**without), np.asarray(control_period), np.asarray(substeps)
     own = None if lanes is None else lanes._replace(**without)
     start, setpoints = begun
     of_runs = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), (own, start, setpoints))
-    visited, oscillation = map(np.asarray, _visited("auto", given, of_runs)[0])
+    visited, oscillation = map(np.asarray, _visited("auto", constant, of_runs)[0])
     states = np.moveaxis(visited[chosen], 0, -1)  # (states, runs, points)
     count, *shape = states.shape
     directions = np.eye(count + 2)
@@ -325,7 +325,7 @@ def _linearised(
         lane(directions[:, None, None]),
     )
     following, wanted = (
-        np.moveaxis(np.reshape(rows, (-1, *shape, count + 2)), 0, 2) for rows in _along("auto", given, parts)[0]
+        np.moveaxis(np.reshape(rows, (-1, *shape, count + 2)), 0, 2) for rows in _along("auto", constant, parts)[0]
     )
     return LinearLoop(following[..., :count], following[..., count:], wanted[..., :count]), oscillation
 
@@ -432,7 +432,7 @@ def _least_disk_margin(loops: LinearLoop, period: float) -> float:
     angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
     if not all(np.isfinite(leaf).all() for leaf in loops):
         return 0.0
-    several = [_Triangular.of(LinearLoop(*one)) for one in zip(*loops, strict=True)]
+    several = [_Triangular.of(LinearLoop(*leaves)) for leaves in zip(*loops, strict=True)]
     if any(_radius(loop.poles) >= 1 for loop in several):
         return 0.0
     return min(_disk(loop.sensitivity(_with_resonances(angles, loop.poles))) for loop in several)
