@@ -2,20 +2,21 @@
 
 from mckibben.identification.creep import CreepFit, identify_creep
 from mckibben.identification.delayed_share import CreepStructure
+from mckibben.identification.estimator import Interval, IntervalEstimate
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
 from mckibben.identification.fitting import ResidualCorrelation, identify
 from mckibben.identification.friction_forms import FormComparison, FrictionForm, LackOfFit
+from mckibben.identification.grouping import Grouping
 from mckibben.identification.hysteresis import HysteresisFit, SensorDrift, identify_hysteresis
-from mckibben.identification.intervals import ForceIntervals, Interval, IntervalEstimate
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled
 from mckibben.identification.pressure_creep import PressureCreepFit, identify_pressure_creep
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
+from mckibben.identification.regression import ForceIntervals
 from mckibben.identification.storage import read_law
 from mckibben.identification.threshold import ThresholdFit, identify_threshold
-from mckibben.identification.uncertainty import Grouping
 from mckibben.identification.validation import ErrorStatistics, Validation, validate
 from mckibben.identification.with_friction import FitWithFriction, identify_with_friction, shows_hysteresis
 

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
+from mckibben.identification.estimator import Bools, Floats
 from mckibben.identification.fit import DatasetSummary
 from mckibben.identification.relaxation import MaxwellElementFit, RelaxationCurves, TimedLoadingPaths
-from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import MaxwellCreep, NoCreep
 from mckibben.units import percent, show
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.errors import IdentificationError
-from mckibben.identification.intervals import profile_interval, t_quantile
+from mckibben.identification.estimator import ClusterRobustErrors, Floats, Ints, profile_interval, t_quantile
 from mckibben.identification.pressure_plateaus import (
     FEWEST_LEVELS,
     MOVED,
@@ -24,7 +24,6 @@ from mckibben.identification.pressure_plateaus import (
     mean_forces,
     pressure_lags,
 )
-from mckibben.identification.uncertainty import ClusterRobustErrors, Floats, Ints
 from mckibben.units import percent
 
 _FEWEST_PLATEAUS = 6

@@ -16,17 +16,18 @@ from mckibben.component.calls import CheckedCalls, checked_call, user_level
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
 from mckibben.errors import DomainWarning, IdentificationError, no_attribute, printable
-from mckibben.identification.intervals import (
-    ForceIntervals,
+from mckibben.identification.estimator import (
+    Bools,
+    Floats,
     Interval,
-    RobustErrors,
     check_level,
-    force_gradients,
+    correlated_pairs,
     parameter_interval,
     t_interval,
 )
-from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import Bools, Floats, Grouping, correlated_pairs
+from mckibben.identification.grouping import Grouping
+from mckibben.identification.least_squares import force_gradients
+from mckibben.identification.regression import ForceIntervals, Regression, RobustErrors
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.muscle.base import check_point
 from mckibben.notebook import draw, html_table

@@ -10,6 +10,16 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import (
+    CONDITION_LIMIT,
+    Bools,
+    Floats,
+    Ints,
+    condition_number,
+    correlated_pairs,
+    standard_errors,
+    unidentifiable,
+)
 from mckibben.identification.fit import (
     DatasetSummary,
     Fit,
@@ -19,22 +29,11 @@ from mckibben.identification.fit import (
     left_out,
     off_levels,
 )
+from mckibben.identification.grouping import Grouping, row_numbers
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
 from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, prior_of, prior_rows
-from mckibben.identification.uncertainty import (
-    CONDITION_LIMIT,
-    Bools,
-    Floats,
-    Grouping,
-    Ints,
-    condition_number,
-    correlated_pairs,
-    row_numbers,
-    uncertainty,
-    unidentifiable,
-)
 from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, SmoothLaw
 from mckibben.units import percent, show
 
@@ -122,7 +121,7 @@ def fit_means(
             remedy="look for wrong units in the data",
         )
     residuals = solution.residuals
-    errors, correlations = uncertainty(solution.augmented[1], solution.augmented[0], at_bound)
+    errors, correlations = standard_errors(solution.augmented[1], solution.augmented[0], at_bound)
     regression = Regression(points, problem, solution, at_bound, refit)
     grouping, ungrouped = regression.default_grouping
 

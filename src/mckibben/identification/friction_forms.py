@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mckibben.errors import IdentificationError
-from mckibben.identification.loading_path import FRICTION, DriftBasis, PathDependentModel
-from mckibben.identification.uncertainty import (
+from mckibben.identification.estimator import (
     CONDITION_LIMIT,
     Bools,
     ClusterRobustErrors,
@@ -19,9 +18,10 @@ from mckibben.identification.uncertainty import (
     IndependentErrors,
     Ints,
     condition_number,
-    uncertainty,
+    standard_errors,
     unidentifiable,
 )
+from mckibben.identification.loading_path import FRICTION, DriftBasis, PathDependentModel
 from mckibben.muscle.friction import MIN_HALF_WIDTH
 
 
@@ -137,7 +137,7 @@ def solve(model: PathDependentModel, start: Mapping[str, float], free: tuple[str
             f"the fit of law and friction did not converge (RMSE {np.sqrt(np.mean(found.residuals**2)):.3g} N)",
             remedy="look for outliers, wrong units and rows that are not in the order of the test",
         )
-    errors, correlations = uncertainty(found.jacobian, found.residuals, found.active)
+    errors, correlations = standard_errors(found.jacobian, found.residuals, found.active)
     # Points of a stroke have errors in common: those of the length at its reversal, and of timing.
     robust = _errors(found.jacobian[:, ~found.active], found.residuals, model.paths.stroke(model.means)[model.used])
     variance = robust.variance(np.eye(int(np.count_nonzero(~found.active))))[0]

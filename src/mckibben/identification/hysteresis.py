@@ -12,6 +12,7 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import Bools, Floats
 from mckibben.identification.fit import DatasetSummary, Fit, counted, domain_of, left_out
 from mckibben.identification.fitting import identify
 from mckibben.identification.friction_forms import (
@@ -37,7 +38,6 @@ from mckibben.identification.loading_path import (
     loop_half_width,
 )
 from mckibben.identification.outliers import find_outliers
-from mckibben.identification.uncertainty import Bools, Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
 from mckibben.notebook import draw, html_table
 from mckibben.units import factor, mm, show

@@ -10,8 +10,8 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import Bools, Floats, Ints
 from mckibben.identification.least_squares import design_matrix
-from mckibben.identification.uncertainty import Bools, Floats, Ints
 from mckibben.muscle import ForceLaw, MaxwellSlip, forces
 from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
 from mckibben.units import show

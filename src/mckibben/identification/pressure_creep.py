@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from mckibben.dataset import Recording
 from mckibben.identification.delayed_share import CreepStructure, DelayedShareFit
-from mckibben.identification.intervals import t_quantile
+from mckibben.identification.estimator import t_quantile
 from mckibben.identification.pressure_plateaus import RecordedBins
 from mckibben.muscle import MaxwellCreep, NoCreep
 from mckibben.units import percent, show

@@ -14,7 +14,7 @@ import numpy as np
 from mckibben.dataset import Recording
 from mckibben.dataset.segmentation import steady_segments
 from mckibben.errors import IdentificationError
-from mckibben.identification.uncertainty import Floats, Ints
+from mckibben.identification.estimator import Floats, Ints
 from mckibben.muscle.creep import retained_fraction
 from mckibben.units import kPa
 

@@ -23,10 +23,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mckibben.errors import IdentificationError, ParameterError
+from mckibben.identification.estimator import (
+    CONDITION_LIMIT,
+    Floats,
+    Interval,
+    condition_number,
+    parameter_interval,
+    t_quantile,
+)
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import Interval, parameter_interval, t_quantile
+from mckibben.identification.grouping import Grouping
 from mckibben.identification.least_squares import Solution, solve
-from mckibben.identification.uncertainty import CONDITION_LIMIT, Floats, Grouping, condition_number
 from mckibben.units import show
 
 _CURVE_POINTS = 41

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.intervals import minimum_near
+from mckibben.identification.estimator import Bools, Floats, Ints, minimum_near
 from mckibben.identification.loading_path import LoadingPaths
-from mckibben.identification.uncertainty import Bools, Floats, Ints
 from mckibben.muscle.creep import retained_fraction
 
 _BLOCKS = 16  # blocks to which the samples of a plateau are averaged: an exponential is smooth

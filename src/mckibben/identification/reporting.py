@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from mckibben.identification.estimator import Interval, check_level
 from mckibben.identification.fit import Fit
 from mckibben.identification.hysteresis import HysteresisFit
-from mckibben.identification.intervals import Interval, check_level
 from mckibben.identification.profile import Profile, profile
 from mckibben.units import factor
 

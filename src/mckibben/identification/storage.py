@@ -24,10 +24,9 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import Problem, RangeError, ScenarioError, quoted, suggest
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
 from mckibben.identification.fitting import restored_regression
-from mckibben.identification.intervals import RobustErrors
-from mckibben.identification.regression import Regression
+from mckibben.identification.grouping import Grouping
+from mckibben.identification.regression import Regression, RobustErrors
 from mckibben.identification.smooth import prior_of, prior_scales
-from mckibben.identification.uncertainty import Grouping
 from mckibben.muscle import LAWS, Domain, ForceLaw
 from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import BoundedInt, factor, quantity, show

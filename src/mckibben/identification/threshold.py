@@ -10,13 +10,13 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import ClusterRobustErrors, Floats, minimum_near, profile_interval, t_quantile
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify, residual_correlation
-from mckibben.identification.intervals import minimum_near, profile_interval, t_quantile
+from mckibben.identification.grouping import finest_grouping, group_labels
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.smooth import SMOOTH_LAWS
-from mckibben.identification.uncertainty import ClusterRobustErrors, Floats, finest_grouping, group_labels
 from mckibben.muscle import ForceLaw
 from mckibben.muscle.threshold import ThresholdLaw, effective_pressure
 from mckibben.units import bar, kPa, show

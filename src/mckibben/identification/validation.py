@@ -11,8 +11,8 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError, RangeError, printable
+from mckibben.identification.estimator import Bools
 from mckibben.identification.fit import Fit
-from mckibben.identification.uncertainty import Bools
 from mckibben.muscle import ForceLaw, forces
 from mckibben.notebook import html_table
 from mckibben.units import bar

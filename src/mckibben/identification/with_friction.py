@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError, no_attribute
+from mckibben.identification.estimator import Floats
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import WITH_FRICTION, fit_means, identify
 from mckibben.identification.friction_forms import FrictionForm
 from mckibben.identification.hysteresis import HysteresisFit, identify_hysteresis
 from mckibben.identification.loading_path import ReversedDirectionsError, loop_half_width
 from mckibben.identification.outliers import find_outliers
-from mckibben.identification.uncertainty import Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
 
