@@ -5,9 +5,9 @@ from mckibben.identification.delayed_share import CreepStructure
 from mckibben.identification.estimator import Interval, IntervalEstimate
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
 from mckibben.identification.fitting import ResidualCorrelation, identify
-from mckibben.identification.friction_forms import FormComparison, FrictionForm, LackOfFit
+from mckibben.identification.friction import FormComparison, HysteresisFit, LackOfFit, SensorDrift, identify_hysteresis
+from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import Grouping
-from mckibben.identification.hysteresis import HysteresisFit, SensorDrift, identify_hysteresis
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled

@@ -10,7 +10,6 @@ from typing import Any
 
 from mckibben.identification.estimator import Interval, check_level
 from mckibben.identification.fit import Fit
-from mckibben.identification.hysteresis import HysteresisFit
 from mckibben.identification.profile import Profile, profile
 from mckibben.units import factor
 
@@ -38,43 +37,6 @@ def fit_numbers(fit: Fit) -> dict[str, Any]:
         },
         "outliers": [dataclasses.asdict(one) for one in fit.outliers],
         "warnings": list(fit.warnings),
-    }
-
-
-_FRICTION = {
-    "half_width": ("_N", "N"),
-    "growth": ("_N_per_bar", "N/bar"),
-    "tension_growth": ("", "1"),
-    "viscous": ("_N_s_per_m", "N*s/m"),
-    "viscous_growth": ("_N_s_per_m_bar", "N*s/m/bar"),
-    "viscous_length_growth": ("_N_s_per_m2", "N*s/m^2"),
-    "rate_growth": ("", "1"),
-    "rate_speed": ("_mm_per_s", "mm/s"),
-    "presliding_length": ("_mm", "mm"),
-}
-
-
-def hysteresis_numbers(found: HysteresisFit) -> dict[str, Any]:
-    """Friction and drift as plain data."""
-    friction, numbers = found.friction, {}
-    for name, (ending, unit) in _FRICTION.items():
-        value, error = getattr(friction, name) or 0.0, found.standard_errors[name]
-        numbers |= {f"{name}{ending}": value / factor(unit), f"{name}_standard_error{ending}": error / factor(unit)}
-    return {
-        "form": found.form.value,
-        "held_out_rmse_N": {form.value: rmse for form, rmse in found.comparison.rmse.items()}
-        if found.comparison
-        else {},
-        "rejected_for": found.lack_of_fit.quantity if found.lack_of_fit else None,
-        **numbers,
-        "reference_pressure_bar": friction.reference_pressure / factor("bar"),
-        "reference_tension_N": friction.reference_tension,
-        "reference_length_mm": (friction.reference_length or 0.0) / factor("mm"),
-        "drift_N_per_hour": found.drift.rate * 3600 if found.drift else 0.0,
-        "drift_standard_error_N_per_hour": found.drift.rate_error * 3600 if found.drift else None,
-        "rmse_N": found.rmse,
-        "max_N": found.max_error,
-        "warnings": list(found.warnings),
     }
 
 

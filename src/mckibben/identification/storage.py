@@ -28,6 +28,7 @@ from mckibben.identification.grouping import Grouping
 from mckibben.identification.regression import Regression, RobustErrors
 from mckibben.identification.smooth import prior_of, prior_scales
 from mckibben.muscle import LAWS, Domain, ForceLaw
+from mckibben.result import Remark, Severity
 from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import BoundedInt, factor, quantity, show
 
@@ -83,7 +84,7 @@ def write_fit(fit: Fit, path: Path) -> None:
         "correlations": [_floats(row) for row in fit.correlations],
         "outliers": [dataclasses.asdict(one) for one in fit.outliers],
         **_data(fit.regression),
-        "warnings": list(fit.warnings),
+        "warnings": [_note(note) for note in fit.notes],
         "dataset": {
             "specimen": fit.dataset.specimen,
             "source": fit.dataset.source,
@@ -375,7 +376,7 @@ class _FitFile(_LawFile):
             points_used=self.points.used,
             points_slack=self.points.slack,
             leave_one_pressure_out=unseen,
-            warnings=self.warnings,
+            notes=tuple(map(_remark, self.warnings)),
             dataset=DatasetSummary(data.specimen, data.source, pressures),
             residuals=regression.solution.residuals if regression else None,
             robust=errors,
@@ -426,6 +427,15 @@ def _read(path: str | os.PathLike[str], *, complete: bool | None) -> Any:
     if document.problems:
         raise ScenarioError(source, document.problems)
     return read
+
+
+def _note(note: Remark) -> str:
+    return f"{note.severity.value}: {note.field}: {note.text}" + (f" | {note.remedy}" if note.remedy else "")
+
+
+def _remark(text: str) -> Remark:
+    severity, field, text = text.split(": ", 2)
+    return Remark(Severity(severity), field, *text.split(" | "))
 
 
 def _floats(values: Any) -> list[float]:

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
     from mckibben.identification import Fit, Grouping, Profile, RankedLaw, Ranking
     from mckibben.identification.creep import CreepFit
-    from mckibben.identification.hysteresis import HysteresisFit
+    from mckibben.identification.friction import HysteresisFit
 
 _SHOWN = 6  # laws whose residuals are drawn
 _LOOKS: dict[str, dict[str, Any]] = {
