@@ -1,7 +1,6 @@
 """Identification of force laws and friction from measured points: least squares, uncertainty, cross-validation."""
 
-from mckibben.identification.creep import CreepFit, identify_creep
-from mckibben.identification.delayed_share import CreepStructure
+from mckibben.identification.creep import CreepFit, identify_creep, identify_pressure_creep
 from mckibben.identification.estimator import Interval, IntervalEstimate
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
 from mckibben.identification.fitting import ResidualCorrelation, identify
@@ -11,7 +10,6 @@ from mckibben.identification.grouping import Grouping
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled
-from mckibben.identification.pressure_creep import PressureCreepFit, identify_pressure_creep
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.regression import ForceIntervals
@@ -22,7 +20,6 @@ from mckibben.identification.with_friction import FitWithFriction, identify_with
 
 __all__ = [
     "CreepFit",
-    "CreepStructure",
     "DatasetSummary",
     "ErrorStatistics",
     "Fit",
@@ -40,7 +37,6 @@ __all__ = [
     "Outlier",
     "PoolForm",
     "PooledFit",
-    "PressureCreepFit",
     "Profile",
     "RankedLaw",
     "Ranking",

@@ -108,12 +108,8 @@ def left_out(outliers: Sequence[Outlier]) -> list[Remark]:
 
 def warning_texts(notes: Iterable[Remark]) -> list[str]:
     """Texts of remarks that are not mere details."""
-    texts = (
-        f"{note.text}; {note.remedy}" if note.remedy else note.text
-        for note in notes
-        if note.severity is not Severity.NOTE
-    )
-    return list(texts)
+    shown = [note for note in notes if note.severity is not Severity.NOTE]
+    return [f"{note.text}; {note.remedy}" if note.remedy else note.text for note in shown]
 
 
 def domain_of(points: IsobaricDataset) -> Domain:
@@ -351,14 +347,14 @@ class Fit(Result, metaclass=CheckedCalls):
         name, lopo = self.dataset.specimen or "unnamed specimen", self.leave_one_pressure_out
         share = f" ({100 * self.rmse / self.largest_force:.2g} % of the largest)" if self.largest_force else ""
         unseen = f"; {lopo.rmse:.3g} N at pressures left out" if lopo else ""
-        return f"{type(self.law).__name__} describes {self.points_used} points of {name} to {self.rmse:.3g} N{share}{unseen}"
+        law = type(self.law).__name__
+        return f"{law} describes {self.points_used} points of {name} to {self.rmse:.3g} N{share}{unseen}"
 
     @property
     def largest_force(self) -> float:
         """Largest fitted force [N] at the points; 0 if the fit was read from a file without them."""
-        return (
-            float((self.regression.points.force - self.regression.solution.residuals).max()) if self.regression else 0.0
-        )
+        regression = self.regression
+        return float((regression.points.force - regression.solution.residuals).max()) if regression else 0.0
 
     @property
     def warnings(self) -> tuple[str, ...]:

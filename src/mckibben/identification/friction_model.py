@@ -232,7 +232,7 @@ class PathDependentModel:
         return PathSolution(values(minimum.values), free, minimum)
 
     def solve(self, start: Mapping[str, float], free: tuple[str, ...]) -> PathSolution:
-        """Bounded least squares with standard errors; raises `IdentificationError` if the points do not determine it."""
+        """Bounded least squares with standard errors; an `IdentificationError` if the points do not determine it."""
         solution = self.fit(start, free)
         minimum, inside = solution.minimum, solution.inside
         jacobian = minimum.jacobian[:, inside]
