@@ -364,6 +364,7 @@ class Fit(Result, metaclass=CheckedCalls):
     def remarks(self) -> Iterable[Remark]:
         """Return the notes, and what the standard errors and the scatter are."""
         yield from self.notes
+        yield Remark.note("law", f"{self.law.equation}; domain: {self.law.domain}")
         yield Remark.note("standard_errors", self._about_errors())
         if count := sum(p.penalised for p in type(self.law).parameters()):
             text = f"deviations from Eq. 2: {count} coefficients, in `estimates` and the file"
@@ -398,7 +399,7 @@ class Fit(Result, metaclass=CheckedCalls):
         columns: dict[str, tuple[Column, Sequence[object]]] = {"parameter": (Column(), [p.name for p in shown])}
         columns |= {name: (Column(digits=digits.get(name, 5)), values) for name, values in numbers.items()}
         columns |= {"unit": (Column(), [p.shown for p in shown]), "meaning": (Column(), [p.meaning for p in shown])}
-        return Listing(f"parameters: {self.law.equation}", columns)
+        return Listing("parameters", columns)
 
     def _about_errors(self) -> str:
         if self.robust is None:
