@@ -10,7 +10,6 @@ from mckibben.identification.grouping import Grouping
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled
-from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.regression import ForceIntervals
 from mckibben.identification.storage import read_law
@@ -37,7 +36,6 @@ __all__ = [
     "Outlier",
     "PoolForm",
     "PooledFit",
-    "Profile",
     "RankedLaw",
     "Ranking",
     "ResidualCorrelation",
@@ -53,7 +51,6 @@ __all__ = [
     "identify_pressure_creep",
     "identify_threshold",
     "identify_with_friction",
-    "profile",
     "rank",
     "read_law",
     "shows_hysteresis",

@@ -360,31 +360,28 @@ _INSIDE = 1e-9  # a search starts off the faces of the cube
 _FACE = 1e-4  # it stays inside the cube: this close to a face counts as on the face
 
 
-def solve(problem: FitProblem, start: Floats, *, fixed: int | None = None) -> Solution:
-    """Least squares over the shape, from a start in the unit cube; one shape parameter may be fixed.
+def solve(problem: FitProblem, start: Floats) -> Solution:
+    """Least squares over the shape, from a start in the unit cube.
 
     The projected Jacobian is Kaufman's approximation (BIT 15, 1975, 49-57).
     """
-    free = np.delete(np.arange(len(start)), [] if fixed is None else fixed)
 
-    def projection(part: Floats) -> Projection:
+    def projection(position: Floats) -> Projection:
         """Projection with derivatives at the linear parameters of the solution, computed once per position."""
-        if part.tobytes() not in latest:
-            position = start.copy()
-            position[free] = part
+        if position.tobytes() not in latest:
             guess = project(problem, position).values[: problem.linear]
             latest.clear()
-            latest[part.tobytes()] = project(problem, position, guess)
-        return latest[part.tobytes()]
+            latest[position.tobytes()] = project(problem, position, guess)
+        return latest[position.tobytes()]
 
     latest: dict[bytes, Projection] = {}
-    best, converged = projection(start[free]), True
-    if len(free) and np.isfinite(best.cost):
+    best, converged = projection(start), True
+    if len(start) and np.isfinite(best.cost):
         search = least_squares(
-            lambda part: projection(part).residuals,
-            np.clip(start[free], _INSIDE, 1 - _INSIDE),
-            lambda part: -projection(part).derivative[:, free],
-            (np.zeros(len(free)), np.ones(len(free))),
+            lambda position: projection(position).residuals,
+            np.clip(start, _INSIDE, 1 - _INSIDE),
+            lambda position: -projection(position).derivative,
+            (np.zeros(len(start)), np.ones(len(start))),
         )
         faces = np.where(search.values < _FACE, 0.0, np.where(search.values > 1 - _FACE, 1.0, search.values))
         inside, on_face = projection(search.values), projection(faces)

@@ -19,6 +19,7 @@ from mckibben.identification.estimator import (
     ErrorModel,
     Floats,
     IndependentErrors,
+    IntervalEstimate,
     Ints,
     condition_number,
     scatter_growth,

@@ -156,12 +156,8 @@ def find_fit(path: Path) -> Fit | None:
         return None
     regression, points = None, numbers.data
     if points is not None:
-        table = IsobaricDataset.of(
-            **points.columns(),
-            specimen=numbers.dataset.specimen,
-            source=numbers.dataset.source,
-            slack_force=points.slack_force,
-        )
+        columns: dict[str, Any] = {**points.columns(), "slack_force": points.slack_force}
+        table = IsobaricDataset.of(specimen=numbers.dataset.specimen, source=numbers.dataset.source, **columns)
         at_bound = np.isnan(list(numbers.standard_errors.values()))
         scales = None if points.prior_scales is None else np.array(points.prior_scales)
         regression = restored_regression(law, table, at_bound, scales)

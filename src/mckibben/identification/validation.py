@@ -74,21 +74,19 @@ class Validation(Result):
     def listings(self) -> Iterable[Listing]:
         """Return the errors, a row per law, pressure and direction; without a pressure or direction: over all."""
         yield from super().listings()
-        columns = {name: Column(*spec) for name, spec in _COLUMNS.items()}
-        yield Listing(
-            "errors", {name: (mark, [getattr(row, name) for row in self.errors]) for name, mark in columns.items()}
-        )
+        columns = {name: (mark, [getattr(row, name) for row in self.errors]) for name, mark in _COLUMNS.items()}
+        yield Listing("errors", columns)
 
 
 _COLUMNS = {
-    "law": ("", "law"),
-    "pressure": ("Pa", "pressure", "bar"),
-    "direction": ("", "direction"),
-    "points": ("", "points"),
-    "rmse": ("N", "RMSE"),
-    "max_error": ("N", "largest"),
-    "bias": ("N", "mean of predicted minus measured"),
-    "outside": ("", "outside the domain"),
+    "law": Column(),
+    "pressure": Column("Pa", "pressure", "bar"),
+    "direction": Column(),
+    "points": Column(),
+    "rmse": Column("N", "RMSE"),
+    "max_error": Column("N", "largest"),
+    "bias": Column("N", "bias"),
+    "outside": Column("", "outside the domain"),
 }
 
 
