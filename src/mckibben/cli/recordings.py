@@ -67,7 +67,9 @@ def identify_creep(
 
 def _read(paths: list[Path], reading: Reading) -> list[Recording]:
     """Read recordings, and report how on standard error."""
-    recordings = [reading.recipe.recording(path, on_corrupt=reading.on_corrupt) for path in paths]
+    from mckibben.dataset import read_recording
+
+    recordings = [read_recording(path, reading.recipe) for path in paths]
     for recording in recordings:
         report_reading(recording.table.attrs)
     return recordings
