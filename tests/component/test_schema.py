@@ -15,7 +15,15 @@ import mckibben as mk
 from mckibben.cli import app
 from mckibben.component.classes import class_name, classes_of, default_class, find_class
 from mckibben.component.extensions import load_extension
-from mckibben.component.schema import Part, inherited_fields, origin_of, parse_component, section_of, write, write_text
+from mckibben.component.schema import (
+    ComponentField,
+    inherited_fields,
+    origin_of,
+    parse_component,
+    section_of,
+    write,
+    write_text,
+)
 from mckibben.control import Controller, PositionStiffnessControl, Signal
 from mckibben.errors import RangeError, ScenarioError, UnitError
 from mckibben.joint import Geometry, MusclePath, ScaledArms, Tendon
@@ -109,7 +117,7 @@ def test_any_component_is_written_and_read_back(name):
     base, component = COMPONENTS[name]
     again = parse_component(base, write_text(component, base=base), source="test")
     assert type(again) is type(component) and again == component
-    assert write(again, Part(base)) == write(component, Part(base))
+    assert write(again, ComponentField(base)) == write(component, ComponentField(base))
 
 
 @pytest.mark.parametrize("base", sorted({base for base, _ in COMPONENTS.values()}, key=lambda one: one.__name__))

@@ -1,7 +1,8 @@
 """Wrong calls of public functions and classes: the error names the argument and the call that is probably meant.
 
-With `mckibben.errors.closest`, this is the only code that answers a mistake in Python with a suggestion. A class may list
-names that users try on it, with their meaning, in `suggestions`; the key ``()`` is a construction without arguments.
+With `mckibben.errors.closest`, this is the only code that answers a mistake in Python with a suggestion. A class may
+list names that users try on it, with their meaning, in `suggestions`; the key ``()`` is a construction without
+arguments.
 """
 
 from __future__ import annotations

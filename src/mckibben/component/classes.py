@@ -116,7 +116,7 @@ class Keyed:
     """Base of classes whose section may stand below their short name, as in ``isobaric: {repeats: 2}``."""
 
     short_name: ClassVar[str] = ""
-    alone: ClassVar[str] = ""
+    shorthand: ClassVar[str] = ""
     """Field of a section that is one value, as in ``move: 10 %``."""
 
     @classmethod
@@ -130,7 +130,7 @@ class Keyed:
             return value
         if section == "":
             section = {}
-        return {"class": name, **(section if isinstance(section, dict) else {getattr(kind, "alone", ""): section})}
+        return {"class": name, **(section if isinstance(section, dict) else {getattr(kind, "shorthand", ""): section})}
 
     @classmethod
     def to_file(cls, section: dict[str, Any]) -> Any:
@@ -138,10 +138,10 @@ class Keyed:
         if cls.short_name:  # a field of one class
             return section
         name, inner = section.pop("class"), section
-        alone = getattr(find_class(cls, name), "alone", "")
+        shorthand = getattr(find_class(cls, name), "shorthand", "")
         if not inner:
             return name
-        return {name: inner[alone] if list(inner) == [alone] else inner}
+        return {name: inner[shorthand] if list(inner) == [shorthand] else inner}
 
 
 def short_key(written: Any, section: Any) -> tuple[str, ...]:

@@ -191,9 +191,9 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
     raise ScenarioError(source, [problem]) from None
 
 
-def located_below(error: ValidationError, place: Place, *, alone: bool = False) -> ValidationError:
-    """Return the mistakes of a validation as those of a section below a place, or of its field that stands `alone`."""
-    details: Any = [{**one, "loc": (*place, *one["loc"][alone:])} for one in error.errors(include_url=False)]
+def located_below(error: ValidationError, place: Place, *, shorthand: bool = False) -> ValidationError:
+    """Return the mistakes of a validation as those of a section below a place, or of a value in place of its field."""
+    details: Any = [{**item, "loc": (*place, *item["loc"][shorthand:])} for item in error.errors(include_url=False)]
     return ValidationError.from_exception_data(error.title, details)
 
 

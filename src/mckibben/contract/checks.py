@@ -21,7 +21,7 @@ from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.component.base import Component, Units, field_hints, field_quantities
 from mckibben.component.classes import name_in_files
 from mckibben.component.extensions import load_extension
-from mckibben.component.schema import Part, declared_fields, parse_component, symbolic_fields, write
+from mckibben.component.schema import ComponentField, declared_fields, parse_component, symbolic_fields, write
 from mckibben.config.document import to_text
 from mckibben.contract.probes import PERIOD, Identity, Probe, Probes, Ranges, plant_scope, probes_of
 from mckibben.control.base import DiscreteTimeSystem
@@ -235,7 +235,7 @@ def _has_bare_float(hint: Any) -> bool:
 def _check_file(component: Any) -> None:
     """A component that is written to a file and read again is the same."""
     kind = type(component)
-    back = _read(kind, to_text({"it": write(component, Part(_base_of(kind), UNITS))}))
+    back = _read(kind, to_text({"it": write(component, ComponentField(_base_of(kind), UNITS))}))
     if type(back) is not kind:
         raise _BrokenError(f"a file gives a {type(back).__name__}", "give the class another `short_name`")
     for name in declared_fields(kind):

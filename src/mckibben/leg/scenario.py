@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from mckibben.component.schema import Part, parse_component
+from mckibben.component.schema import ComponentField, parse_component
 from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation
@@ -190,9 +190,9 @@ class LegScenario(RunSettings):
     examples = "examples/leg/"
 
     name: Title
-    leg: Annotated[Leg, Part(Leg)]
+    leg: Annotated[Leg, ComponentField(Leg)]
     valve: ValvePart = IdealValve()
-    ground: Annotated[Ground, Part(Ground)] = Ground()
+    ground: Annotated[Ground, ComponentField(Ground)] = Ground()
     sensors: SensorsPart = PerfectSensors()
     command_delay: CommandDelay | None = None
     landing: LandingSettings | None = None

@@ -9,7 +9,7 @@ from typing import Any, get_args, get_origin
 
 from mckibben.component.base import Component, Units
 from mckibben.component.classes import class_name
-from mckibben.component.schema import declared_fields, forms, inherited_fields, part_of
+from mckibben.component.schema import component_field, declared_fields, field_types, inherited_fields
 from mckibben.config.fields import OneOf
 from mckibben.control import Constant, Signal
 from mckibben.errors import ParameterError, closest, quoted
@@ -87,7 +87,7 @@ def _walk(
             shared |= dict.fromkeys(names, alias)
             inner = tuple((*place, one) for place in places for one in names)
             _walk(getattr(part, names[0]), units, f"{name}.{alias}", inner, found, listed=listed)
-    for key, form in forms(kind, units).items():
+    for key, form in field_types(kind, units).items():
         value, here = getattr(part, key), f"{name}.{key}"
         inner = tuple((*place, key) for place in places)
         mark = _mark(form)
@@ -102,7 +102,7 @@ def _walk(
             called = name if kind is Constant else here
             found.add(called, inner, mark, _nominal(key, value), listed=listed)
             found.spellings[here] = called
-        elif (inside := part_of(form)) is not None and isinstance(value, Component):
+        elif (inside := component_field(form)) is not None and isinstance(value, Component):
             _walk(value, inside.units, here, inner, found, listed=listed and key not in shared)
         elif inside is not None and isinstance(value, tuple):
             for i, one in enumerate(value):

@@ -18,7 +18,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_serializer, m
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import whole_periods
 from mckibben.component.extensions import package_version, version_differences
-from mckibben.component.schema import Part, independent, inherit, write
+from mckibben.component.schema import ComponentField, independent, inherit, write
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.control import Controller, Reference
@@ -51,14 +51,14 @@ _MOST_PERIODS = 10_000_000
 _OF_THE_JOINT = {"stiffness": "joint.stiffness(angle, pressures)", "muscle": "joint.muscle1"}
 Substeps = Annotated[int, BoundedInt(1, 1000)]
 
-JointPart = Annotated[AntagonisticJoint, Part(AntagonisticJoint)]
-LoadPart = Annotated[Load, Part(Load)]
-ValvePart = Annotated[Actuator, Part(Actuator)]
-SensorsPart = Annotated[Sensors, Part(Sensors)]
-DisturbancePart = Annotated[Disturbance, Part(Disturbance)]
-FrictionPart = Annotated[JointFriction, Part(JointFriction)]
-ControllerPart = Annotated[Controller, Part(Controller)]
-ReferencePart = Annotated[Reference, Part(Reference)]
+JointPart = Annotated[AntagonisticJoint, ComponentField(AntagonisticJoint)]
+LoadPart = Annotated[Load, ComponentField(Load)]
+ValvePart = Annotated[Actuator, ComponentField(Actuator)]
+SensorsPart = Annotated[Sensors, ComponentField(Sensors)]
+DisturbancePart = Annotated[Disturbance, ComponentField(Disturbance)]
+FrictionPart = Annotated[JointFriction, ComponentField(JointFriction)]
+ControllerPart = Annotated[Controller, ComponentField(Controller)]
+ReferencePart = Annotated[Reference, ComponentField(Reference)]
 T = TypeVar("T")
 
 
@@ -213,7 +213,7 @@ class Scenario(RunSettings):
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
         written = _with_steps_once(handler(self))
-        usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
+        usual = {"sensors": write(PerfectSensors(), ComponentField(Sensors)), "disturbance": "none"}
         return {key: one for key, one in written.items() if usual.get(key) != one}
 
     def __getattr__(self, name: str) -> Any:
