@@ -97,21 +97,27 @@ def _unbound(
     places = [parameter.name for parameter in parameters if parameter.kind is _BY_POSITION]
     needed = [parameter.name for parameter in parameters if parameter.default is parameter.empty]
     needed = [name for name in needed if name in names]
-    shown = [name if name in places else f"{name}=..." for name in needed]
-    write = f"write {of}({', '.join([*shown, '...'] if len(names) > len(needed) else shown)})"
+    write = _written(of, names, places, needed)
     if args and (reading := _reading(function, args[0])):
         return CallError(f"{of}: {reason}", value=args[0], remedy=f"to read a file, write {reading}")
     if unknown := next((name for name in named if name not in names), ""):
         remedy = suggest(unknown, [name for name in names if name not in named]) if names else write
         return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=remedy)
     if len(args) > len(places):
-        others = [f"{name}=..." for name in names if name not in places]
-        remedy = f"give others by name: {', '.join(others)}" if others else write
+        others = ", ".join(f"{name}=..." for name in names if name not in places)
+        remedy = f"give others by name: {others}" if others else write
         return CallError(f"{of} takes {len(places)} arguments by position, not {len(args)}", value=args, remedy=remedy)
     missing = [name for name in needed if name not in [*places[: len(args)], *named]]
-    other = "" if args or named else getattr(function, "suggestions", {}).get("()", "")
+    if not args and not named and (other := getattr(function, "suggestions", {}).get("()", "")):
+        write = f"{write}; {other.format(of)}"
     text = f"{of} needs {' and '.join(missing)}" if missing else f"{of}: {reason}"
-    return CallError(text, field="".join(missing[:1]), remedy=f"{write}; {other.format(of)}" if other else write)
+    return CallError(text, field="".join(missing[:1]), remedy=write)
+
+
+def _written(of: str, names: list[str], places: list[str], needed: list[str]) -> str:
+    """Remedy that writes the call with the arguments that it needs."""
+    shown = [name if name in places else f"{name}=..." for name in needed]
+    return f"write {of}({', '.join([*shown, '...'] if len(names) > len(needed) else shown)})"
 
 
 def _items(name: str, value: Any, hints: list[Any]) -> Iterator[tuple[str, Any, list[Any]]]:

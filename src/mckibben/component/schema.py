@@ -1,7 +1,7 @@
 """Components in files: any class of a base by `class`, with units, checks by line, and text that reads back.
 
-A field of a document, or of a component, that holds a component is marked with `ComponentField`. Its section names the class, by
-name or `short_name`, with the key ``class`` (the base's `default_class` otherwise), and gives the fields of the class.
+A field of a document, or of a component, that holds a component is marked with `ComponentField`. Its section names the
+class, by name or `short_name`, with the key ``class`` (otherwise the base's `default_class`), and gives its fields.
 Instead of a section, or as its key ``from``, a file may give the name of a catalog entry or the path of a file; the
 other keys of the section are then changes to it.
 """
@@ -65,6 +65,9 @@ class Section(ConfigModel):
 
     class_: Annotated[Any, Field(alias="class")] = None
     from_: Annotated[Any, Field(alias="from")] = None
+
+
+_NONE = BeforeValidator(lambda value: None if value == "none" else value)
 
 
 @functools.cache
@@ -213,14 +216,19 @@ class ComponentField:
         changes = default is not None and "class" not in section and set(section) <= _keys(type(default))
         kind = type(default) if changes else self.class_for(section)
         default = default if type(default) is kind else None
-        model = section_of(kind, self.units, partial=default is not None)
-        context |= {"scope": scope.maps, "changed": default}
+        fields = self._fields(kind, section, context | {"scope": scope.maps, "changed": default}, (value, key))
+        return build(kind, fields, scope) if default is None else replaced(default, fields)
+
+    def _fields(
+        self, kind: type, section: dict[str, Any], context: dict[str, Any], written: tuple[Any, tuple[str, ...]]
+    ) -> dict[str, Any]:
+        """Fields of a class that a section gives, which is `written` below a key or by a shorthand."""
+        model, (value, key) = section_of(kind, self.units, partial=context["changed"] is not None), written
         try:
             read = model.model_validate(section, context=context)
         except ValidationError as error:
             raise located_below(error, key, shorthand=bool(key) and not isinstance(value[key[0]], dict)) from None
-        fields = _expanded(kind, {name: getattr(read, name) for name in read.model_fields_set - {"class_"}})
-        return build(kind, fields, scope) if default is None else replaced(default, fields)
+        return _expanded(kind, {name: getattr(read, name) for name in read.model_fields_set - {"class_"}})
 
     def _section(self, written: Any) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
         """A value as keys and values, None of ``none``, and the key below which the fields are written, if any."""

@@ -57,13 +57,13 @@ class Document:
 
     def below(self, key: str) -> Document:
         """The document below a key, with the lines of the whole document."""
-        size = 1
+        lines = {place[1:]: line for place, line in self.lines.items() if place[:1] == (key,)}
+        rejected = {place[1:] for place in self.rejected if place[:1] == (key,)}
+        return Document(self.data[key], lines, {}, self.problems, rejected)
 
-        def inner(marks: Mapping[Place, Any]) -> dict[Place, Any]:
-            return {place[size:]: one for place, one in marks.items() if place[:size] == (key,)}
-
-        rejected = {place[size:] for place in self.rejected if place[:size] == (key,)}
-        return Document(self.data[key], inner(self.lines), inner(self.spans), self.problems, rejected)
+    def is_rejected(self, place: Place) -> bool:
+        """Whether a place, or one around it, already has a problem."""
+        return any(place[: len(rejected)] == rejected for rejected in self.rejected)
 
     def reject(self, place: Place, line: int, message: str, remedy: str) -> None:
         """Add a problem for a value that is not allowed."""

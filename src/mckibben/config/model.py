@@ -241,7 +241,6 @@ def parse_text(
 
 
 _KINDS = (
-    ({"task", "train", "test"}, "a task, which `mckibben bench` reads"),
     ({"leg"}, "a leg, which `mckibben leg` reads"),
     ({"controllers", "references"}, "a suite, which `mckibben compare` reads"),
     ({"joint", "controller", "reference"}, "a scenario of a joint, which `mckibben simulate` reads"),
@@ -269,15 +268,14 @@ def problems_of(error: ValidationError, document: Document, model: type[BaseMode
     problems = []
     for detail, cause in zip(details, causes, strict=True):
         place = detail["loc"]
-        section = getattr(cause, "parent", False) and any(key[:-1] == place[:-1] for key in misspelt)
+        parent = getattr(cause, "parent", False)  # of a section that probably lacks only the key that is misspelt
         follows = (
-            section  # it probably lacks only the key that is misspelt
-            or (detail["type"] == "missing" and place in misspelt)
+            (detail["type"] == "missing" and place in misspelt)
+            or (parent and any(key[:-1] == place[:-1] for key in misspelt))
             or (detail["type"] == "too_short" and any(other["loc"][:-1] == place for other in details))
             or (getattr(cause, "follows", False) and not all_follow)
-            or any(place[: len(rejected)] == rejected for rejected in document.rejected)
         )
-        if not follows:
+        if not follows and not document.is_rejected(place):
             problems.append(_problem(detail, document, model))
     return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
 
