@@ -77,6 +77,11 @@ class SupplyLimit(Controller):
         check_kind("SupplyLimit", "model", self._model, AntagonisticJoint)
         check_valve_model("SupplyLimit", self.valve, self._model)
 
+    @property
+    def stiffness_amplitude(self) -> float | None:  # pyrefly: ignore[bad-override]
+        """That of the inner controller."""
+        return self.controller.stiffness_amplitude
+
     def init(self, measurement: Measurement) -> SupplyLimitState:
         pressures = measurement.pressures
         sent = (pressures,) * (1 + (getattr(self._predicting, "periods", None) or 0))
