@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from mckibben.actuator.second_order_valve import _SERIES, _decaying
-from mckibben.plant import (
+from mckibben.actuator import (
     FirstOrderValve,
     FlowValve,
     IdealValve,
@@ -19,6 +18,7 @@ from mckibben.plant import (
     Tube,
     UnequalValves,
 )
+from mckibben.actuator.second_order_valve import _SERIES, _decaying
 from mckibben.report.tables import SETTINGS, plant_of
 
 C, SUPPLY = 5e-9, 7e5

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from mckibben.actuator import FlowValve, PressureRegulator, SwitchingValves
 from mckibben.actuator.base import AirState, AirVolume
 from mckibben.errors import RangeError
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, LAMINAR, mass_flow, pressure_rate
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.compiled import compiled, numeric
-from mckibben.plant import FlowValve, JointPlant, PressureRegulator, SwitchingValves
+from mckibben.plant import JointPlant
 
 C = 0.4e-8  # m^3/(s*Pa): 0.4 dm^3/(s*bar)
 RESERVOIR = {"reservoir_volume": 1e-3, "line_conductance": 0.2e-8}

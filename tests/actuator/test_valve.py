@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.errors import RangeError
-from mckibben.plant import FirstOrderValve, IdealValve
 from mckibben.units import bar
 
 

@@ -15,7 +15,7 @@ WAVE = Wave(0.1, 2.0)
 BAD = """
 import jax.numpy as jnp
 
-from mckibben.plant import Valve
+from mckibben.actuator import Valve
 from mckibben.units import Bandwidth
 
 class Lag(Valve):

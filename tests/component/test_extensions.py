@@ -27,7 +27,7 @@ PACKAGE = '''
 
     from mckibben import catalog
     from mckibben.muscle import Domain, Muscle, Parameter, PressureAffineLaw
-    from mckibben.plant import Valve
+    from mckibben.actuator import Valve
     from mckibben.rig.simulated import SimulatedRig
     from mckibben.units import BoundedInt, PressureRate
 

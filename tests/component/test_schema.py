@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 import mckibben as mk
+from mckibben.actuator import Actuator, FirstOrderValve, Valve
 from mckibben.cli import app
 from mckibben.component.classes import class_name, classes_of, default_class, find_class
 from mckibben.component.extensions import load_extension
@@ -28,7 +29,7 @@ from mckibben.control import Controller, PositionStiffnessControl, Signal
 from mckibben.errors import RangeError, ScenarioError, UnitError
 from mckibben.joint import Geometry, MusclePath, ScaledArms, Tendon
 from mckibben.muscle import Creep, ForceLaw, Friction, MartensBoblanLaw, NoFriction
-from mckibben.plant import Actuator, Disturbance, FirstOrderValve, SampledSensors, Sensors, TorquePulses, Valve
+from mckibben.plant import Disturbance, SampledSensors, Sensors, TorquePulses
 from mckibben.scenario import Scenario, find_parameter, with_values
 from mckibben.units import Bandwidth, PositiveTime, Pressure, Quantity, SignalValue, deg
 
@@ -225,7 +226,7 @@ def test_an_extension_is_a_file(tmp_path):
     path = tmp_path / "lag.py"
     path.write_text(
         textwrap.dedent("""
-            from mckibben.plant import FirstOrderValve
+            from mckibben.actuator import FirstOrderValve
             from mckibben.units import Bandwidth
 
             class LoadedValve(FirstOrderValve):
@@ -259,7 +260,7 @@ def test_scenarios_go_to_other_processes():
 @pytest.mark.slow
 def test_the_command_line_runs_an_extension_before_it_reads_a_file(tmp_path):
     (tmp_path / "late.py").write_text(
-        "from mckibben.plant import FirstOrderValve\n\nclass LateValve(FirstOrderValve):\n    pass\n"
+        "from mckibben.actuator import FirstOrderValve\n\nclass LateValve(FirstOrderValve):\n    pass\n"
     )
     text = changed(VALVE, "valve: {class: LateValve, time_constant: 30 ms}").replace(
         "duration: 10 s", "duration: 50 ms"

@@ -22,7 +22,8 @@ import pytest
 from jax import lax
 
 import mckibben
-from mckibben import control, joint, leg, muscle, plant
+from mckibben import actuator, control, joint, leg, muscle, plant
+from mckibben.actuator import FirstOrderValve, Valve
 from mckibben.codegen.cuda import CudaFunction
 from mckibben.codegen.native import Split, compiler
 from mckibben.component.base import Component
@@ -36,7 +37,7 @@ from mckibben.joint import PendulumLoad
 from mckibben.muscle import Domain, ForceLaw, MaxwellSlip
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import Disturbance, FirstOrderValve, Valve
+from mckibben.plant import Disturbance
 from mckibben.study.rig.document import MountedMuscle
 from mckibben.units import Bandwidth, Quantity, SignalValue, bar, deg, mm
 
@@ -204,7 +205,7 @@ class WithState(SecondOrderLag):
         return jnp.zeros_like(pressure)
 
     def after(self, pressure, state, command, elapsed):
-        return plant.SecondOrderValve(self.bandwidth, damping=1.0).after(pressure, state, command, elapsed)
+        return actuator.SecondOrderValve(self.bandwidth, damping=1.0).after(pressure, state, command, elapsed)
 
 
 class Moving(WithState):
@@ -385,7 +386,7 @@ def test_without_a_compiler_c_is_not_checked(monkeypatch):
 
 GOOD = """
 from mckibben.control import Sine
-from mckibben.plant import FirstOrderValve
+from mckibben.actuator import FirstOrderValve
 
 class Named(FirstOrderValve):
     pass

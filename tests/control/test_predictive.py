@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from jax import lax
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import (
     Constant,
     ExtendedStateObserver,
@@ -23,7 +24,7 @@ from mckibben.control import (
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.simulation import sampled
 from mckibben.units import deg
 

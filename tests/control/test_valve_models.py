@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben.actuator import PressureRegulator
 from mckibben.control import DelayCompensation, ExtendedStateObserver, PressureObserver
 from mckibben.control.model_based import _means
 from mckibben.errors import McKibbenError, RangeError, ReachabilityWarning
 from mckibben.muscle.air import L_PER_S_BAR
-from mckibben.plant import PressureRegulator, SampledSensors
+from mckibben.plant import SampledSensors
 from mckibben.simulation import Outcome
 from mckibben.units import bar, deg, kPa, ms
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben.actuator import FlowValve
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.export.mjcf import joint_model
 from mckibben.export.plant import plant_module
-from mckibben.plant import FlowValve
 from mckibben.realtime import PERFECT, SimulatedJoint
 from mckibben.scenario import Scenario, batched, find_parameter
 from mckibben.simulation import differentiate, run_episode

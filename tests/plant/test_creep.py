@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.codegen.native import NativeFunction
 from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine
 from mckibben.errors import RangeError
@@ -17,7 +18,7 @@ from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, MuscleState, NoCreep
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.plant.joint_plant import Motion
 from mckibben.simulation import compiled_episode, episode, simulate
 from mckibben.simulation.engine import compute_with

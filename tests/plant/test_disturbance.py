@@ -5,12 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import KneeLoad
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointPlant, NoDisturbance, TorquePulses
+from mckibben.plant import JointPlant, NoDisturbance, TorquePulses
 from mckibben.simulation import compiled_episode
 
 PERIOD = 1e-3

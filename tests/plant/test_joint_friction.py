@@ -12,6 +12,7 @@ import pytest
 from jax import lax
 
 import mckibben as mk
+from mckibben.actuator import IdealValve
 from mckibben.codegen.native import compiler
 from mckibben.control import Reference
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError, ScenarioError, SimulationError
@@ -20,7 +21,7 @@ from mckibben.export.plant import plant_module
 from mckibben.joint import GeneralLoad, PairedPaths, Pulley, TabulatedPath
 from mckibben.muscle.friction import polygon
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointFriction, JointPlant
+from mckibben.plant import JointFriction, JointPlant
 from mckibben.scenario import Scenario, batched, find_parameter
 from mckibben.units import deg, mm
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from mckibben.actuator import FirstOrderValve, FlowValve, IdealValve
 from mckibben.control import Setpoint
 from mckibben.errors import McKibbenError, RangeError, UnreachableError
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.units import bar
 
 PERIODS = 2000

@@ -5,11 +5,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve
 from mckibben.errors import RangeError
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors, SampledSensors
+from mckibben.plant import JointPlant, NoDisturbance, PerfectSensors, SampledSensors
 from mckibben.units import deg
 
 pytestmark = pytest.mark.usefixtures("optimized")  # noise, of 32 bits, is compared to the last bit of 64

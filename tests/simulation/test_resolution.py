@@ -23,9 +23,10 @@ from mckibben import (
     simulate,
     simulate_many,
 )
+from mckibben.actuator import IdealValve
 from mckibben.errors import RangeError, SimulationError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
-from mckibben.plant import IdealValve, JointFriction
+from mckibben.plant import JointFriction
 from mckibben.plant.base import STABILITY_LIMIT, Motion
 from mckibben.simulation import Outcome
 from mckibben.units import deg, mm

@@ -11,6 +11,7 @@ import pytest
 import xarray as xr
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.component.columns import attributes
 from mckibben.control import (
     PID,
@@ -27,7 +28,7 @@ from mckibben.control import (
     Sine,
 )
 from mckibben.errors import FileError, ReachabilityWarning, SimulationError
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import Outcome, Result, Trajectory, run_episode, sampled, simulate
 from mckibben.simulation.result import BAND
 from mckibben.units import bar, deg

@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from mckibben.actuator import Actuator, AirValve
 from mckibben.catalog import FOLDER, find, names
 from mckibben.component.base import field_quantities
 from mckibben.component.calls import checked_call
@@ -18,7 +19,6 @@ from mckibben.errors import ParameterError
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, Load
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.muscle.air import nominal_conductance
-from mckibben.plant import Actuator, AirValve
 from mckibben.units import quantity
 
 if TYPE_CHECKING:

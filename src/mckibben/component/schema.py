@@ -91,7 +91,7 @@ def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) 
             fields[name] = kind | None, None
     fields |= {alias: (types[names[0]] | None, None) for alias, names in aliases.items()}
     with warnings.catch_warnings(action="ignore"):  # a field may have the name of a method of pydantic
-        return cast(Any, create_model(f"{runtime.__name__}Section", __base__=Section, **fields))
+        return cast(Any, create_model)(f"{runtime.__name__}Section", __base__=Section, **fields)
 
 
 @functools.cache
@@ -204,7 +204,7 @@ class ComponentField:
         context = dict(info.context or {})
         default, fields = _default_of(context.pop("changed", None), info.field_name), info.data or {}
         siblings = {name: field for name, field in fields.items() if field is not None}
-        scope: Scope = ChainMap({"key": info.field_name or ""}, siblings, *context.get("scope", ()))
+        scope = ChainMap[str, Any]({"key": info.field_name or ""}, siblings, *context.get("scope", ()))
         if (source := section.pop("from", None)) is not None:
             default = self._from_source(source, context, scope, info)
             if isinstance(default, dict):  # an entry that lacks fields

@@ -13,6 +13,7 @@ import numpy as np
 from jax import lax
 
 from mckibben import catalog
+from mckibben.actuator import Actuator, FirstOrderValve, Valve
 from mckibben.actuator.base import AirState, AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
 from mckibben.control.base import DiscreteTimeSystem
@@ -22,7 +23,7 @@ from mckibben.leg.plant import LegMeasurement
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
 from mckibben.muscle.creep import CreepState, TensionAt
 from mckibben.numerics.calculus import derivative
-from mckibben.plant import Actuator, Disturbance, FirstOrderValve, JointFriction, Sensors, Valve
+from mckibben.plant import Disturbance, JointFriction, Sensors
 from mckibben.units import bar, mm, ms, percent
 
 Ranges = Mapping[str, tuple[float, float]]

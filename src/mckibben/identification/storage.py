@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, ValidationError, create_model, field_validator, model_validator
 
-from mckibben.component.classes import classes_of, find_class, full_name
+from mckibben.component.classes import find_class, full_name
 from mckibben.component.extensions import is_foreign, load_installed, package_version
 from mckibben.component.schema import declared_fields
 from mckibben.config.document import read_document, to_text
@@ -137,8 +137,7 @@ def law_types(*, installed: bool = False) -> dict[str, type[ForceLaw]]:
     """Force laws by name: those of mckibben, and imported ones, also those of installed packages where asked."""
     if installed:
         load_installed()
-    others = {name: law for name, law in classes_of(ForceLaw).items() if law.parameters()}
-    return {**LAWS, **{name: law for name, law in others.items() if law not in LAWS.values()}}
+    return dict(LAWS)
 
 
 def _find_law(name: Any, line: int | None) -> tuple[type[ForceLaw] | None, list[Problem]]:

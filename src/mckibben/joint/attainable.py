@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -21,16 +21,13 @@ from jaxtyping import Array, ArrayLike
 from mckibben.component.calls import user_level
 from mckibben.component.checks import known_numbers
 from mckibben.errors import McKibbenWarning, RangeError, UnreachableError
-from mckibben.joint.geometry import Pair
-from mckibben.joint.tendon import RigidTendon
+from mckibben.joint.geometry import Geometry, Pair
+from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import compiled, compiled_alone
 from mckibben.numerics.elementary import floating
 from mckibben.units import deg
-
-if TYPE_CHECKING:
-    from mckibben.joint.antagonistic import AntagonisticJoint as Joint
 
 _SCANNED = 401
 _SCANNED_FRICTION = 33
@@ -38,6 +35,24 @@ _TOLERANCE = 1e-6  # relative tolerance of a stiffness
 _ROUNDING = 1e-12  # relative tolerance of a tension
 _TURN = 2 * math.pi
 _INSIDE = 1e-9  # margin at the ends of a segment, as a fraction: at the end itself a muscle is slack
+
+
+class Joint(Protocol):
+    """What the attainable set needs of a joint, see `AntagonisticJoint`."""
+
+    @property
+    def geometry(self) -> Geometry: ...
+    @property
+    def muscle1(self) -> Muscle: ...
+    @property
+    def muscle2(self) -> Muscle: ...
+    @property
+    def tendon(self) -> Tendon: ...
+    @property
+    def springs(self) -> tuple[bool, bool]: ...
+    def contractions(self, angle: ArrayLike, pressures: Pair) -> Pair: ...
+    def evaluate(self, angle: ArrayLike, pressures: Pair) -> Pair: ...
+    def secant_stiffness(self, angle: ArrayLike, pressures: Pair, amplitude: ArrayLike) -> Array: ...
 
 
 def check_angle(angle: ArrayLike) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from mckibben.actuator import IdealValve
 from mckibben.component.schema import ComponentField, parse_component
 from mckibben.config.document import to_text
 from mckibben.config.fields import Title
@@ -18,7 +19,7 @@ from mckibben.leg.ground import Ground
 from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import LegPlant
 from mckibben.muscle import SpringLaw
-from mckibben.plant import IdealValve, PerfectSensors
+from mckibben.plant import PerfectSensors
 from mckibben.scenario.scenario import RunSettings, SensorsPart, Substeps, ValvePart
 from mckibben.simulation.accuracy import ACCURACY
 from mckibben.units import (

@@ -123,7 +123,7 @@ class ForceLaw(Component):
 
 
 LEAST_PRESSURE = 1e3  # Pa: a lower maximum was given in bar or kPa
-ZERO_PRESSURE = 1e-6  # Pa: a lower pressure is 0, rounded
+ZERO_PRESSURE = 0.01  # Pa: a lower pressure is 0, from a solver for pressures of some bar
 _POSSIBLE = -0.5, 0.8  # contractions
 
 

@@ -15,6 +15,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
+from mckibben.actuator import Actuator, IdealValve
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import whole_periods
 from mckibben.component.extensions import package_version, version_differences
@@ -33,17 +34,7 @@ from mckibben.errors import (
     no_attribute,
 )
 from mckibben.joint import AntagonisticJoint, Load
-from mckibben.plant import (
-    Actuator,
-    Disturbance,
-    IdealValve,
-    JointFriction,
-    JointPlant,
-    NoDisturbance,
-    PerfectSensors,
-    PlantState,
-    Sensors,
-)
+from mckibben.plant import Disturbance, JointFriction, JointPlant, NoDisturbance, PerfectSensors, PlantState, Sensors
 from mckibben.simulation import ACCURACY, AtRest, CheckedRun, Margins, Result, checked_run, margins, needed_substeps
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
