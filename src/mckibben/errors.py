@@ -181,14 +181,6 @@ class UnreachableError(McKibbenError, ValueError):
     """No pressures within limits give the requested angle, torque or stiffness."""
 
 
-class SubmissionError(McKibbenError, ValueError):
-    """A submission to the benchmark cannot be run; holds its `file` and the `function` at fault."""
-
-    def __init__(self, message: str, *, file: str, function: str = "", remedy: str = "") -> None:
-        super().__init__(message, field=function, remedy=remedy)
-        self.file, self.function = file, function
-
-
 class ExportError(McKibbenError, ValueError):
     """A model or function cannot be expressed in another language or format."""
 

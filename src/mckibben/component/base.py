@@ -21,7 +21,7 @@ import numpy as np
 from mckibben.component.calls import CheckedCalls
 from mckibben.component.checks import check_kind, known_numbers
 from mckibben.errors import Problem, RangeError, described, no_attribute, printable, quoted, refuse_problems
-from mckibben.notebook import html_table
+from mckibben.result import Column, Listing
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, factor, show
 
 _LONGEST = 120  # characters of a value
@@ -107,7 +107,9 @@ class Component(Described, eqx.Module, metaclass=_ComponentMeta):  # pyrefly: ig
             raise no_attribute(self, name, self.suggestions)
 
     def _repr_html_(self) -> str:
-        return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))
+        names, values = zip(*_rows(self), strict=True) if dataclasses.fields(self) else ((), ())
+        columns = {"field": (Column(), names), "value, SI if no unit is given": (Column(), values)}
+        return Listing(type(self).__name__, columns).to_html()
 
 
 class Checked(Described, metaclass=CheckedCalls):
@@ -278,20 +280,19 @@ def _outside(owner: str, name: str, value: float, mark: Quantity | BoundedInt) -
     return RangeError(text, field=name, value=value, lower=lower, upper=upper, unit=mark.unit, remedy=remedy)
 
 
-def _rows(component: Any) -> Iterator[tuple[str, str]]:
+def _rows(component: Component) -> Iterator[tuple[str, str]]:
+    """Name and value of each field that is set, those of parts below them."""
     for field in dataclasses.fields(component):
-        if not field.repr:
-            continue
         value, mark = getattr(component, field.name), field_quantities(type(component)).get(field.name)
+        if not field.repr or value is None:
+            continue
         if isinstance(value, Component):
             yield field.name, type(value).__name__
             yield from ((f"{field.name}.{name}", text) for name, text in _rows(value))
-            continue
-        try:
-            text = show(float(value), mark.shown) if isinstance(mark, Quantity) else repr(value)
-        except TypeError:  # an array, a tracer or None
-            text = repr(value)
-        yield field.name, printable(" ".join(text.split()), _LONGEST)
+        elif isinstance(mark, Quantity) and isinstance(value, Real):
+            yield field.name, show(float(value), mark.shown)
+        else:
+            yield field.name, printable(" ".join(repr(value).split()), _LONGEST)
 
 
 def member_of(kind: type, name: str, value: Any) -> Any:

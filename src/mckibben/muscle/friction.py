@@ -146,7 +146,8 @@ class MaxwellSlip(Friction):
 
     .. math::
 
-        v = c\,\dot l + w A \tanh(\dot l/v_0), \qquad c = c_0 + c_1 (p - p_0) + c_2 (l - l_r) \ge 0, \quad |v| \le T - A,
+        v = c\,\dot l + w A \tanh(\dot l/v_0), \qquad c = c_0 + c_1 (p - p_0) + c_2 (l - l_r) \ge 0,
+        \qquad |v| \le T - A,
 
     where the bound is that the muscle never pushes: it acts only where the band and v together reach the tension.
 
