@@ -280,7 +280,9 @@ class FileError(McKibbenError, ValueError):
             alike = (problem.field, problem.message, problem.remedy)
             groups.setdefault(alike if problem.line is not None else id(problem), []).append(problem)
         shown = list(groups.values())[: self.shown]
-        lines += [f"  {one[0].text([each.line for each in one if each.line is not None])}" for one in shown]
+        lines += [
+            f"  {group[0].text([problem.line for problem in group if problem.line is not None])}" for group in shown
+        ]
         if rest := count - sum(map(len, shown)):
             lines.append(f"  ... and {rest} more")
         super().__init__("\n".join(lines))

@@ -377,14 +377,14 @@ class BoundedInt:
 
     def read(self, value: Any) -> int:
         """Check the number; RangeError unless it is an integer within the range."""
-        given = value
+        written = value
         if isinstance(value, str):
             value = int(value) if _WHOLE.fullmatch(value.strip()) else None
         kind = isinstance(value, int) and not isinstance(value, bool)
         if not kind or not self.lower <= value <= self.upper:
             message = "is not a whole number" if value is None else f"is outside {self.range}"
             raise RangeError(
-                f"{quoted(given if value is None else value)} {message}",
+                f"{quoted(written if value is None else value)} {message}",
                 value=value,
                 lower=self.lower,
                 upper=self.upper,

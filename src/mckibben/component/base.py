@@ -251,14 +251,14 @@ def _marks(hint: Any) -> Iterator[Quantity | BoundedInt]:
 @functools.cache
 def _component_classes(kind: type) -> dict[str, Any]:
     """Classes of the fields that are components: a class, or a union."""
-    found = {}
+    components = {}
     for name, hint in field_hints(kind).items():
         plain = _without_marks(hint)
         options = get_args(plain) if get_origin(plain) in (Union, UnionType) else (plain,)
         classes = [_without_marks(option) for option in options]
         if all(isinstance(option, type) and issubclass(option, Component | NoneType) for option in classes):
-            found[name] = functools.reduce(operator.or_, classes)
-    return found
+            components[name] = functools.reduce(operator.or_, classes)
+    return components
 
 
 def _without_marks(hint: Any) -> Any:

@@ -98,7 +98,7 @@ def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) 
 def declared_fields(runtime: type) -> dict[str, dataclasses.Field]:
     """Return the fields that the constructor of a class takes, by name."""
     taken = inspect.signature(runtime).parameters
-    return {one.name: one for one in dataclasses.fields(cast(Any, runtime)) if one.name in taken}
+    return {field.name: field for field in dataclasses.fields(cast(Any, runtime)) if field.name in taken}
 
 
 @functools.cache

@@ -91,8 +91,8 @@ class ContractReport(Result):
 class _BrokenError(Exception):
     """A part of the contract does not hold."""
 
-    def __init__(self, found: str, remedy: str = "") -> None:
-        super().__init__(found)
+    def __init__(self, reason: str, remedy: str = "") -> None:
+        super().__init__(reason)
         self.remedy = remedy
 
 
@@ -183,24 +183,24 @@ def _check_instance(component: Any) -> Iterator[Finding]:
 
 def _finding(kind: type, check: str, function: Callable[[], object]) -> Finding:
     """Finding of a check, which raises where the contract does not hold."""
-    found = Finding(kind.__name__, check, True)
+    finding = Finding(kind.__name__, check, True)
     try:
         function()
     except _SkippedError as reason:
-        return replace(found, passed=None, found=str(reason))
+        return replace(finding, passed=None, found=str(reason))
     except _BrokenError as error:
-        return replace(found, passed=False, found=str(error), remedy=error.remedy)
+        return replace(finding, passed=False, found=str(error), remedy=error.remedy)
     except jax.errors.ConcretizationTypeError as error:
         remedy = "use jax.numpy: jnp.where in place of `if`, no float() or NumPy function of an argument or a field"
         text = f"uses the value of a traced number{_place(error, kind)}"
-        return replace(found, passed=False, found=text, remedy=remedy)
+        return replace(finding, passed=False, found=text, remedy=remedy)
     except McKibbenError as error:
-        return replace(found, passed=False, found=printable(error.message, _LONGEST), remedy=error.remedy)
+        return replace(finding, passed=False, found=printable(error.message, _LONGEST), remedy=error.remedy)
     except Exception as error:
         text = next(iter(str(error).splitlines()), "")
         text = f"{type(error).__name__}: {text}{_place(error, kind)}"
-        return replace(found, passed=False, found=printable(text, _LONGEST))
-    return found
+        return replace(finding, passed=False, found=printable(text, _LONGEST))
+    return finding
 
 
 def _place(error: BaseException, kind: type) -> str:
@@ -441,7 +441,7 @@ class _Sampled:
 
 def _text(program: Any) -> tuple[Any, ...]:
     """Equations of a traced function, and its constants."""
-    return _ADDRESS.sub("", str(program.jaxpr)), *(np.asarray(one).tobytes() for one in program.consts)
+    return _ADDRESS.sub("", str(program.jaxpr)), *(np.asarray(constant).tobytes() for constant in program.consts)
 
 
 def _compiled(function: Callable[[Any], Any], points: NDArray[np.float64]) -> Callable[[NDArray[np.float64]], Any]:

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +29,12 @@ from mckibben.units import bar, mm, ms, percent
 
 Ranges = Mapping[str, tuple[float, float]]
 """Lowest and highest value of each argument in SI, in order."""
+
+Num: TypeAlias = Any
+"""A number of a component's function: a float, an array or a tracer."""
+
+Tree: TypeAlias = Any
+"""Tree of a component: a tree of numbers."""
 
 PERIOD = 1 * ms
 """Control period [s] of the probes."""
@@ -71,7 +77,7 @@ class Identity(NamedTuple):
     """A promise of a base: two results of a component and numbers that must be equal, and the remedy if they differ."""
 
     name: str
-    function: Callable[..., tuple[Any, Any]]
+    function: Callable[..., tuple[Tree, Tree]]
     remedy: str
 
 
@@ -92,21 +98,21 @@ class Probes(NamedTuple):
         Ranges of the arguments of a component that differ from the usual ones.
     """
 
-    functions: tuple[Callable[..., Any], ...] = ()
+    functions: tuple[Callable[..., Tree], ...] = ()
     identities: tuple[Identity, ...] = ()
     broadcasts: bool = False
     in_files: bool = True
     emitted: bool = True
     limits: Callable[[Any], Ranges] = lambda _: {}
 
-    def ranges(self, function: Callable[..., Any], component: Any) -> Ranges:
+    def ranges(self, function: Callable[..., Tree], component: object) -> Ranges:
         """Return the range of each argument of a function, for a component."""
         limits = self.limits(component)
         names = list(inspect.signature(function).parameters)[1:]
         return {name: limits.get(name.rstrip("12"), _RANGES[name.rstrip("12")]) for name in names}
 
 
-def probes_of(component: Any) -> Probes:
+def probes_of(component: object) -> Probes:
     """Return the probes of the nearest base of a component; empty for a class without functions."""
     return next((_PROBES[base] for base in type(component).__mro__ if base in _PROBES), Probes())
 
@@ -133,12 +139,12 @@ def _muscle() -> Muscle:
 # Force laws.
 
 
-def _force(law: ForceLaw, contraction: Any, pressure: Any) -> Any:
+def _force(law: ForceLaw, contraction: Num, pressure: Num) -> Tree:
     force = law.force(contraction, pressure)
     return force, law.slope(contraction, pressure), law.pressure_for(force, contraction)
 
 
-def _inverted(law: ForceLaw, contraction: Any, pressure: Any) -> tuple[Any, Any]:
+def _inverted(law: ForceLaw, contraction: Num, pressure: Num) -> tuple[Tree, Tree]:
     force = law.force(contraction, pressure)
     return law.force(contraction, law.pressure_for(force, contraction)), force
 
@@ -161,25 +167,25 @@ def _finite(low: float, high: float, least: float, most: float) -> tuple[float, 
 # Friction and creep of a muscle, friction of a joint.
 
 
-def _moved(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any, rate: Any) -> Any:
+def _moved(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num, rate: Num) -> Tree:
     state = friction.project(friction.initial(length), length + move / 3, tension, pressure)
     viscous = friction.viscous_force(length + move, tension, pressure, rate)
     return friction.force(state, length + move, tension, pressure), viscous, friction.half_width_at(tension, pressure)
 
 
-def _moved_in_two(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any) -> tuple[Any, Any]:
+def _moved_in_two(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num) -> tuple[Tree, Tree]:
     start, end = friction.initial(length), length + move
     middle = friction.project(start, length + move / 3, tension, pressure)
     return friction.force(middle, end, tension, pressure), friction.force(start, end, tension, pressure)
 
 
-def _projected(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any) -> tuple[Any, Any]:
+def _projected(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num) -> tuple[Tree, Tree]:
     end, start = length + move, friction.initial(length)
     after = friction.project(start, end, tension, pressure)
     return friction.force(after, end, tension, pressure), friction.force(start, end, tension, pressure)
 
 
-def _path(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any) -> tuple[Any, Any]:
+def _path(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num) -> tuple[Tree, Tree]:
     path, forces = np.array([length, length + move, length]), []
     state = friction.initial(length)
     for end in path:
@@ -193,17 +199,17 @@ _PROJECTION = "`project` keeps the force: it returns the state after the move"
 _AREA = 1e-4  # N/Pa
 
 
-def _crept(creep: Creep, length: Any, pressure: Any, step: Any, tension: Any, rate: Any) -> Any:
+def _crept(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num, rate: Num) -> Tree:
     state, tension_at = _moved_creep(creep, length, pressure, step, tension)
     return creep.force(state, tension, tension_at), creep.rate(state, rate, pressure), creep.project(state, tension)
 
 
-def _creep_projected(creep: Creep, length: Any, pressure: Any, step: Any, tension: Any) -> tuple[Any, Any]:
+def _creep_projected(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num) -> tuple[Tree, Tree]:
     state, tension_at = _moved_creep(creep, length, pressure, step, tension)
     return creep.force(creep.project(state, tension), tension, tension_at), creep.force(state, tension, tension_at)
 
 
-def _moved_creep(creep: Creep, length: Any, pressure: Any, step: Any, tension: Any) -> tuple[CreepState, TensionAt]:
+def _moved_creep(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num) -> tuple[CreepState, TensionAt]:
     """State relaxed before a step of the pressure and a move, and the tension over the pressure."""
     relaxed = creep.initial(length, pressure - step)
     rates = creep.rate(relaxed, step / bar, pressure)
@@ -211,24 +217,24 @@ def _moved_creep(creep: Creep, length: Any, pressure: Any, step: Any, tension: A
     return state, lambda at: jnp.maximum(tension + _AREA * (at - pressure), 0.0)
 
 
-def _turned(friction: JointFriction, angle: Any, swing: Any) -> Any:
+def _turned(friction: JointFriction, angle: Num, swing: Num) -> Tree:
     return friction.resisting_torque(friction.project(friction.initial(angle), angle + swing / 3), angle + swing)
 
 
-def _turned_in_two(friction: JointFriction, angle: Any, swing: Any) -> tuple[Any, Any]:
+def _turned_in_two(friction: JointFriction, angle: Num, swing: Num) -> tuple[Tree, Tree]:
     return _turned(friction, angle, swing), friction.resisting_torque(friction.initial(angle), angle + swing)
 
 
 # Tendons, geometries, paths and loads.
 
 
-def _tension(tendon: Tendon, path: Any, pressure: Any, tension: Any) -> Any:
+def _tension(tendon: Tendon, path: Num, pressure: Num, tension: Num) -> Tree:
     muscle = _muscle()
     pulled = tendon.tension(muscle, path, pressure), tendon.pressure_for(muscle, path, tension)
     return tendon.extension(tension), *pulled, tendon.permitted(muscle, path)
 
 
-def _equilibrium(tendon: Tendon, path: Any, pressure: Any) -> tuple[Any, Any]:
+def _equilibrium(tendon: Tendon, path: Num, pressure: Num) -> tuple[Tree, Tree]:
     muscle = _muscle()
     contraction = tendon.contraction(muscle, path, pressure)
     length = muscle.specimen.length_at(contraction)
@@ -240,35 +246,35 @@ def _angles(part: Geometry | MusclePath) -> Ranges:
     return {"angle": (max(float(part.angle_range[0]), low), min(float(part.angle_range[1]), high))}
 
 
-def _arms(geometry: Geometry, angle: Any) -> Any:
+def _arms(geometry: Geometry, angle: Num) -> Tree:
     return geometry.path_lengths(angle), geometry.moment_arms(angle)
 
 
-def _virtual_work(geometry: Geometry, angle: Any) -> tuple[Any, Any]:
+def _virtual_work(geometry: Geometry, angle: Num) -> tuple[Tree, Tree]:
     slope1, slope2 = (derivative(lambda x, n=n: geometry.path_lengths(x)[n], angle) for n in (0, 1))
     return geometry.moment_arms(angle), (slope1, -slope2)
 
 
-def _lengths(path: MusclePath, angle: Any) -> Any:
+def _lengths(path: MusclePath, angle: Num) -> Tree:
     return path.length(angle, 1), path.length(angle, -1)
 
 
-def _acceleration(load: Load, angle: Any, velocity: Any, torque: Any) -> Any:
+def _acceleration(load: Load, angle: Num, velocity: Num, torque: Num) -> Tree:
     return load.acceleration(angle, velocity, torque), load.gravity_stiffness(angle)
 
 
-def _required(load: Load, angle: Any, velocity: Any, torque: Any) -> tuple[Any, Any]:
+def _required(load: Load, angle: Num, velocity: Num, torque: Num) -> tuple[Tree, Tree]:
     return load.required_torque(angle, velocity, load.acceleration(angle, velocity, torque)), torque
 
 
-def _gravity(load: Load, angle: Any) -> tuple[Any, Any]:
+def _gravity(load: Load, angle: Num) -> tuple[Tree, Tree]:
     return load.gravity_stiffness(angle), -derivative(load.gravity_torque, angle)
 
 
 # Actuators.
 
 
-def _rates(actuator: Actuator, pressure1: Any, pressure2: Any, command1: Any, command2: Any) -> Any:
+def _rates(actuator: Actuator, pressure1: Num, pressure2: Num, command1: Num, command2: Num) -> Tree:
     pressures, commands = (pressure1, pressure2), (command1, command2)
     states, air = actuator.init_states(pressures), AirVolume(jnp.asarray(1e-4), jnp.asarray(1e-5))
     if actuator.holds_air and isinstance(states, AirState):
@@ -277,18 +283,18 @@ def _rates(actuator: Actuator, pressure1: Any, pressure2: Any, command1: Any, co
     return rates, actuator.after_command(pressure1, command1), actuator.telemetry(states, commands, pressures)
 
 
-def _response(valve: Valve, pressure: Any, command1: Any, command2: Any, elapsed: Any, slope: Any) -> Any:
+def _response(valve: Valve, pressure: Num, command1: Num, command2: Num, elapsed: Num, slope: Num) -> Tree:
     moving = valve.after(pressure, valve.init(pressure), command1, elapsed)
     return valve.after(*moving, command2, elapsed), valve.command_for(pressure, slope)
 
 
-def _composed(valve: Valve, pressure: Any, command1: Any, command2: Any, elapsed: Any) -> tuple[Any, Any]:
+def _composed(valve: Valve, pressure: Num, command1: Num, command2: Num, elapsed: Num) -> tuple[Tree, Tree]:
     moving = valve.after(pressure, valve.init(pressure), command1, elapsed)
     twice = valve.after(*valve.after(*moving, command2, elapsed), command2, 1.6 * elapsed)
     return twice, valve.after(*moving, command2, 2.6 * elapsed)
 
 
-def _rest(valve: Valve, pressure: Any, elapsed: Any) -> tuple[Any, Any]:
+def _rest(valve: Valve, pressure: Num, elapsed: Num) -> tuple[Tree, Tree]:
     return valve.after(pressure, valve.init(pressure), valve.command_for(pressure, 0.0), elapsed)[0], pressure
 
 
@@ -302,24 +308,30 @@ _START = "`init` is the state at a constant pressure, and `command_for(pressure,
 # Sensors and controllers.
 
 
-def _measured(sensors: Sensors, angle1: Any, pressure1: Any, pressure2: Any, angle2: Any) -> Any:
+def _measured(sensors: Sensors, angle1: Num, pressure1: Num, pressure2: Num, angle2: Num) -> Tree:
     first, second = Measurement(angle1, (pressure1, pressure2)), Measurement(angle2, (pressure2, pressure1))
     state, before = sensors.measure(sensors.init(first), jnp.asarray(0), first)
     return before, sensors.measure(state, jnp.asarray(1), second)[1]
 
 
 def _commands(
-    controller: Controller, angle1: Any, angle2: Any, pressure1: Any, pressure2: Any, setpoint: Any, stiffness: Any
-) -> Any:
+    controller: Controller,
+    angle1: Num,
+    angle2: Num,
+    pressure1: Num,
+    pressure2: Num,
+    setpoint: Num,
+    stiffness: Num,
+) -> Tree:
     measurements = [Measurement(angle, (pressure1, pressure2)) for angle in (angle1, angle2)]
     return _stepped(controller, Setpoint(setpoint, stiffness), measurements)
 
 
-def _leg_step(part: LegController | LegReference, time: Any, angle: Any, pressure: Any, force: Any) -> Any:
+def _leg_step(part: LegController | LegReference, time: Num, angle: Num, pressure: Num, force: Num) -> Tree:
     return _stepped(part, time, [LegMeasurement((angle, 0.5 + angle), (pressure,) * 5, force)] * 2)
 
 
-def _stepped(system: DiscreteTimeSystem, setpoint: Any, measurements: Sequence[Any]) -> Any:
+def _stepped(system: DiscreteTimeSystem, setpoint: Tree, measurements: Sequence[Tree]) -> Tree:
     """Outputs for successive measurements, from a start at the first, and telemetry."""
     rows = jax.tree.map(lambda *values: jnp.stack(values), *measurements)
     start = system.init(measurements[0])
@@ -327,8 +339,8 @@ def _stepped(system: DiscreteTimeSystem, setpoint: Any, measurements: Sequence[A
     return outputs, system.telemetry(state)
 
 
-def _looped(loop: Loop, setpoint: Any, measured: Any, output: Any, sensitivity: Any) -> Any:
-    def step(state: Any, _: Any) -> tuple[Any, Any]:
+def _looped(loop: Loop, setpoint: Num, measured: Num, output: Num, sensitivity: Num) -> Tree:
+    def step(state: Tree, _: None) -> tuple[Tree, Num]:
         state, asked = loop.step(state, setpoint, measured, sensitivity, PERIOD)
         return loop.track(state, asked, 0.9 * asked, PERIOD), asked
 
@@ -336,23 +348,23 @@ def _looped(loop: Loop, setpoint: Any, measured: Any, output: Any, sensitivity: 
     return asked, loop.telemetry(state)
 
 
-def _fed_back(feedback: Feedback, error: Any, turn: Any, shortfall: Any) -> Any:
+def _fed_back(feedback: Feedback, error: Num, turn: Num, shortfall: Num) -> Tree:
     state = feedback.track(feedback.init(error), shortfall, PERIOD)
     return feedback.step(state, error, turn, _JERK, PERIOD)[1], feedback.lag
 
 
-def _observed(observer: Observer, angle1: Any, angle2: Any, known: Any, period: Any) -> Any:
+def _observed(observer: Observer, angle1: Num, angle2: Num, known: Num, period: Num) -> Tree:
     motion = observer.init(angle1, known)
     for angle in (angle2, angle1):
         motion = observer.step(motion, angle, known, period)
     return tuple(motion), observer.gains(period)
 
 
-def _value(signal: Signal | Reference, time: Any) -> Any:
+def _value(signal: Signal | Reference, time: Num) -> Tree:
     return signal(time)
 
 
-def _torque(disturbance: Disturbance, time: Any) -> Any:
+def _torque(disturbance: Disturbance, time: Num) -> Tree:
     return disturbance.torque(time)
 
 

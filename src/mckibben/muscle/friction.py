@@ -256,7 +256,7 @@ class MaxwellSlip(Friction):
 
     def steepest_damping(self, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
         """Return the largest slope [N*s/m] of `viscous_force` over the rate, in NumPy."""
-        length, tension, pressure = (np.asarray(each, np.float64) for each in (length, tension, pressure))
+        length, tension, pressure = (np.asarray(column, np.float64) for column in (length, tension, pressure))
         damping = self._damping(length, pressure, np)
         if self.rate_growth is not None:
             damping = damping + self.rate_growth * self._width(tension, pressure) / self.rate_speed
