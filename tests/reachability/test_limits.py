@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve, FlowValve, IdealValve
 from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.muscle import Domain, MaxwellSlip
-from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.reachability import envelope, static_envelope
 from mckibben.report.joint import envelope as draw_envelope
 from mckibben.report.tracking import tracking

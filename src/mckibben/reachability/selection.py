@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from mckibben.actuator import IdealValve
 from mckibben.component.calls import checked_call
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Samples, Signal, Sine
@@ -22,7 +23,7 @@ from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.notebook import draw, html_table
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.requirement import (
     SHORTEST,
