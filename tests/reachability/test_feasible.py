@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import Constant, Multisine, Ramp, Reference, Samples, Sine, Step
 from mckibben.errors import ParameterError, RangeError
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.reachability import Preserved, check_trackability, nearest_references
 from mckibben.reachability.trajectory import centre_of, scaled, slowed
 from mckibben.simulation import check_reference

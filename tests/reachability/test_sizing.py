@@ -5,11 +5,12 @@ import itertools
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.errors import McKibbenError, ParameterError, UnitError
 from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, Pulley, SeriesSpring, TabulatedPath, TwoBonePath
 from mckibben.muscle import return_spring
 from mckibben.numerics.compiled import compiled, numeric
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.reachability import DesignTarget, DesignVariable, design, parse_target, parse_variable
 from mckibben.reachability.lengths import design_lengths, length_of, with_lengths
 from mckibben.reachability.sizing import CONSTRAINTS, margins_and_jacobian

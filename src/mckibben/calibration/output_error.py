@@ -15,6 +15,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.calibration.equations import (
     COEFFICIENTS,
     OF_MUSCLE,
@@ -45,7 +46,7 @@ from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
+from mckibben.plant import JointFriction, JointPlant
 from mckibben.units import ms
 
 _REST = 3.0  # s after the last change of the commands; later samples, up to the next change, are left out

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset.checks import Points, questions_of_labels, questions_of_points
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.schema import OF_FILE
 from mckibben.errors import DatasetError, Problem, RangeError
@@ -135,7 +136,12 @@ def checked(points: ExtractedPoints) -> ExtractedPoints:
         raise DatasetError(
             points.dataset.table.attrs["source"] or "recording", [Problem(text, field="force", remedy=remedy)]
         )
-    return points
+    contraction, slack = points.dataset.contraction, points.dataset.table.attrs["slack_force"]
+    rows = np.arange(1, len(force) + 1)
+    asked = questions_of_points(Points(pressure, contraction, force, rows, force, slack))
+    asked += questions_of_labels(points.dataset)
+    notes = (question.problem.message for question in asked)
+    return replace(points, notes=(*points.notes, *notes))
 
 
 class SampleAccount:

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from mckibben.actuator import IdealValve
 from mckibben.component.calls import checked_call
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Samples, Signal, Sine
@@ -22,7 +23,7 @@ from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.notebook import draw, html_table
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.requirement import (
     SHORTEST,
@@ -36,7 +37,7 @@ from mckibben.reachability.requirement import (
 from mckibben.reachability.sizing import CONSTRAINTS, attained_stiffness, constraint_margins
 from mckibben.reachability.trajectory import reference_trajectory
 from mckibben.scenario import Scenario, Start
-from mckibben.simulation import Result
+from mckibben.simulation import SimulationResult
 from mckibben.units import deg, mm, percent, show
 
 _HEADROOM = 0.9  # of the supply: air flows into a muscle only below it
@@ -189,7 +190,7 @@ class Selection:
         text["valve"] = {"from": one.supply.valve_name, "supply": show(need.supply, "bar")}
         return Scenario.parse(to_text(text))
 
-    def verify(self, result: Result) -> list[Check]:
+    def verify(self, result: SimulationResult) -> list[Check]:
         """Compare a run of the scenario with the requirement."""
         need, angle = self.requirement, np.asarray(result["angle"])
         error = np.abs(angle - np.asarray(result["desired_angle"])).max()
