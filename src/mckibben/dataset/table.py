@@ -50,7 +50,7 @@ _AMBIENT = "give the ambient pressure: ambient=101300.0 (command line: --ambient
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _SIGN_REMEDY = (
     "name the direction in which it grows, shortening or lengthening: columns={{{0!r}: 'shortening_{1}'}} "
-    "(command line: --column '{0}=shortening_{1}'); and in a recipe zero_length, the length at 0, if it is not the initial length"
+    "(command line: --column '{0}=shortening_{1}'); zero_length of a recipe is the length at 0, if not the initial one"
 )
 _WORDS: Mapping[str, Mapping[str, str]] = {
     "direction": {
