@@ -345,7 +345,7 @@ def _repeats(points: Points) -> Iterator[Question]:
 def _zeros(points: Points) -> Iterator[Question]:
     """Forces of exactly 0 where the muscle cannot be slack.
 
-    It pulls at less pressure and a larger contraction, or, as the force is convex, a line through two neighbours is above.
+    It pulls at less pressure and a larger contraction, or, as the force is convex, a line of two neighbours is above.
     """
     force, contraction, pressure = points.force, points.contraction, points.pressure
     at = np.flatnonzero(points.measured == 0)[:_MOST]

@@ -298,11 +298,40 @@ def _distinct(header: Sequence[str], original: Sequence[str]) -> list[RawColumn]
     return columns
 
 
+def _parse_numbers(
+    table: RawTable, rows: Sequence[str], columns: Sequence[RawColumn], separator: str, decimal: str
+) -> bool:
+    """Add the cells of a large table if all are numbers with one plain decimal sign; whether they are."""
+    import pandas as pd
+
+    sample = [_split(row, separator) for row in rows[:: len(rows) // 1000]]
+    sign, ambiguous = (decimal, "") if decimal else decimal_sign(list(zip(*sample, strict=False)), separator)
+    if ambiguous:
+        return False
+    try:
+        read = pd.read_csv(
+            io.StringIO("\n".join(rows)),
+            sep=r"\s+" if separator == " " else separator,
+            header=None,
+            index_col=False,
+            names=range(len(columns)),
+            dtype=np.float64,
+            decimal=sign,
+            na_filter=False,
+            float_precision="round_trip",
+        )
+    except ValueError:
+        return False
+    table.decimal = sign
+    table.columns += [replace(column, cells=read[at].to_numpy()) for at, column in enumerate(columns)]
+    return True
+
+
 def _parse_cells(table: RawTable, rows: Sequence[str], columns: list[RawColumn], separator: str, decimal: str) -> None:
     """Add the cells of all columns, as numbers where all are."""
     import pandas as pd
 
-    if not rows:
+    if len(rows) > _SAMPLED and _parse_numbers(table, rows, columns, separator, decimal):
         return
     read = pd.read_csv(
         io.StringIO("\n".join(rows)),
