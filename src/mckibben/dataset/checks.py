@@ -31,6 +31,7 @@ _DIAMETERS = 1.7 * mm, 80 * mm  # implied by force and pressure
 _SMALL = 0.05  # of the largest force: below, the muscle may be slack
 _UNEXPLAINED = 0.3  # of the variance of taut forces
 _ATMOSPHERE = 0.75 * bar, 1.6 * bar  # pressure at which the force begins, if pressures are absolute
+_MANY = 50_000  # points that are compared; of more, every second, third ...
 _MOST = 3000  # points that are compared in pairs
 _UNIT = "check the unit: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
 _REMEDIES = {
@@ -110,6 +111,10 @@ def questions_of_points(points: Points, specimen: Specimen | None = None) -> lis
     )
     checks += (_zeros, _weak_zeros, _held, _counted, _reach, _offsets, _few_slack)
     asked = list(_sign(points)) or list(_ranges(points, specimen))
+    step = 1 + len(points.force) // _MANY
+    if step > 1:
+        columns = (points.pressure, points.contraction, points.force, points.lines, points.measured)
+        points = Points(*(values[::step] for values in columns), points.slack_force)
     return asked or [asked for check in checks for asked in check(points)]
 
 

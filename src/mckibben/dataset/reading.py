@@ -19,7 +19,8 @@ from mckibben.dataset.raw import LIMIT_REMEDY
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, FileLines, holds_own_table
-from mckibben.dataset.table import Question, Table, understand
+from mckibben.dataset.table import Question, Table
+from mckibben.dataset.understanding import understand
 from mckibben.errors import DatasetError, Problem, RangeError, described
 from mckibben.units import show
 
