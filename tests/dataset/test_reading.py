@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Questions of a reader, and the options that answer them."""
 
 import warnings

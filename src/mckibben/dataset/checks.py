@@ -85,6 +85,11 @@ class Points:
         gaps = np.diff(self.pressure[order]) > 0.03 * self.pressure.max()
         return np.split(order, np.flatnonzero(gaps) + 1)
 
+    def every(self, step: int) -> Points:
+        """Every second point, say."""
+        pressure, contraction, force = self.pressure[::step], self.contraction[::step], self.force[::step]
+        return Points(pressure, contraction, force, self.lines[::step], self.measured[::step], self.slack_force)
+
     def ask(self, topic: str, text: str, row: int | None = None, field: str = "") -> Question:
         """A question, about a row."""
         place = "" if row is None else " at {:.3g} bar, {:.3g} %, {:.4g} N".format(*self.table[row])
@@ -111,10 +116,8 @@ def questions_of_points(points: Points, specimen: Specimen | None = None) -> lis
     )
     checks += (_zeros, _weak_zeros, _held, _counted, _reach, _offsets, _few_slack)
     asked = list(_sign(points)) or list(_ranges(points, specimen))
-    step = 1 + len(points.force) // _MANY
-    if step > 1:
-        columns = (points.pressure, points.contraction, points.force, points.lines, points.measured)
-        points = Points(*(values[::step] for values in columns), points.slack_force)
+    if (step := 1 + len(points.force) // _MANY) > 1:
+        points = points.every(step)
     return asked or [asked for check in checks for asked in check(points)]
 
 

@@ -142,7 +142,8 @@ class _Reader:
                 self.ask(error.message, field=key, remedy=error.remedy)
             given = getattr(recipe, key)
             numbers[key] = stated if given is None else given
-            if key == "initial_length" and None not in (given, stated) and abs(given - stated) > _ROUNDING[0]:
+            apart = given is not None and stated is not None and abs(given - stated) > _ROUNDING[0]
+            if key == "initial_length" and given and stated and apart:
                 text = f"{show(given, 'mm', 5)} is given, but the file states {show(stated, 'mm', 5)}"
                 self.asked.append(question("words", text, field=key))
         table.initial_length, table.slack_force = numbers["initial_length"], numbers["slack_force"]

@@ -73,7 +73,7 @@ def _text_of(row: Sequence[object]) -> str:
 def _sheet(sheet: Worksheet, mapping: Mapping[str, str], budget: Budget) -> RawTable | None:
     """Columns of a sheet; None without a header."""
     budget.spend(rows=sheet.max_row, columns=sheet.max_column, size=8 * sheet.max_row * sheet.max_column)
-    grid = [list(row) for row in sheet.iter_rows(values_only=True)]
+    grid: list[list[object]] = [list(row) for row in sheet.iter_rows(values_only=True)]
     texts = [["" if cell is None else str(cell).strip() for cell in row] for row in grid[:100]]
     scores = [score_of(row, mapping) for row in texts]
     if not scores or max(scores) < 1:
