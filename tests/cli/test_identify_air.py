@@ -49,12 +49,14 @@ def test_recordings_are_read_with_the_options_of_points(cli, recording, tmp_path
     rows = [f"{line.split(',')[1]},-10,{-0.018 * 1e3}" for line in lines[1:]]
     text = "\n".join(["pressure_bar,force_N,displacement_mm", *rows, "x,1,1"])
     (tmp_path / "moved.csv").write_text(text, encoding="utf-8")
-    given = ("identify-air", "moved.csv", *SPECIMEN, "--dead-volume", "2 cm^3", "--force-sign", "-1", "--json")
-    zero = ("--displacement", "lengthening", "--initial-length", "180 mm", "--zero-length", "180 mm")
-    found = cli(*given, *zero, "--sample-rate", "1000 Hz", "--skip-corrupt")
+    given = ("identify-air", "moved.csv", *SPECIMEN, "--dead-volume", "2 cm^3", "--accept", "corrupt", "--json")
+    columns = ("--column", "force_N=-force_N", "--column", "displacement_mm=lengthening_mm")
+    found = cli(*given, *columns, "--initial-length", "180 mm", "--sample-rate", "1000 Hz")
     assert found.code == 0, found.err
-    (tmp_path / "recipe.yaml").write_text("contraction: 10 %\nsample_rate: 1000 Hz\n")
-    by_recipe = cli(*given, "--skip-corrupt", "--recipe", "recipe.yaml")
+    (tmp_path / "recipe.yaml").write_text(
+        "contraction: 10 %\nsample_rate: 1000 Hz\ncolumns: {displacement_mm: ignore}\n"
+    )
+    by_recipe = cli(*given, "--column", "force_N=-force_N", "--read", "recipe.yaml")
     whole = cli("identify-air", str(recording), *SPECIMEN, "--contraction", "10 %", "--dead-volume", "2 cm^3", "--json")
     value = json.loads(whole.out)["wall_conductance"]["value"]
     for one in (found, by_recipe):

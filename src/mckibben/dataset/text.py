@@ -26,7 +26,7 @@ _LONGEST = 2**16  # characters of a line
 _STAMP = re.compile(r"(\d\d:\d\d:\d\d\.\d{3}) -> ")
 _SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
 _TYPOGRAPHY = str.maketrans("\u2212\uff0d\uff0e\uff0c" + "".join(map(chr, range(0xFF10, 0xFF1A))), "--.,0123456789")
-_DASH = re.compile(r"(?<![^\s;,|\"])(?:\u2013|([+-])\s+)(?=[0-9.,])")
+_DASH = re.compile(r"(?<![^\s;,|\"])(?:\u2013|([+-])[ \t]+)(?=[0-9.,])")
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:([.,])\d+)?")
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
