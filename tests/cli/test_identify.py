@@ -92,7 +92,7 @@ def test_another_law(cli):
 
 def test_the_slack_force_of_a_file(cli, tmp_path):
     (tmp_path / "recipe.yaml").write_text("slack_force: 50 N\n")
-    few = json.loads(cli("identify", FESTO, "--read", "recipe.yaml", "--accept", "rows", "--json").out)
+    few = json.loads(cli("identify", FESTO, "--read", "recipe.yaml", "--accept", "order", "--json").out)
     (slack,), (used,) = values(few, "law", "points_slack"), values(few, "law", "points_used")
     assert slack == int((catalog.dataset("festo-tool-10mm").force <= 50).sum()) and used + slack == 120
 

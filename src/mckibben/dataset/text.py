@@ -22,6 +22,7 @@ _SEPARATORS = ("\t", ";", ",", "|", " ")
 _COMMENT = ("#", "%", "//", "'", "!", "*")
 _SEARCHED = 300  # lines in which a header is looked for
 _SAMPLED = 20_000  # cells of a column that may determine the decimal sign
+_LISTED = 1000  # corrupt rows that are named
 _LONGEST = 2**16  # characters of a line
 _STAMP = re.compile(r"(\d\d:\d\d:\d\d\.\d{3}) -> ")
 _SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
@@ -264,7 +265,7 @@ def _aligned(
             counts[:] = len(header)
         elif (counts == len(header) + 1).all() and numbered and certain:
             header = ["row number", *header]
-    for at in np.flatnonzero(counts != len(header)):
+    for at in np.flatnonzero(counts != len(header))[:_LISTED].tolist():
         text = f"has {counts[at]} cell{'s' if counts[at] != 1 else ''}, the header {len(header)}"
         if rows[at][0] == len(lines):
             text += ", and no line end: the file was truncated here"
