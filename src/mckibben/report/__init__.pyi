@@ -10,7 +10,6 @@ from .identification import force_bands as force_bands
 from .identification import loops as loops
 from .identification import profile_likelihood as profile_likelihood
 from .identification import ranking as ranking
-from .identification import relaxation as relaxation
 from .joint import attainable_stiffness as attainable_stiffness
 from .joint import calibration as calibration
 from .joint import design as design

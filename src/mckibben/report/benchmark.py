@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from mckibben.report.figures import ReportFigure
-from mckibben.report.page import embedded, style_sheet, template_of, write_page
+from mckibben.report.page import Section, write_document
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.report.tables import Table, number
 from mckibben.report.tracking import tracking
@@ -65,9 +65,9 @@ def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) ->
     keys = ("angle_rmse_deg", "stiffness_rmse")
     for i, (panel, key, (_, label, _)) in enumerate(zip(axes, keys, _ERRORS, strict=True)):
         for j, (name, look) in enumerate(looks.items()):
-            found = numbers["controllers"][name]["by_reference"]
+            medians = numbers["controllers"][name]["by_reference"]
             shift = (j - (len(looks) - 1) / 2) * 0.7 / len(looks)
-            errors = [(found.get(reference, {}).get(key), row + shift) for row, reference in enumerate(references)]
+            errors = [(medians.get(reference, {}).get(key), row + shift) for row, reference in enumerate(references)]
             places = [(error["median"], row) for error, row in errors if error]
             if places:
                 x, y = zip(*places, strict=True)
@@ -124,113 +124,129 @@ def benchmark_front(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figu
 
 
 def write_benchmark(result: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
-    """Write `comparison.html`, self-contained, and its figures in `figures/`; return its path."""
-    folder = Path(folder)
-    text = template_of("benchmark.html.jinja").render(
-        style=style_sheet(),
-        suite=result.suite,
-        numbers=numbers,
-        first=next(iter(result.batches)),
-        figures=[embedded(figure, folder) for figure in _figures(result, numbers)],
-        tables=[
-            _ranking(numbers),
-            _ratios(numbers),
-            _effort(numbers),
-            _by_group(numbers, "by_reference", "reference"),
-            _by_group(numbers, "by_joint", "the plant's joint"),
-            _dependence(numbers),
+    """Write `comparison.html`, self-contained, and its figures in `figures/`; return its path.
+
+    Parameters
+    ----------
+    result
+        Comparison, from `mckibben.compare`.
+    numbers
+        Its `statistics`.
+    folder
+        Folder of the page.
+    """
+    folder, suite = Path(folder), result.suite
+    first, runs = next(iter(result.batches)), numbers["runs"] - numbers["no_start"]
+    tables = [_ranking(numbers), *([at_air] if (at_air := _at_air(numbers)) else [])]
+    return write_document(
+        folder / _PAGE,
+        title=suite.name,
+        lead=_lead(result, numbers, runs),
+        sections=[
+            Section("Ranking", tables, _figures(result, numbers, runs)),
+            Section("Tuning", [_tuned(result)], words=True),
         ],
-        at_air=_at_air(numbers),
-        tuned=_tuned(result),
-        text=result.suite.dumps(folder=folder),
+        source_title="The suite",
+        source=suite.dumps(folder=folder),
+        again=f"mckibben compare SUITE.yaml --out DIR --repeat '{first} {min(17, numbers['runs'] - 1)}' > run.yaml\n"
+        "mckibben simulate run.yaml",
     )
-    return write_page(folder / _PAGE, text)
 
 
-def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[ReportFigure]:
-    runs = numbers["runs"] - numbers["no_start"]
-    errors = (
-        f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
-        "percentile. Diverged runs count as infinite errors."
+def _lead(result: BenchmarkResult, numbers: Mapping[str, Any], runs: int) -> str:
+    """How the controllers were tuned and evaluated."""
+    tuning, first = result.suite.tuning, next(iter(result.batches))
+    infeasible = (
+        f" ({numbers['no_start']} more had no static equilibrium at their start)" if numbers["no_start"] else ""
     )
-    references = "Median errors over the runs with each reference."
-    air = "Air consumption and angle error: median and 90 % range of the runs."
-    drawn = [
-        ("errors", "Errors over all unseen runs", errors, benchmark_errors(result)),
-        ("references", "Errors by reference", references, benchmark_references(result, numbers)),
-    ]
-    if any(np.isfinite(result.metric(name, "air")).any() for name in result.batches):
-        drawn.append(("air", "Air consumption", air, benchmark_air(result, numbers)))
-    if any(found["front"] for found in numbers["controllers"].values()):
-        front = (
-            "Pareto front of the tuning trials (air, angle error), medians of the training runs, with at most 1.1 "
-            "times the stiffness error of the best trial."
-        )
-        drawn.append(("front", "Angle error against air", front, benchmark_front(result, numbers)))
+    untuned = f" except {', '.join(tuning.untuned)}" if tuning.untuned else ""
+    searches = f"{tuning.starts} {'search' if tuning.starts == 1 else 'searches'}"
+    at_air = f", and one more for the lowest angle error at the air of {first}" if numbers["at_air_of_first"] else ""
+    return (
+        f"{len(result.batches)} controllers on {runs} unseen runs{infeasible}. Each{untuned} was tuned with the same "
+        f"budget: {searches} of {tuning.generations} generations of {tuning.population} points on {tuning.runs} other "
+        f"runs, minimising the mean of {numbers['cost']}{at_air}. No controller has access to the plant beyond its "
+        "measurements."
+    )
+
+
+def _figures(result: BenchmarkResult, numbers: Mapping[str, Any], runs: int) -> list[ReportFigure]:
     first, *others = result.batches
-    shown = [first, *[name for name in numbers["order"] if name in others][:_TRACED]]
-    run, results = result.median_run(shown)
-    traces = f"Run {run}, with the median angle error of {first}: {first} and the {_TRACED} best of the others."
-    drawn.append(("traces", "Time traces", traces, tracking(results)))
-    return [ReportFigure(name, "", title, caption, title, figure) for name, title, caption, figure in drawn]
+    run, results = result.median_run([first, *[name for name in numbers["order"] if name in others][:_TRACED]])
+    drawn = [
+        (
+            "errors",
+            "Errors over all unseen runs",
+            f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
+            "percentile. Diverged runs count as infinite errors.",
+            benchmark_errors(result),
+        ),
+        (
+            "references",
+            "Errors by reference",
+            "Median errors over the runs with each reference.",
+            benchmark_references(result, numbers),
+        ),
+        (
+            "air",
+            "Air consumption",
+            "Air consumption and angle error: median and 90 % range of the runs.",
+            benchmark_air(result, numbers),
+        ),
+        (
+            "front",
+            "Angle error against air",
+            "Pareto front of the tuning trials (air, angle error), medians of the training runs, with at most 1.1 "
+            "times the stiffness error of the best trial.",
+            benchmark_front(result, numbers),
+        ),
+        (
+            "traces",
+            "Time traces",
+            f"Run {run}, with the median angle error of {first}: {first} and the {_TRACED} best of the others.",
+            tracking(results),
+        ),
+    ]
+    return [
+        ReportFigure(name, "", title, caption, title, figure)
+        for name, title, caption, figure in drawn
+        if any(axes.lines for axes in figure.axes)  # no front without tuning, no air without volumes
+    ]
 
 
-_Column = tuple[str, str, str]
-_ERROR_COLUMNS: tuple[_Column, ...] = (
+_COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("angle rmse [deg]", "angle_rmse_deg", "median"),
     ("95 %", "angle_rmse_deg", "percentile_95"),
     ("stiffness rmse [N*m/rad]", "stiffness_rmse", "median"),
     ("95 %", "stiffness_rmse", "percentile_95"),
     ("coupling [deg]", "coupling_deg", "median"),
-)
-_EFFORT_COLUMNS: tuple[_Column, ...] = (
-    ("ripple [N*m/rad]", "stiffness_ripple", "median"),
     ("estimate rmse [N*m/rad]", "estimate_rmse", "median"),
     ("air [L]", "air_L", "median"),
     ("saturated [s]", "time_saturated_s", "median"),
-    ("slack, 95 % [s]", "time_slack_s", "percentile_95"),
 )
+"""Title, metric and statistic of the columns of both rankings."""
+
+
+def _ranked(caption: str, first: str, controllers: Mapping[str, Any]) -> Table:
+    """Errors of controllers, and the ratio of their angle errors to that of the first."""
+    rows = []
+    for name, errors in controllers.items():
+        ratio = errors["ratio_to_first"]["angle_rmse_deg"]
+        interval = f"{number(ratio['ratio'])} ({number(ratio['low'])} to {number(ratio['high'])})"
+        cells = (number((errors["metrics"][metric] or {}).get(statistic)) for _, metric, statistic in _COLUMNS)
+        rows.append((name, failed_runs(errors), *cells, interval))
+    titles = (title for title, _, _ in _COLUMNS)
+    return Table(caption, ("controller", FAILED, *titles, f"angle rmse / {first}"), rows)
 
 
 def _ranking(numbers: Mapping[str, Any]) -> Table:
-    rows = []
-    for name in numbers["order"]:
-        found = numbers["controllers"][name]
-        settled = f"{found['settled']['runs']} of {found['settled']['of']}"
-        rows.append((name, failed_runs(found), *_cells(found, _ERROR_COLUMNS), settled))
-    return Table(
-        "Ordered by median cost. Medians and 95th percentiles over the runs that did not diverge. Errors refer to "
-        "the plant's stiffness; coupling and settling refer to stiffness steps.",
-        ("controller", FAILED, *(title for title, _, _ in _ERROR_COLUMNS), "settled"),
-        rows,
-    )
-
-
-def _effort(numbers: Mapping[str, Any]) -> Table:
-    rows = [(name, *_cells(numbers["controllers"][name], _EFFORT_COLUMNS)) for name in numbers["order"]]
-    return Table(
-        "Medians; 95th percentile for the slack time. Ripple: varying part of the stiffness error; estimate rmse: "
-        "error of the controller's stiffness estimate.",
-        ("controller", *(title for title, _, _ in _EFFORT_COLUMNS)),
-        rows,
-    )
-
-
-def _cells(found: Mapping[str, Any], columns: tuple[_Column, ...]) -> list[str]:
-    return [number((found["metrics"][key] or {}).get(what)) for _, key, what in columns]
-
-
-def _ratio(found: Mapping[str, Any]) -> str:
-    return f"{number(found['ratio'])} ({number(found['low'])} to {number(found['high'])})"
-
-
-def _ratios(numbers: Mapping[str, Any]) -> Table:
-    first = next(iter(numbers["controllers"]))
-    rows = [(name, *map(_ratio, numbers["controllers"][name]["ratio_to_first"].values())) for name in numbers["order"]]
-    return Table(
-        f"Ratio of the median error to that of {first}, with 95 % bootstrap interval over the runs.",
-        ("controller", "angle rmse", "stiffness rmse"),
-        rows,
+    controllers = numbers["controllers"]
+    return _ranked(
+        "Ordered by median cost. Medians and 95th percentiles over the runs that did not diverge. Errors refer to the "
+        "plant's stiffness, coupling to stiffness steps; estimate rmse is the error of the controller's stiffness "
+        "estimate. Ratios of medians, with 95 % bootstrap intervals over the runs.",
+        next(iter(controllers)),
+        {name: controllers[name] for name in numbers["order"]},
     )
 
 
@@ -239,49 +255,11 @@ def _at_air(numbers: Mapping[str, Any]) -> Table | None:
     if (at_air := numbers["at_air_of_first"]) is None:
         return None
     first = next(iter(numbers["controllers"]))
-    columns = (*_ERROR_COLUMNS[:3], _EFFORT_COLUMNS[2])
-    rows = [
-        (name, failed_runs(found), *_cells(found, columns), _ratio(found["ratio_to_first"]["angle_rmse_deg"]))
-        for name, found in at_air["controllers"].items()
-    ]
-    return Table(
+    return _ranked(
         f"At the air of {first}: the trial of each tuning with the lowest angle error at no more than "
         f"{number(at_air['air_L'])} L (medians of the training runs), on the unseen runs; ratio to {first} as tuned.",
-        ("controller", FAILED, *(title for title, _, _ in columns), f"angle rmse / {first}"),
-        rows,
-    )
-
-
-def _by_group(numbers: Mapping[str, Any], key: str, what: str) -> Table:
-    groups = list(dict.fromkeys(group for found in numbers["controllers"].values() for group in found[key]))
-
-    def cell(errors: Mapping[str, Any]) -> str:
-        angle, stiffness = (errors[metric] or {} for metric in ("angle_rmse_deg", "stiffness_rmse"))
-        tail = number(angle.get("percentile_95"))
-        return f"{number(angle.get('median'))} deg ({tail}), {number(stiffness.get('median'))}"
-
-    rows = [(name, *(cell(found[key][group]) for group in groups)) for name, found in numbers["controllers"].items()]
-    title = f"Median errors by {what}: angle (95th percentile), and stiffness [N*m/rad]."
-    return Table(title, ("controller", *groups), rows)
-
-
-def _dependence(numbers: Mapping[str, Any]) -> Table:
-    controllers = numbers["controllers"]
-    conditions = list(next(iter(controllers.values()))["correlations"])
-
-    def cell(correlation: Mapping[str, Any]) -> str:
-        return f"{number(correlation['angle_rmse_deg'], 2)}, {number(correlation['stiffness_rmse'], 2)}"
-
-    rows = [
-        (condition, *(cell(found["correlations"][condition]) for found in controllers.values()))
-        for condition in conditions
-    ]
-    return Table(
-        "Spearman's rank correlation of each condition with the angle error, and with the stiffness error. "
-        "Uncorrelated conditions give less than "
-        f"{number(1.96 / max(numbers['runs'] - numbers['no_start'] - 1, 1) ** 0.5, 2)} 95 % of the time.",
-        ("condition", *controllers),
-        rows,
+        first,
+        at_air["controllers"],
     )
 
 
@@ -289,12 +267,12 @@ def _tuned(result: BenchmarkResult) -> Table:
     rows = []
     for name, values in result.tuned.items():
         costs = result.training_cost.get(name)
-        said = "not tuned" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
+        change = "not tuned" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
         written = [
-            f"{each.name.removeprefix('controller.')} {each.parameter.show(values[each.name]).replace('*', '·')}"
-            for each in result.suite.tuned_over(name)
+            f"{gain.name.removeprefix('controller.')} {gain.parameter.show(values[gain.name]).replace('*', '·')}"
+            for gain in result.suite.tuned_over(name)
         ]
-        rows.append((name, said, "; ".join(written)))
+        rows.append((name, change, "; ".join(written)))
     return Table("Tuned parameters.", ("controller", "cost of the training runs", "parameters"), rows)
 
 

@@ -18,7 +18,8 @@ from mckibben.component.checks import check_kind
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, PendulumLoad
 from mckibben.joint.mechanism import SLENDER, Mechanism, Points, Strand, muscle_sizes
 from mckibben.plant import JointPlant
-from mckibben.report.style import BLACK, BLUE, VERMILLION, blank, minus, pressure_colours, styled
+from mckibben.report.palette import BLACK, BLUE, VERMILLION
+from mckibben.report.style import blank, minus, pressure_colours, styled
 from mckibben.units import bar, deg, mm
 
 if TYPE_CHECKING:

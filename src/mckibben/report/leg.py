@@ -18,21 +18,9 @@ from mckibben.leg.dynamics import at_rest, frames, posture_of
 from mckibben.leg.foot import stiffness_of
 from mckibben.leg.landing import EDGES, LandingStudy
 from mckibben.report.figures import ReportFigure
-from mckibben.report.page import embedded, style_sheet, template_of, write_page
-from mckibben.report.style import (
-    BAND,
-    BLACK,
-    BLUE,
-    DOUBLE,
-    ORANGE,
-    VERMILLION,
-    blank,
-    draw_band,
-    legend_above,
-    letter,
-    looks_of,
-    styled,
-)
+from mckibben.report.page import Section, write_document
+from mckibben.report.palette import BAND, BLACK, BLUE, ORANGE, VERMILLION
+from mckibben.report.style import DOUBLE, blank, draw_band, legend_above, letter, looks_of, styled
 from mckibben.report.tables import Table
 from mckibben.units import bar, mm, ms
 
@@ -231,7 +219,7 @@ def plan_stiffness(study: JumpStudy) -> Figure:
 def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
     """Write `landing.html`, self-contained, and its figures in `figures/`; return its path."""
     low, high = study.attainable
-    text = (
+    lead = (
         f"{study.table['peak_force'].size} landings: {study.joint} at its stiffness, commands constant. At touchdown "
         f"{low:.3g} to {high:.3g} N*m/rad are attainable. Best is the softest stiffness whose force on the trunk is "
         "within 2 % of the lowest; intervals are 5 to 95 % of the draws of muscles and masses."
@@ -245,62 +233,40 @@ def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
     try:
         ellipses = foot_ellipses(study.scenario.leg, study.angles)
     except UnreachableError as error:
-        text += f" The stiffness of the foot at touchdown is not drawn: {error.message}."
+        lead += f" The stiffness of the foot at touchdown is not drawn: {error.message}."
     else:
-        what = (
+        caption = (
             "Displacement of the foot at touchdown, with the trunk held, under 1 N in each direction; the scales "
             "of both axes differ. Grey: over the attainable stiffness of all joints."
         )
         name = "Ellipses of the foot's displacement"
-        figures.append(ReportFigure("foot", "", "Stiffness of the foot", what, name, ellipses))
+        figures.append(ReportFigure("foot", "", "Stiffness of the foot", caption, name, ellipses))
     tables = [Table("Landings at the best stiffness", *study.rows())]
-    return _page(Path(folder), "landing.html", study.scenario, text, tables, figures)
+    return _page(Path(folder) / "landing.html", study.scenario, lead, tables, figures)
 
 
 def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
-    """Write `jump.html`, self-contained, and its figure in `figures/`; return its path."""
-    gain, low, high = (one / mm for one in study.gain())
-    text = (
+    """Write `jump.html`, self-contained, and its figures in `figures/`; return its path."""
+    gain, low, high = (height / mm for height in study.gain())
+    lead = (
         f"From the squat the centre of mass rises {study.constant.heights[0] / mm:.0f} mm above that of the "
         f"standing leg with the best constant pressures, {study.timed.heights[0] / mm:.0f} mm with the best timed "
         f"ones: {gain:.0f} mm more ({low:.0f} to {high:.0f} mm in 5 to 95 % of the draws of muscles and masses)."
     )
-    if study.planned is not None and study.plan is not None:
-        weight = float(study.scenario.leg.total_mass) * float(study.scenario.plant().gravity)
-        text += (
-            f" The planned jump lands with {study.planned.landing_force[0]:.1f} weights of the leg (planned: "
-            f"{study.plan.landing_force / weight:.1f}), the timed one with {study.timed.landing_force[0]:.1f}."
-        )
     caption = (
         "Pressures (thin: commands), force of the ground and height of the centre of mass above its greatest height "
         "with the foot on the ground. Dashed: apex; dotted: planned."
     )
     figures = [ReportFigure("jump", "", "Jumps", caption, "Time traces of the jumps", jump_traces(study))]
     if study.plan is not None and study.plan.foot:
-        what = (
+        caption = (
             "Planned pressures, error of the stiffness of the foot with its certified bound (grey: flight), and "
             "displacement of the foot under 1 N in each direction (grey: attainable with the planned torques)."
         )
-        figures.append(ReportFigure("plan", "", "Plan", what, "Pressures and errors over time", plan_stiffness(study)))
-    tables = [Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()), _energies(study), _published(study)]
-    return _page(Path(folder), "jump.html", study.scenario, text, tables, figures)
-
-
-def _energies(study: JumpStudy) -> Table:
-    """Energies of the nominal jumps, landing included."""
-    names = ("muscles", "stops", "resisting", "ground", "kinetic", "potential", "residual")
-    head = (
-        "pressures",
-        "work of muscles",
-        "of stops",
-        "of damping and friction",
-        "of the ground",
-        "change of kinetic energy",
-        "of potential energy",
-        "residual",
-    )
-    rows = [(name, *(f"{getattr(jump.balance, one):.3f} J" for one in names)) for name, jump in study.jumps.items()]
-    return Table("Energies from the start to the end of the nominal runs, landing included", head, rows)
+        drawn = plan_stiffness(study)
+        figures.append(ReportFigure("plan", "", "Plan", caption, "Pressures and errors over time", drawn))
+    tables = [Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()), _published(study)]
+    return _page(Path(folder) / "jump.html", study.scenario, lead, tables, figures)
 
 
 def _published(study: JumpStudy) -> Table:
@@ -322,20 +288,9 @@ def _published(study: JumpStudy) -> Table:
     return Table("Comparison with published jumps", head, rows)
 
 
-def _page(
-    folder: Path,
-    name: str,
-    scenario: Any,
-    text: str,
-    tables: Sequence[Table],
-    figures: Sequence[ReportFigure],
-) -> Path:
-    page = template_of("leg.html.jinja").render(
-        style=style_sheet(),
-        title=scenario.name,
-        text=text,
-        tables=tables,
-        figures=[embedded(figure, folder) for figure in figures],
-        scenario=scenario.dumps(folder=folder),
+def _page(path: Path, scenario: Any, lead: str, tables: Sequence[Table], figures: Sequence[ReportFigure]) -> Path:
+    results = Section("Results", tables, figures)
+    source = scenario.dumps(folder=path.parent)
+    return write_document(
+        path, title=scenario.name, lead=lead, sections=[results], source_title="Scenario of the leg", source=source
     )
-    return write_page(folder / name, page)

@@ -25,10 +25,10 @@ from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
 from mckibben.muscle.air import inner_volume, volume_terms
 from mckibben.numerics.calculus import evenly_spaced
+from mckibben.report.palette import BLACK
 from mckibben.scenario import muscle_text
 from mckibben.units import bar, factor, percent, quantity
 from mckibben.web.layout import (
-    BLACK,
     PALETTE,
     JobPage,
     button,

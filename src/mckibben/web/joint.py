@@ -11,6 +11,7 @@ from nicegui import events, ui
 
 from mckibben.errors import McKibbenError
 from mckibben.muscle import Muscle
+from mckibben.report.palette import BLACK, BLUE, GREEN, MUSCLES, VERMILLION
 from mckibben.units import deg, mm, percent
 from mckibben.web.design import (
     ANGLES,
@@ -30,11 +31,7 @@ from mckibben.web.design import (
 )
 from mckibben.web.identify import NEEDS_MUSCLE, IdentificationState
 from mckibben.web.layout import (
-    BLACK,
-    BLUE,
-    GREEN,
     LATER,
-    VERMILLION,
     NumberField,
     NumberSlider,
     band,
@@ -106,7 +103,7 @@ class _Page:
                             ui.label()
                             .classes("quiet number")
                             .style(f"border-left: 4px solid {color}; padding-left: 6px")
-                            for color in (BLUE, VERMILLION)
+                            for color in MUSCLES
                         ]
                     self.number("angle", "°", "angle", (-POSE, POSE), 0.5)
                     self.play = ui.switch("move", on_change=self.move).props("dense").classes("quiet")

@@ -18,17 +18,14 @@ from nicegui import events, ui
 from numpy.typing import ArrayLike
 
 from mckibben.errors import DatasetError, FileError, McKibbenError, printable
+from mckibben.report.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
 from mckibben.web import resource
 from mckibben.web.session import Jobs, JobState
 from mckibben.web.wording import on_page, quotes
 
 State = TypeVar("State", bound=JobState)
 
-BLACK, ORANGE, SKY, GREEN = "#111111", "#E69F00", "#56B4E9", "#009E73"
-BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
-"""The palette of `report.style`, which imports matplotlib."""
 PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
-GREY = "#5f6b76"
 
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""

@@ -12,11 +12,10 @@ import numpy as np
 from nicegui import ui
 
 from mckibben.errors import printable
+from mckibben.report.palette import BLUE, GREY
 from mckibben.scenario import Scenario
 from mckibben.study.tune import Method
 from mckibben.web.layout import (
-    BLUE,
-    GREY,
     JobPage,
     NumberField,
     button,
