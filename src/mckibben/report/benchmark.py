@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from mckibben.report.figures import ReportFigure
+from mckibben.report.figures import ReportFigure, described
 from mckibben.report.page import Section, write_document
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.report.tables import Table, number
@@ -173,43 +173,16 @@ def _lead(result: BenchmarkResult, numbers: Mapping[str, Any], runs: int) -> str
 def _figures(result: BenchmarkResult, numbers: Mapping[str, Any], runs: int) -> list[ReportFigure]:
     first, *others = result.batches
     run, results = result.median_run([first, *[name for name in numbers["order"] if name in others][:_TRACED]])
-    drawn = [
-        (
-            "errors",
-            "Errors over all unseen runs",
-            f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
-            "percentile. Diverged runs count as infinite errors.",
-            benchmark_errors(result),
-        ),
-        (
-            "references",
-            "Errors by reference",
-            "Median errors over the runs with each reference.",
-            benchmark_references(result, numbers),
-        ),
-        (
-            "air",
-            "Air consumption",
-            "Air consumption and angle error: median and 90 % range of the runs.",
-            benchmark_air(result, numbers),
-        ),
-        (
-            "front",
-            "Angle error against air",
-            "Pareto front of the tuning trials (air, angle error), medians of the training runs, with at most 1.1 "
-            "times the stiffness error of the best trial.",
-            benchmark_front(result, numbers),
-        ),
-        (
-            "traces",
-            "Time traces",
-            f"Run {run}, with the median angle error of {first}: {first} and the {_TRACED} best of the others.",
-            tracking(results),
-        ),
-    ]
+    drawn = {
+        "errors": benchmark_errors(result),
+        "references": benchmark_references(result, numbers),
+        "air": benchmark_air(result, numbers),
+        "front": benchmark_front(result, numbers),
+        "traces": tracking(results),
+    }
     return [
-        ReportFigure(name, "", title, caption, title, figure)
-        for name, title, caption, figure in drawn
+        described(f"comparison/{name}", figure, runs=runs, run=run, first=first)
+        for name, figure in drawn.items()
         if any(axes.lines for axes in figure.axes)  # no front without tuning, no air without volumes
     ]
 
