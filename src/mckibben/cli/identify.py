@@ -166,7 +166,6 @@ def identify(
             points.to_netcdf(out / "data.nc")
             write_json(out / "results.json", numbers)
             drawn = {"fit": report.isobaric(static, fit), "bands": report.force_bands(static, fit, level=level)}
-            drawn |= {f"profile-{one.name}": report.profile_likelihood(one, fit) for one in uncertainty.profiles}
             drawn |= {"loops": report.loops(points, loops)} if loops else {}
             for name, figure in drawn.items():
                 report.save(figure, out, name)

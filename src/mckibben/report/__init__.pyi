@@ -1,14 +1,12 @@
 from .animation import animate as animate
 from .benchmark import benchmark_air as benchmark_air
 from .benchmark import benchmark_errors as benchmark_errors
-from .benchmark import benchmark_references as benchmark_references
 from .benchmark import write_benchmark as write_benchmark
 from .drawing import draw_joint as draw_joint
 from .figures import ReportFigure as ReportFigure
 from .figures import figures as figures
 from .identification import force_bands as force_bands
 from .identification import loops as loops
-from .identification import profile_likelihood as profile_likelihood
 from .identification import ranking as ranking
 from .joint import attainable_stiffness as attainable_stiffness
 from .joint import calibration as calibration
@@ -21,8 +19,6 @@ from .leg import foot_ellipses as foot_ellipses
 from .leg import jump_traces as jump_traces
 from .leg import landing_forces as landing_forces
 from .leg import plan_stiffness as plan_stiffness
-from .leg import write_jump as write_jump
-from .leg import write_landing as write_landing
 from .muscle import isobaric as isobaric
 from .muscle import isobaric_curves as isobaric_curves
 from .muscle import law_comparison as law_comparison

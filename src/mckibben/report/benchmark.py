@@ -56,35 +56,6 @@ def _marker(look: Mapping[str, Any]) -> str:
 
 
 @styled
-def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
-    """Median errors by reference and controller, from `statistics` of the result."""
-    references = list(result.suite.references)
-    figure = blank(DOUBLE, 0.9 + 0.42 * len(references))
-    axes = figure.subplots(1, 2, sharey=True)
-    looks = looks_of(result.batches)
-    keys = ("angle_rmse_deg", "stiffness_rmse")
-    for i, (panel, key, (_, label, _)) in enumerate(zip(axes, keys, _ERRORS, strict=True)):
-        for j, (name, look) in enumerate(looks.items()):
-            medians = numbers["controllers"][name]["by_reference"]
-            shift = (j - (len(looks) - 1) / 2) * 0.7 / len(looks)
-            errors = [(medians.get(reference, {}).get(key), row + shift) for row, reference in enumerate(references)]
-            places = [(error["median"], row) for error, row in errors if error]
-            if places:
-                x, y = zip(*places, strict=True)
-                panel.plot(x, y, linestyle="", marker=_marker(look), markersize=3.5, color=look["color"], label=name)
-        shown = [x for line in panel.lines for x in np.asarray(line.get_xdata())]
-        if shown and max(shown) > _NARROW * min(shown):
-            panel.set_xscale("log")
-            plain_numbers(panel.xaxis)
-        panel.set(xlabel=f"median {label}")
-        letter(panel, i, label.split(" [")[0])
-    axes[0].set_yticks(range(len(references)), references)
-    axes[0].invert_yaxis()
-    legend_above(figure, axes[0], columns=min(len(looks), 4))
-    return figure
-
-
-@styled
 def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
     """Angle error over air consumption: median and 90 % range of the runs."""
     figure = blank(DOUBLE, 3.0)
@@ -175,7 +146,6 @@ def _figures(result: BenchmarkResult, numbers: Mapping[str, Any], runs: int) -> 
     run, results = result.median_run([first, *[name for name in numbers["order"] if name in others][:_TRACED]])
     drawn = {
         "errors": benchmark_errors(result),
-        "references": benchmark_references(result, numbers),
         "air": benchmark_air(result, numbers),
         "front": benchmark_front(result, numbers),
         "traces": tracking(results),

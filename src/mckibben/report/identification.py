@@ -20,7 +20,6 @@ from mckibben.report.style import (
     DIRECTIONS,
     DOUBLE,
     LOADING,
-    SINGLE,
     UNLOADING,
     beside,
     blank,
@@ -31,11 +30,11 @@ from mckibben.report.style import (
     pressure_colours,
     styled,
 )
-from mckibben.units import bar, factor, percent
+from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
-    from mckibben.identification import Fit, Grouping, Profile, RankedLaw, Ranking
+    from mckibben.identification import Fit, Grouping, RankedLaw, Ranking
     from mckibben.identification.hysteresis import HysteresisFit
 
 _SHOWN = 6  # laws whose residuals are drawn
@@ -175,39 +174,6 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
         Line2D([], [], linestyle="", markersize=3.5, label=str(d), **DIRECTIONS[str(d)]) for d in taut.directions
     ]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
-    return figure
-
-
-@styled
-def profile_likelihood(profile: Profile, fit: Fit) -> Figure:
-    """Signed root of the profile likelihood of a shape parameter, its interval, and the Wald approximation."""
-    parameter = next(p for p in type(fit.law).shape_parameters if p.name == profile.name)
-    scale = factor(parameter.shown)
-    values = profile.values / scale
-    figure = blank(SINGLE + 0.4, 2.8)
-    axes = figure.subplots()
-    axes.axhspan(-profile.threshold, profile.threshold, color=BAND, zorder=0)
-    axes.plot(values, profile.root, color=BLUE, label="profile", zorder=4)
-    estimate = profile.estimate / scale
-    if np.all(np.isfinite(profile.wald)):
-        error = (profile.wald.upper - profile.wald.lower) / 2 / profile.threshold / scale
-        line = (values - estimate) / error
-        axes.plot(
-            values, line, color=VERMILLION, linestyle=(0, (4, 2)), linewidth=0.9, label="standard error", zorder=3
-        )
-    axes.plot([estimate], [0.0], "o", color="#222222", markersize=3.5, zorder=5)
-    for end in profile.interval:
-        if np.isfinite(end):
-            axes.axvline(end / scale, color="#666666", linewidth=0.7, zorder=2)
-    low, high = (f"{end / scale:.4g}" if np.isfinite(end) else "not bounded" for end in profile.interval)
-    axes.set_title(f"{100 * profile.level:g} % interval {low} .. {high} {parameter.shown}")
-    reach = 1.3 * max(float(np.abs(profile.root).max()), profile.threshold)
-    axes.set(
-        xlabel=f"{parameter.meaning}, {parameter.name} [{parameter.shown}]",
-        ylabel="signed root of the profile [-]",
-        ylim=(-min(reach, 3 * profile.threshold), min(reach, 3 * profile.threshold)),
-    )
-    axes.legend(loc="upper left")
     return figure
 
 

@@ -287,15 +287,10 @@ def _limits(axes: Axes, *curves: np.ndarray) -> None:
 
 @styled
 def stiffness(tests: StiffnessTests) -> Figure:
-    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates.
-
-    For air with a temperature also K' and K'' with closed valves over the rate.
-    """
+    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates."""
     varied = [name for name in tests.tests if name not in (HELD, CLOSED)]
-    count, rows = 1 + len(varied), 1 if tests.closed_dynamic is None else 2
-    figure = blank(DOUBLE, 0.6 + 2.3 * rows)
-    grid = figure.add_gridspec(rows, 2 * count)
-    first, *others = (figure.add_subplot(grid[0, 2 * column : 2 * column + 2]) for column in range(count))
+    figure = blank(DOUBLE, 2.9)
+    first, *others = figure.subplots(1, 1 + len(varied))
     forms = ((HELD, tests.secant, tests.isobaric, BLUE), (CLOSED, tests.closed_secant, tests.closed_valve, VERMILLION))
     amplitudes = tests.amplitudes / deg
     for name, secant, slope, color in forms:
@@ -305,7 +300,8 @@ def stiffness(tests: StiffnessTests) -> Figure:
         test = tests.tests[name]
         for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
             label = f"simulated, {test.frequency[row]:.2g} Hz" if color == BLUE else None
-            first.plot(amplitudes, test.stiffness[row], label=label, **_simulated(color, marker, size))
+            look = {"color": color, "linestyle": "", "marker": marker, "markersize": size, "fillstyle": "none"}
+            first.plot(amplitudes, test.stiffness[row], label=label, **look)
         for axes in others:
             axes.plot(amplitudes, secant, color=color, linewidth=2.6, alpha=0.3)
     letter(first, 0, "constant pressures, closed valves")
@@ -326,28 +322,8 @@ def stiffness(tests: StiffnessTests) -> Figure:
     plain_numbers(others[-1].yaxis)
     first.set_ylabel(_STIFFNESS)
     others[-1].set_ylabel("magnitude [N·m/rad]")
-    if tests.closed_dynamic is not None:
-        below = [figure.add_subplot(grid[1, part]) for part in (slice(count), slice(count, None))]
-        _closed_valves(below, tests, tests.closed_dynamic, count)
     legend_above(figure, first, others[-1], columns=4)
     return figure
-
-
-def _simulated(color: str, marker: str = "o", size: float = 4.5) -> dict[str, Any]:
-    return {"color": color, "linestyle": "", "marker": marker, "markersize": size, "fillstyle": "none"}
-
-
-def _closed_valves(both: list[Axes], tests: StiffnessTests, closed: np.ndarray, panels: int) -> None:
-    """Storage and loss part of the smallest motion over its rate, with closed valves: closed form and simulation."""
-    test = tests.tests[CLOSED]
-    expected = closed + tests.secant[0] - tests.isobaric + 1j * tests.tests[HELD].loss[:, 0]
-    rows = ((expected.real, test.stiffness, "storage K'"), (expected.imag, test.loss, "loss K''"))
-    for i, (axes, (form, simulated, name)) in enumerate(zip(both, rows, strict=True)):
-        axes.plot(test.frequency, form, color=VERMILLION, label="closed form")
-        axes.plot(test.frequency, simulated[:, 0], label="simulated", **_simulated(VERMILLION))
-        axes.set(xscale="log", xlabel="rate [Hz]", ylabel=_STIFFNESS)
-        plain_numbers(axes.xaxis)
-        letter(axes, panels + i, f"closed valves, {name}, {tests.amplitudes[0] / deg:.2g} deg")
 
 
 @styled

@@ -1,27 +1,20 @@
-"""Figures and pages of the leg: landings over stiffness, and time traces of jumps."""
+"""Figures of the leg: landings over stiffness, time traces of jumps, and stiffness of the foot."""
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mckibben import catalog
-from mckibben.errors import UnreachableError
 from mckibben.leg.attainable import attainable_foot_stiffness
 from mckibben.leg.dynamics import at_rest, frames, posture_of
 from mckibben.leg.foot import stiffness_of
 from mckibben.leg.landing import EDGES, LandingStudy
-from mckibben.report.figures import ReportFigure, described
-from mckibben.report.page import Section, write_document
 from mckibben.report.palette import BAND, BLACK, BLUE, ORANGE, VERMILLION
 from mckibben.report.style import DOUBLE, blank, draw_band, legend_above, letter, looks_of, styled
-from mckibben.report.tables import Table
 from mckibben.units import bar, mm, ms
 
 if TYPE_CHECKING:
@@ -182,62 +175,3 @@ def plan_stiffness(study: JumpStudy) -> Figure:
         axes.axvspan(plan.take_off / ms, plan.touchdown / ms, color=BAND, alpha=0.4, linewidth=0)
     legend_above(figure, left)
     return figure
-
-
-def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
-    """Write `landing.html`, self-contained, and its figures in `figures/`; return its path."""
-    low, high = study.attainable
-    lead = (
-        f"{study.table['peak_force'].size} landings: {study.joint} at its stiffness, commands constant. At touchdown "
-        f"{low:.3g} to {high:.3g} N*m/rad are attainable. Best is the softest stiffness whose force on the trunk is "
-        "within 2 % of the lowest; intervals are 5 to 95 % of the draws of muscles and masses."
-    )
-    figures = [described("leg/landing", landing_forces(study))]
-    try:
-        figures.append(described("leg/foot", foot_ellipses(study.scenario.leg, study.angles)))
-    except UnreachableError as error:
-        lead += f" The stiffness of the foot at touchdown is not drawn: {error.message}."
-    tables = [Table("Landings at the best stiffness", *study.rows())]
-    return _page(Path(folder) / "landing.html", study.scenario, lead, tables, figures)
-
-
-def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
-    """Write `jump.html`, self-contained, and its figures in `figures/`; return its path."""
-    gain, low, high = (height / mm for height in study.gain())
-    lead = (
-        f"From the squat the centre of mass rises {study.constant.heights[0] / mm:.0f} mm above that of the "
-        f"standing leg with the best constant pressures, {study.timed.heights[0] / mm:.0f} mm with the best timed "
-        f"ones: {gain:.0f} mm more ({low:.0f} to {high:.0f} mm in 5 to 95 % of the draws of muscles and masses)."
-    )
-    figures = [described("leg/jump", jump_traces(study))]
-    if study.plan is not None and study.plan.foot:
-        figures.append(described("leg/plan", plan_stiffness(study)))
-    tables = [Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()), _published(study)]
-    return _page(Path(folder) / "jump.html", study.scenario, lead, tables, figures)
-
-
-def _published(study: JumpStudy) -> Table:
-    """Published jumps next to ours, with the differences."""
-    head = ("robot", "jump", "of its height", "actuators", "what differs")
-    rows = []
-    for name in catalog.names("robots"):
-        robot = catalog.find("robots", name)[0]
-        rows.append(tuple(robot[key] for key in ("title", "jump", "of_height", "actuators", "differs")))
-    height, length = study.timed.heights[0] / mm, study.leg_length / mm
-    leg = study.scenario.leg
-    place = "in the plane" if leg.is_planar else "in space"
-    ours = (
-        f"{height:.0f} mm, centre of mass",
-        f"{height / length * 100:.0f} % of the leg",
-        f"{len(leg.muscles)} muscles",
-    )
-    rows.append(("this leg, timed pressures", *ours, f"simulated, {place}, trunk: {leg.trunk.freedom}"))
-    return Table("Comparison with published jumps", head, rows)
-
-
-def _page(path: Path, scenario: Any, lead: str, tables: Sequence[Table], figures: Sequence[ReportFigure]) -> Path:
-    results = Section("Results", tables, figures)
-    source = scenario.dumps(folder=path.parent)
-    return write_document(
-        path, title=scenario.name, lead=lead, sections=[results], source_title="Scenario of the leg", source=source
-    )
