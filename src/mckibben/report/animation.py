@@ -83,9 +83,9 @@ def animate(
     options: dict[str, Any] = {"lossless": True, "quality": 30, "method": 2}
     if kind == "GIF":
         frames, options = _differences(frames), {"optimize": False, "transparency": _CLEAR, "disposal": 1}
-    options |= {"format": kind, "save_all": True, "append_images": frames[1:], "loop": 0}
+    options |= {"save_all": True, "append_images": frames[1:], "loop": 0, "duration": max(milliseconds, 20)}
     with atomic_write(path, overwrite=overwrite) as part:
-        frames[0].save(part, duration=max(milliseconds, 20), **options)
+        frames[0].save(part, format=kind, **options)
     return Path(path)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -125,7 +125,7 @@ def show_error(error: McKibbenError) -> None:
         for one in error.problems[:100]
     ]
     place = "column" if isinstance(error, DatasetError) else "field"
-    table(("line", place, "problem", "remedy"), rows, left=4)
+    table(("line", place, "problem", "remedy"), rows, texts=range(4))
     if count > len(rows):
         ui.label(f"and {count - len(rows)} more").classes("quiet")
 
@@ -223,10 +223,10 @@ _BREAKS_AT_DOTS = r"""
 """A cell whose dotted names may continue on the next line, a unit not; copied text has no additional characters."""
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int = 1) -> ui.table:
-    """A table; the first `left` columns are text."""
+def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, texts: Collection[int] = (0,)) -> ui.table:
+    """A table; the columns of these numbers are texts, others are aligned to the right."""
     columns: list[dict[str, Any]] = [
-        {"name": str(i), "label": name, "field": str(i), "align": "left" if i < left else "right"}
+        {"name": str(i), "label": name, "field": str(i), "align": "left" if i in texts else "right"}
         for i, name in enumerate(header)
     ]
     cells = [{"key": k, **{str(i): cell for i, cell in enumerate(row)}} for k, row in enumerate(rows)]

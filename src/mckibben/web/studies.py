@@ -10,14 +10,17 @@ from typing import Any
 import numpy as np
 
 from mckibben.errors import ParameterError
+from mckibben.report import benchmark_errors, tuning
+from mckibben.result import Listing, Remark, Result
 from mckibben.scenario import Scenario, list_parameters, with_values
-from mckibben.study.benchmark import Suite, compare
+from mckibben.study.benchmark import BenchmarkResult, Suite, compare
 from mckibben.study.benchmark.statistics import FAILED, failed_runs, left_out_at_air, statistics
 from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
-from mckibben.study.tune import Method, parse_cost, parse_ranges, tune
+from mckibben.study.parameters import SweptParameter
+from mckibben.study.tune import Method, TuningResult, parse_cost, parse_ranges, tune
 from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins
-from mckibben.study.tune.objective import UNSTABLE_COST
 from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
+from mckibben.web.results import Presented, text_listing
 from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
 
 MOST_STEPS = 5e9
@@ -34,6 +37,15 @@ _TITLES = {
     "delay_ms": "least delay margin [ms]",
     "disk": "least disk margin",
 }
+
+_ERRORS = {
+    "angle RMSE [°]": ("angle_rmse_deg", "median"),
+    "95 %": ("angle_rmse_deg", "percentile_95"),
+    "stiffness RMSE [N·m/rad]": ("stiffness_rmse", "median"),
+    "95 % of it": ("stiffness_rmse", "percentile_95"),
+    "air [L]": ("air_L", "median"),
+}
+"""Metric and statistic by column of a comparison."""
 
 Progress = Callable[[str, float], None]
 
@@ -77,39 +89,102 @@ class ComparisonRequest:
             self.conditions = self.suggested
 
 
-@dataclass(frozen=True)
-class Tuned:
-    """Result of a tuning: parameters, metrics before and after, costs of the trials, scenario, and the kept margin.
+class Tuned(Result):
+    """Tuning of a scenario, as the page shows it: gains and metrics before and after.
 
-    `text` is that of the scenario before.
+    `text` is that of the scenario before, `scenario` the tuned one.
     """
 
     text: str
-    cost_before: float
-    cost: float
-    change: str
-    costs: np.ndarray
-    parameters: list[tuple[str, str, str]]
-    metrics: list[tuple[str, str, str]]
     scenario: Scenario
-    disk_margin: float
-    remarks: list[str]
+    tuning: TuningResult
+    over: Sequence[SweptParameter]
+    metrics: tuple[dict[str, float], dict[str, float]]
+
+    def verdict(self) -> str:
+        """Change of the cost."""
+        return f"Tuned: {self.tuning.change}, {len(self.tuning.trials)} points evaluated"
+
+    def remarks(self) -> list[Remark]:
+        """Faults of the tuned scenario, and the disk margin that was kept."""
+        tuning, (old, new) = self.tuning, self.metrics
+        kept = (
+            f"the search kept a disk margin of at least {tuning.disk_margin:g} at four points of the run; the least "
+            "margins below cover more points and frequencies and may be smaller"
+        )
+        texts = [*filter(None, [tuning.invalid_before]), *self.scenario.joint.remarks, *filter(None, [tuning.remark])]
+        remarks = [Remark.warning("scenario", text) for text in texts]
+        if tuning.at_bound:
+            text = f"at a bound of the range: {', '.join(tuning.at_bound)}"
+            remarks.append(Remark.warning("over", text, "consider a wider range"))
+        if lost := lost_margin(old["disk"], new["disk"]):
+            remedy = f"raise the gain margin, or give a disk margin, such as {DISK_MARGIN}"
+            remarks.append(Remark.warning("disk_margin", lost, remedy))
+        if new["disk"] == 0:
+            remarks.append(Remark.severe("disk_margin", UNSTABLE))
+        return [*remarks, Remark.note("disk_margin", kept if tuning.disk_margin else "the search kept no disk margin")]
+
+    def listings(self) -> list[Listing]:
+        """Parameters and metrics before and after."""
+        old, new = self.metrics
+        parameters = [
+            (
+                one.name,
+                "-" if (nominal := one.parameter.nominal) is None else one.parameter.show(nominal),
+                one.parameter.show(self.tuning.values[one.name]),
+            )
+            for one in self.over
+        ]
+        metrics = [(title, _number(old[name]), _number(new[name])) for name, title in _TITLES.items()]
+        return [
+            text_listing("", ("parameter", "before", "tuned"), parameters),
+            text_listing("", ("metric", "before", "tuned"), metrics),
+        ]
 
 
-@dataclass(frozen=True)
-class Compared:
-    """Result of a comparison: table, that at no more air than the scenario's controller, errors, tuned scenarios.
-
-    The errors are median and 95th percentile of the angle error [deg]; `text` is that of the scenario.
-    """
+class Compared(Result):
+    """Comparison of controllers, as the page shows it; `text` is that of the scenario, `titles` of its controllers."""
 
     text: str
-    headers: tuple[str, ...]
-    rows: list[tuple[str, ...]]
-    at_equal_air: list[tuple[str, ...]]
-    errors: dict[str, tuple[float, float]]
+    found: BenchmarkResult
+    numbers: dict[str, Any]
+    titles: dict[str, str]
     scenarios: dict[str, Scenario]
-    remarks: list[str]
+
+    def verdict(self) -> str:
+        """How the controllers were compared."""
+        return "Compared on the same unseen runs, each controller tuned with the same budget"
+
+    def remarks(self) -> list[Remark]:
+        """Gains at bounds, infeasible runs, and controllers without gains at equal air."""
+        numbers = self.numbers
+        texts = [
+            f"{self.titles[name]}: at a bound of the range: {', '.join(controller['at_bound'])}"
+            for name, controller in numbers["controllers"].items()
+            if controller["at_bound"]
+        ]
+        if numbers["no_start"]:
+            texts.append(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
+        texts += filter(None, [left_out_at_air(numbers, self.titles)])
+        joint = next(iter(self.scenarios.values())).joint
+        return [Remark.warning("controllers", text) for text in (*texts, *joint.remarks)]
+
+    def listings(self) -> list[Listing]:
+        """Errors of the controllers, and those at no more air than the scenario's controller."""
+        controllers = self.numbers["controllers"]
+        tables = {"": {name: controllers[name] for name in self.numbers["order"]}}
+        if at_air := self.numbers["at_air_of_first"]:
+            title = "with gains that take no more air than the scenario's controller in the training runs"
+            tables[title] = at_air["controllers"]
+        return [
+            text_listing(title, ("controller", *_ERRORS, FAILED), [self._row(*item) for item in errors.items()])
+            for title, errors in tables.items()
+        ]
+
+    def _row(self, name: str, errors: dict[str, Any]) -> tuple[str, ...]:
+        spreads = [(errors["metrics"][metric], statistic) for metric, statistic in _ERRORS.values()]
+        cells = ("-" if spread is None else f"{spread[statistic]:.3g}" for spread, statistic in spreads)
+        return self.titles[name], *cells, failed_runs(errors)
 
 
 def _lines(text: str) -> list[str]:
@@ -124,7 +199,7 @@ def _check_budget(scenario: Scenario, runs: float) -> None:
         raise ParameterError(message, value=steps, upper=MOST_STEPS, remedy=remedy)
 
 
-def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Tuned:
+def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Presented:
     """Tune a scenario as `mckibben tune` does."""
     progress("compiling", 0.0)
     scenario = parse(text, folder)
@@ -151,29 +226,10 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     progress("runs before and after", 1.0)
     (after,) = found.scenarios
     old, new = ({**metrics, **margins} for metrics, margins in map(metrics_and_margins, (scenario, after)))
-    parameters = [
-        (
-            each.name,
-            "-" if (nominal := each.parameter.nominal) is None else each.parameter.show(nominal),
-            each.parameter.show(found.values[each.name]),
-        )
-        for each in ranges
-    ]
-    metrics = [(title, _number(old[name]), _number(new[name])) for name, title in _TITLES.items()]
-    costs = np.array([trial.cost for trial in found.trials])
-    remarks = [*filter(None, [found.invalid_before]), *scenario.joint.remarks, *filter(None, [found.remark])]
-    if found.at_bound:
-        remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
-    if lost := lost_margin(old["disk"], new["disk"]):
-        remarks.append(f"{lost}; raise the gain margin, or give a disk margin, such as {DISK_MARGIN}")
-    if new["disk"] == 0:
-        remarks.append(UNSTABLE)
-    return Tuned(
-        text, found.cost_before, found.cost, found.change, costs, parameters, metrics, after, found.disk_margin, remarks
-    )
+    return Presented.of(Tuned(text, after, found, ranges, (old, new)), tuning(found))
 
 
-def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Compared:
+def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Presented:
     """Compare the controller of a scenario with other kinds as `mckibben compare` does, on its joint and reference."""
     progress("compiling", 0.0)
     scenario = parse(text, folder)
@@ -197,46 +253,13 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     found = compare(suite, progress=progress)
     progress("statistics", 1.0)
     numbers = statistics(found)
-    headers = ("controller", "angle RMSE [°]", "95 %", "stiffness RMSE [N·m/rad]", "95 %", "air [L]", FAILED)
-    spreads = [(name, what) for name in ("angle_rmse_deg", "stiffness_rmse") for what in ("median", "percentile_95")]
-    shown = {name: name for name in suite.controllers} | {"scenario": own or "that of the scenario"}
-
-    def row(name: str, each: dict[str, Any]) -> tuple[str, ...]:
-        return shown[name], *(_cell(each, *one) for one in (*spreads, ("air_L", "median"))), failed_runs(each)
-
-    rows, errors = [], {}
-    for name in numbers["order"]:
-        each = numbers["controllers"][name]
-        rows.append(row(name, each))
-        if (spread := each["metrics"]["angle_rmse_deg"]) is not None:
-            errors[shown[name]] = spread["median"], spread["percentile_95"]
-    at_air = numbers["at_air_of_first"] or {"controllers": {}}
+    titles = {name: name for name in suite.controllers} | {"scenario": own or "that of the scenario"}
     reference = next(iter(suite.references))
     scenarios = {
-        title: with_values(suite.scenario(name, reference), found.tuned[name]) for name, title in shown.items()
+        title: with_values(suite.scenario(name, reference), found.tuned[name]) for name, title in titles.items()
     }
-    remarks = [
-        f"{shown[name]}: at a bound of the range: {', '.join(each['at_bound'])}"
-        for name, each in numbers["controllers"].items()
-        if each["at_bound"]
-    ]
-    if numbers["no_start"]:
-        remarks.append(f"{numbers['no_start']} runs were infeasible: no static equilibrium at their start")
-    equal = [row(*each) for each in at_air["controllers"].items()]
-    remarks += filter(None, [left_out_at_air(numbers, shown)])
-    return Compared(text, headers, rows, equal, errors, scenarios, [*remarks, *scenario.joint.remarks])
+    return Presented.of(Compared(text, found, numbers, titles, scenarios), benchmark_errors(found))
 
 
 def _number(value: float) -> str:
     return "-" if np.isnan(value) else f"{value:.3g}"
-
-
-def _cell(found: dict[str, Any], metric: str, what: str) -> str:
-    spread = found["metrics"][metric]
-    return "-" if spread is None else f"{spread[what]:.3g}"
-
-
-def best_so_far(costs: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Lowest cost up to each trial; NaN until a trial has one."""
-    lowest = np.minimum.accumulate(np.asarray(costs, float))
-    return np.where(lowest < UNSTABLE_COST, lowest, np.nan)

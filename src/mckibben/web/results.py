@@ -1,0 +1,111 @@
+"""The view of results, one for all pages: verdict, remarks, figure, tables, and a download of all of them."""
+
+from __future__ import annotations
+
+import base64
+import io
+import threading
+import zipfile
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+from nicegui import ui
+
+from mckibben.errors import printable
+from mckibben.report.palette import GREY, ORANGE, VERMILLION
+from mckibben.result import Column, Listing, Remark, Result, Severity
+from mckibben.storage.files import to_json
+from mckibben.web.layout import button, panel, quiet, table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_SEVERITIES = {
+    Severity.SEVERE: ("error", VERMILLION),
+    Severity.WARNING: ("warning_amber", ORANGE),
+    Severity.NOTE: ("info", GREY),
+}
+"""Icon and colour of a remark, in addition to its word."""
+_RESOLUTION = 150  # dpi
+_drawing = threading.Lock()  # the house style is set for the whole process while a figure is drawn
+
+
+class Presented(NamedTuple):
+    """A result and its figure as PNG, empty without one; drawn once, in the thread of the computation."""
+
+    result: Result
+    picture: bytes = b""
+
+    @classmethod
+    def of(cls, result: Result, figure: Figure | None = None) -> Presented:
+        """Draw the first figure of a result, or a given one."""
+        with _drawing:
+            if figure is None:
+                if not result.figures:
+                    return cls(result)
+                figure = result.plot()
+            from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+            from mckibben.report.style import house_style
+
+            image = io.BytesIO()
+            figure.set_dpi(_RESOLUTION)
+            with house_style():
+                FigureCanvasAgg(figure).print_png(image)
+        return cls(result, image.getvalue())
+
+    def archive(self) -> bytes:
+        """Zip file of results.json and the figure."""
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as folder:
+            folder.writestr("results.json", to_json(self.result.to_dict()))
+            if self.picture:
+                folder.writestr("figure.png", self.picture)
+        return content.getvalue()
+
+
+def show_result(presented: Presented, name: str) -> ui.column:
+    """Show a result in a panel, to which the page may add; `name` is that of the download."""
+    result, picture = presented
+    with panel(printable(result.verdict(), 500)) as shown:
+        show_remarks(result.remarks())
+        if picture:
+            data = base64.b64encode(picture).decode("ascii")
+            ui.image(f"data:image/png;base64,{data}").classes("w-full").props(f'alt="figure: {name}" no-spinner')
+        for listing in result.listings():
+            if listing.detail:
+                with ui.expansion(printable(listing.title, 100)).props("dense").classes("w-full"):
+                    show_listing(listing)
+            else:
+                quiet(listing.title)
+                show_listing(listing)
+        button("Download results", lambda: ui.download.content(presented.archive(), f"{name}.zip"), f"download-{name}")
+    return shown
+
+
+def show_listing(listing: Listing) -> None:
+    """Show a table of a result; units are in the header."""
+    header = [f"{title} [{unit}]" if unit not in ("", "1") else title for title, unit in listing.header()]
+    if listing.vertical:
+        table(
+            ("", ""), [(title, *cells) for title, cells in zip(header, zip(*listing.rows(), strict=True), strict=True)]
+        )
+    else:
+        texts = [index for index, (column, _) in enumerate(listing.columns.values()) if not column.shown_unit]
+        table(header, listing.rows(), texts={0, *texts})
+
+
+def text_listing(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> Listing:
+    """Table of texts in rows, with units in the header."""
+    columns = {name: (Column("", name), [str(row[i]) for row in rows]) for i, name in enumerate(header)}
+    return Listing(title, columns)
+
+
+def show_remarks(remarks: Iterable[Remark]) -> None:
+    """Show remarks, the most severe first, each with the colour and the word of its severity."""
+    order = list(_SEVERITIES)
+    for remark in sorted(remarks, key=lambda remark: order.index(remark.severity)):
+        icon, color = _SEVERITIES[remark.severity]
+        with ui.row().classes("no-wrap items-start").style("gap: 8px"):
+            ui.icon(icon, color=color).style("font-size: 18px")
+            quiet(printable(str(remark), 1000))
