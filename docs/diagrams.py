@@ -26,7 +26,7 @@ WORKFLOWS: Mapping[str, tuple[Mapping[str, Box], Sequence[tuple[str, str]]]] = {
             "c": (2, 0, "controller\nas C99", FILE),
             "js": (2, 1, "controller\nas JavaScript", FILE),
             "fmu": (2, 2, "FMUs", FILE),
-            "mjcf": (2, 3, "MJCF, Warp,\nOSIM, URDF", FILE),
+            "mjcf": (2, 3, "MJCF, Warp,\nOSIM", FILE),
             "board": (3, 0, "microcontroller", OTHER),
             "page": (3, 1, "browser", OTHER),
             "simulink": (3, 2, "Simulink,\nOpenModelica", OTHER),

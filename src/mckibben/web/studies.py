@@ -13,9 +13,9 @@ from mckibben.errors import ParameterError
 from mckibben.report import benchmark_errors, tuning
 from mckibben.result import Listing, Remark, Result
 from mckibben.scenario import Scenario, list_parameters, with_values
-from mckibben.study.benchmark import BenchmarkResult, Suite, compare
-from mckibben.study.benchmark.statistics import FAILED, failed_runs, left_out_at_air, statistics
-from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
+from mckibben.study.compare import BenchmarkResult, Suite, compare
+from mckibben.study.compare.statistics import FAILED, failed_runs, left_out_at_air, statistics
+from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.study.parameters import SweptParameter
 from mckibben.study.tune import Method, TuningResult, parse_cost, parse_ranges, tune
 from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins

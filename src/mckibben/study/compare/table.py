@@ -10,8 +10,8 @@ import numpy as np
 
 from mckibben.errors import FileError, Problem
 from mckibben.simulation import Metrics
-from mckibben.study.benchmark.benchmark import BenchmarkResult
-from mckibben.study.benchmark.suite import Suite
+from mckibben.study.compare.compare import BenchmarkResult
+from mckibben.study.compare.suite import Suite
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -14,7 +14,7 @@ from mckibben.study.sweep.ranks import spearman
 from mckibben.study.tune.tune import Trial
 
 if TYPE_CHECKING:
-    from mckibben.study.benchmark.benchmark import BenchmarkResult
+    from mckibben.study.compare.compare import BenchmarkResult
 
 MAIN = ("angle_rmse", "stiffness_rmse")
 """Errors compared with those of the first controller."""

@@ -23,8 +23,8 @@ from mckibben.scenario import Scenario, batched, run_scenario, valid_rows
 from mckibben.simulation import Batch, Metrics, Outcome, Result, simulate_many
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.software import engine_of_job, software
-from mckibben.study.benchmark.runs import Group, Runs, draw, merged
-from mckibben.study.benchmark.statistics import (
+from mckibben.study.compare.runs import Group, Runs, draw, merged
+from mckibben.study.compare.statistics import (
     FAILED_RUNS,
     MAIN,
     SHOWN,
@@ -36,7 +36,7 @@ from mckibben.study.benchmark.statistics import (
     stiffness_limit,
     trial_at_air,
 )
-from mckibben.study.benchmark.suite import Suite, filename
+from mckibben.study.compare.suite import Suite, filename
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Costs, Method, SearchSpace, Vector, by_cma, check_method
 from mckibben.study.tune.tune import Evaluated, Evaluator, Trial, TuningHistory, kept_software
