@@ -29,6 +29,7 @@ from .study import planned as planned
 from .study import sweep as sweep
 from .study import tuning as tuning
 from .style import house_style as house_style
+from .style import png_of as png_of
 from .style import save as save
 from .tracking import control_results as control_results
 from .tracking import controller_comparison as controller_comparison

@@ -122,10 +122,17 @@ class NotebookFigure(Figure):
     """Figure shown as an image in notebooks, with or without pyplot."""
 
     def _repr_png_(self) -> bytes:
-        image = io.BytesIO()
-        with house_style():
-            FigureCanvasAgg(self).print_png(image)
-        return image.getvalue()
+        return png_of(self)
+
+
+def png_of(figure: Figure, resolution: float | None = None) -> bytes:
+    """Image of a figure as PNG, at a resolution [dpi] (default: that of the figure)."""
+    image = io.BytesIO()
+    if resolution is not None:
+        figure.set_dpi(resolution)
+    with house_style():
+        FigureCanvasAgg(figure).print_png(image)
+    return image.getvalue()
 
 
 def blank(width: float, height: float) -> Figure:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from nicegui import ui
 
 from mckibben.errors import printable
+from mckibben.report import png_of
 from mckibben.report.palette import GREY, ORANGE, VERMILLION
 from mckibben.result import Column, Listing, Remark, Result, Severity
 from mckibben.storage.files import to_json
@@ -44,15 +45,7 @@ class Presented(NamedTuple):
                 if not result.figures:
                     return cls(result)
                 figure = result.plot()
-            from matplotlib.backends.backend_agg import FigureCanvasAgg
-
-            from mckibben.report.style import house_style
-
-            image = io.BytesIO()
-            figure.set_dpi(_RESOLUTION)
-            with house_style():
-                FigureCanvasAgg(figure).print_png(image)
-        return cls(result, image.getvalue())
+            return cls(result, png_of(figure, _RESOLUTION))
 
     def archive(self) -> bytes:
         """Zip file of results.json and the figure."""
