@@ -114,11 +114,6 @@ def test_what_is_no_joint_is_refused():
         draw_joint("knee")
 
 
-def test_the_signal_flow_names_both_loops_and_all_parts():
-    texts = " ".join(text.get_text() for text in draw_control_loop().axes[0].texts)
-    assert all(part in texts for part in ("position", "stiffness", "valves", "muscles", "joint and load", "model"))
-
-
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")

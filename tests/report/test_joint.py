@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.reachability import DesignTarget, DesignVariable, design, envelope, static_envelope
-from mckibben.report.joint import design as draw_design
+from mckibben.reachability import envelope
 from mckibben.report.joint import envelope as draw
 from mckibben.scenario import Scenario
 from mckibben.units import deg
@@ -49,17 +48,3 @@ def test_the_reference_the_band_and_the_nearest_references(scenario):
     assert band[:, 1].min() == pytest.approx(np.nanmin(found.static.stiffness.lowest), abs=0.01)
     labels = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert {"reference", *names, "attainable, static", "attainable, reference motion"} <= set(labels)
-
-
-@pytest.mark.slow
-def test_a_design_before_and_after(scenario):
-    plant = scenario.plant()
-    target = DesignTarget((14.0, 18.0), (-15 * deg, 15 * deg))
-    choices = [DesignVariable("connector_length", 0.19, 0.24), DesignVariable("joint_radius", 0.02, 0.05)]
-    found, before = design(plant, target, choices, starts=1), static_envelope(plant)
-    axes = draw_design(found, before).axes[0]
-    box = axes.patches[0]
-    assert (box.get_x(), box.get_width()) == pytest.approx((-15, 30))
-    assert (box.get_y(), box.get_height()) == pytest.approx((14, 4))
-    assert drawn(axes, "attainable before").get_ydata().min() == pytest.approx(np.nanmin(before.stiffness.lowest))
-    assert "connector length 209.4 mm" in axes.get_title("left")
