@@ -95,7 +95,9 @@ def test_the_diameter_is_that_of_a_cylinder_with_the_volume(knee):
 
 @pytest.mark.parametrize("name", ALL)
 def test_every_geometry_is_drawn_alone_and_with_muscles(name, knee):
-    assert len(draw_joint(ALL[name], 20 * deg).axes) == 2
+    (axes,) = draw_joint(ALL[name], 20 * deg).axes
+    arms = [float(arm) / mm for arm in ALL[name].moment_arms(20 * deg)]
+    assert f"moment arms {arms[0]:.3g} and {arms[1]:.3g} mm" in axes.get_title()
     joint = AntagonisticJoint(ALL[name], knee.muscle1, knee.muscle2)
     figure = draw_joint(joint, 20 * deg, (2 * bar, 4 * bar), labels=False)
     first, second = (patch for patch in figure.axes[0].patches if patch.get_linewidth() == 0.8)
