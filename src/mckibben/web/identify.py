@@ -36,13 +36,14 @@ from mckibben.web.layout import (
     quiet,
     results_side,
     select,
+    show_remarks,
     side,
     table,
     text_area,
     upload,
 )
 from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal, rows_read
-from mckibben.web.results import Presented, show_remarks, show_result, text_listing
+from mckibben.web.results import Presented, show_result, text_listing
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
 from mckibben.web.wording import FRICTION, KEEP, SKIP, on_page

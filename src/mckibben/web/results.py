@@ -6,27 +6,20 @@ import base64
 import io
 import threading
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 from nicegui import ui
 
 from mckibben.errors import printable
 from mckibben.report import png_of
-from mckibben.report.palette import GREY, ORANGE, VERMILLION
-from mckibben.result import Column, Listing, Remark, Result, Severity
+from mckibben.result import Column, Listing, Result
 from mckibben.storage.files import to_json
-from mckibben.web.layout import button, panel, quiet, table
+from mckibben.web.layout import button, panel, quiet, show_remarks, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_SEVERITIES = {
-    Severity.SEVERE: ("error", VERMILLION),
-    Severity.WARNING: ("warning_amber", ORANGE),
-    Severity.NOTE: ("info", GREY),
-}
-"""Icon and colour of a remark, in addition to its word."""
 _RESOLUTION = 150  # dpi
 _drawing = threading.Lock()  # the house style is set for the whole process while a figure is drawn
 
@@ -92,13 +85,3 @@ def text_listing(title: str, header: Sequence[str], rows: Sequence[Sequence[obje
     """Table of texts in rows, with units in the header."""
     columns = {name: (Column("", name), [str(row[i]) for row in rows]) for i, name in enumerate(header)}
     return Listing(title, columns)
-
-
-def show_remarks(remarks: Iterable[Remark]) -> None:
-    """Show remarks, the most severe first, each with the colour and the word of its severity."""
-    order = list(_SEVERITIES)
-    for remark in sorted(remarks, key=lambda remark: order.index(remark.severity)):
-        icon, color = _SEVERITIES[remark.severity]
-        with ui.row().classes("no-wrap items-start").style("gap: 8px"):
-            ui.icon(icon, color=color).style("font-size: 18px")
-            quiet(printable(str(remark), 1000))

@@ -135,7 +135,7 @@ class _Page(JobPage[RigState]):
 
     def show(self) -> None:
         """Show the error or the remarks of the test, and what can be done with its points."""
-        self.show_remarks()
+        self.show_notes()
         if (data := self.state.data) is not None:
             with panel(f"{len(data)} points measured"):
                 button("Identify the muscle", self.identify, main=True)

@@ -171,7 +171,7 @@ class _Page(JobPage[Workbench]):
 
     def show(self) -> None:
         """Show the error or the remarks of the last run."""
-        self.show_remarks()
+        self.show_notes()
         if self.state.error is not None and self.state.current is not None:
             quiet("The fields and curves are those of the last scenario that ran.")
 

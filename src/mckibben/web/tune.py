@@ -163,7 +163,7 @@ class _Page(JobPage[StudyState]):
     def show(self) -> None:
         """Show everything known."""
         state = self.state
-        self.show_remarks()
+        self.show_notes()
         for name, presented in state.results.items():
             result = presented.result
             assert isinstance(result, Tuned | Compared)
