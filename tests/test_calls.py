@@ -11,7 +11,7 @@ from mckibben.control import PolePlacement
 from mckibben.dataset import Recording
 from mckibben.errors import CallError, DomainWarning, FileError, McKibbenError, McKibbenWarning, ScenarioError, closest
 from mckibben.report.style import NotebookFigure
-from mckibben.study.benchmark import Suite
+from mckibben.study.compare import Suite
 from mckibben.study.tune import Method
 from mckibben.study.tune.tune import DEFAULT_COST
 from mckibben.units import bar, deg

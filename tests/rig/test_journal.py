@@ -16,8 +16,8 @@ import pytest
 
 from mckibben.errors import DatasetError, FileError
 from mckibben.rig.record import read_header as read_record_header
-from mckibben.storage import journal as module
-from mckibben.storage.journal import Journal, JournalReader, JournalRecord, header_differences, read_header
+from mckibben.rig import journal as module
+from mckibben.rig.journal import Journal, JournalReader, JournalRecord, header_differences, read_header
 
 ITEM = b"I"
 ABOUT = {"format": "test journal", "version": 1, "seed": 3}
@@ -284,7 +284,7 @@ JOB = """
 import sys
 from pathlib import Path
 import numpy as np
-from mckibben.storage.journal import Journal, JournalReader, JournalRecord
+from mckibben.rig.journal import Journal, JournalReader, JournalRecord
 path = Path(sys.argv[1])
 if path.exists():
     reader = JournalReader(path)

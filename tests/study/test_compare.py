@@ -10,9 +10,9 @@ import pytest
 from mckibben.errors import FileError, ParameterError
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics
-from mckibben.study.benchmark import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
-from mckibben.study.benchmark.benchmark import ControllerTuning, _controller, _error_at_air
-from mckibben.study.benchmark.statistics import front, statistics
+from mckibben.study.compare import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
+from mckibben.study.compare.compare import ControllerTuning, _controller, _error_at_air
+from mckibben.study.compare.statistics import front, statistics
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import SearchSpace

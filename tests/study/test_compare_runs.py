@@ -9,7 +9,7 @@ import pytest
 from mckibben.errors import SimulationError
 from mckibben.plant import PerfectSensors
 from mckibben.scenario import Scenario
-from mckibben.study.benchmark import NOMINAL_JOINT, Suite, draw
+from mckibben.study.compare import NOMINAL_JOINT, Suite, draw
 from mckibben.units import deg, ms
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")

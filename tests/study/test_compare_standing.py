@@ -13,9 +13,9 @@ from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.storage.files import to_json
-from mckibben.study.benchmark import BenchmarkResult, Suite, draw
-from mckibben.study.benchmark.statistics import air_of, front, left_out_at_air, pooled, statistics, trial_at_air
-from mckibben.study.benchmark.table import write_table
+from mckibben.study.compare import BenchmarkResult, Suite, draw
+from mckibben.study.compare.statistics import air_of, front, left_out_at_air, pooled, statistics, trial_at_air
+from mckibben.study.compare.table import write_table
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.tune import Trial
 from mckibben.units import deg, litre

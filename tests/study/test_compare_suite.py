@@ -11,7 +11,7 @@ import pytest
 from mckibben.errors import ScenarioError
 from mckibben.plant import IdealValve, PerfectSensors, UnequalValves
 from mckibben.scenario import Scenario
-from mckibben.study.benchmark import NOMINAL_JOINT, Suite, draw
+from mckibben.study.compare import NOMINAL_JOINT, Suite, draw
 from mckibben.units import deg, ms
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,7 @@ from mckibben.component.schema import parse_component, replaced
 from mckibben.control import Controller
 from mckibben.errors import ParameterError, RangeError, ScenarioError
 from mckibben.scenario import Scenario, batched, find_parameter, known_names, list_parameters, valid_rows, with_values
-from mckibben.study.benchmark import Suite
+from mckibben.study.compare import Suite
 from mckibben.study.parameters import parse_sweeps, sample
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

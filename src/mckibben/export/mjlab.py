@@ -27,7 +27,7 @@ from mckibben.leg import LegPlant, LegStart
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import numeric
 from mckibben.scenario import Scenario
-from mckibben.study.benchmark.suite import Suite
+from mckibben.study.compare.suite import Suite
 
 check_version("mjlab", "1.6", "1.7")  # of other versions, the imports fail
 import torch  # noqa: E402

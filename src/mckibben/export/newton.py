@@ -19,7 +19,7 @@ from mckibben.export.mjcf import Transmission, check_parts, command_range, gravi
 from mckibben.export.warp import check_version, drawn_muscles, loaded, split_parameters, warp_muscles, with_strengths
 from mckibben.plant import JointPlant, PlantState
 from mckibben.scenario import Scenario
-from mckibben.study.benchmark.suite import Suite
+from mckibben.study.compare.suite import Suite
 
 check_version("newton", "1.7", "1.9")  # of other versions, the imports fail
 from newton import ModelBuilder  # noqa: E402

@@ -18,7 +18,7 @@ from mckibben.numerics.compiled import compiled, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, with_values
 from mckibben.simulation.problem import check_frequencies, sample_reference, sampled_reference, sampling_times
-from mckibben.study.benchmark.suite import Suite, start_of
+from mckibben.study.compare.suite import Suite, start_of
 from mckibben.study.parameters import sample
 
 Column = NDArray[Any]
