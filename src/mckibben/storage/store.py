@@ -30,6 +30,7 @@ CREATE TABLE job (name TEXT PRIMARY KEY, about TEXT NOT NULL, checksum INTEGER N
 CREATE TABLE record (job TEXT, number INTEGER, content BLOB NOT NULL, checksum INTEGER NOT NULL,
                      PRIMARY KEY (job, number));
 """
+_DIGEST = "digest of "
 _LONGEST = 160  # characters of a value in an error
 
 
@@ -234,14 +235,21 @@ def read_store(path: Path) -> Iterator[Store]:
 
 
 def differences(begun: Mapping[str, Any], wanted: Mapping[str, Any], *, ignore: Iterable[str] = ()) -> list[Problem]:
-    """Return one problem per difference between the settings of a study and those of its continuation."""
+    """Return one problem per difference between the settings of a study and those of its continuation.
+
+    Settings whose name begins with "digest of " are reported if no other differs.
+    """
     remedy = "give the same, or leave it out to use the original value, or choose another folder"
-    return [
+    problems = [
         Problem(f"the study was started with {_shown(before)}, not {_shown(now)}", field=field, remedy=remedy)
         for name in dict.fromkeys([*wanted, *begun])
-        if name not in ignore
+        if name not in ignore and not name.startswith(_DIGEST)
         for field, before, now in _different(name, begun.get(name), wanted.get(name))
     ]
+    changed = [name for name in wanted if name.startswith(_DIGEST) and begun.get(name) != wanted[name]]
+    what = "it has changed: a file that is named, the catalog, or the version of a library"
+    fields = () if problems else (name.removeprefix(_DIGEST) for name in changed)
+    return problems or [Problem(what, field=field, remedy="start again in another folder") for field in fields]
 
 
 def _different(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any]]:

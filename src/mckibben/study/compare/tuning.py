@@ -147,7 +147,7 @@ class ControllerTuning:
         return {
             "software": software(engine),
             "controller": self.controller,
-            "runs": hashlib.sha256(content.encode()).hexdigest(),
+            "digest of runs": hashlib.sha256(content.encode()).hexdigest(),
             **self.suite.timing,
             "parameters": [tuned.text for tuned in self.space.swept],
             "cost": tuning.cost,

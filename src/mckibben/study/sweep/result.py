@@ -122,7 +122,7 @@ class SweepResult(RunTable, Result):
         nominal = Scenario.parse(self.table.attrs["scenario"], folder=folder)
         about = json.loads(self.table.attrs["manifest"])
         first = {name: np.array([value]) for name, value in about["first"].items()}
-        if digest_of_model(nominal, first, about["known"]) != about["model"]:
+        if digest_of_model(nominal, first, about["known"]) != about["digest of model"]:
             message = "a file or catalog entry that the scenario names has changed, or another version made the sweep"
             remedy = "give the sweep's folder with the original files, and use the version that made it"
             raise FileError(os.fspath(folder), [Problem(message, remedy=remedy)])

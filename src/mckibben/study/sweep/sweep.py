@@ -112,9 +112,9 @@ class Sweep(Study):
             "block": self.block,
             "batch_size": self.batch_size,
             "software": dict(self.software),
-            "values": _digest_of_table(self.rows()),
+            "digest of values": _digest_of_table(self.rows()),
             "first": {name: column[0].item() for name, column in first.items()},
-            "model": digest_of_model(self.scenario, first, self.known),
+            "digest of model": digest_of_model(self.scenario, first, self.known),
         }
 
     def rows(self) -> Table:

@@ -157,7 +157,7 @@ def _about(problem: TuningProblem, search: Method | Search, seed: int, populatio
         "format": FORMAT,
         "software": software(problem.engine),
         "scenarios": [scenario.dumps(folder=folder) for scenario in problem.scenarios],
-        "models": [_digest(scenario) for scenario in problem.scenarios],
+        "digest of models": [_digest(scenario) for scenario in problem.scenarios],
         "parameters": [tuned.text for tuned in problem.space.swept],
         "known": known if known == "all" else sorted(known),
         "cost": cost.text,
