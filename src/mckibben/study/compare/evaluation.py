@@ -26,7 +26,16 @@ def evaluate(
     return simulate_runs(runs, controller, table, max(map(len, table.values()), default=1), tuple(metrics))
 
 
-def controller_of(runs: Runs, group: Group, controller: str, table: dict[str, Any], sets: int) -> Controller:
+def engines_used(runs: Runs, controller: str, table: dict[str, Any], metrics: tuple[str, ...]) -> set[str]:
+    """Return the engines of the runs with one set of values [SI]."""
+    used = set()
+    for group in runs.groups:
+        control = _controller_of(runs, group, controller, table, 1)
+        used.add(_simulate_group(runs.suite, group, control, 1, metrics, "auto").engine)
+    return used
+
+
+def _controller_of(runs: Runs, group: Group, controller: str, table: dict[str, Any], sets: int) -> Controller:
     """A controller with sets of values, each used in all runs of a group: arrays of shape (sets * runs,)."""
     suite, reference = runs.suite, next(iter(runs.suite.references))
     columns = {name: np.repeat(np.asarray(column), group.count) for name, column in table.items()}
@@ -64,8 +73,8 @@ def simulate_runs(
     """Simulate all runs with sets of values [SI], one group of runs after the other."""
     batches, lanes = [], []
     for group in runs.groups:
-        control = controller_of(runs, group, controller, table, sets)
-        batches.append(simulate_group(runs.suite, group, control, sets, metrics, engine))
+        control = _controller_of(runs, group, controller, table, sets)
+        batches.append(_simulate_group(runs.suite, group, control, sets, metrics, engine))
         lanes.append(_lanes(group.rows, runs.count, sets))
     if len(batches) == 1:
         return batches[0]
@@ -75,7 +84,7 @@ def simulate_runs(
     return Batch(whole.isel(run=np.argsort(np.concatenate(lanes))))
 
 
-def simulate_group(
+def _simulate_group(
     suite: Suite, group: Group, controller: Controller, sets: int, metrics: tuple[str, ...], engine: str
 ) -> Batch:
     """Simulate the runs of a group with a controller of sets of values."""

@@ -18,7 +18,7 @@ from mckibben.scenario import Scenario, valid_rows
 from mckibben.simulation import Batch
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.store import Store
-from mckibben.study.compare.evaluation import controller_of, simulate_group, simulate_runs
+from mckibben.study.compare.evaluation import engines_used, simulate_runs
 from mckibben.study.compare.result import started
 from mckibben.study.compare.runs import Runs, draw
 from mckibben.study.compare.statistics import (
@@ -128,11 +128,7 @@ class ControllerTuning:
 
     def _engines_used(self) -> set[str]:
         """Engines of the runs with the nominal values."""
-        used = set()
-        for group in self.runs.groups if self._nominal else ():
-            control = controller_of(self.runs, group, self.controller, self._nominal, 1)
-            used.add(simulate_group(self.suite, group, control, 1, self._metrics, "auto").engine)
-        return used
+        return engines_used(self.runs, self.controller, self._nominal, self._metrics) if self._nominal else set()
 
     @property
     def _metrics(self) -> tuple[str, ...]:
