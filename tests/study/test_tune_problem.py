@@ -154,7 +154,7 @@ def test_a_limit_cycle_is_a_failure():
     costs = task.costs(np.array([[1 * bar], [40 * bar]]))
     assert run_scenario(with_values(scenario, {name: 40 * bar})).result.outcome is Outcome.LIMIT_CYCLE
     assert costs[0] < FAILED_COST == costs[1]
-    few = {"iterations": 1, "population": 8}
+    few = {"iterations": 5, "population": 8}
     start = with_values(scenario, {name: 1 * bar})
     tuned = tune(start, {name: RANGES[name]}, Cost(TERMS, gain_margin=40.0), **few)
     assert np.isnan(tuned.cost_before)

@@ -1,4 +1,4 @@
-"""`mckibben plan`, `mckibben stiffness`, `mckibben margins`, `mckibben oracle` and `mckibben envelope`."""
+"""`mckibben plan`, `mckibben stiffness`, `mckibben margins` and `mckibben envelope`."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloa
 @reads_files("contraction", "sample_rate", "specimen")
 def plan(
     data: Data,
-    law: Annotated[str, Option(help="Kind of law; 'mckibben laws' lists them.")] = "exponential",
+    law: Annotated[str, Option(help="Kind of law; 'mckibben catalog' lists them.")] = "exponential",
     of: Annotated[
         str,
         Option(
