@@ -31,7 +31,7 @@ from mckibben.errors import DatasetError, McKibbenError, ParameterError, Scenari
 from mckibben.identification import identify_with_friction
 from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
-from mckibben.result import Remark
+from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
 from mckibben.web import app, design, identify, reading, rig, session, studies, tune, wording, workbench
 from mckibben.web.results import Presented
@@ -344,21 +344,16 @@ def test_a_ranking_can_be_cancelled():
 
 
 def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):
-    class Done(studies.Compared):
+    class Done(Result):
+        name: str
+
         def verdict(self):
-            return f"{self.found} is done"
-
-        def remarks(self):
-            return [Remark.severe("cost", "unstable"), Remark.note("cost", "a note")]
-
-        def listings(self):
-            return []
+            return f"{self.name} is done"
 
     def study(name):
-        def compute(text, *_):
-            return Presented(Done(text, name, {}, {}, {"a": Scenario.parse(workbench.START)}))
-
-        return compute
+        remarks = (Remark.severe("cost", "unstable"), Remark.note("cost", "a note"))
+        scenarios = {"a": Scenario.parse(workbench.START)}
+        return lambda text, *_: studies.Study(Presented(Done(name), remarks, (), b""), text, scenarios)
 
     monkeypatch.setattr(tune, "tuned", study("tuning"))
     monkeypatch.setattr(tune, "compared", study("comparison"))

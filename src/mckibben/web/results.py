@@ -7,38 +7,34 @@ import io
 import threading
 import zipfile
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 from nicegui import ui
 
 from mckibben.errors import printable
 from mckibben.report import png_of
-from mckibben.result import Column, Listing, Result
+from mckibben.result import Column, Listing, Remark, Result
 from mckibben.storage.files import to_json
 from mckibben.web.layout import button, panel, quiet, show_remarks, table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _RESOLUTION = 150  # dpi
 _drawing = threading.Lock()  # the house style is set for the whole process while a figure is drawn
 
 
 class Presented(NamedTuple):
-    """A result and its figure as PNG, empty without one; drawn once, in the thread of the computation."""
+    """What is shown of a result, computed in the thread of its job; `picture` is a PNG, empty without a figure."""
 
     result: Result
-    picture: bytes = b""
+    remarks: tuple[Remark, ...]
+    listings: tuple[Listing, ...]
+    picture: bytes
 
     @classmethod
-    def of(cls, result: Result, figure: Figure | None = None) -> Presented:
-        """Draw the first figure of a result, or a given one."""
+    def of(cls, result: Result) -> Presented:
+        """Compute the tables of a result, and draw its first figure."""
         with _drawing:
-            if figure is None:
-                if not result.figures:
-                    return cls(result)
-                figure = result.plot()
-            return cls(result, png_of(figure, _RESOLUTION))
+            picture = png_of(result.plot(), _RESOLUTION) if result.figures else b""
+        return cls(result, tuple(result.remarks()), tuple(result.listings()), picture)
 
     def archive(self) -> bytes:
         """Zip file of results.json and the figure."""
@@ -52,13 +48,12 @@ class Presented(NamedTuple):
 
 def show_result(presented: Presented, name: str) -> ui.column:
     """Show a result in a panel, to which the page may add; `name` is that of the download."""
-    result, picture = presented
-    with panel(printable(result.verdict(), 500)) as shown:
-        show_remarks(result.remarks())
-        if picture:
-            data = base64.b64encode(picture).decode("ascii")
+    with panel(printable(presented.result.verdict(), 500)) as shown:
+        show_remarks(presented.remarks)
+        if presented.picture:
+            data = base64.b64encode(presented.picture).decode("ascii")
             ui.image(f"data:image/png;base64,{data}").classes("w-full").props(f'alt="figure: {name}" no-spinner')
-        for listing in result.listings():
+        for listing in presented.listings:
             if listing.detail:
                 with ui.expansion(printable(listing.title, 100)).props("dense").classes("w-full"):
                     show_listing(listing)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,7 @@ from mckibben.web.layout import (
     select,
     side,
 )
-from mckibben.web.results import Presented, show_result
+from mckibben.web.results import show_result
 from mckibben.web.session import JobState, session
 from mckibben.web.studies import (
     AUTOMATIC,
@@ -34,11 +33,9 @@ from mckibben.web.studies import (
     MOST_ITERATIONS,
     MOST_RUNS,
     MOST_SEED,
-    MOST_STARTS,
     MOST_STEPS,
-    Compared,
     ComparisonRequest,
-    Tuned,
+    Study,
     TuningRequest,
     compared,
     tuned,
@@ -52,7 +49,7 @@ class StudyState(JobState):
 
     tuning: TuningRequest = field(default_factory=TuningRequest)
     comparison: ComparisonRequest = field(default_factory=ComparisonRequest)
-    results: dict[str, Presented] = field(default_factory=dict)  # the newest first
+    results: dict[str, Study] = field(default_factory=dict)  # the newest first
 
 
 def page() -> None:
@@ -82,7 +79,6 @@ class _Page(JobPage[StudyState]):
                 with ui.element("div").classes("fields"):
                     self.tuning_fields = [
                         _number("gain margin", tuning, "gain_margin", 1.0, 10.0),
-                        _number("starts (gradient)", tuning, "starts", 1, MOST_STARTS),
                         _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS),
                         _number("seed", tuning, "seed", 0, MOST_SEED),
                     ]
@@ -108,7 +104,7 @@ class _Page(JobPage[StudyState]):
                 button("Compare", self.compare, "compare", main=True)
             quiet(
                 "Both take minutes, part of them for compiling, and more on a busy computer. The time of tuning grows "
-                "with starts and iterations, that of comparing with controllers, generations and unseen runs. At most "
+                "with iterations, that of comparing with controllers, generations and unseen runs. At most "
                 f"{MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and `mckibben compare` have no "
                 "limit."
             )
@@ -147,9 +143,9 @@ class _Page(JobPage[StudyState]):
             ui.notify("a study is running: cancel it first")
             return
 
-        def done(found: Presented, heard: list[str]) -> None:
-            state.results = {name: found} | {other: old for other, old in state.results.items() if other != name}
-            shown = [remark.text for remark in found.result.remarks()]
+        def done(study: Study, heard: list[str]) -> None:
+            state.results = {name: study} | {other: old for other, old in state.results.items() if other != name}
+            shown = [remark.text for remark in study.presented.remarks]
             state.notes = [text for text in heard if text not in shown]
 
         state.error, state.notes = None, []
@@ -164,14 +160,10 @@ class _Page(JobPage[StudyState]):
         """Show everything known."""
         state = self.state
         self.show_notes()
-        for name, presented in state.results.items():
-            result = presented.result
-            assert isinstance(result, Tuned | Compared)
-            with self.result_of(result.text), show_result(presented, name):
-                if isinstance(result, Tuned):
-                    button("Run the tuned scenario", partial(self.run, result.scenario), "use-tuned", main=True)
-                else:
-                    self.choose(result.scenarios)
+        for name, (presented, text, scenarios) in state.results.items():
+            with self.result_of(text), show_result(presented, name), ui.row().classes("items-center"):
+                chosen = select(list(scenarios), "scenario", value=next(iter(scenarios))).classes(remove="w-full")
+                self.run_button(name, scenarios, chosen)
         if not state.results and state.error is None:
             with panel("No study yet"):
                 quiet(
@@ -189,12 +181,9 @@ class _Page(JobPage[StudyState]):
                 quiet("Result of the scenario before it was changed.")
             yield
 
-    def choose(self, scenarios: dict[str, Scenario]) -> None:
-        """Select of the compared scenarios, one of which can be run."""
-        with ui.row().classes("items-center").style("gap: 12px"):
-            chosen = ui.select(list(scenarios), value=next(iter(scenarios)), label="controller")
-            chosen.props("dense").style("min-width: 180px")
-            button("Run it", lambda: self.run(scenarios[str(chosen.value)]), "use-compared", main=True)
+    def run_button(self, name: str, scenarios: dict[str, Scenario], chosen: ui.select) -> None:
+        """Button that opens the chosen scenario of a study on the page Run."""
+        button("Run it", lambda: self.run(scenarios[str(chosen.value)]), f"use-{name}", main=True)
 
 
 def _lines(label: str, on: Any, name: str) -> None:

@@ -57,8 +57,7 @@ class Cost:
 
     terms: tuple[Term, ...]
     gain_margin: float = 1.0  # factor by which the gains may increase; 1 for no margin
-    worst: bool = False  # take the highest cost over several scenarios or conditions instead of the mean
-    percentile: float | None = None  # take this percentile of them
+    percentile: float | None = None  # of the cost over scenarios and conditions, 100 for the worst; None: their mean
     delay_margin: float = 0.0  # additional delay of the commands, unknown to the controllers [s]
     disk_margin: float | None = 0.0  # least of the linearised loop in all of them; None for that of `tune`
 
@@ -79,8 +78,6 @@ class Cost:
         ):
             if not holds:
                 raise ParameterError(f"the {what} is {value:g}", value=value, remedy=remedy)
-        if self.percentile is not None and self.worst:
-            raise ParameterError("the worst case is the 100th percentile", remedy="give one of the two")
 
     @classmethod
     def of(cls, scales: Mapping[str, float], **options: Any) -> Self:

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mckibben.report.benchmark import (
-    benchmark_air,
-    benchmark_errors,
-    benchmark_front,
-    write_benchmark,
+from mckibben.report.comparison import (
+    comparison_air,
+    comparison_errors,
+    comparison_front,
+    write_comparison,
 )
 from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
-from mckibben.study.compare import BenchmarkResult, Suite, draw
-from mckibben.study.compare.statistics import failed_runs, statistics
-from mckibben.study.tune.tune import Trial
+from mckibben.study.compare import CompareResult, Suite, draw
+from mckibben.study.compare.result import failed_runs
+from mckibben.study.tune.trials import Trial
 from mckibben.units import deg
 
 pytestmark = pytest.mark.slow
@@ -66,8 +66,8 @@ def made(lost=None):
     metrics = [{"air": air * 1e-3, "angle_rmse": 1 / air * deg, "stiffness_rmse": 0.6} for air in (10.0, 20.0, 40.0)]
     tried = {name: tuple(Trial((at["air"],), 1.0, metrics=at) for at in metrics) for name in ("PID 3", "decoupling")}
     at_bound = dict.fromkeys(batches, ())
-    at_air = BenchmarkResult(suite, runs, tuned, {}, {}, {name: batches[name] for name in tried})
-    return BenchmarkResult(suite, runs, tuned, costs, at_bound, batches, tried, at_air)
+    at_air = CompareResult(suite, runs, tuned, {}, {}, {name: batches[name] for name in tried})
+    return CompareResult(suite, runs, tuned, costs, at_bound, batches, tried, at_air)
 
 
 @pytest.fixture(scope="module")
@@ -77,13 +77,13 @@ def result():
 
 @pytest.fixture(scope="module")
 def numbers(result):
-    return statistics(result)
+    return result.numbers
 
 
 @pytest.fixture(scope="module")
 def kept(result, numbers, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
-    return write_benchmark(result, numbers, folder)
+    return write_comparison(result, folder)
 
 
 @pytest.fixture(scope="module")
@@ -115,7 +115,7 @@ def test_every_figure_is_embedded_and_lies_beside_the_page(kept, text):
 
 
 def test_a_front_is_drawn_for_each_controller_that_was_tuned(result, numbers):
-    (axes,) = benchmark_front(result, numbers).axes
+    (axes,) = comparison_front(result).axes
     assert [line.get_label() for line in axes.lines] == ["PID 3", "decoupling"]
     for line in axes.lines:
         np.testing.assert_allclose(line.get_xdata(), [10.0, 20.0, 40.0])
@@ -143,7 +143,7 @@ def colours(figure):
 
 def test_a_controller_has_one_colour_in_all_figures(result, numbers):
     assert numbers["order"] != list(result.batches), "else there is nothing to see"
-    several = [benchmark_errors(result), benchmark_air(result, numbers)]
+    several = [comparison_errors(result), comparison_air(result)]
     for name in result.batches:
         assert len({colours(figure)[name] for figure in several}) == 1
     assert len({colours(several[0])[name] for name in result.batches}) == 3
@@ -151,7 +151,7 @@ def test_a_controller_has_one_colour_in_all_figures(result, numbers):
 
 def test_errors_are_distributions(result):
     """Of the controller that lost 2 of 16 runs the line ends at 14/16."""
-    angle, stiffness = benchmark_errors(result).axes
+    angle, stiffness = comparison_errors(result).axes
     for axes, metric, unit in ((angle, "angle_rmse", deg), (stiffness, "stiffness_rmse", 1.0)):
         lines = {line.get_label(): line for line in axes.lines}
         for name in result.batches:
@@ -164,7 +164,7 @@ def test_errors_are_distributions(result):
 
 
 def test_air_and_error_are_drawn_with_the_middle_of_the_runs(result, numbers):
-    (axes,) = benchmark_air(result, numbers).axes
+    (axes,) = comparison_air(result).axes
     (mark,) = [line for line in axes.lines if line.get_label() == "decoupling"]
     found = numbers["controllers"]["decoupling"]["metrics"]
     assert mark.get_xydata()[0] == pytest.approx([found["air_L"]["median"], found["angle_rmse_deg"]["median"]])

@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from mckibben.report.figures import ReportFigure, described
 from mckibben.report.page import Section, write_document
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
-from mckibben.report.tables import Table, number
+from mckibben.report.tables import Table, number, table_of
 from mckibben.report.tracking import tracking
-from mckibben.study.compare.statistics import FAILED, failed_runs
 from mckibben.units import deg
 
 if TYPE_CHECKING:
-    from mckibben.study.compare import BenchmarkResult
+    from mckibben.study.compare import CompareResult
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
 _PAGE = "comparison.html"
@@ -30,7 +29,7 @@ _NARROW = 3.0  # a smaller ratio gets a linear axis
 
 
 @styled
-def benchmark_errors(result: BenchmarkResult) -> Figure:
+def comparison_errors(result: CompareResult) -> Figure:
     """Cumulative distribution of the angle and stiffness errors over the unseen runs, by controller."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots(1, 2, sharey=True)
@@ -56,7 +55,7 @@ def _marker(look: Mapping[str, Any]) -> str:
 
 
 @styled
-def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+def comparison_air(result: CompareResult) -> Figure:
     """Angle error over air consumption: median and 90 % range of the runs."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
@@ -78,12 +77,12 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
 
 
 @styled
-def benchmark_front(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+def comparison_front(result: CompareResult) -> Figure:
     """Pareto front of median angle error and air consumption among the tuning trials, by controller."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
     for name, look in looks_of(result.batches).items():
-        front = numbers["controllers"][name]["front"]
+        front = result.numbers["controllers"][name]["front"]
         if front:
             air, angle = ([at[key] for at in front] for key in ("air_L", "angle_rmse_deg"))
             axes.plot(air, angle, drawstyle="steps-post", marker=_marker(look), markersize=2.5, label=name, **look)
@@ -94,60 +93,42 @@ def benchmark_front(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figu
     return figure
 
 
-def write_benchmark(result: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
+def write_comparison(result: CompareResult, folder: str | os.PathLike[str]) -> Path:
     """Write `comparison.html`, self-contained, and its figures in `figures/`; return its path.
 
-    Parameters
-    ----------
-    result
-        Comparison, from `mckibben.compare`.
-    numbers
-        Its `statistics`.
-    folder
-        Folder of the page.
+    Tables are those of the result; the lead says how the controllers were tuned.
     """
-    folder, suite = Path(folder), result.suite
-    first, runs = next(iter(result.batches)), numbers["runs"] - numbers["no_start"]
-    tables = [_ranking(numbers), *([at_air] if (at_air := _at_air(numbers)) else [])]
+    folder, suite, first = Path(folder), result.suite, next(iter(result.batches))
+    tuning, runs = suite.tuning, int(result.started.sum())
+    untuned = f" except {', '.join(tuning.untuned)}" if tuning.untuned else ""
+    lead = (
+        f"{len(result.batches)} controllers on {runs} unseen runs. Each{untuned} was tuned with the same budget: "
+        f"{tuning.starts} {'search' if tuning.starts == 1 else 'searches'} of {tuning.generations} generations of "
+        f"{tuning.population} points on {tuning.runs} other runs, minimising the mean of {tuning.cost}. No controller "
+        "has access to the plant beyond its measurements."
+    )
     return write_document(
         folder / _PAGE,
         title=suite.name,
-        lead=_lead(result, numbers, runs),
+        lead=" ".join([f"{result.verdict()}.", lead, *(f"{remark}." for remark in result.remarks())]),
         sections=[
-            Section("Ranking", tables, _figures(result, numbers, runs)),
+            Section("Ranking", [table_of(listing) for listing in result.listings()], _figures(result, runs)),
             Section("Tuning", [_tuned(result)], words=True),
         ],
         source_title="The suite",
         source=suite.dumps(folder=folder),
-        again=f"mckibben compare SUITE.yaml --out DIR --repeat '{first} {min(17, numbers['runs'] - 1)}' > run.yaml\n"
+        again=f"mckibben compare SUITE.yaml --out DIR --repeat '{first} {min(17, result.runs.count - 1)}' > run.yaml\n"
         "mckibben simulate run.yaml",
     )
 
 
-def _lead(result: BenchmarkResult, numbers: Mapping[str, Any], runs: int) -> str:
-    """How the controllers were tuned and evaluated."""
-    tuning, first = result.suite.tuning, next(iter(result.batches))
-    infeasible = (
-        f" ({numbers['no_start']} more had no static equilibrium at their start)" if numbers["no_start"] else ""
-    )
-    untuned = f" except {', '.join(tuning.untuned)}" if tuning.untuned else ""
-    searches = f"{tuning.starts} {'search' if tuning.starts == 1 else 'searches'}"
-    at_air = f", and one more for the lowest angle error at the air of {first}" if numbers["at_air_of_first"] else ""
-    return (
-        f"{len(result.batches)} controllers on {runs} unseen runs{infeasible}. Each{untuned} was tuned with the same "
-        f"budget: {searches} of {tuning.generations} generations of {tuning.population} points on {tuning.runs} other "
-        f"runs, minimising the mean of {numbers['cost']}{at_air}. No controller has access to the plant beyond its "
-        "measurements."
-    )
-
-
-def _figures(result: BenchmarkResult, numbers: Mapping[str, Any], runs: int) -> list[ReportFigure]:
+def _figures(result: CompareResult, runs: int) -> list[ReportFigure]:
     first, *others = result.batches
-    run, results = result.median_run([first, *[name for name in numbers["order"] if name in others][:_TRACED]])
+    run, results = result.median_run([first, *[name for name in result.numbers["order"] if name in others][:_TRACED]])
     drawn = {
-        "errors": benchmark_errors(result),
-        "air": benchmark_air(result, numbers),
-        "front": benchmark_front(result, numbers),
+        "errors": comparison_errors(result),
+        "air": comparison_air(result),
+        "front": comparison_front(result),
         "traces": tracking(results),
     }
     return [
@@ -157,56 +138,7 @@ def _figures(result: BenchmarkResult, numbers: Mapping[str, Any], runs: int) -> 
     ]
 
 
-_COLUMNS: tuple[tuple[str, str, str], ...] = (
-    ("angle rmse [deg]", "angle_rmse_deg", "median"),
-    ("95 %", "angle_rmse_deg", "percentile_95"),
-    ("stiffness rmse [N*m/rad]", "stiffness_rmse", "median"),
-    ("95 %", "stiffness_rmse", "percentile_95"),
-    ("coupling [deg]", "coupling_deg", "median"),
-    ("estimate rmse [N*m/rad]", "estimate_rmse", "median"),
-    ("air [L]", "air_L", "median"),
-    ("saturated [s]", "time_saturated_s", "median"),
-)
-"""Title, metric and statistic of the columns of both rankings."""
-
-
-def _ranked(caption: str, first: str, controllers: Mapping[str, Any]) -> Table:
-    """Errors of controllers, and the ratio of their angle errors to that of the first."""
-    rows = []
-    for name, errors in controllers.items():
-        ratio = errors["ratio_to_first"]["angle_rmse_deg"]
-        interval = f"{number(ratio['ratio'])} ({number(ratio['low'])} to {number(ratio['high'])})"
-        cells = (number((errors["metrics"][metric] or {}).get(statistic)) for _, metric, statistic in _COLUMNS)
-        rows.append((name, failed_runs(errors), *cells, interval))
-    titles = (title for title, _, _ in _COLUMNS)
-    return Table(caption, ("controller", FAILED, *titles, f"angle rmse / {first}"), rows)
-
-
-def _ranking(numbers: Mapping[str, Any]) -> Table:
-    controllers = numbers["controllers"]
-    return _ranked(
-        "Ordered by median cost. Medians and 95th percentiles over the runs that did not diverge. Errors refer to the "
-        "plant's stiffness, coupling to stiffness steps; estimate rmse is the error of the controller's stiffness "
-        "estimate. Ratios of medians, with 95 % bootstrap intervals over the runs.",
-        next(iter(controllers)),
-        {name: controllers[name] for name in numbers["order"]},
-    )
-
-
-def _at_air(numbers: Mapping[str, Any]) -> Table | None:
-    """Errors at no more air than the first controller uses, if it was tuned."""
-    if (at_air := numbers["at_air_of_first"]) is None:
-        return None
-    first = next(iter(numbers["controllers"]))
-    return _ranked(
-        f"At the air of {first}: the trial of each tuning with the lowest angle error at no more than "
-        f"{number(at_air['air_L'])} L (medians of the training runs), on the unseen runs; ratio to {first} as tuned.",
-        first,
-        at_air["controllers"],
-    )
-
-
-def _tuned(result: BenchmarkResult) -> Table:
+def _tuned(result: CompareResult) -> Table:
     rows = []
     for name, values in result.tuned.items():
         costs = result.training_cost.get(name)
