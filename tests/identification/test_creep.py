@@ -10,7 +10,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.creep import identify_creep
-from mckibben.identification.hysteresis import identify_hysteresis
+from mckibben.identification.friction import identify_hysteresis
 from mckibben.muscle import MaxwellCreep, Muscle, NoCreep
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar

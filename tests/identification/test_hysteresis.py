@@ -9,8 +9,8 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify
-from mckibben.identification.friction_forms import FrictionForm
-from mckibben.identification.hysteresis import identify_hysteresis
+from mckibben.identification.friction import identify_hysteresis
+from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.loading_path import FRICTION, DriftBasis, LoadingPaths, PathDependentModel, loop_half_width
 from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellSlip, Muscle, ReynoldsLaw, forces
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest

@@ -1,8 +1,6 @@
 import dataclasses
 import subprocess
 import sys
-from functools import partial
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,10 +10,9 @@ from hypothesis import strategies as st
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError
-from mckibben.identification import find_outliers, identify, least_squares, read_law
+from mckibben.identification import find_outliers, identify, read_law
 from mckibben.identification.fit import unphysical
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
-from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, HuntLaw, Parameter, PressureAffineLaw, SarosiLaw
 from mckibben.units import bar, deg, mm, percent
 
@@ -257,7 +254,7 @@ def test_a_straight_line_has_its_textbook_errors():
     x, y = np.array([1.0, 2.0, 3.0, 4.0, 5.0]), np.array([2.1, 3.9, 6.2, 7.8, 10.1])
     slope = ((x - 3) @ y) / 10
     residuals = y - (y.mean() + slope * (x - 3))
-    errors, correlations = uncertainty(np.stack([np.ones(5), x], axis=1), residuals, np.zeros(2, bool))
+    errors, correlations = standard_errors(np.stack([np.ones(5), x], axis=1), residuals, np.zeros(2, bool))
     s2 = residuals @ residuals / 3
     np.testing.assert_allclose(errors, [np.sqrt(s2 * (0.2 + 9 / 10)), np.sqrt(s2 / 10)])
     assert correlations[0, 1] == pytest.approx(-3 / np.sqrt(11))
@@ -271,7 +268,7 @@ def test_standard_errors_cover_the_truth():
         points = IsobaricDataset.of(pressure=data.pressure, contraction=data.contraction, force=noisy, slack_force=-1e9)
         problem = FitProblem.of(ExponentialLaw, points)
         solution = solve(problem, grid_search(problem))
-        errors, _ = uncertainty(solution.jacobian, solution.residuals, np.zeros(7, bool))
+        errors, _ = standard_errors(solution.jacobian, solution.residuals, np.zeros(7, bool))
         truth = np.array([50.0, 1e-3, 200.0, -2e-3, 250.0, 1e-4, 30.0])
         inside += np.count_nonzero(np.abs(solution.values - truth) < 2 * errors)
         total += 7
@@ -469,18 +466,6 @@ def test_a_wrong_number_is_found_among_few_contractions():
     force[30] *= 5
     (outlier,) = find_outliers(IsobaricDataset(data.table.assign(force=("point", force))))
     assert (outlier.row, outlier.force, outlier.contraction) == (31, force[30], data.contraction[30])
-
-
-def test_a_step_that_raises_the_cost_is_halved_until_it_does_not(monkeypatch):
-    def at(position):
-        cost = float((position[0] - 0.3) ** 2)
-        return SimpleNamespace(position=position, values=np.zeros(0), following=np.zeros((0, 1)), cost=cost)
-
-    monkeypatch.setattr(least_squares, "project", lambda problem, position, guess: at(position))
-    search = partial(least_squares._line_search, SimpleNamespace(linear=0), drift=np.zeros((0, 1)))
-    assert search(at(np.array([0.2])), np.array([0.7])).position == pytest.approx([0.375])  # after 0.9 and 0.55
-    assert search(at(np.array([0.2])), np.array([0.05])).position == pytest.approx([0.25])
-    assert search(at(np.array([0.3])), np.array([0.5])) is None
 
 
 def test_a_law_is_physical_if_its_force_falls_with_contraction_and_rises_with_pressure():

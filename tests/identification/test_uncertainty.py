@@ -12,7 +12,8 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
 from mckibben.identification import Fit, Grouping, identify, profile
-from mckibben.identification.uncertainty import ClusterRobustErrors, group_labels, scatter_growth
+from mckibben.identification.estimator import ClusterRobustErrors, scatter_growth
+from mckibben.identification.grouping import group_labels
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, ReynoldsLaw, forces
 from mckibben.units import bar, deg, mm, percent
 

@@ -1,4 +1,4 @@
-"""Figures of force bands and of profiles."""
+"""Figures of force bands."""
 
 import numpy as np
 import pytest

@@ -19,6 +19,7 @@ from .leg import foot_ellipses as foot_ellipses
 from .leg import jump_traces as jump_traces
 from .leg import landing_forces as landing_forces
 from .leg import plan_stiffness as plan_stiffness
+from .muscle import fit as fit
 from .muscle import isobaric as isobaric
 from .muscle import isobaric_curves as isobaric_curves
 from .muscle import law_comparison as law_comparison

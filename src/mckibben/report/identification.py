@@ -34,8 +34,7 @@ from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
-    from mckibben.identification import Fit, Grouping, RankedLaw, Ranking
-    from mckibben.identification.hysteresis import HysteresisFit
+    from mckibben.identification import Fit, Grouping, HysteresisFit, RankedLaw, Ranking
 
 _SHOWN = 6  # laws whose residuals are drawn
 _LOOKS: dict[str, dict[str, Any]] = {

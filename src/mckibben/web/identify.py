@@ -19,12 +19,11 @@ from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.errors import ScenarioError, UnitError, printable
-from mckibben.identification import Fit, FitWithFriction, HysteresisFit, Ranking, identify_with_friction, rank
+from mckibben.identification import Fit, HysteresisFit, identify_with_friction, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
 from mckibben.muscle.air import inner_volume, volume_terms
-from mckibben.report import isobaric, ranking
-from mckibben.result import Listing, Remark, Result
+from mckibben.result import Remark
 from mckibben.scenario import muscle_text
 from mckibben.units import factor, quantity
 from mckibben.web.layout import (
@@ -43,7 +42,7 @@ from mckibben.web.layout import (
     upload,
 )
 from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal, rows_read
-from mckibben.web.results import Presented, show_result, text_listing
+from mckibben.web.results import Presented, show_result
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
 from mckibben.web.wording import FRICTION, KEEP, SKIP, on_page
@@ -123,76 +122,6 @@ def keep_muscle(
         return None
     (folder / "muscle.yaml").write_text(text, encoding="utf-8")
     return read_component(Muscle, folder / "muscle.yaml")
-
-
-class FittedLaw(Result):
-    """A law fitted to points, with or without friction, as the page shows it."""
-
-    found: FitWithFriction
-    outliers_kept: bool
-
-    def verdict(self) -> str:
-        """Law, and its residuals."""
-        fit = self.found.fit
-        unseen = fit.leave_one_pressure_out
-        held_out = f"; {unseen.rmse:.3g} N at left-out pressures" if unseen else ""
-        return (
-            f"{type(fit.law).__name__}: {fit.law.equation}. Residuals: RMSE {fit.rmse:.3g} N, at most "
-            f"{fit.max_error:.3g} N{held_out}; {fit.points_used} points used"
-            f"{', outliers kept' if self.outliers_kept else ''}"
-        )
-
-    def remarks(self) -> list[Remark]:
-        """Warnings of the fit and of the friction, and the deviations of the parameters."""
-        fit, loops = self.found.fit, self.found.hysteresis
-        warnings = dict.fromkeys([*fit.warnings, *(loops.warnings if loops else ())])
-        notes = [*filter(None, [self.found.note]), *fit.deviations()]
-        return [*(Remark.warning("law", text) for text in warnings), *(Remark.note("law", text) for text in notes)]
-
-    def listings(self) -> list[Listing]:
-        """Estimates of the law and of the friction."""
-        fit, loops = self.found.fit, self.found.hysteresis
-        intervals, rows = fit.intervals(), []
-        for parameter in (one for one in type(fit.law).parameters() if not one.penalised):
-            size, (low, high) = factor(parameter.shown), intervals[parameter.name]
-            interval = f"{low / size:.4g} to {high / size:.4g}" if np.isfinite(low + high) else "at its bound"
-            estimate = f"{fit.estimates[parameter.name] / size:.5g}"
-            rows.append((parameter.name, parameter.meaning, estimate, interval, parameter.shown))
-        titles = ("parameter", "meaning", "estimate", "95 % interval", "unit")
-        tables = [text_listing("", titles, rows)]
-        if loops is not None:
-            tables.append(text_listing("", ("friction", "estimate", "standard error", "unit"), loops.rows()))
-        return tables
-
-
-class RankedLaws(Result):
-    """Laws with their cross-validation errors, best first, as the page shows them."""
-
-    found: Ranking
-
-    def verdict(self) -> str:
-        """The criterion."""
-        return f"Laws, ranked by {self.found.criterion}"
-
-    def remarks(self) -> list[Remark]:
-        """Remarks of the ranking."""
-        return [Remark.note("law", text) for text in self.found.remarks()]
-
-    def listings(self) -> list[Listing]:
-        """Errors of each law."""
-        blocks = self.found.blocks
-        rows = [
-            (
-                entry.law,
-                entry.parameters,
-                f"{entry.fit.rmse:.3g}" if entry.fit else "-",
-                *(f"{cv[name].rmse:.3g}" if name in (cv := entry.cross_validation) else "-" for name in blocks),
-                "; ".join([*entry.flags, *entry.remarks]) or entry.refused,
-            )
-            for entry in self.found.entries
-        ]
-        titles = ("law", "parameters", "RMSE [N]", *(f"held-out {name} [N]" for name in blocks), "remarks")
-        return [text_listing("", titles, rows)]
 
 
 def page() -> None:
@@ -341,7 +270,7 @@ class _Page(JobPage[IdentificationState]):
             found = identify_with_friction(law, data, friction=friction, robust=not keep)
             kept = Path(tempfile.mkdtemp(dir=folder))
             muscle = keep_muscle(found.fit, found.hysteresis, data, kept, diameter)
-            return Presented.of(FittedLaw(found, keep), isobaric(found.points, found.fit)), muscle, kept
+            return Presented.of(found), muscle, kept
 
         def done(made: tuple[Presented, Muscle | None, Path], heard: list[str]) -> None:
             fit, state.muscle, kept = made
@@ -364,8 +293,7 @@ class _Page(JobPage[IdentificationState]):
         robust = not state.keep_outliers
 
         def compute(progress: Callable[[str, float], None]) -> Presented:
-            found = rank(data, robust=robust, progress=progress)
-            return Presented.of(RankedLaws(found), ranking(found))
+            return Presented.of(rank(data, robust=robust, progress=progress))
 
         self.start_job(compute, partial(state.show_first, "ranking"))
 

@@ -6,14 +6,13 @@ import base64
 import io
 import threading
 import zipfile
-from collections.abc import Sequence
 from typing import NamedTuple
 
 from nicegui import ui
 
 from mckibben.errors import printable
 from mckibben.report import png_of
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Listing, Remark, Result
 from mckibben.storage.files import to_json
 from mckibben.web.layout import button, panel, quiet, show_remarks, table
 
@@ -74,9 +73,3 @@ def show_listing(listing: Listing) -> None:
     else:
         texts = [index for index, (column, _) in enumerate(listing.columns.values()) if not column.shown_unit]
         table(header, listing.rows(), texts={0, *texts})
-
-
-def text_listing(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> Listing:
-    """Table of texts in rows, with units in the header."""
-    columns = {name: (Column("", name), [str(row[i]) for row in rows]) for i, name in enumerate(header)}
-    return Listing(title, columns)
