@@ -166,7 +166,7 @@ class _Identified(Result):
 
     def listings(self) -> Iterable[Listing]:
         """Return the tables of the parts."""
-        yield from self.late.fit.listings() if self._late else self.fitted.fit.listings()
+        yield from (self.late if self.late and self._late else self.fitted).fit.listings()
         yield from self.late.listings() if self.late else ()
         yield from self.fitted.hysteresis.listings() if self.fitted.hysteresis else ()
 

@@ -97,12 +97,14 @@ class CreepFit(Result):
         return IsobaricDataset(means.table.assign(force=("point", means.force - self.mean_force)))
 
 
-def _result(fit: RelaxationFit, creep: MaxwellCreep, notes: Sequence[Remark], mean_force: Floats | None) -> CreepFit:
+def _result(
+    fit: RelaxationFit, creep: MaxwellCreep | NoCreep, notes: Sequence[Remark], mean_force: Floats | None
+) -> CreepFit:
     """Result of a fit, with the creep if it is significant."""
     amplitude, rate, residuals, _ = fit.solution
     tau, (low, high) = fit.time_constant, fit.time_constant_interval
     half = float(t_quantile(0.95, fit.error[2])) * fit.error[0] if 0 < low and high < math.inf else math.inf
-    significant = fit.p_value < _SIGNIFICANT
+    significant = fit.p_value < _SIGNIFICANT and isinstance(creep, MaxwellCreep)
     notes = list(notes)
     if significant and not high < _WIDE * low:
         bounds = f"at least {low:.3g} s" if high == math.inf else f"{low:.3g} to {high:.3g} s"
@@ -299,8 +301,8 @@ def identify_creep(dataset: IsobaricDataset, *, interval: float, dwell: float, s
             notes = [Remark.warning("creep", text, "that part is due to the regulator")]
     bound = np.maximum(means.force, 0.0) / 2
     initial = np.where(taut, np.clip(stiffness * paths.deflection(tau), -bound, bound), 0.0)
-    result = _result(fit, MaxwellCreep(max(stiffness, 0.0), tau), notes, initial * np.exp(-times / tau).mean())
-    return result if stiffness > 0 else dataclasses.replace(result, creep=NoCreep(), mean_force=np.zeros(len(means)))
+    creep = MaxwellCreep(stiffness, tau) if stiffness > 0 else NoCreep()
+    return _result(fit, creep, notes, initial * np.exp(-times / tau).mean())
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -60,7 +60,7 @@ def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, p
     return np.asarray(_columns(law, values, contraction, pressure, names=tuple(names))).T
 
 
-def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> NDArray:
+def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> Floats:
     """Derivative of the force by the named parameters, (points, parameters); padded to a power of two."""
     contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
     count = contraction.size

@@ -29,6 +29,7 @@ from mckibben.storage.files import atomic_write, sealed
 
 _MOST_POINTS = 5000
 _HEAD = "# A force law identified by mckibben. The numbers of its fit are in SI: N, Pa, and those of the parameters.\n"
+_NOT_FINITE = {".nan": np.nan, ".inf": np.inf, "-.inf": -np.inf}
 _COLUMNS = ("pressure", "contraction", "force", "set_pressure", "direction", "phase", "repeat")
 
 
@@ -88,6 +89,16 @@ class _FitNumbers(ConfigModel):
     dataset: DatasetSummary
     outliers: list[Outlier] = []  # noqa: RUF012
     data: _FitPoints | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _not_numbers(cls, section: Any) -> Any:
+        """Numbers in place of the texts for those that are not finite, such as errors of parameters at a bound."""
+        if isinstance(section, dict):
+            return {key: cls._not_numbers(value) for key, value in section.items()}
+        if isinstance(section, list | tuple):
+            return [cls._not_numbers(value) for value in section]
+        return _NOT_FINITE.get(section, section) if isinstance(section, str) else section
 
 
 class _FitFile(DocumentModel):
