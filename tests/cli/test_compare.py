@@ -130,7 +130,7 @@ def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
     numbers = json.loads(found.out)
     assert numbers == results(tmp_path / "kept")
     assert "on 20 runs" in numbers["verdict"]
-    assert "wrote results.json" in found.err
+    assert found.err.startswith("wrote comparison.html, results.json")
     kept = Suite.read(tmp_path / "kept" / "suite.yaml")
     assert (kept.evaluation.runs, kept.tuning.generations, kept.tuning.starts) == (20, 2, 1)
     assert 16 <= len(read_trials(tmp_path / "kept" / STUDY, "PID 3")) <= 18

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
+from mckibben.cli.command import command
 from mckibben.cli.options import (
     Data,
     Extrapolate,
@@ -17,7 +18,6 @@ from mckibben.cli.options import (
     Reading,
     check_choice,
     echo,
-    job_progress,
     keeping,
     notify,
     on_command_line,
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from mckibben.muscle import Domain, Specimen
     from mckibben.reachability import Design, Envelope
     from mckibben.scenario import Scenario
+    from mckibben.study.stiffness import StiffnessTests
 
 
 _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloading": ("unloading",)}
@@ -177,20 +178,18 @@ def _contraction_step(text: str, length: float | None) -> float | None:
     return step / length
 
 
+@command
 def stiffness(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, valve and controller.")],
     amplitude: Annotated[str, Option(metavar="RANGE", help="Amplitudes of the motion.")] = "0.01..10 deg",
     rate: Annotated[str, Option(metavar="RANGE", help="Rates of the motion.")] = "0.1..10 Hz",
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
+    progress: Any = None,
+) -> StiffnessTests:
     """Test the stiffness of a joint over amplitude and rate of a motion, at the setpoint held by its controller."""
-    results_folder(out, ("results.json", "stiffness.png", "stiffness.svg"), force)
-    sizes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
+    amplitudes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
     from mckibben.component.checks import check_positive
 
-    for option, (low, _), unit in (("--amplitude", sizes, "rad"), ("--rate", rates, "Hz")):
+    for option, (low, _), unit in (("--amplitude", amplitudes, "rad"), ("--rate", rates, "Hz")):
         check_positive(option, unit, lowest=low)
     import numpy as np
 
@@ -198,22 +197,9 @@ def stiffness(
     from mckibben.study.stiffness import stiffness_tests
 
     read = Scenario.read(scenario)
-    with job_progress(quiet=json) as report:
-        found = stiffness_tests(
-            read, np.unique(np.geomspace(*sizes, 13)), np.unique(np.geomspace(*rates, 5)), progress=report
-        )
-    numbers = found.records()
-
-    def show() -> None:
-        table(f"{read.name}: stiffness [N*m/rad]", *found.rows())
-        echo(found.describe())
-
-    def draw() -> Figure:
-        from mckibben.report.joint import stiffness
-
-        return stiffness(found)
-
-    _present(numbers, "stiffness", draw, show, out, json)
+    return stiffness_tests(
+        read, np.unique(np.geomspace(*amplitudes, 13)), np.unique(np.geomspace(*rates, 5)), progress=progress
+    )
 
 
 def _present(

@@ -292,7 +292,7 @@ def stiffness(tests: StiffnessTests) -> Figure:
     figure = blank(DOUBLE, 2.9)
     first, *others = figure.subplots(1, 1 + len(varied))
     forms = ((HELD, tests.secant, tests.isobaric, BLUE), (CLOSED, tests.closed_secant, tests.closed_valve, VERMILLION))
-    amplitudes = tests.amplitudes / deg
+    amplitudes = tests.amplitude / deg
     for name, secant, slope, color in forms:
         first.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
         label = f"{SHOWN[name]}, without friction"
