@@ -1,0 +1,432 @@
+"""Results: what every computation returns, declared once and shown everywhere.
+
+A result declares its numbers as fields with a `column` (unit and title), its verdict, its remarks, and the figures that
+show it. The table on the terminal, JSON, the view of a notebook, the page, NetCDF and the files of `--out` follow:
+
+>>> class Resonance(Result):
+...     "Resonance of a joint over its stiffness."
+...     stiffness: np.ndarray = column("N*m/rad", "stiffness")
+...     frequency: np.ndarray = column("Hz", "natural frequency")
+...     inertia: float = column("kg*m^2", "moment of inertia")
+...
+...     def verdict(self):
+...         return f"resonance up to {self.frequency.max():.2g} Hz"
+>>> stiffness = np.array([10.0, 40.0])
+>>> resonance = Resonance(stiffness, np.sqrt(stiffness / 0.1) / (2 * np.pi), 0.1)
+>>> print(resonance.to_text())
+resonance up to 3.2 Hz
+<BLANKLINE>
+moment of inertia   0.1 kg*m^2
+<BLANKLINE>
+stiffness  natural frequency
+[N*m/rad]               [Hz]
+       10              1.592
+       40              3.183
+>>> resonance.to_dict()["scalars"]["inertia"]
+{'title': 'moment of inertia', 'unit': 'kg*m^2', 'value': 0.1}
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import itertools
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, dataclass_transform
+
+import numpy as np
+
+from mckibben.errors import ParameterError, printable
+from mckibben.storage.files import check_free, json_ready, make_folder, write_json
+from mckibben.units import factor
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+Values: TypeAlias = np.ndarray | Sequence[object]
+"""Values of a column, numbers in SI or texts."""
+
+_LONGEST_CELL = 500  # characters
+_NARROWEST_TEXT = 12  # characters of a column of sentences
+_MOST_ROWS = 30  # of a table in a text
+
+
+@dataclass(frozen=True)
+class Column:
+    """Unit and title of the numbers of a result.
+
+    Parameters
+    ----------
+    unit
+        Unit of the values, in SI ("1" for a ratio, "" for texts and counts).
+    title
+        Heading, a noun phrase.
+    shown
+        Unit in tables and figures (default: `unit`).
+    digits
+        Significant digits in tables.
+    dims
+        Names of the axes of an array of more than one dimension, for NetCDF; such an array is in no table.
+    """
+
+    unit: str = ""
+    title: str = ""
+    shown: str = ""
+    digits: int = 4
+    dims: tuple[str, ...] = ()
+
+    @property
+    def shown_unit(self) -> str:
+        """Unit in tables."""
+        return self.shown or self.unit
+
+    def cell(self, value: object) -> str:
+        """Return a value [SI] as text in the shown unit, without the unit."""
+        if isinstance(value, bool | np.bool_):
+            return "yes" if value else "no"
+        if isinstance(value, float | np.floating):
+            size = factor(self.shown_unit, self.unit) if self.shown_unit else 1.0
+            return "-" if np.isnan(value) else f"{value / size + 0.0:.{self.digits}g}"
+        return "-" if value is None else str(value)
+
+
+def column(
+    unit: str = "",
+    title: str = "",
+    shown: str = "",
+    *,
+    digits: int = 4,
+    dims: tuple[str, ...] = (),
+    default: object = dataclasses.MISSING,
+) -> Any:  # any type of field
+    """Return a field of a `Result` that is one of its numbers, see `Column`."""
+    return field(default=default, metadata={"column": Column(unit, title, shown, digits, dims)})
+
+
+class Severity(Enum):
+    """How much a remark matters, the value is its word in texts."""
+
+    SEVERE = "severe"  # the result must not be used as it is
+    WARNING = "warning"  # may change what the user does
+    NOTE = "note"  # good to know
+
+
+@dataclass(frozen=True)
+class Remark:
+    """A sentence on a result, with the field that it is about and a remedy."""
+
+    severity: Severity
+    field: str
+    text: str
+    remedy: str = ""
+
+    @classmethod
+    def severe(cls, field: str, text: str, remedy: str = "") -> Remark:
+        """Return a remark on a result that must not be used as it is."""
+        return cls(Severity.SEVERE, field, text, remedy)
+
+    @classmethod
+    def warning(cls, field: str, text: str, remedy: str = "") -> Remark:
+        """Return a remark that may change what the user does."""
+        return cls(Severity.WARNING, field, text, remedy)
+
+    @classmethod
+    def note(cls, field: str, text: str, remedy: str = "") -> Remark:
+        """Return a remark that is shown with details."""
+        return cls(Severity.NOTE, field, text, remedy)
+
+    def __str__(self) -> str:
+        text = f"{self.text}; {self.remedy}" if self.remedy else self.text
+        return text if self.severity is Severity.NOTE else f"{self.severity.value}: {text}"
+
+
+@dataclass(frozen=True)
+class Listing:
+    """A table of a result: columns of equal length by name; one row is shown as a list if `vertical`."""
+
+    title: str
+    columns: Mapping[str, tuple[Column, Values]]
+    detail: bool = False
+    """Whether it is shown with details only."""
+    vertical: bool = False
+
+    def header(self) -> list[tuple[str, str]]:
+        """Title and shown unit of each column."""
+        return [
+            (column.title or name.replace("_", " "), column.shown_unit) for name, (column, _) in self.columns.items()
+        ]
+
+    def rows(self) -> list[list[str]]:
+        """Cells as text, in shown units."""
+        cells = [
+            [printable(column.cell(value), _LONGEST_CELL) for value in values]
+            for column, values in self.columns.values()
+        ]
+        return [list(row) for row in zip(*cells, strict=True)]
+
+    def to_dict(self) -> dict[str, object]:
+        """Return title, and the columns with units, as plain data in SI."""
+        columns = {
+            name: {"title": column.title or name.replace("_", " "), "unit": column.unit, "values": _plain(values)}
+            for name, (column, values) in self.columns.items()
+        }
+        return {"title": self.title, "columns": columns}
+
+    def to_html(self) -> str:
+        """Return an HTML table."""
+        header = [f"{title} [{unit}]" if unit not in ("", "1") else title for title, unit in self.header()]
+        rows = (
+            [[title, *cells] for title, cells in zip(header, zip(*self.rows(), strict=True), strict=True)]
+            if self.vertical
+            else self.rows()
+        )
+        caption = f"<caption>{escape(self.title)}</caption>" if self.title else ""
+        head = "" if self.vertical else _html_row(header, "th")
+        return f"<table>{caption}{head}{''.join(_html_row(row, 'td') for row in rows)}</table>"
+
+    def to_text(self, width: int = 80) -> str:
+        """Return the table as text of at most `width` columns; a wider one continues below, with its first column."""
+        lines = [self.title] if self.title else []
+        rows = self.rows()
+        if self.vertical:
+            return "\n".join(lines + _pairs(self.header(), [cell for row in rows for cell in row], width))
+        omitted = max(len(rows) - _MOST_ROWS, 0)
+        shown = rows[: _MOST_ROWS // 2] + rows[-(_MOST_ROWS // 2) :] if omitted else rows
+        cells = list(zip(*shown, strict=True)) if shown else [()] * len(self.columns)
+        columns = [_TextColumn(*title, column) for title, column in zip(self.header(), cells, strict=True)]
+        for block in _blocks(columns, width):
+            lines += _lines(block, width)
+        return "\n".join([*lines, f"({omitted} rows in the middle are left out)"] if omitted else lines)
+
+
+class _TextColumn:
+    """A column of a text table: its cells, the words of its heading, and its narrowest width."""
+
+    def __init__(self, title: str, unit: str, cells: Sequence[str]) -> None:
+        self.unit = f"[{unit}]" if unit not in ("", "1") else ""
+        self.cells = cells
+        self.title = title
+        self.numeric = all(_NUMBER.fullmatch(cell) for cell in cells)
+        words = max(map(len, title.split()), default=0)
+        widest = max(map(len, cells), default=0)
+        self.width = max(widest if self.numeric else min(widest, _NARROWEST_TEXT), words, len(self.unit))
+
+    def wrapped(self, text: str) -> list[str]:
+        """Lines of a cell."""
+        return textwrap.wrap(text, self.width) or [""]
+
+    def aligned(self, text: str) -> str:
+        """A line of a cell, numbers to the right."""
+        return text.rjust(self.width) if self.numeric else text.ljust(self.width)
+
+
+_NUMBER = re.compile(r"-|[-+]?(\d+(\.\d*)?(e[-+]?\d+)?|inf)", re.IGNORECASE)
+
+
+def _blocks(columns: Sequence[_TextColumn], width: int) -> Iterator[list[_TextColumn]]:
+    """Groups of columns that fit side by side, each with the first column."""
+    block: list[_TextColumn] = []
+    for column in columns:
+        if len(block) > 1 and sum(c.width + 2 for c in block) + column.width > width:
+            yield block
+            block = [columns[0]]
+        block.append(column)
+    if block:
+        yield block
+
+
+def _lines(block: Sequence[_TextColumn], width: int) -> list[str]:
+    """Lines of columns side by side; what is left of the width goes to headings and sentences that need it."""
+    for column in block:
+        needed = max(map(len, (column.title, *column.cells)))
+        column.width += max(min(needed - column.width, width - sum(c.width + 2 for c in block) + 2), 0)
+    headings = [column.wrapped(column.title) for column in block]
+    deepest = max(map(len, headings))
+    rows = [[[""] * (deepest - len(heading)) + heading for heading in headings]]
+    if any(column.unit for column in block):
+        rows.append([[column.unit] for column in block])
+    rows += [
+        [column.wrapped(cell) for column, cell in zip(block, row, strict=True)]
+        for row in zip(*(c.cells for c in block), strict=True)
+    ]
+    lines = []
+    for row in rows:
+        parts = itertools.zip_longest(*row, fillvalue="")
+        lines += ["  ".join(map(_TextColumn.aligned, block, part)).rstrip() for part in parts]
+    return lines
+
+
+def _pairs(header: Sequence[tuple[str, str]], values: Sequence[str], width: int) -> list[str]:
+    """Lines of title, value and unit, one below the other."""
+    widest = max((len(title) for title, _ in header), default=0)
+    lines = []
+    for (title, unit), value in zip(header, values, strict=True):
+        text = f"{value} {unit}" if unit not in ("", "1") else value
+        lines += textwrap.wrap(text, width, initial_indent=f"{title:{widest}}   ", subsequent_indent=" " * (widest + 3))
+    return lines
+
+
+def _html_row(cells: Iterable[str], tag: str) -> str:
+    return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+
+def _plain(values: object) -> object:
+    """Arrays as lists, numbers as numbers, all else as text."""
+    if isinstance(values, np.ndarray | np.generic):
+        values = values.tolist()
+    if isinstance(values, complex):
+        return [values.real, values.imag]
+    if isinstance(values, list | tuple):
+        return [_plain(value) for value in values]
+    return json_ready(values) if isinstance(values, str | int | float | None) else str(values)
+
+
+@dataclass_transform(frozen_default=True, field_specifiers=(column, field))
+class Result:
+    """Base of results: a frozen dataclass whose fields with a `column` are its numbers.
+
+    Subclasses declare fields as ``gain: np.ndarray = column("1", "gain margin")``: a number or text is a
+    scalar, an array of one dimension a column of the table, an array of more dimensions only in NetCDF and JSON. Other
+    fields are not shown. They override `verdict`, `remarks`, `listings` for further tables, and name their `figures`.
+    """
+
+    figures: ClassVar[tuple[str, ...]] = ()
+    """Functions of `mckibben.report` that draw the result; the names of their files, too."""
+    files: ClassVar[tuple[str, ...]] = ()
+    """Names of further files that `write` may write."""
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        dataclass(frozen=True, eq=False, repr=False)(cls)
+
+    def verdict(self) -> str:
+        """Return the one sentence that the user needs first."""
+        return ""
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return remarks, the most severe ones first or not."""
+        return ()
+
+    @property
+    def ok(self) -> bool:
+        """Whether no remark is severe; the exit code of a command is 1 otherwise."""
+        return all(remark.severity is not Severity.SEVERE for remark in self.remarks())
+
+    def listings(self) -> Iterable[Listing]:
+        """Return the tables: first the declared scalars, then the declared columns."""
+        scalars, columns = {}, {}
+        for name, (column, value) in self.declared().items():
+            if np.ndim(value) == 0:  # type: ignore[arg-type]
+                scalars[name] = column, [value]
+            elif not column.dims:
+                columns[name] = column, value
+        yield from [Listing("", scalars, vertical=True)] if scalars else []
+        yield from [Listing("", columns)] if columns else []
+
+    def declared(self) -> dict[str, tuple[Column, object]]:
+        """Columns and values of the fields that declare one."""
+        fields = {item.name: item.metadata.get("column") for item in dataclasses.fields(self)}  # type: ignore[arg-type]
+        return {name: (mark, getattr(self, name)) for name, mark in fields.items() if mark is not None}
+
+    def plot(self) -> Figure:
+        """Return the first of the `figures`."""
+        if not self.figures:
+            raise ParameterError(f"a {type(self).__name__} has no figure", remedy="use its columns")
+        return getattr(importlib.import_module("mckibben.report"), self.figures[0])(self)
+
+    def write(self, folder: Path) -> None:
+        """Write further files, named in `files`, to a folder."""
+
+    # What follows from the above -------------------------------------------------------------------------------------
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {self.verdict()}>"
+
+    def _repr_html_(self) -> str:
+        remarks = "".join(f"<li>{escape(str(remark))}</li>" for remark in self._sorted_remarks(details=False))
+        tables = "".join(listing.to_html() for listing in self.listings() if not listing.detail)
+        return f"<p>{escape(self.verdict())}</p>{f'<ul>{remarks}</ul>' if remarks else ''}{tables}"
+
+    def to_text(self, *, width: int = 80, details: bool = False) -> str:
+        """Return verdict, remarks and tables as text; with `details` notes and further tables, too."""
+        lines = textwrap.wrap(self.verdict(), width)
+        for remark in self._sorted_remarks(details=details):
+            lines += textwrap.wrap(printable(str(remark)), width, subsequent_indent="  ")
+        blocks = ["\n".join(lines)] if lines else []
+        listings = list(self.listings())
+        blocks += [listing.to_text(width) for listing in listings if details or not listing.detail]
+        notes = sum(remark.severity is Severity.NOTE for remark in self.remarks())
+        tables = sum(listing.detail for listing in listings)
+        if not details and notes + tables:
+            counts = [f"{n} {noun}{'s' * (n > 1)}" for n, noun in ((notes, "note"), (tables, "table")) if n]
+            blocks.append(f"({' and '.join(counts)} more with --details)")
+        return "\n\n".join(blocks)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return verdict, remarks, scalars, columns and tables as plain data in SI; NaN and infinities are None."""
+        scalars, columns = {}, {}
+        for name, (column, value) in self.declared().items():
+            entry = {"title": column.title or name.replace("_", " "), "unit": column.unit}
+            if np.ndim(value) == 0:  # type: ignore[arg-type]
+                scalars[name] = {**entry, "value": json_ready(_plain(value))}
+            else:
+                columns[name] = {**entry, "values": json_ready(_plain(value))}
+        own = [listing for listing in self.listings() if listing.title]
+        return {
+            "result": type(self).__name__,
+            "ok": self.ok,
+            "verdict": self.verdict(),
+            "remarks": [
+                {"severity": r.severity.value, "field": r.field, "text": r.text, "remedy": r.remedy}
+                for r in self._sorted_remarks(details=True)
+            ],
+            "scalars": scalars,
+            "columns": columns,
+            "tables": [listing.to_dict() for listing in own],
+        }
+
+    def to_dataset(self) -> xarray.Dataset:
+        """Return the declared scalars and arrays as an xarray dataset in SI, with units and titles as attributes."""
+        import xarray as xr
+
+        variables = {}
+        for name, (column, value) in self.declared().items():
+            values = np.asarray(value)
+            dims = column.dims or ("row",) * values.ndim
+            if values.dtype.kind != "O":
+                variables[name] = dims, values, {"units": column.unit, "long_name": column.title}
+        return xr.Dataset(variables, attrs={"result": type(self).__name__, "verdict": self.verdict()})
+
+    def save(self, folder: str | Path, *, force: bool = False) -> list[str]:
+        """Write results.json, the figures as PNG and SVG, and further files to a folder; return their names.
+
+        Raises `FileError` if a file exists and `force` is not set.
+        """
+        folder = make_folder(folder)
+        names = self.file_names()
+        if not force:
+            check_free(folder, names)
+        self.write(folder)
+        write_json(folder / "results.json", self.to_dict())
+        for name in self.figures:  # last: they need the most time
+            report = importlib.import_module("mckibben.report")
+            report.save(getattr(report, name)(self), folder, name)
+        return [name for name in names if (folder / name).exists()]
+
+    @classmethod
+    def file_names(cls) -> list[str]:
+        """Names of the files that `save` may write."""
+        return ["results.json", *cls.files, *(f"{name}.{end}" for name in cls.figures for end in ("png", "svg"))]
+
+    def _sorted_remarks(self, *, details: bool) -> list[Remark]:
+        """Remarks by severity, without notes unless details are shown."""
+        order = list(Severity)
+        shown = [r for r in self.remarks() if details or r.severity is not Severity.NOTE]
+        return sorted(shown, key=lambda remark: order.index(remark.severity))
