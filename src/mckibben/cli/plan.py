@@ -1,4 +1,4 @@
-"""`mckibben plan`, `mckibben stiffness`, `mckibben margins`, `mckibben oracle` and `mckibben envelope`."""
+"""`mckibben plan`, `mckibben stiffness`, `mckibben margins` and `mckibben oracle`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from typer import Argument, Exit, Option
 
 from mckibben.cli.options import (
     Data,
-    Extrapolate,
     Force,
     Json,
     Out,
@@ -20,7 +19,6 @@ from mckibben.cli.options import (
     job_progress,
     keeping,
     notify,
-    on_command_line,
     parse_limits,
     parse_optional_quantity,
     parse_quantity,
@@ -30,15 +28,13 @@ from mckibben.cli.options import (
 )
 from mckibben.errors import ParameterError, UnitError
 from mckibben.storage.files import to_json, write_json
-from mckibben.units import deg, mm, quantity
+from mckibben.units import deg, quantity
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mckibben.experiment_design import ExperimentPlan
     from mckibben.muscle import Domain, Specimen
-    from mckibben.reachability import Design, Envelope
-    from mckibben.scenario import Scenario
 
 
 _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloading": ("unloading",)}
@@ -335,123 +331,3 @@ def oracle(
         return tracking(runs)
 
     _present(numbers, "oracle", draw, show, out, json)
-
-
-def envelope(
-    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with the joint and reference.")],
-    margin: Annotated[
-        str, Option(metavar="FRACTION", help="Margin of nearest references to both ends of the stiffness band.")
-    ] = "5 %",
-    smoothing: Annotated[
-        str, Option(metavar="TIME", help="Smoothing of jumps and corners. Default: the narrowest trackable one.")
-    ] = "",
-    design: Annotated[
-        str | None,
-        Option(metavar="TARGET", help="Size the joint for 'stiffness 12..18 N*m/rad over -20..20 deg' instead."),
-    ] = None,
-    vary: Annotated[
-        list[str] | None,
-        Option(
-            metavar="'NAME=RANGE'",
-            help="Design variable with its bounds, a length of the geometry or muscle_length: "
-            "'connector_length=150..260 mm'; 'radius=20..40 mm' or path1.radius of two pulleys. Repeatable.",
-        ),
-    ] = None,
-    torque_reserve: Annotated[
-        str, Option(metavar="TORQUE", help="Torque of a design in either direction in excess of gravity.")
-    ] = "0 N*m",
-    minimum_tension: Annotated[str, Option(metavar="FORCE", help="Minimum muscle tension of a design.")] = "0 N",
-    extrapolate: Extrapolate = False,
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
-    """Show the attainable set, whether the reference is trackable and the nearest feasible ones; or size the joint."""
-    name = "envelope" if design is None else "design"
-    nearest = [f"nearest-{kind}" for kind in ("angle", "amplitude", "stiffness")] if design is None else [name]
-    results_folder(out, ("results.json", f"{name}.png", f"{name}.svg", *(f"{one}.yaml" for one in nearest)), force)
-    fraction = parse_quantity("--margin", margin, "1")
-    width = parse_optional_quantity("--smoothing", smoothing, "s")
-    reserve = parse_quantity("--torque-reserve", torque_reserve, "N*m")
-    tension = parse_quantity("--minimum-tension", minimum_tension, "N")
-    if design is None and (vary or reserve or tension):
-        raise ParameterError(
-            "--vary, --torque-reserve and --minimum-tension apply to a design",
-            remedy="add --design 'stiffness 12..18 N*m/rad over -20..20 deg'",
-        )
-    if design is not None and not vary:
-        raise ParameterError("a design varies nothing", remedy="add --vary 'connector_length=150..260 mm'")
-    from mckibben import reachability
-    from mckibben.scenario import Scenario
-
-    read = Scenario.read(scenario)
-    read = read.with_extrapolation() if extrapolate else read
-    if design is None:
-        _show_envelope(reachability.envelope(read, margin=fraction, smoothing=width), json, out)
-        return
-    target = reachability.parse_target(design, torque_reserve=reserve)
-    variables = [reachability.parse_variable(text) for text in vary or []]
-    _show_design(read, reachability.design(read.plant(), target, variables, minimum_tension=tension), json, out)
-
-
-def _show_envelope(found: Envelope, json: bool, out: Path | None) -> None:
-    from mckibben.reachability import save_reference
-
-    numbers, static = found.records(), found.static
-    names = ["results.json"]
-    if out:
-        from mckibben.report.joint import envelope as draw
-        from mckibben.report.style import save
-
-        with keeping(out):
-            for near in found.nearest:
-                names += save_reference(found.scenario, near, out, f"nearest-{near.preserved.name.lower()}")
-            write_json(out / "results.json", numbers)
-            save(draw(found), out, "envelope")
-    if json:
-        echo(to_json(numbers))
-    else:
-        if static.exists:
-            angles = f"{static.angle_min / deg:.4g} to {static.angle_max / deg:.4g} deg"
-            table(f"{found.scenario.name}: static range {angles}", found.headers, found.rows())
-        echo(found.verdict())
-        for remark in numbers["remarks"]:
-            echo(on_command_line(remark))
-        for near in found.nearest:
-            echo(f"nearest, {near.preserved.name.lower()} preserved: {near.describe()}")
-        if not found.trackability.trackable and not found.nearest:
-            echo("no smaller or slower motion about this centre is feasible either")
-    if out:
-        notify(f"wrote {', '.join(names)}, envelope.png and envelope.svg to {out}", json)
-
-
-def _show_design(scenario: Scenario, found: Design, json: bool, out: Path | None) -> None:
-    from mckibben.reachability import save_design, static_envelope
-
-    numbers = found.records()
-    names = ["results.json"]
-    if out:
-        from mckibben.report.joint import design as draw
-        from mckibben.report.style import save
-
-        with keeping(out):
-            names += ["design.yaml"] if save_design(scenario, found, out / "design.yaml") else []
-            write_json(out / "results.json", numbers)
-            about = sum(found.target.angles) / 2
-            save(draw(found, static_envelope(scenario.plant(), about=about)), out, "design")
-    if json:
-        echo(to_json(numbers))
-    else:
-        rows = [
-            (name.replace("_", " "), f"{found.initial[name] / mm:.4g} mm", f"{value / mm:.4g} mm")
-            for name, value in found.lengths.items()
-        ]
-        table(f"{scenario.name}: {found.target.describe()}", ("length", "initial", "design"), rows)
-        table("Attained", ("angle", "stiffness"), found.rows())
-        echo(found.describe())
-        for remark in found.plant.joint.remarks:
-            echo(remark)
-    if out:
-        if "design.yaml" not in names:
-            echo("no scenario written: a length belongs to a specimen or a geometry in the catalog", err=True)
-        notify(f"wrote {', '.join(names)}, design.png and design.svg to {out}", json)

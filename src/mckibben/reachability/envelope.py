@@ -6,9 +6,8 @@ import csv
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,32 +15,30 @@ from numpy.typing import NDArray
 
 from mckibben.component.calls import checked_call
 from mckibben.control import Constant, Multisine, Reference, SamplesFile, Signal, Sine, Step
-from mckibben.errors import ParameterError, RangeError, UnreachableError, no_attribute
+from mckibben.errors import RangeError, UnreachableError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import unattainable
 from mckibben.muscle import Muscle
-from mckibben.notebook import draw, html_table
-from mckibben.reachability.feasible import FeasibleReference, check_margin, find_nearest
-from mckibben.reachability.lengths import design_lengths
-from mckibben.reachability.sizing import Design
+from mckibben.reachability.feasible import FeasibleReference, Preserved, check_margin, find_nearest
 from mckibben.reachability.static import StaticEnvelope, Values, static_envelope
 from mckibben.reachability.trackability import Trackability, TrackabilityChecker
-from mckibben.scenario import Scenario, Start, with_values
+from mckibben.result import Column, Listing, Remark, Result
+from mckibben.scenario import Scenario, Start
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg
 
-_MEANT = {
-    **{one: f"static.{one}" for one in ("stiffness", "small_motion", "torque_range", "angles", "pressures_at_lowest")},
-    **{one: f"trackability.{one}" for one in ("trackable", "violated", "bands", "trajectory")},
-}
-"""Suggestions for unknown attributes of an envelope."""
+_ENDS = "lowest", "highest"
 
 
-@dataclass(frozen=True)
-class Envelope:
+class Envelope(Result):
     """Reachability of a scenario: static envelope of its joint, check of its reference and nearest feasible references.
 
-    `nearest` is empty if the reference is trackable or no state is static.
+    Attributes
+    ----------
+    static, trackability
+        Static envelope of the joint, and the check of the reference.
+    nearest
+        Feasible references; empty if the reference is trackable or no state is static.
     """
 
     scenario: Scenario
@@ -49,27 +46,8 @@ class Envelope:
     trackability: Trackability
     nearest: tuple[FeasibleReference, ...]
 
-    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
-
-        def __getattr__(self, name: str) -> Any:
-            raise no_attribute(self, name, _MEANT)
-
-    def __repr__(self) -> str:
-        return f"<Envelope of {self.scenario.name!r}: {self.verdict()}>"
-
-    def _repr_html_(self) -> str:
-        return html_table(self.scenario.name, self.headers, self.rows(), [self.verdict(), *self.remarks()])
-
-    @property
-    def headers(self) -> tuple[str, ...]:
-        """Columns of `rows`."""
-        small = ("small-motion stiffness",) if self.static.small_motion else ()
-        ends = "p1, p2 at lowest", "p1, p2 at highest"
-        return ("angle", "gravity torque", "torque range", "stiffness range", *small, *ends)
-
-    def plot(self) -> Any:
-        """Return a figure of attainable set and reference, see `mckibben.report.envelope`."""
-        return draw("envelope", self)
+    figures = ("envelope",)
+    files = tuple(f"nearest-{kind.name.lower()}.{end}" for kind in Preserved for end in ("yaml", "csv"))
 
     def verdict(self) -> str:
         """Verdict on the reference, in words."""
@@ -79,79 +57,55 @@ class Envelope:
             return f"the joint cannot hold its load at any angle; at {angle / deg:.4g} deg, {why}"
         return self.trackability.describe()
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """Static envelope at no more than 11 angles, as text."""
-        static = self.static
+    def remarks(self) -> list[Remark]:
+        """Active limits at both ends of the attainable stiffness with remedies, and remarks on the joint."""
+        static, plant = self.static, self.scenario.plant()
+        if not static.exists:
+            return []
+        ends = [end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest)]
+        limits = active_limits(plant.supplied_joint, plant.muscles, static.angles[static.inside], ends)
+        missing = not self.trackability.trackable and not self.nearest
         return [
-            (
-                f"{static.angles[i] / deg:g} deg",
-                f"{_rounded(float(static.torque[i])):.3g} N*m",
-                f"{static.torque_range.lowest[i]:.3g}..{static.torque_range.highest[i]:.3g} N*m",
-                *(
-                    f"{each.lowest[i]:.4g}..{each.highest[i]:.4g} N*m/rad"
-                    for each in (static.stiffness, static.small_motion)
-                    if each is not None
-                ),
-                _pressures(static.pressures_at_lowest[:, i]),
-                _pressures(static.pressures_at_highest[:, i]),
-            )
-            for i in static.table_rows()
+            *(Remark.note("stiffness", text) for text in (*limits, *self.scenario.joint.remarks)),
+            *(
+                [Remark.warning("reference", "no smaller or slower motion about its centre is feasible either")]
+                * missing
+            ),
         ]
 
-    def remarks(self) -> list[str]:
-        """Return the limits of the attainable stiffness and remarks on the joint, as text."""
-        return [*self._limits(), *self.scenario.joint.remarks] if self.static.exists else []
-
-    def _limits(self) -> list[str]:
-        """Active limits at both ends of the attainable stiffness, and remedies."""
-        static, plant = self.static, self.scenario.plant()
-        ends = (end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest))
-        return active_limits(plant.supplied_joint, plant.muscles, static.angles[static.inside], tuple(ends))
-
-    def records(self) -> dict[str, Any]:
-        """The results as plain data; angles in deg, pressures in bar, all else in SI."""
-        static, found = self.static, self.trackability
-        trajectory, bands = found.trajectory, found.bands
-        violation = bands.rate_limited.violation(trajectory.stiffness)
-        small = static.small_motion
-        return {
-            "scenario": self.scenario.name,
-            "trackable": found.trackable,
-            "verdict": self.verdict(),
-            "remarks": self.remarks(),
-            "static_range_deg": [static.angle_min / deg, static.angle_max / deg],
-            "smoothing_s": trajectory.smoothing if found.breakpoints.size else 0.0,
-            "muscle_torque_Nm": [float(bands.torque.min()), float(bands.torque.max())],
-            "violated_fraction": float(found.violated.mean()),
-            "violation_max": float(np.nanmax(violation)) if not np.isnan(violation).all() else math.nan,
-            "table": [
-                {
-                    "angle_deg": float(static.angles[i] / deg),
-                    "gravity_torque_Nm": float(static.torque[i]),
-                    "torque_range_Nm": [float(edge[i]) for edge in static.torque_range],
-                    "stiffness": [float(edge[i]) for edge in static.stiffness],
-                    **({"small_motion": [float(edge[i]) for edge in small]} if small else {}),
-                    "pressures_at_lowest_bar": (static.pressures_at_lowest[:, i] / bar).tolist(),
-                    "pressures_at_highest_bar": (static.pressures_at_highest[:, i] / bar).tolist(),
-                }
-                for i in static.table_rows()
-            ],
-            "nearest": [
-                {
-                    "preserved": near.preserved.name.lower(),
-                    "described": near.describe(),
-                    "amplitude": near.amplitude,
-                    "speed": near.speed,
-                    "shift_deg": near.shift / deg,
-                    "step_smoothing_s": near.step_smoothing,
-                    "stiffness_change": near.stiffness_change,
-                    "angle_deg": [motion.angle.min() / deg, motion.angle.max() / deg],
-                    "stiffness": [motion.stiffness.min(), motion.stiffness.max()],
-                }
-                for near in self.nearest
-                for motion in [near.trackability.trajectory]
-            ],
+    def listings(self) -> list[Listing]:
+        """Static envelope at no more than 11 angles, and the nearest feasible references."""
+        static, at = self.static, self.static.table_rows()
+        torque, stiffness = Column("N*m", digits=3), Column("N*m/rad")
+        bands = {"torque": (torque, static.torque_range), "stiffness": (stiffness, static.stiffness)}
+        if static.small_motion is not None:
+            bands["small-motion stiffness"] = (stiffness, static.small_motion)
+        columns: dict[str, tuple[Column, Any]] = {
+            "angle": (Column("rad", shown="deg"), static.angles[at]),
+            "gravity torque": (torque, static.torque[at] + 0.0),
         }
+        for name, (unit, band) in bands.items():
+            columns |= {f"{end} {name}": (unit, edge[at]) for end, edge in zip(_ENDS, band, strict=True)}
+        for end, pressures in zip(_ENDS, (static.pressures_at_lowest, static.pressures_at_highest), strict=True):
+            pair = {f"p{i + 1} at {end}": (Column("Pa", shown="bar", digits=3), np.round(pressures[i, at]) + 0.0) for i in (0, 1)}
+            columns |= pair
+        rows = [(near.preserved.name.lower(), near.describe(), near.amplitude, near.speed) for near in self.nearest]
+        preserved, changes, amplitude, speed = zip(*rows, strict=True) if rows else ((), (), (), ())
+        nearest = {
+            "preserved": (Column(), preserved),
+            "changes": (Column(), changes),
+            "amplitude": (Column("1"), amplitude),
+            "speed": (Column("1"), speed),
+        }
+        return [
+            Listing("static envelope", columns),
+            *([Listing("nearest feasible references", nearest)] if rows else []),
+        ]
+
+    def write(self, folder: Path) -> None:
+        """Write each nearest reference as a scenario, with its samples."""
+        for near in self.nearest:
+            save_reference(self.scenario, near, folder, f"nearest-{near.preserved.name.lower()}")
 
 
 _MEASURED = "measured pressure"
@@ -163,10 +117,7 @@ def _remedy(muscle: Muscle, *, highest: bool) -> str | None:
     rated, law = muscle.specimen.domain, muscle.law.domain
     further = law.pressure_max < rated.pressure_max < math.inf if highest else rated.pressure_min < law.pressure_min
     if further:
-        return (
-            "to apply the law at all pressures of its specimen, from 0 bar to pressure_max, give "
-            "Scenario.with_extrapolation() (command line: --extrapolate, or `extrapolate: true` of the muscle)"
-        )
+        return "to apply the law at all pressures of its specimen, give `extrapolate: true` of the muscle"
     if not highest:
         return None
     return (
@@ -198,20 +149,20 @@ def active_limits(
     The joint has the muscles with domains within the supply; the ends are pressures at the lowest and at the highest
     stiffness, shape (2, angles) each [Pa].
     """
-    found, remedies = [], dict[str, None]()
-    for end, here in zip(("lowest", "highest"), ends, strict=True):
-        tensions = joint.tensions(angles, (here[0], here[1]))
+    texts, remedies = [], dict[str, None]()
+    for name, pressures in zip(_ENDS, ends, strict=True):
+        tensions = joint.tensions(angles, (pressures[0], pressures[1]))
         counts: Counter[str] = Counter()
-        given = zip((joint.muscle1, joint.muscle2), muscles, here, tensions, strict=True)
-        for supplied, muscle, pressure, tension in given:
-            for reason, holds in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
-                counts[reason] += int(holds.sum())
+        rows = zip((joint.muscle1, joint.muscle2), muscles, pressures, tensions, strict=True)
+        for supplied, muscle, pressure, tension in rows:
+            for reason, active in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
+                counts[reason] += int(active.sum())
                 remedy = _remedy(muscle, highest="highest" in reason)
-                if _MEASURED in reason and holds.any() and remedy:
+                if _MEASURED in reason and active.any() and remedy:
                     remedies[remedy] = None
         reasons = [reason for reason, count in counts.most_common() if count]
-        found += [f"{end} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
-    return found + list(remedies)
+        texts += [f"{name} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
+    return texts + list(remedies)
 
 
 @checked_call
@@ -284,23 +235,6 @@ def save_reference(scenario: Scenario, found: FeasibleReference, folder: Path, n
     return [f"{name}.yaml", *([table.name] if sampled else [])]
 
 
-def save_design(scenario: Scenario, found: Design, path: Path) -> bool:
-    """Write a scenario with the lengths of a design; return False if a scenario cannot express one of them.
-
-    The initial stiffness is dropped if it is no longer attainable.
-    """
-    known = design_lengths(found.plant)
-    places = {place: value for name, value in found.lengths.items() for place in known[name]}
-    try:
-        changed = with_values(scenario, {".".join(("joint", *place)): value for place, value in places.items()})
-    except ParameterError:
-        return False
-    if not _has_initial_state(changed):
-        changed = changed.model_copy(update={"start": Start(angle=scenario.start.angle)})
-    changed.to_yaml(path)
-    return True
-
-
 def _has_initial_state(scenario: Scenario) -> bool:
     try:
         scenario.initial(scenario.plant())
@@ -325,12 +259,3 @@ def _write_samples(path: Path, found: FeasibleReference) -> None:
         writer = csv.writer(file)
         writer.writerow(columns)
         writer.writerows([f"{value:.9g}" for value in row] for row in zip(*columns.values(), strict=True))
-
-
-def _pressures(pair: np.ndarray) -> str:
-    return ", ".join(f"{_rounded(float(p) / bar):.3g}" for p in pair) + " bar"
-
-
-def _rounded(value: float) -> float:
-    """Six decimals, without a negative zero."""
-    return round(value, 6) + 0.0

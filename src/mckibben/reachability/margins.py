@@ -96,7 +96,9 @@ def _unclipped_stiffness(
     return -derivative(torque, jnp.broadcast_to(angle, pressures[0].shape))
 
 
-def friction_torque(plant: JointPlant, angle: ArrayLike, speed: ArrayLike, minimum_tension: float) -> tuple[Array, Array]:
+def friction_torque(
+    plant: JointPlant, angle: ArrayLike, speed: ArrayLike, minimum_tension: float
+) -> tuple[Array, Array]:
     """Return the largest torque [N*m] of both muscles' friction over angles [rad], at a speed [rad/s].
 
     The first has one muscle at its highest pressure and the other at its lowest, as for the largest torque; in the

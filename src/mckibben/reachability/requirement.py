@@ -125,7 +125,9 @@ class Requirement(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, pair in (("angles", self.angles), ("stiffness", self.stiffness)):
-            if pair is not None and not (len(pair) == 2 and (pair[0] < pair[1] or name == "stiffness" and 0 < pair[0] == pair[1])):
+            if pair is not None and not (
+                len(pair) == 2 and (pair[0] < pair[1] or (name == "stiffness" and 0 < pair[0] == pair[1]))
+            ):
                 remedy = "give two, the lower first, such as [-30 deg, 30 deg]"
                 raise ParameterError(f"{name} are not a range", field=name, value=pair, remedy=remedy)
         if (self.joint is None) != (not self.lengths):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import csv
 import dataclasses
 import functools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -28,7 +29,6 @@ from mckibben.reachability.lengths import check_lengths, with_lengths
 from mckibben.reachability.margins import CONSTRAINTS, attained_stiffness, constraint_margins, friction_torque
 from mckibben.reachability.requirement import (
     SHORTEST,
-    LengthRange,
     Make,
     Requirement,
     catalog_makes,
@@ -36,8 +36,10 @@ from mckibben.reachability.requirement import (
     with_supply,
 )
 from mckibben.reachability.trajectory import reference_trajectory
+from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario, Start
-from mckibben.simulation import Result
+from mckibben.simulation import Result as Run
+from mckibben.storage.files import atomic_write
 from mckibben.units import deg, mm, show
 
 Floats = NDArray[np.float64]
@@ -77,21 +79,80 @@ class Check(NamedTuple):
     met: bool
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Result of `size`: candidates in the order of their air per cycle, and rejected makes with the reason."""
+class Selection(Result):
+    """Result of `size`.
+
+    Attributes
+    ----------
+    candidates
+        In the order of their air per cycle.
+    rejected
+        Makes that do not meet the requirement, with the reason.
+    checks
+        Comparison of a run with the requirement, by `simulated`.
+    """
 
     requirement: Requirement
     candidates: tuple[Candidate, ...]
     rejected: tuple[tuple[str, str], ...]
+    checks: tuple[Check, ...] = ()
+
+    figures = ("selection",)
+    files = ("scenario.yaml", "parts.csv")
 
     @property
     def best(self) -> Candidate:
         """The candidate with the least air per cycle."""
         return self.candidates[0]
 
-    def __repr__(self) -> str:
-        return f"<Selection: {self.best.name}, {_lengths_text(self.best.lengths)}; {self.requirement}>"
+    def verdict(self) -> str:
+        """The best joint, and the requirement."""
+        return f"{self.best.name}, {_lengths_text(self.best.lengths)}, for {self.requirement}"
+
+    def remarks(self) -> list[Remark]:
+        """Requirements that a run does not meet, rejected makes with the reason, and remarks on the best joint."""
+        missed = (check for check in self.checks if not check.met)
+        return [
+            *(Remark.severe("requirement", f"not met: {check.requirement}: {check.value}") for check in missed),
+            *(Remark.warning("muscles", f"rejected: {name}: {reason}") for name, reason in self.rejected),
+            *(Remark.note("joint", text) for text in self.best.plant.joint.remarks),
+        ]
+
+    def listings(self) -> list[Listing]:
+        """Candidates with the intervals of their forces, parts of the best one, and the checks of its run."""
+        torque, stiffness = Column("N*m", digits=3), Column("N*m/rad", digits=3)
+        rows = self.candidates
+        columns: dict[str, tuple[Column, Any]] = {
+            "muscle": (Column(), [row.name for row in rows]),
+            "lengths": (Column(), [_lengths_text(row.lengths) for row in rows]),
+        }
+        for i, name in enumerate(("least torque", "torque beyond gravity", "highest torque")):
+            columns[name] = torque, [row.torque[i] for row in rows]
+        for i, name in enumerate(("lowest stiffness", "highest stiffness")):
+            columns[name] = stiffness, [row.stiffness[1][i] for row in rows]
+        columns |= {
+            "valve": (Column(), [row.supply.valve_name for row in rows]),
+            "air per cycle": (Column("m^3", shown="L", digits=3), [row.supply.air for row in rows]),
+            "limited by": (Column(), [row.limiting for row in rows]),
+        }
+        number, part, sizes = zip(*self.parts(), strict=True)
+        parts = {"number": (Column(), number), "part": (Column(), part), "size": (Column(), sizes)}
+        listings = [Listing("candidates", columns), Listing(f"parts of {self.best.name}", parts)]
+        if self.checks:
+            checks = dict(
+                zip(Check._fields, ((Column(), values) for values in zip(*self.checks, strict=True)), strict=True)
+            )
+            listings.append(Listing("simulated with these parts", checks))
+        return listings
+
+    def write(self, folder: Path) -> None:
+        """Write the scenario and the bill of materials."""
+        self.scenario().to_yaml(folder / "scenario.yaml")
+        with (
+            atomic_write(folder / "parts.csv", overwrite=True) as file,
+            file.open("w", encoding="utf-8", newline="") as text,
+        ):
+            csv.writer(text).writerows([("number", "part", "size"), *self.parts()])
 
     def parts(self, candidate: Candidate | None = None) -> list[tuple[str, str, str]]:
         """Bill of materials of a candidate, by default the best: number, part, size."""
@@ -131,7 +192,11 @@ class Selection:
         text["valve"] = {"from": chosen.supply.valve_name, "supply": show(need.supply, "bar")}
         return Scenario.parse(to_text(text))
 
-    def verify(self, result: Result) -> list[Check]:
+    def simulated(self) -> Selection:
+        """Return the selection with the checks of a run of the best joint's scenario."""
+        return dataclasses.replace(self, checks=tuple(self.verify(self.scenario().simulate())))
+
+    def verify(self, result: Run) -> list[Check]:
         """Compare a run of the scenario with the requirement: outcome, angle within 2 %, stiffness within 5 %."""
         need, angle = self.requirement, np.asarray(result["angle"])
         error = np.abs(angle - np.asarray(result["desired_angle"])).max()
@@ -178,6 +243,7 @@ def size(requirement: Requirement, makes: Sequence[Make] | None = None) -> Selec
     Examples
     --------
     >>> from mckibben import catalog
+    >>> from mckibben.reachability import LengthRange
     >>> from mckibben.units import bar
     >>> knee = {"joint": catalog.joint("knee-table-2"), "lengths": (LengthRange("connector_length", 0.19, 0.22),)}
     >>> need = Requirement(
@@ -288,11 +354,11 @@ def _candidate_of_joint(name: str, joint: AntagonisticJoint, need: Requirement) 
     bounds = [(length.lowest, length.highest) for length in need.lengths]
     search: dict[str, Any] = {"vectorized": True, "updating": "deferred", "polish": False, "rng": 0, "tol": 1e-8}
     fit = differential_evolution(shortfall, bounds, **search)
-    column = {name: np.array([value]) for name, value in lengths_of(fit.x[:, None]).items()}
-    chosen = {name: float(value.item()) for name, value in column.items()}
-    margins = _margins(plants, {name: np.array([value]) for name, value in chosen.items()}, need)
+    best = lengths_of(fit.x[:, None])
+    margins = _margins(plants, best, need)
     if not margins.min() >= 0:
-        raise _unreached(margins, {name: np.array([value]) for name, value in chosen.items()})
+        raise _unreached(margins, best)
+    chosen = {name: float(value.item()) for name, value in best.items()}
     return _candidate(name, need.spread, joint, chosen, margins[0], need)
 
 
@@ -335,7 +401,12 @@ def _pulley_grid(make: Make, need: Requirement) -> dict[str, Floats]:
 
 
 def _candidate(
-    name: str, uncertainty: float, joint: AntagonisticJoint, lengths: dict[str, float], margins: Floats, need: Requirement
+    name: str,
+    uncertainty: float,
+    joint: AntagonisticJoint,
+    lengths: dict[str, float],
+    margins: Floats,
+    need: Requirement,
 ) -> Candidate:
     """Torque, stiffness and air supply of a joint with chosen lengths."""
     angles = np.linspace(*need.angles, _RESULT_ANGLES)

@@ -14,7 +14,6 @@ from .identification import ranking as ranking
 from .identification import relaxation as relaxation
 from .joint import attainable_stiffness as attainable_stiffness
 from .joint import calibration as calibration
-from .joint import design as design
 from .joint import envelope as envelope
 from .joint import selection as selection
 from .joint import stiffness as stiffness

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from mckibben.control import Constant, Sine
 from mckibben.reachability import (
-    Design,
     Envelope,
     FeasibleReference,
     Preserved,
@@ -367,30 +366,6 @@ def _closed_valves(both: list[Axes], found: StiffnessTests, closed: np.ndarray, 
 
 
 @styled
-def design(found: Design, before: StaticEnvelope) -> Figure:
-    """Attainable stiffness of a joint before and after sizing, and the design target."""
-    figure = blank(DOUBLE, 3.2)
-    axes = figure.subplots()
-    _band(axes, found.envelope, color=_DYNAMIC, label="attainable after sizing")
-    inside = before.inside
-    for edge in before.stiffness:
-        label = "attainable before" if edge is before.stiffness.lowest else None
-        axes.plot(before.angles[inside] / deg, edge[inside], color="#777777", linestyle=(0, (3, 1.5)), label=label)
-    (low, high), (first, last) = found.target.stiffness, (angle / deg for angle in found.target.angles)
-    box = Rectangle((first, low), last - first, high - low, fill=False, edgecolor=BLACK, linewidth=1.4, label="target")
-    axes.add_patch(box)
-    if found.target.torque_reserve:
-        draw_band(axes, found.angles / deg, *found.stiffness, color=BLUE, alpha=0.5, label="with the torque margin")
-    axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    reached = found.envelope.inside
-    _limits(axes, *(edge[reached] for edge in found.envelope.stiffness), np.array([low, high]))
-    lengths = (f"{name.replace('_', ' ')} {value * 1e3:.4g} mm" for name, value in found.lengths.items())
-    letter(axes, 0, ", ".join(lengths))
-    legend_above(figure, axes)
-    return figure
-
-
-@styled
 def selection(found: Selection) -> Figure:
     """Attainable stiffness and torque over the angle of the best joint, and the requirement."""
     need, joint = found.requirement, found.best
@@ -415,8 +390,8 @@ def selection(found: Selection) -> Figure:
         axes.set_xlim(*(need.middle / deg + side * _SHOWN_RANGE * need.amplitude / deg for side in (-1, 1)))
     left.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     right.set(xlabel=_ANGLE, ylabel=_TORQUE)
-    letter(left, 0, f"{joint.make.name}, {joint.length / mm:g} mm")
-    letter(right, 1, f"pulleys of {joint.radius / mm:g} mm")
+    letter(left, 0, joint.name)
+    letter(right, 1, ", ".join(f"{name} {length / mm:.4g} mm" for name, length in list(joint.lengths.items())[:2]))
     legend_above(figure, left, right)
     return figure
 
