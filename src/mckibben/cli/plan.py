@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Exit, Option
 
+from mckibben.cli.command import command
 from mckibben.cli.options import (
     Data,
     Force,
     Json,
     Out,
     Reading,
-    check_choice,
     echo,
     job_progress,
     keeping,
@@ -34,13 +34,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mckibben.experiment_design import ExperimentPlan
-    from mckibben.muscle import Domain, Specimen
-
-
-_DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloading": ("unloading",)}
 
 
 @reads_files("contraction", "sample_rate", "specimen")
+@command
 def plan(
     data: Data,
     law: Annotated[str, Option(help="Kind of law; 'mckibben laws' lists them.")] = "exponential",
@@ -57,17 +54,13 @@ def plan(
     joint: Annotated[
         str, Option(metavar="JOINT", help="Joint for stiffness and torque: from the catalog, or a scenario file.")
     ] = "knee-table-2",
-    contraction: Annotated[str, Option(metavar="RANGE", help="Limits, '0..20 %' (default: the specimen's).")] = "",
-    pressure: Annotated[str, Option(metavar="RANGE", help="Limits, '1..6 bar' (default: the specimen's).")] = "",
-    contraction_step: Annotated[str, Option(metavar="STEP", help="Resolution, '0.5 %' or '1 mm' (default).")] = "",
-    pressure_step: Annotated[str, Option(metavar="STEP", help="Resolution of the rig's pressure.")] = "0.25 bar",
-    directions: Annotated[
-        str, Option(metavar="|".join(_DIRECTIONS), help="Directions in which the rig measures.")
-    ] = "both",
-    repeats: Annotated[int, Option(metavar="N", help="Maximum repetitions of a point.")] = 2,
-    friction: Annotated[bool | None, Option(help="Friction is unknown (default: if directions are recorded).")] = None,
+    limits: Annotated[
+        str, Option(metavar="RANGES", help="Contraction and pressure, '0..20 %, 1..6 bar' (default: the specimen's).")
+    ] = "",
+    step: Annotated[
+        str, Option(metavar="STEPS", help="Resolution of the rig, '0.5 %, 0.25 bar'; or a length, '1 mm' (default).")
+    ] = "",
     noise: Annotated[str, Option(metavar="FORCE", help="Error of a point (default: from the residuals).")] = "",
-    stroke_error: Annotated[str, Option(metavar="FORCE", help="Error of a stroke (default: from the residuals).")] = "",
     guess: Annotated[
         str, Option(metavar="LAW", help="Fit file or catalog law to linearise about if the data do not determine one.")
     ] = "",
@@ -76,98 +69,62 @@ def plan(
     ] = "",
     *,
     reading: Reading,
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
+) -> ExperimentPlan:
     """Plan the next test: the points that most reduce the uncertainty of a quantity, and diagnostics of the data."""
-    results_folder(out, ("plan.csv", "results.json", "plan.png", "plan.svg"), force)
-    check_choice(directions, _DIRECTIONS, "a direction")
     from mckibben import catalog
     from mckibben.experiment_design import parse_quantity_of_interest
     from mckibben.experiment_design import plan as run
+    from mckibben.muscle import Domain
     from mckibben.study.inputs import joint_named, law_named, law_type_named, specimen_named
 
     law_type = law_type_named(law)
     known = specimen_named(specimen) if specimen else None
-    quantity = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
+    interest = parse_quantity_of_interest(of, law_type, lambda: joint_named(joint))
     initial = law_named(guess, specimen=specimen) if guess else None
+    ranges = _pair("--limits", limits, "0..20 %, 1..6 bar")
+    box = (
+        Domain(*parse_limits("--limits", ranges[0], "1"), *parse_limits("--limits", ranges[1], "Pa"))
+        if limits
+        else None
+    )
     read = reading.data(data)
     in_catalog = read.table.attrs["specimen"] in catalog.names("specimens")
     muscle = known or (catalog.specimen(read.table.attrs["specimen"]) if in_catalog else None)
     length = read.table.attrs.get("initial_length") or (float(muscle.initial_length) if muscle else None)
-    found = run(
+    steps = _pair("--step", step, "0.5 %, 0.25 bar")
+    resolution = {"pressure_step": parse_quantity("--step", steps[1], "Pa")} if step else {}
+    return run(
         read,
-        quantity,
+        interest,
         law_type,
         points=points,
-        limits=_limits(contraction, pressure, muscle),
+        limits=box,
         specimen=known,
-        contraction_step=_contraction_step(contraction_step, length),
-        pressure_step=parse_quantity("--pressure-step", pressure_step, "Pa"),
-        directions=_DIRECTIONS[directions],
-        repeats=repeats,
-        friction=friction,
+        contraction_step=_contraction_step(steps[0], length),
         noise=parse_optional_quantity("--noise", noise, "N"),
-        stroke_error=parse_optional_quantity("--stroke-error", stroke_error, "N"),
         guess=initial,
+        **resolution,
     )
-    numbers = found.records()
-    if out:
-        from mckibben.report.study import planned
-        from mckibben.report.style import save
-
-        with keeping(out):
-            found.to_csv(out / "plan.csv")
-            write_json(out / "results.json", numbers)
-            save(planned(found), out, "plan")
-    if json:
-        echo(to_json(numbers))
-    else:
-        _show(found, read.table.attrs["specimen"] or "unnamed specimen")
-    if out:
-        notify(f"wrote plan.csv, results.json, plan.png and plan.svg to {out}", json)
 
 
-def _show(found: ExperimentPlan, specimen: str) -> None:
-    headers, *rows = found.rows()
-    law = type(found.law).__name__.removesuffix("Law")
-    table(f"{specimen}, {law} law: {len(rows)} points to measure next, by gain", headers, rows)
-    echo(found.summary())
-    for sentence in found.sentences():
-        echo(sentence)
-
-
-def _limits(contraction: str, pressure: str, specimen: Specimen | None) -> Domain | None:
-    """Design region; missing limits are the specimen's."""
-    if not contraction and not pressure:
-        return None
-    from mckibben.muscle import Domain
-
-    if specimen is None and not (contraction and pressure):
-        raise ParameterError(
-            "the specimen is unknown: both limits are needed", remedy="give --contraction and --pressure, or --specimen"
-        )
-
-    box = specimen.domain if specimen else Domain()
-    ends = (box.contraction_min, box.contraction_max), (box.pressure_min, box.pressure_max)
-    return Domain(
-        *(parse_limits("--contraction", contraction, "1") if contraction else ends[0]),
-        *(parse_limits("--pressure", pressure, "Pa") if pressure else ends[1]),
-    )
+def _pair(option: str, text: str, example: str) -> tuple[str, str]:
+    """Both parts of an option; empty without one."""
+    first, comma, second = (part.strip() for part in text.partition(","))
+    if text and not (first and comma and second):
+        raise ParameterError(f"{option} {text!r} is not a pair", value=text, remedy=f"write it like '{example}'")
+    return first, second
 
 
 def _contraction_step(text: str, length: float | None) -> float | None:
     if not text:
         return None
-
     try:
         return quantity(text, "1")
     except UnitError:
-        step = parse_quantity("--contraction-step", text, "m")
+        step = parse_quantity("--step", text, "m")
     if length is None:
         raise ParameterError(
-            f"--contraction-step {text!r} is a length, and the initial length of the muscle is unknown",
+            f"--step {text!r} is a length, and the initial length of the muscle is unknown",
             remedy="give the step in percent, or --initial-length",
         )
     return step / length

@@ -43,8 +43,8 @@ class QuantityOfInterest(abc.ABC):
         """Linearise about a law; `states` are the measurable ones."""
 
     @abc.abstractmethod
-    def unit(self, law_type: type[ForceLaw]) -> str:
-        """Unit of its standard error; empty for values of several units."""
+    def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
+        """Unit of its standard error in SI, and the shown one; empty for values of several units."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,10 @@ class Coefficients(QuantityOfInterest):
     def __str__(self) -> str:
         return ", ".join(self.names) or "all coefficients"
 
-    def unit(self, law_type: type[ForceLaw]) -> str:
+    def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
         names = self._known(law_type)
-        return next(p.shown for p in law_type.parameters() if p.name == names[0]) if len(names) == 1 else ""
+        units = {p.name: (p.unit, p.shown) for p in law_type.parameters()}
+        return units[names[0]] if len(names) == 1 else ("", "")
 
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         known = [p.name for p in type(law).parameters()]
@@ -87,8 +88,8 @@ class Force(QuantityOfInterest):
     def __str__(self) -> str:
         return f"force at {self.region}" if self.region else "force"
 
-    def unit(self, law_type: type[ForceLaw]) -> str:
-        return "N"
+    def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
+        return "N", "N"
 
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         if self.region is None:
@@ -135,8 +136,8 @@ class _JointQuantity(QuantityOfInterest):
         p1, p2 = (pressure / bar for pressure in self.pressures)
         return f"{self._name} at {shown} deg, {p1:.4g} bar, {p2:.4g} bar"
 
-    def unit(self, law_type: type[ForceLaw]) -> str:
-        return self._unit
+    def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
+        return self._unit, self._unit
 
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         angles = np.atleast_1d(np.asarray(self.angle, np.float64))
@@ -220,35 +221,35 @@ def parse_quantity_of_interest(
     force at contraction 0..10 %, pressure 3..6 bar
     stiffness at 5 deg, 2 bar, 4 bar
     """
-    kind, at, place = (part.strip() for part in text.partition(" at "))
-    parts = [part.strip() for part in place.split(",")] if at else []
-    if kind in ("stiffness", "torque"):
-        made = JointStiffness if kind == "stiffness" else JointTorque
+    kind, _, place = (part.strip() for part in text.partition(" at "))
+    parts = [part.strip() for part in place.split(",")] if place else []
+    if kind not in _FORMS:
+        return _coefficients(text, law_type)
+    if len(parts) not in _FORMS[kind]:
+        raise ParameterError(f"{text!r} has {len(parts)} values", value=text, remedy=_PLACES[kind == "force"])
+    try:
+        if kind == "force":
+            return Force(Domain(*parse_range(parts[0], "1"), *parse_range(parts[1], "Pa")) if parts else None)
+        kinds = {"stiffness": JointStiffness, "torque": JointTorque}
         if not parts:
-            return made(joint())
-        if len(parts) > 3:
-            raise ParameterError(f"{text!r} has too many values", value=text, remedy="write 'at 5 deg, 2 bar, 4 bar'")
-        try:
-            low, high = parse_range(parts[0], "rad")
-            pressures = [quantity(part, "Pa") for part in parts[1:]] or [3 * bar]
-        except UnitError as error:
-            raise UnitError(f"{text!r} is an angle and pressures, but {error}", value=text) from None
-        angle = low if low == high else tuple(np.linspace(low, high, _ANGLES).tolist())
-        return made(joint(), angle, (pressures[0], pressures[-1]))
-    if kind == "force":
-        if not parts:
-            return Force()
-        if len(parts) != 2:
-            raise ParameterError(f"{text!r} is not a region", value=text, remedy="write 'force at 0..10 %, 3..6 bar'")
-        try:
-            return Force(Domain(*parse_range(parts[0], "1"), *parse_range(parts[1], "Pa")))
-        except UnitError as error:
-            raise UnitError(
-                f"{text!r} is a range of contraction and one of pressure, but {error}", value=text
-            ) from None
+            return kinds[kind](joint())
+        low, high = parse_range(parts[0], "rad")
+        pressures = [quantity(part, "Pa") for part in parts[1:]] or [3 * bar]
+    except UnitError as error:
+        raise UnitError(f"{text!r}: {error}; {_PLACES[kind == 'force']}", value=text) from None
+    angle = low if low == high else tuple(np.linspace(low, high, _ANGLES).tolist())
+    return kinds[kind](joint(), angle, (pressures[0], pressures[-1]))
+
+
+_FORMS = {"force": (0, 2), "stiffness": (0, 1, 2, 3), "torque": (0, 1, 2, 3)}
+"""Numbers of values after "at"."""
+_PLACES = "write an angle and pressures, 'at 5 deg, 2 bar, 4 bar'", "write 'force at 0..10 %, 3..6 bar'"
+
+
+def _coefficients(text: str, law_type: type[ForceLaw]) -> Coefficients:
     known = {p.name.lower(): p.name for p in law_type.parameters()}
     names = [part.strip().lower() for part in text.split(",")]
-    if text.strip() == "coefficients":
+    if names == ["coefficients"]:
         return Coefficients()
     if not all(name in known for name in names):
         raise ParameterError(

@@ -55,7 +55,7 @@ class Envelope(Result):
             plant, angle = self.scenario.plant(), float(self.trackability.trajectory.angle[0])
             why = unattainable(plant.supplied_joint, angle, -float(plant.load.gravity_torque(angle)))
             return f"the joint cannot hold its load at any angle; at {angle / deg:.4g} deg, {why}"
-        return self.trackability.describe()
+        return self.trackability.verdict()
 
     def remarks(self) -> list[Remark]:
         """Active limits at both ends of the attainable stiffness with remedies, and remarks on the joint."""
@@ -87,7 +87,10 @@ class Envelope(Result):
         for name, (unit, band) in bands.items():
             columns |= {f"{end} {name}": (unit, edge[at]) for end, edge in zip(_ENDS, band, strict=True)}
         for end, pressures in zip(_ENDS, (static.pressures_at_lowest, static.pressures_at_highest), strict=True):
-            pair = {f"p{i + 1} at {end}": (Column("Pa", shown="bar", digits=3), np.round(pressures[i, at]) + 0.0) for i in (0, 1)}
+            pair = {
+                f"p{i + 1} at {end}": (Column("Pa", shown="bar", digits=3), np.round(pressures[i, at]) + 0.0)
+                for i in (0, 1)
+            }
             columns |= pair
         rows = [(near.preserved.name.lower(), near.describe(), near.amplitude, near.speed) for near in self.nearest]
         preserved, changes, amplitude, speed = zip(*rows, strict=True) if rows else ((), (), (), ())

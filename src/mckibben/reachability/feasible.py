@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import enum
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -142,16 +142,8 @@ def find_nearest(
     distinct: list[FeasibleReference] = []
     for one in found:
         if one is not None and not any(_is_same(one, other) for other in distinct):
-            distinct.append(_with_least_smoothing(checker, one))
+            distinct.append(one)
     return tuple(distinct)
-
-
-def _with_least_smoothing(checker: TrackabilityChecker, found: FeasibleReference) -> FeasibleReference:
-    """The same with an unchanged stiffness with jumps, smoothed no more than necessary."""
-    if found.stiffness_change > 0 or found.step_smoothing > 0 or not found.trackability.breakpoints.size:
-        return found
-    checked = checker.slowed(found.speed).check(found.reference)
-    return dataclasses.replace(found, trackability=checked) if checked.trackable else found
 
 
 def _is_same(one: FeasibleReference, other: FeasibleReference) -> bool:
@@ -231,15 +223,14 @@ class _Search:
         if np.isnan(band.lowest).any():
             return None
         desired = smoothed(stiffness, checker.times, self._width)
-        for margin in sorted({self.margin, *(m for m in _MARGINS if m > self.margin)}):
+        for margin, width in itertools.product(sorted({self.margin, *_MARGINS}), _STIFFNESS_SMOOTHING):
             # at all sample times, not only the checked ones: moving averages need even spacing
             low, high = (np.interp(checker.times, trajectory.times, bound) for bound in band.shrunk(margin))
-            for width in _STIFFNESS_SMOOTHING:
-                values = smoothed_values(np.clip(desired, low, high), checker.period, width)
-                reference = Reference(angle, Samples(checker.times, values))
-                checked = self._checked(checker, reference)
-                if checked is not None:
-                    return made(reference, checked, _stiffness_change(checked, trajectory.stiffness, stiffness))
+            values = smoothed_values(np.clip(desired, low, high), checker.period, width)
+            reference = Reference(angle, Samples(checker.times, values))
+            checked = self._checked(checker, reference) if margin >= self.margin else None
+            if checked is not None:
+                return made(reference, checked, _stiffness_change(checked, trajectory.stiffness, stiffness))
         return None
 
     def _checked(self, checker: TrackabilityChecker, reference: Reference) -> Trackability | None:

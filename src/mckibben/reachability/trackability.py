@@ -26,6 +26,7 @@ from mckibben.reachability.trajectory import (
     reference_trajectory,
     smoothed,
 )
+from mckibben.result import Result
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.problem import sampled_signal, sampling_times
 from mckibben.simulation.simulate import shortcomings, static_bands
@@ -130,19 +131,29 @@ def _range_of(values: Values) -> AttainableRange:
     return AttainableRange(np.asarray(np.fmin.reduce(values), float), -np.asarray(np.fmin.reduce(-values), float))
 
 
-@dataclass(frozen=True)
-class Trackability:
-    """Result of the trackability check of a reference."""
+class Trackability(Result):
+    """Result of the trackability check of a reference.
 
-    trajectory: ReferenceTrajectory  # the reference with jumps and corners smoothed
-    bands: StiffnessBands  # attainable along it
-    breakpoints: Values  # times of jumps and corners [s]
-    smoothing_sufficient: bool  # whether they are trackable when smoothed
-    deviation: float  # largest of the angle due to smoothing, away from jumps [rad]
-    cause: str = ""  # which muscle leaves its domain at the first angle that cannot be held, if one does
+    Attributes
+    ----------
+    trajectory, bands
+        The reference with jumps and corners smoothed, and the stiffness attainable along it.
+    breakpoints
+        Times of jumps and corners [s].
+    smoothing_sufficient
+        Whether they are trackable when smoothed.
+    deviation
+        Largest deviation of the angle due to smoothing, away from jumps [rad].
+    cause
+        The muscle that leaves its domain at the first angle that cannot be held, if one does.
+    """
 
-    def __repr__(self) -> str:
-        return f"<Trackability: {self.describe()}>"
+    trajectory: ReferenceTrajectory
+    bands: StiffnessBands
+    breakpoints: Values
+    smoothing_sufficient: bool
+    deviation: float
+    cause: str = ""
 
     @property
     def violated(self) -> NDArray[np.bool_]:
@@ -154,7 +165,7 @@ class Trackability:
         """Whether all samples are trackable."""
         return not self.violated.any()
 
-    def describe(self) -> str:
+    def verdict(self) -> str:
         """Verdict in words: which condition is violated, when and by how much."""
         bands, desired = self.bands, self.trajectory.stiffness
         static, dynamic, limited = (b.violation(desired) for b in (bands.static, bands.dynamic, bands.rate_limited))
@@ -237,7 +248,7 @@ def check_trackability(
     >>> found = check_trackability(printed, Reference(Sine(20 * deg, 0.5), 72.5), duration=2.0, control_period=0.01)
     >>> found.trackable
     False
-    >>> print(found.describe())
+    >>> print(found.verdict())
     not even statically trackable: the joint cannot give the torque for 65% of the run, ...
     >>> print(found.cause)
     at 10.72 deg, contraction -3.1 % is outside -3..25 % of MAS-10-180N-AA-MC-O (muscle 1); give the joint a longer ...
