@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import jax
@@ -28,24 +26,20 @@ from mckibben.calibration.equations import (
     muscle_parameters,
     problem_of,
 )
-from mckibben.calibration.estimation import (
-    STARTS,
-    JointCalibration,
+from mckibben.calibration.estimation import STARTS, CalibratedJoint, number, quantities_of, start
+from mckibben.calibration.fitting import (
     JointEstimate,
+    OutputErrorFit,
     Scatter,
-    gauss_newton,
-    minimised,
-    number,
-    quantities_of,
+    fit_output_error,
     scatter_between,
-    start,
-    variance_of,
 )
-from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled
 from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
+from mckibben.result import Column, Listing, Remark, column
 from mckibben.units import ms
 
 _REST = 3.0  # s after the last change of the commands; later samples, up to the next change, are left out
@@ -57,10 +51,10 @@ _BLOCK = 1024  # samples
 _DIFFERENCE = 1e-4  # prior standard deviations, of the difference quotients
 _DELAY = 20 * ms  # prior median
 _DAMPING_TIME = 1.0  # s, ratio of inertia to damping of a load without damping in the model
-_FIRST_VARIANCE = 0.1**2  # rad^2
+_FIRST_VARIANCE, _LEAST_VARIANCE = 0.1**2, 1e-8  # rad^2
 _DIFFERS = 1e-3  # probability of a larger scatter between recordings
 _RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps; else its derivative is zero
-_STRENGTHS, _FIRST, _STAGES, _ITERATIONS = 3, 8, 3, 25
+_STRENGTHS = 3  # starts
 _FRICTION = 2 * COEFFICIENTS  # index of the half width among a muscle's parameters
 _SHARED = 3  # parameters other than the muscles' shared with `corrected`: weight, zero and scale of the arms
 _OWN = {  # units, and fields of the prior; the friction's only if the joint has its own friction
@@ -119,8 +113,7 @@ class _Problem(NamedTuple):
     medians: tuple[float, ...]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class CommandedCalibration(JointCalibration):
+class CommandedCalibration(CalibratedJoint):
     """Joint identified from commanded pressures, by `calibrate_from_commands`.
 
     Attributes
@@ -136,12 +129,42 @@ class CommandedCalibration(JointCalibration):
         The valve with the estimates, and the delay [s] of its commands.
     friction
         Friction of the joint itself with the estimates; None if the initial model has none.
+    held_out
+        Recordings that were not fitted, which `listings` simulates, too.
     """
 
+    residual: float = column("rad", "residual angle", shown="deg", digits=3)
     valve: FirstOrderValve
     delay: float
-    _before: _Simulated
     friction: JointFriction | None
+    _before: _Simulated
+    _scatter: dict[str, float]  # factors by which deviations are multiplied
+    held_out: tuple[JointRecording, ...] = ()
+
+    def remarks(self) -> list[Remark]:
+        """Quantities about which the recordings disagree, and remarks on the others."""
+        names = ", ".join(f"{name} ({ratio:.2g})" for name, ratio in self._scatter.items())
+        text = f"the model is wrong: the recordings disagree by more than the noise allows about {names}; standard "
+        text += "deviations are multiplied by the factors in parentheses"
+        remarks = [Remark.warning("quantities", text)] if names else []
+        return remarks + super().remarks()
+
+    def listings(self) -> list[Listing]:
+        """Estimates, and the error of the simulated angle for each recording, before and after calibration."""
+        recordings = (*self.recordings, *self.held_out)
+        before, after = zip(*(self.simulate(recording).errors for recording in recordings), strict=True)
+        angle = Column("rad", shown="deg", digits=3)
+        used = ["fitted"] * len(self.recordings) + ["held out"] * len(self.held_out)
+        columns: dict[str, tuple[Column, Any]] = {
+            "recording": (Column(), [str(i + 1) for i in range(len(recordings))]),
+            "used as": (Column(), used),
+            "model before": (angle, before),
+            "calibrated": (angle, after),
+        }
+        return [
+            *super().listings(),
+            Listing("root mean square error of the angle simulated from the commands", columns),
+        ]
 
     @property
     def plant(self) -> JointPlant:
@@ -154,10 +177,8 @@ class CommandedCalibration(JointCalibration):
         zero, added = self.quantities["zero"].value, self.quantities["added_mass"].value
         after = _Simulated(dataclasses.replace(self.plant, command_delay=None), self.delay, zero, added)
         substeps = _substeps([motion])
-        before, found = (
-            np.asarray(_angle(one, _padded(motion), substeps))[: motion.angle.size] for one in (self._before, after)
-        )
-        return SimulatedAngles(motion.time, motion.angle, before, found)
+        angles = (np.asarray(_angle(model, _padded(motion), substeps)) for model in (self._before, after))
+        return SimulatedAngles(motion.time, motion.angle, *(angle[: motion.angle.size] for angle in angles))
 
 
 def calibrate_from_commands(
@@ -216,27 +237,30 @@ def calibrate_from_commands(
     medians = (valve.time_constant, rate, delay or _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
     medians += () if friction is None else (friction.torque, friction.presliding)
     problem = _Problem(base, valve, friction, tuple(map(float, medians)))
-    z, covariance, residual, scatter = _solve(problem, motions)
-    _warn_of_scatter(scatter, len(medians))
+    fit, covariance, scatter = _solve(problem, motions)
+    z = fit.z
     full, slope = map(np.asarray, _full_and_slope(base, z))
     wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # keeps what is not estimated
-    found = jax.tree.map(number, _model(problem, jnp.asarray(z)))
-    plant, total = found.plant, {}
+    model = jax.tree.map(number, _model(problem, jnp.asarray(z)))
+    plant, quantities = model.plant, quantities_of(base, full, wide)
+    quantities |= _own_quantities(problem, z, np.sqrt(np.diag(covariance)))
     if friction is not None:
-        middle = float(np.concatenate([one.angle for one in motions]).mean())
-        total["friction.total"] = _total_friction(problem, plant, z, covariance, middle)
+        middle = float(np.concatenate([motion.angle for motion in motions]).mean())
+        quantities["friction.total"] = _total_friction(problem, plant, z, covariance, middle)
     return CommandedCalibration(
-        plant.joint,
-        plant.load,
-        quantities_of(base, full, wide) | _own_quantities(problem, z, np.sqrt(np.diag(covariance))) | total,
-        residual,
-        base,
-        full,
-        wide,
-        plant.valve,
-        found.delay,
-        _Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
-        plant.friction,
+        quantities=quantities,
+        joint=plant.joint,
+        load=plant.load,
+        recordings=tuple(recordings),
+        _problem=base,
+        _estimate=full,
+        _covariance=wide,
+        residual=fit.residual,
+        valve=plant.valve,
+        delay=model.delay,
+        friction=plant.friction,
+        _before=_Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
+        _scatter=_differing(scatter, len(medians)),
     )
 
 
@@ -374,56 +398,37 @@ def _total_friction(problem: _Problem, plant: JointPlant, z: Floats, covariance:
     return JointEstimate(total, math.sqrt(slope @ covariance @ slope), float(np.linalg.norm(slope)), "N*m")
 
 
-def _warn_of_scatter(scatter: Scatter, own: int) -> None:
-    """Warn of valve, delay and load if they differ between the recordings by more than their intervals allow."""
+def _differing(scatter: Scatter, own: int) -> dict[str, float]:
+    """Valve, delay and load that differ between the recordings by more than their intervals allow, and factors."""
     rows = zip(list(_OWN)[:own], scatter.ratio[-own:], scatter.p_value[-own:], strict=True)
-    differing = [f"{name} ({math.sqrt(ratio):.2g})" for name, ratio, p_value in rows if p_value < _DIFFERS]
-    if differing:
-        text = "the model is wrong: the recordings disagree by more than the noise allows"
-        warnings.warn(
-            f"{text} about {', '.join(differing)}; standard deviations are multiplied by the factors in parentheses",
-            McKibbenWarning,
-            stacklevel=3,
-        )
+    return {name: math.sqrt(ratio) for name, ratio, p_value in rows if p_value < _DIFFERS}
 
 
-def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Floats, float, Scatter]:
-    """Estimates, covariance widened by the scatter between recordings, residual angle [rad], and this scatter."""
+def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[OutputErrorFit, Floats, Scatter]:
+    """The fit, its covariance widened by the scatter between recordings, and this scatter."""
     muscles, own = muscle_parameters(problem.base), len(problem.medians)
-    count, substeps, variance = muscles + _SHARED + own, _substeps(motions), _FIRST_VARIANCE
-    padded, sizes = list(map(_padded, motions)), [one.angle.size for one in motions]
-    measured = np.concatenate([one.angle for one in motions])
+    count, substeps = muscles + _SHARED + own, _substeps(motions)
+    padded, sizes = list(map(_padded, motions)), [motion.angle.size for motion in motions]
+    measured = np.concatenate([motion.angle for motion in motions])
     moves = np.vstack([np.zeros(count), _DIFFERENCE * np.eye(count)])
 
     def linearised(z: Floats) -> tuple[Floats, Floats]:
-        """Errors of the angle [rad], and their difference quotients, shape (parameters, samples)."""
-        found = [np.asarray(_angles(problem, z + moves, one, substeps)) for one in padded]
-        angles = np.concatenate([one[:, :size] for one, size in zip(found, sizes, strict=True)], axis=1)
-        return angles[0] - measured, (angles[1:] - angles[0]) / _DIFFERENCE
+        """Errors of the angle [rad], and their difference quotients, shape (samples, parameters)."""
+        simulated = [np.asarray(_angles(problem, z + moves, motion, substeps)) for motion in padded]
+        angles = np.concatenate([angle[:, :size] for angle, size in zip(simulated, sizes, strict=True)], axis=1)
+        return angles[0] - measured, ((angles[1:] - angles[0]) / _DIFFERENCE).T
 
-    def terms(z: Floats) -> tuple[float, Floats, Floats]:
-        """Objective, its gradient, and its Gauss-Newton Hessian."""
-        error, slope = linearised(z)
-        return gauss_newton(error, slope.T, variance, z)
-
-    def begun(strength: float) -> tuple[Floats, float]:
+    def begin(strength: float) -> Floats:
         z = np.zeros(count)
         z[:muscles] = start(problem.base, strength)[:muscles]
         z[list(_OWN).index("valve.rate") - own] = _RATE_START
-        return minimised(terms, z, _FIRST)
+        return z
 
-    z = min((begun(strength) for strength in STARTS[:_STRENGTHS]), key=lambda found: found[1])[0]
-    if not math.isfinite(terms(z)[0]):
-        raise IdentificationError("the simulated joint diverges", remedy="give a model closer to the joint")
-    error = np.zeros(0)
-    for _ in range(_STAGES):
-        z, _ = minimised(terms, z, _ITERATIONS)
-        error = linearised(z)[0]
-        variance = variance_of(np.split(error, np.cumsum(sizes)[:-1]))
-    covariance: Any = np.linalg.inv(terms(z)[2])
-    error, slope = linearised(z)
-    ends = np.cumsum(sizes)[:-1]
-    parts = zip(np.split(error, ends), np.split(slope, ends, axis=1), strict=True)
-    scatter = scatter_between(covariance, [(part @ one / variance, part @ part.T / variance) for one, part in parts])
+    fit = fit_output_error(linearised, [begin(s) for s in STARTS[:_STRENGTHS]], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE)
+    covariance: Any = np.linalg.inv(fit.hessian)
+    parts = zip(fit.errors, fit.slopes, strict=True)
+    scatter = scatter_between(
+        covariance, [(slope.T @ error / fit.variance, slope.T @ slope / fit.variance) for error, slope in parts]
+    )
     wider = np.sqrt(np.maximum(scatter.ratio, 1.0))
-    return z, covariance * np.outer(wider, wider), float(np.sqrt(np.mean(error**2))), scatter
+    return fit, covariance * np.outer(wider, wider), scatter

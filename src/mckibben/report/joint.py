@@ -47,7 +47,8 @@ from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, StiffnessT
 from mckibben.units import bar, deg, kPa, mm
 
 if TYPE_CHECKING:
-    from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
+    from mckibben.calibration import ValveCalibration
+    from mckibben.calibration.estimation import CalibratedJoint
     from mckibben.paper.identification import JointMap
     from mckibben.simulation import Result
 
@@ -397,12 +398,12 @@ def selection(found: Selection) -> Figure:
 
 
 @styled
-def calibration(found: JointCalibration, recordings: Sequence[JointRecording]) -> Figure:
+def calibration(found: CalibratedJoint) -> Figure:
     """Model stiffness before and after calibration over recording time, with 95 % intervals, and its change."""
     figure = blank(DOUBLE, 2.9)
     over_time, over_angle = figure.subplots(1, 2, width_ratios=(2, 1))
     start = 0.0
-    for number, one in enumerate(recordings):
+    for number, one in enumerate(found.recordings):
         angle, pressures = one.angle[::_SAMPLES_APART], one.pressures[::_SAMPLES_APART]
         pair = pressures[:, 0], pressures[:, 1]
         before, wide = found.prior_stiffness(angle, pair)
@@ -430,8 +431,9 @@ def calibration(found: JointCalibration, recordings: Sequence[JointRecording]) -
 
 
 @styled
-def valve_calibration(found: ValveCalibration, recordings: Sequence[JointRecording]) -> Figure:
+def valve_calibration(found: ValveCalibration) -> Figure:
     """Commands, measured and simulated pressures of both muscles over a few seconds of each recording, and errors."""
+    recordings = found.recordings
     figure = blank(DOUBLE, 1.9 * len(recordings) + 0.8)
     rows = figure.subplots(len(recordings), 2, squeeze=False, width_ratios=(2, 1))
     number = 0
