@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Extrapolate, parse_optional_quantity, parse_quantity
+from mckibben.cli.options import Extrapolate, parse_optional_quantity
 
 if TYPE_CHECKING:
     from mckibben.reachability import Envelope, Selection
@@ -17,23 +17,19 @@ if TYPE_CHECKING:
 @command
 def envelope(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with the joint and reference.")],
-    margin: Annotated[
-        str, Option(metavar="FRACTION", help="Margin of nearest references to both ends of the stiffness band.")
-    ] = "5 %",
     smoothing: Annotated[
         str, Option(metavar="TIME", help="Smoothing of jumps and corners. Default: the narrowest trackable one.")
     ] = "",
     extrapolate: Extrapolate = False,
 ) -> Envelope:
     """Show the attainable set, whether the reference is trackable, and the nearest feasible references."""
-    fraction = parse_quantity("--margin", margin, "1")
     width = parse_optional_quantity("--smoothing", smoothing, "s")
     from mckibben import reachability
     from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
     read = read.with_extrapolation() if extrapolate else read
-    return reachability.envelope(read, margin=fraction, smoothing=width)
+    return reachability.envelope(read, smoothing=width)
 
 
 @command

@@ -1,9 +1,5 @@
 from .envelope import Envelope as Envelope
 from .envelope import envelope as envelope
-from .envelope import save_reference as save_reference
-from .feasible import FeasibleReference as FeasibleReference
-from .feasible import Preserved as Preserved
-from .feasible import nearest_references as nearest_references
 from .lengths import design_lengths as design_lengths
 from .requirement import LengthRange as LengthRange
 from .requirement import Make as Make

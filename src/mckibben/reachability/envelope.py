@@ -2,52 +2,53 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections import Counter
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Callable, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.component.calls import checked_call
-from mckibben.control import Constant, Multisine, Reference, SamplesFile, Signal, Sine, Step
-from mckibben.errors import RangeError, UnreachableError
+from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import unattainable
 from mckibben.muscle import Muscle
-from mckibben.reachability.feasible import FeasibleReference, Preserved, check_margin, find_nearest
+from mckibben.plant import JointPlant
 from mckibben.reachability.static import StaticEnvelope, Values, static_envelope
-from mckibben.reachability.trackability import Trackability, TrackabilityChecker
-from mckibben.result import Column, Listing, Remark, Result
-from mckibben.scenario import Scenario, Start
-from mckibben.storage.files import atomic_write
+from mckibben.reachability.trackability import Trackability, TrackabilityChecker, bands_along
+from mckibben.reachability.trajectory import ReferenceTrajectory
+from mckibben.result import Column, Listing, Remark, Result, column
+from mckibben.scenario import Scenario
 from mckibben.units import bar, deg
 
 _ENDS = "lowest", "highest"
+_NONE = "no smaller or slower motion about the same centre, and no constant stiffness along it, is trackable either"
 
 
 class Envelope(Result):
-    """Reachability of a scenario: static envelope of its joint, check of its reference and nearest feasible references.
+    """Reachability of a scenario: static envelope of its joint, check of its reference, and what would be trackable.
 
     Attributes
     ----------
     static, trackability
         Static envelope of the joint, and the check of the reference.
-    nearest
-        Feasible references; empty if the reference is trackable or no state is static.
+    amplitude, speed
+        Largest factors, each alone, on the amplitude of the angle about its centre and on the speed, to 0.001, with
+        which the reference is trackable; NaN if there is none.
+    stiffness
+        Constant stiffness [N*m/rad] that is trackable along the reference, lowest and highest; None if there is none.
     """
 
     scenario: Scenario
     static: StaticEnvelope
     trackability: Trackability
-    nearest: tuple[FeasibleReference, ...]
+    amplitude: float = column("1", "trackable factor on the amplitude", digits=3)
+    speed: float = column("1", "trackable factor on the speed", digits=3)
+    stiffness: tuple[float, float] | None
 
     figures = ("envelope",)
-    files = tuple(f"nearest-{kind.name.lower()}.{end}" for kind in Preserved for end in ("yaml", "csv"))
 
     def verdict(self) -> str:
         """Verdict on the reference, in words."""
@@ -58,23 +59,25 @@ class Envelope(Result):
         return self.trackability.verdict()
 
     def remarks(self) -> list[Remark]:
-        """Active limits at both ends of the attainable stiffness with remedies, and remarks on the joint."""
+        """Trackable changes, active limits at both ends of the attainable stiffness with remedies, and the joint's."""
         static, plant = self.static, self.scenario.plant()
         if not static.exists:
             return []
+        remarks = []
+        if not self.trackability.trackable:
+            nearest = [
+                *([f"with a constant stiffness of {_range(self.stiffness)}"] if self.stiffness else []),
+                *([f"at {self.amplitude:.3g} of its amplitude"] if self.amplitude > 0 else []),
+                *([f"at {self.speed:.3g} of its speed"] if self.speed > 0 else []),
+            ]
+            text = f"the reference is trackable, each alone, {', '.join(nearest)}" if nearest else _NONE
+            remarks.append(Remark.warning("reference", text))
         ends = [end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest)]
         limits = active_limits(plant.supplied_joint, plant.muscles, static.angles[static.inside], ends)
-        missing = not self.trackability.trackable and not self.nearest
-        return [
-            *(Remark.note("stiffness", text) for text in (*limits, *self.scenario.joint.remarks)),
-            *(
-                [Remark.warning("reference", "no smaller or slower motion about its centre is feasible either")]
-                * missing
-            ),
-        ]
+        return remarks + [Remark.note("stiffness", text) for text in (*limits, *self.scenario.joint.remarks)]
 
     def listings(self) -> list[Listing]:
-        """Static envelope at no more than 11 angles, and the nearest feasible references."""
+        """Trackable factors, and the static envelope at no more than 11 angles."""
         static, at = self.static, self.static.table_rows()
         torque, stiffness = Column("N*m", digits=3), Column("N*m/rad")
         bands = {"torque": (torque, static.torque_range), "stiffness": (stiffness, static.stiffness)}
@@ -92,23 +95,11 @@ class Envelope(Result):
                 for i in (0, 1)
             }
             columns |= pair
-        rows = [(near.preserved.name.lower(), near.describe(), near.amplitude, near.speed) for near in self.nearest]
-        preserved, changes, amplitude, speed = zip(*rows, strict=True) if rows else ((), (), (), ())
-        nearest = {
-            "preserved": (Column(), preserved),
-            "changes": (Column(), changes),
-            "amplitude": (Column("1"), amplitude),
-            "speed": (Column("1"), speed),
-        }
-        return [
-            Listing("static envelope", columns),
-            *([Listing("nearest feasible references", nearest)] if rows else []),
-        ]
+        return [*super().listings(), Listing("static envelope", columns)]
 
-    def write(self, folder: Path) -> None:
-        """Write each nearest reference as a scenario, with its samples."""
-        for near in self.nearest:
-            save_reference(self.scenario, near, folder, f"nearest-{near.preserved.name.lower()}")
+
+def _range(stiffness: tuple[float, float]) -> str:
+    return f"{stiffness[0]:.4g}..{stiffness[1]:.4g} N*m/rad"
 
 
 _MEASURED = "measured pressure"
@@ -169,30 +160,27 @@ def active_limits(
 
 
 @checked_call
-def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | None = None) -> Envelope:
-    """Compute static envelope, trackability and nearest feasible references of a scenario.
+def envelope(scenario: Scenario, *, smoothing: float | None = None) -> Envelope:
+    """Compute static envelope, trackability and trackable changes of the reference of a scenario.
 
-    Raises `RangeError` if the margin or the smoothing is out of range, or the controller has a `stiffness_amplitude`.
+    Raises `RangeError` if the smoothing is not positive, or the controller has a `stiffness_amplitude`.
 
     Parameters
     ----------
     scenario
         Joint, load, valve, reference and times; the controller is ignored.
-    margin
-        See `nearest_references`.
     smoothing
         Smoothing of jumps and corners [s], see `check_trackability`.
 
     Examples
     --------
     >>> found = envelope(Scenario.read("examples/pre-contracted-step-pid.yaml"))
-    >>> found.trackability.trackable, found.nearest
-    (True, ())
+    >>> found.trackability.trackable, found.amplitude, found.speed
+    (True, 1.0, 1.0)
     >>> print(found.verdict())
     trackable throughout: statically, dynamically and within the rate limit of the valves; jump or corner at 5 s
     smoothed over 16.6 ms
     """
-    check_margin(margin)
     if scenario.controller.stiffness_amplitude is not None:
         raise RangeError(
             "the envelope uses the isobaric stiffness, but the controller uses the stiffness of a motion",
@@ -205,60 +193,26 @@ def envelope(scenario: Scenario, *, margin: float = 0.05, smoothing: float | Non
     checker = TrackabilityChecker.of(plant, scenario.duration, scenario.control_period)
     checked = checker.check(reference, smoothing)
     static = static_envelope(plant, about=float(np.mean(checked.trajectory.angle)))
-    searched = static.exists and not checked.trackable
-    return Envelope(scenario, static, checked, find_nearest(checker, reference, checked, margin) if searched else ())
+    low, high = np.max(checked.bands.rate_limited.lowest), np.min(checked.bands.rate_limited.highest)
+
+    def largest(change: str) -> float:
+        return _largest(lambda factor: _is_trackable(plant, checked.trajectory.scaled(**{change: factor})))
+
+    factors = [1.0 if checked.trackable else largest(change) for change in ("amplitude", "speed")]
+    return Envelope(scenario, static, checked, *factors, (float(low), float(high)) if low <= high else None)
 
 
-def save_reference(scenario: Scenario, found: FeasibleReference, folder: Path, name: str) -> list[str]:
-    """Write a scenario with a feasible reference and its samples as a CSV file; return the file names.
-
-    The run starts at rest at the first angle and stiffness; a slower reference takes longer.
-    """
-    table = folder / f"{name}.csv"
-    signals = found.reference.angle, found.reference.stiffness
-    sampled = any(map(_is_sampled, signals))
-    if sampled:
-        _write_samples(table, found)
-    angle, stiffness = (
-        SamplesFile(table, name) if _is_sampled(signal) else jax.tree.map(float, signal)
-        for name, signal in zip(("angle", "stiffness"), signals, strict=True)
-    )
-    trajectory = found.trackability.trajectory
-    periods = math.ceil(scenario.duration / found.speed / scenario.control_period - 1e-9)
-    update = {
-        "name": f"{scenario.name[:150]}, nearest, {found.preserved.name.lower()} preserved",
-        "signals": Reference(angle, stiffness),
-        "start": Start(angle=float(trajectory.angle[0]), stiffness=float(trajectory.stiffness[0])),
-        "duration": scenario.duration if found.speed == 1 else periods * scenario.control_period,
-    }
-    changed = scenario.model_copy(update=update)
-    if not _has_initial_state(changed):  # a reference that begins in motion may need a torque different from rest
-        changed = changed.model_copy(update={"start": Start(angle=float(trajectory.angle[0]))})
-    changed.to_yaml(folder / f"{name}.yaml")
-    return [f"{name}.yaml", *([table.name] if sampled else [])]
+def _is_trackable(plant: JointPlant, trajectory: ReferenceTrajectory) -> bool:
+    band = bands_along(plant, trajectory).rate_limited
+    return bool(np.all(band.violation(trajectory.stiffness) == 0))
 
 
-def _has_initial_state(scenario: Scenario) -> bool:
-    try:
-        scenario.initial(scenario.plant())
-    except (UnreachableError, ValueError):
-        return False
-    return True
-
-
-def _is_sampled(signal: Signal) -> bool:
-    return not isinstance(signal, Constant | Sine | Multisine | Step)
-
-
-def _write_samples(path: Path, found: FeasibleReference) -> None:
-    columns = {"time_s": found.times}
-    for title, signal, unit in (
-        ("angle_deg", found.reference.angle, deg),
-        ("stiffness_N*m/rad", found.reference.stiffness, 1.0),
-    ):
-        if _is_sampled(signal):
-            columns[title] = np.asarray(signal(found.times), float) / unit
-    with atomic_write(path, overwrite=True) as part, part.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([f"{value:.9g}" for value in row] for row in zip(*columns.values(), strict=True))
+def _largest(trial: Callable[[float], bool]) -> float:
+    """Largest factor up to 1, to 0.001, that passes, if smaller ones do; NaN if even 0.001 does not."""
+    low, high = 1, 1000  # thousandths
+    if not trial(low / 1000):
+        return math.nan
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if trial(middle / 1000) else (low, middle)
+    return low / 1000

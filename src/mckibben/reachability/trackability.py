@@ -276,20 +276,11 @@ class TrackabilityChecker:
         """Sample period [s]."""
         return float(self.times[1]) if self.times.size > 1 else 1.0
 
-    def slowed(self, speed: float) -> TrackabilityChecker:
-        """Checker of a slower, longer run with the same number of samples."""
-        return self if speed == 1 else TrackabilityChecker(self.plant, self.times / speed, self.checked)
-
     def trajectory(self, reference: Reference, smoothing: float) -> ReferenceTrajectory:
         """The reference trajectory at the checked samples."""
         whole = reference_trajectory(reference, self.times, smoothing=smoothing)
         series = {name: value[self.checked] for name, value in vars(whole).items() if name != "smoothing"}
         return ReferenceTrajectory(**series, smoothing=smoothing)
-
-    def static_trajectory(self, angle: Values) -> ReferenceTrajectory:
-        """Trajectory at rest at each of the given angles."""
-        rest = np.zeros_like(angle)
-        return ReferenceTrajectory(self.times[self.checked], angle, rest, rest, rest, rest, rest, _MIN_SMOOTHING)
 
     def breakpoints(self, reference: Reference) -> Values:
         """Jumps and corners of a reference [s]."""

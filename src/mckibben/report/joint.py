@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 from mckibben.control import Constant, Sine
 from mckibben.reachability import (
     Envelope,
-    FeasibleReference,
-    Preserved,
     Selection,
     StaticEnvelope,
     static_envelope,
@@ -27,9 +25,7 @@ from mckibben.report.style import (
     BLUE,
     DESIRED,
     DOUBLE,
-    GREEN,
     ORANGE,
-    PURPLE,
     VERMILLION,
     beside,
     blank,
@@ -167,22 +163,12 @@ def _path(result: Result, reference: str) -> Sequence[tuple[str, NDArray[np.floa
     ]
 
 
-_STATIC, _DYNAMIC, _NEAREST = "#DCE9F2", "#9CC3E0", "#BFE3D5"
-_NAMES = {
-    Preserved.ANGLE: "nearest, angle preserved",
-    Preserved.AMPLITUDE: "nearest, amplitude preserved",
-    Preserved.STIFFNESS: "nearest, stiffness preserved",
-}
-_LOOKS: dict[Preserved, dict[str, Any]] = {
-    Preserved.ANGLE: {"color": GREEN, "linestyle": "-", "linewidth": 1.3},
-    Preserved.AMPLITUDE: {"color": ORANGE, "linestyle": (0, (5, 1.2)), "linewidth": 1.3},
-    Preserved.STIFFNESS: {"color": PURPLE, "linestyle": (0, (3, 1, 1, 1)), "linewidth": 1.3},
-}
+_STATIC, _DYNAMIC = "#DCE9F2", "#9CC3E0"
 
 
 @styled
 def envelope(found: Envelope) -> Figure:
-    """Attainable set of a scenario's joint, its reference, and the nearest feasible references."""
+    """Attainable set of a scenario's joint, and its reference."""
     figure = blank(DOUBLE, 5.8)
     (torque, stiffness), (over_time, angle) = figure.subplots(2, 2)
     _torque(figure, torque, found)
@@ -226,9 +212,6 @@ def _over_angle(axes: Axes, found: Envelope) -> None:
     else:
         axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
     axes.plot(motion.angle / deg, motion.stiffness, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
-    for near in found.nearest:
-        moved, kind = near.trackability.trajectory, near.preserved
-        axes.plot(moved.angle / deg, moved.stiffness, label=_NAMES[kind], zorder=4, **_LOOKS[kind])
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     if holds.small_motion is None:
         _limits(axes, *(edge[inside] for edge in holds.stiffness), motion.stiffness)
@@ -256,15 +239,7 @@ def _over_time(axes: Axes, found: Envelope) -> None:
     look = {"color": _DYNAMIC, "label": "attainable, reference motion", "zorder": 1}
     draw_band(axes, times, *(edge[shown] for edge in bands.rate_limited), **look)
     edges = [edge[shown] for edge in (*bands.static, *bands.rate_limited)]
-    if found.nearest:
-        following = found.nearest[0].trackability
-        kept = following.trajectory.times <= times[-1]
-        low, high = (edge[kept] for edge in following.bands.rate_limited)
-        draw_band(axes, following.trajectory.times[kept], low, high, color=_NEAREST, label="attainable, nearest motion")
-        edges += [low, high]
     axes.plot(times, motion.stiffness[shown], label="reference", **DESIRED)
-    for near in found.nearest:
-        _along(axes, near, near.trackability.trajectory.stiffness, times[-1])
     axes.set(xlabel="time [s]", ylabel=_STIFFNESS)
     axes.set_xlim(times[0], times[-1])
     _limits(axes, *edges, motion.stiffness[shown])
@@ -277,8 +252,6 @@ def _angle(axes: Axes, found: Envelope) -> None:
     if holds.angle_min <= holds.angle_max:
         axes.axhspan(holds.angle_min / deg, holds.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
     axes.plot(times, motion.angle[shown] / deg, label="reference", **DESIRED)
-    for near in found.nearest:
-        _along(axes, near, near.trackability.trajectory.angle / deg, times[-1])
     axes.set(xlabel="time [s]", ylabel=_ANGLE)
     axes.set_xlim(times[0], times[-1])
 
@@ -289,12 +262,6 @@ def _shown(found: Envelope) -> slice:
     if not (isinstance(sine, Sine) and sine.frequency and isinstance(found.scenario.signals.stiffness, Constant)):
         return slice(None)
     return slice(0, max(int(np.searchsorted(times, times[0] + 2 / sine.frequency)), 2))
-
-
-def _along(axes: Axes, found: FeasibleReference, values: np.ndarray, until: float) -> None:
-    times = found.trackability.trajectory.times
-    kept = times <= until
-    axes.plot(times[kept], values[kept], label=_NAMES[found.preserved], zorder=4, **_LOOKS[found.preserved])
 
 
 def _limits(axes: Axes, *curves: np.ndarray) -> None:
