@@ -46,7 +46,7 @@ def plan(
         Option(
             "--for",
             metavar="QUANTITY",
-            help="Quantity of interest: 'coefficients', or names such as 'decay'; 'force', or 'force at 0..10 %, "
+            help="Quantity of interest: a coefficient such as 'decay'; 'force', or 'force at 0..10 %, "
             "3..6 bar'; 'stiffness' or 'torque', or 'stiffness at 5 deg, 2 bar, 4 bar'.",
         ),
     ] = "force",

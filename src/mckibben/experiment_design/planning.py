@@ -11,11 +11,11 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.experiment_design.candidates import REPEATS, CandidateSet, StateGrid, design_region
 from mckibben.experiment_design.information import (
-    DesignCriterion,
     ErrorEstimator,
     ExchangeProblem,
     Floats,
     IdentifiableSubspace,
+    condensed,
     exchange,
     information_matrix,
 )
@@ -63,7 +63,7 @@ def plan(
     data
         Measured points, or a fit to them.
     quantity
-        `Coefficients`, `Force`, `JointStiffness` or `JointTorque`.
+        `Coefficient`, `Force`, `JointStiffness` or `JointTorque`.
     law_type
         Kind of law. Default: that of the fit.
     points
@@ -97,10 +97,10 @@ def plan(
     Examples
     --------
     >>> from mckibben import catalog
-    >>> from mckibben.experiment_design import Coefficients
+    >>> from mckibben.experiment_design import Coefficient
     >>> from mckibben.muscle import ExponentialLaw
     >>> data = catalog.dataset("dmsp-10-250-martens2017")
-    >>> found = plan(data, Coefficients(("decay",)), ExponentialLaw, points=4)
+    >>> found = plan(data, Coefficient("decay"), ExponentialLaw, points=4)
     >>> found.error_after < found.error_now
     True
     """
@@ -121,17 +121,17 @@ def plan(
     gradients = np.pad(linear.gradients, ((0, 0), (0, prior.friction)))  # friction itself is of no interest
     subspace = IdentifiableSubspace.of(np.concatenate([candidates.rows[::REPEATS], prior.rows]))
     _check_identifiable(quantity, gradients, subspace, prior)
-    criterion = DesignCriterion.of(gradients @ subspace.basis, linear.d_optimal)
+    wanted = condensed(gradients @ subspace.basis)
     weakest = 1 / (_PRIOR * float(states.force[states.allowed].max())) ** 2, _ROUNDING / prior.noise.point**2
     weak = np.eye(subspace.basis.shape[1]) * max(weakest)
     known = information_matrix(prior.rows @ subspace.basis, prior.strokes, prior.noise)
     rows = candidates.rows @ subspace.basis
-    problem = ExchangeProblem(rows, candidates.strokes, known + weak, prior.noise, criterion)
+    problem = ExchangeProblem(rows, candidates.strokes, known + weak, prior.noise, wanted)
     estimator = ErrorEstimator(known, weak)
 
     chosen = exchange(problem, points)
     added = [problem.added(chosen[: i + 1]) for i in range(points)]
-    errors = [estimator.error(criterion), *(estimator.error(criterion, more) for more in added)]
+    errors = [estimator.error(wanted), *(estimator.error(wanted, more) for more in added)]
     unit_vectors = np.eye(len(prior.names))
     unidentifiable = subspace.unidentifiable_part(unit_vectors) > _UNIDENTIFIABLE
     now, after = (
@@ -165,7 +165,6 @@ def plan(
             *notes,
             *linear.warnings,
             *_overload_note([point.force for point in planned], risky, region.force_max),
-            *_gain_note(errors, linear.values),
         ),
         measured=prior.measured,
         map=maps,
@@ -183,16 +182,6 @@ def _gain(before: float, after: float) -> float:
     if math.isinf(before):
         return 0.0 if math.isinf(after) else 1.0
     return 1 - after / before
-
-
-def _gain_note(errors: list[float], values: Floats) -> list[str]:
-    if math.isinf(errors[-1]):
-        return ["the quantity remains undetermined with these points: plan more points"]
-    if math.isfinite(errors[0]) and errors[-1] > 0.99 * errors[0]:
-        return ["the gain is small: these points reduce the standard error by less than 1 %"]
-    if len(values) == 1 and math.isfinite(errors[0]) and errors[0] > abs(values[0]):
-        return ["the standard error exceeds the value: measure a few of these points, then plan again"]
-    return []
 
 
 def _overload_note(force: list[float], errors: Floats, force_max: float) -> list[str]:

@@ -16,6 +16,7 @@ from mckibben.experiment_design.information import Floats
 from mckibben.identification.intervals import force_gradients
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
+from mckibben.muscle.base import Parameter
 from mckibben.study.uncertainty import torque_and_stiffness_gradients
 from mckibben.units import bar, deg, parse_range, quantity
 
@@ -29,7 +30,6 @@ class LinearizedQuantity:
 
     gradients: Floats = field(repr=False)  # (values, parameters), in SI
     values: Floats = field(repr=False)  # (values,)
-    d_optimal: bool = False  # volume of the joint confidence region, for values of several units
     # (states, 2): contraction [-] and pressure [Pa] of the muscle that it depends on
     states: Floats = field(default_factory=lambda: np.empty((0, 2)), repr=False)
     warnings: tuple[str, ...] = ()  # on its value
@@ -44,39 +44,33 @@ class QuantityOfInterest(abc.ABC):
 
     @abc.abstractmethod
     def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
-        """Unit of its standard error in SI, and the shown one; empty for values of several units."""
+        """Unit of its standard error in SI, and the shown one."""
 
 
 @dataclass(frozen=True)
-class Coefficients(QuantityOfInterest):
-    """Parameters of the law (default: all): c-optimal for one, D-optimal for several (independent of their units)."""
+class Coefficient(QuantityOfInterest):
+    """A parameter of the law (c-optimal)."""
 
-    names: tuple[str, ...] = ()
+    name: str
 
     def __str__(self) -> str:
-        return ", ".join(self.names) or "all coefficients"
+        return self.name
 
     def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
-        names = self._known(law_type)
-        units = {p.name: (p.unit, p.shown) for p in law_type.parameters()}
-        return units[names[0]] if len(names) == 1 else ("", "")
+        parameter = self._parameter(law_type)
+        return parameter.unit, parameter.shown
 
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
-        known = [p.name for p in type(law).parameters()]
-        names = self._known(type(law))
-        gradients = np.eye(len(known))[[known.index(name) for name in names]]
-        return LinearizedQuantity(
-            gradients, np.array([float(getattr(law, name)) for name in names]), d_optimal=len(names) > 1
-        )
+        self._parameter(type(law))
+        gradients = np.array([[float(p.name == self.name) for p in type(law).parameters()]])
+        return LinearizedQuantity(gradients, np.array([float(getattr(law, self.name))]))
 
-    def _known(self, law_type: type[ForceLaw]) -> tuple[str, ...]:
-        known = [p.name for p in law_type.parameters()]
-        for name in self.names:
-            if name not in known:
-                raise ParameterError(
-                    f"{law_type.__name__} has no coefficient {name!r}", value=name, remedy=f"it has {', '.join(known)}"
-                )
-        return self.names or tuple(known)
+    def _parameter(self, law_type: type[ForceLaw]) -> Parameter:
+        known = {p.name: p for p in law_type.parameters()}
+        if self.name not in known:
+            message = f"{law_type.__name__} has no coefficient {self.name!r}"
+            raise ParameterError(message, value=self.name, remedy=f"it has {', '.join(known)}")
+        return known[self.name]
 
 
 @dataclass(frozen=True)
@@ -195,7 +189,7 @@ def parse_quantity_of_interest(
     Parameters
     ----------
     text
-        "coefficients", or names such as "decay" or "a1, a2"; "force", or "force at 0..10 %, 3..6 bar"; "stiffness" or
+        A coefficient such as "decay"; "force", or "force at 0..10 %, 3..6 bar"; "stiffness" or
         "torque", or either "at 5 deg, 3 bar" (both muscles), "at -10..10 deg, 2 bar, 4 bar" (muscles 1 and 2). The
         default is 0 deg and 3 bar.
     law_type
@@ -224,7 +218,7 @@ def parse_quantity_of_interest(
     kind, _, place = (part.strip() for part in text.partition(" at "))
     parts = [part.strip() for part in place.split(",")] if place else []
     if kind not in _FORMS:
-        return _coefficients(text, law_type)
+        return _coefficient(text, law_type)
     if len(parts) not in _FORMS[kind]:
         raise ParameterError(f"{text!r} has {len(parts)} values", value=text, remedy=_PLACES[kind == "force"])
     try:
@@ -246,16 +240,13 @@ _FORMS = {"force": (0, 2), "stiffness": (0, 1, 2, 3), "torque": (0, 1, 2, 3)}
 _PLACES = "write an angle and pressures, 'at 5 deg, 2 bar, 4 bar'", "write 'force at 0..10 %, 3..6 bar'"
 
 
-def _coefficients(text: str, law_type: type[ForceLaw]) -> Coefficients:
+def _coefficient(text: str, law_type: type[ForceLaw]) -> Coefficient:
     known = {p.name.lower(): p.name for p in law_type.parameters()}
-    names = [part.strip().lower() for part in text.split(",")]
-    if names == ["coefficients"]:
-        return Coefficients()
-    if not all(name in known for name in names):
+    if (name := text.strip().lower()) not in known:
         raise ParameterError(
             f"{text!r} is not a quantity of interest",
             value=text,
-            remedy="give stiffness, torque, force, coefficients, or names of coefficients; "
+            remedy="give stiffness, torque, force, or a coefficient; "
             f"{law_type.__name__} has {', '.join(known.values())}",
         )
-    return Coefficients(tuple(known[name] for name in names))
+    return Coefficient(known[name])

@@ -19,7 +19,6 @@ from mckibben.result import Column, Listing, Remark, Result
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, factor, percent
 
-_SAME_PLACE = 0.1 * percent  # contractions closer than this count as one position
 _UNCERTAIN = 2.0  # standard errors of the force, relative to the noise of a point
 
 
@@ -56,8 +55,7 @@ class ExperimentPlan(Result):
     """Result of `plan`.
 
     Standard errors [SI] are expected for a fit to all points, linearised in the parameters; infinite where
-    undetermined. For several values they are the root of the mean variance; for several coefficients the geometric mean
-    over the axes of their joint confidence region, of which only ratios are meaningful.
+    undetermined. For several values they are the root of the mean variance.
 
     Attributes
     ----------
@@ -101,23 +99,18 @@ class ExperimentPlan(Result):
 
     @property
     def unit(self) -> str:
-        """Unit of the standard error in texts; empty if only ratios are meaningful."""
+        """Unit of the standard error in texts."""
         return self.quantity.unit(type(self.law))[1]
 
     def verdict(self) -> str:
         """Standard error now and after, as a sentence."""
         count = f"{len(self.points)} point{'s' if len(self.points) > 1 else ''}"
-        if self.unit:
-            value = "" if self.value is None else f" {self.value / factor(self.unit):.4g} {self.unit},"
-            now, after = self._error(self.error_now), self._error(self.error_after)
-            return f"{self.quantity}:{value} standard error now {now}; after these {count} {after}"
-        if not np.isfinite(self.error_now):
-            after = "determined" if np.isfinite(self.error_after) else "not determined either"
-            return f"{self.quantity}: not determined now; after these {count} {after}"
-        return (
-            f"{self.quantity}: these {count} reduce the standard errors (geometric mean) to "
-            f"{self.error_after / self.error_now:.2f} of the present ones"
+        value = "" if self.value is None else f" {self.value / factor(self.unit):.4g} {self.unit},"
+        now, after = (
+            f"{error / factor(self.unit):.3g} {self.unit}" if np.isfinite(error) else "not determined"
+            for error in (self.error_now, self.error_after)
         )
+        return f"{self.quantity}:{value} standard error now {now}; after these {count} {after}"
 
     def remarks(self) -> list[Remark]:
         """Assumptions of the plan, and limits of the prior data."""
@@ -129,8 +122,6 @@ class ExperimentPlan(Result):
     def listings(self) -> list[Listing]:
         """Points in order of gain, and the standard errors of the parameters."""
         si, _ = self.quantity.unit(type(self.law))
-        unit = Column(si or "1", shown=self.unit, digits=3)
-        size = 1.0 if self.unit or not np.isfinite(self.error_now) else self.error_now  # only ratios are meaningful
         rows = self.points
         columns: dict[str, tuple[Column, Any]] = {
             "pressure": (Column("Pa", shown="bar"), [row.pressure for row in rows]),
@@ -138,7 +129,7 @@ class ExperimentPlan(Result):
             "direction": (Column(), [row.direction or "either" for row in rows]),
             "pass": (Column(), [row.repeat + 1 for row in rows]),
             "force": (Column("N", digits=3), [row.force for row in rows]),
-            "standard error after it": (unit, [row.standard_error / size for row in rows]),
+            "standard error after it": (Column(si, shown=self.unit, digits=3), [row.standard_error for row in rows]),
             "gain": (Column("1", shown="%", digits=3), [row.gain for row in rows]),
         }
         parameters = type(self.law).parameters()
@@ -162,9 +153,6 @@ class ExperimentPlan(Result):
             lines.append(f"{numbers},{p.direction or 'unknown'},{p.repeat},{p.force:.1f},{i + 1}")
         with atomic_write(folder / "plan.csv", overwrite=True) as part:
             part.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
-
-    def _error(self, error: float) -> str:
-        return f"{error / factor(self.unit):.3g} {self.unit}" if np.isfinite(error) else "not determined"
 
 
 def _rig_order(point: PlannedPoint) -> tuple[Any, ...]:
@@ -226,11 +214,8 @@ def _force_diagnostics(states: StateGrid, errors: Floats, noise: float) -> list[
 
 
 def _coverage_diagnostics(points: IsobaricDataset, measured: IsobaricDataset, states: StateGrid) -> list[str]:
-    """Missing ends of the range, slack pressures, and missing directions, repeats and times."""
+    """Missing ends of the range, and missing directions."""
     texts = []
-    slack = [f"{p / bar:.4g}" for p in measured.pressures if measured.slack[measured.levels == p].all()]
-    if slack:
-        texts.append(f"at {', '.join(slack)} bar all points are slack and carry no information on the force")
     if not len(points):
         return [*texts, "no point is taut: the force is not determined anywhere"]
     rows, columns = states.places.T
@@ -242,12 +227,6 @@ def _coverage_diagnostics(points: IsobaricDataset, measured: IsobaricDataset, st
     elif len(directions) == 1:
         other = "unloading" if directions[0] == "loading" else "loading"
         texts.append(f"all points are {directions[0]}: friction is not distinguished from force; measure {other} too")
-    places = [np.round(points.contraction / _SAME_PLACE), points.levels]
-    places += [np.unique(points.table["direction"].to_numpy(), return_inverse=True)[1]] if directions else []
-    if len(np.unique(np.stack(places), axis=1).T) == len(points):
-        texts.append("no repeated points: model error is not distinguished from noise")
-    if "time" not in measured.table:
-        texts.append("times are not recorded: drift and creep cannot be identified")
     return texts
 
 
