@@ -99,8 +99,6 @@ class JointPrior(Checked):
     lag, rate, delay, damping
         For recordings of commands: logarithms of the valve's time constant, of its rate limit, of the delay about 20
         ms, and of the load's damping. `mass` then refers to the logarithms of inertia and gravity.
-    joint_friction, joint_presliding
-        For recordings of commands: logarithms of torque and presliding angle of the joint's own friction.
     valve, supply, polytropic_index, critical_ratio
         For `calibrate_valves`: logarithms of these quantities, and of all others of a valve.
     volume, pressure_zero
@@ -125,8 +123,6 @@ class JointPrior(Checked):
     rate: Strength = 1.0
     delay: Strength = 1.0
     damping: Strength = 1.0
-    joint_friction: Strength = 1.0
-    joint_presliding: Strength = 0.7
     valve: Strength = 0.7
     supply: Strength = 0.05
     polytropic_index: Strength = 0.08

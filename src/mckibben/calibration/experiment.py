@@ -369,9 +369,6 @@ def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario
         load = _general(found.load)
         valve = replaced(scenario.valve, {name: getattr(found.valve, name) for name in ("time_constant", "rate")})
         update: dict[str, Any] = {"joint": model, "load": load, "valve": valve, "command_delay": found.delay}
-        if found.friction is not None:
-            rows = {name: getattr(found.friction, name) for name in ("torque", "presliding")}
-            update["friction"] = replaced(scenario.friction, rows)
         update["controller"] = with_fields(scenario.controller, {"load": load, "model": model})
         return scenario.model_copy(update=update)
     mass, load = found.load.adapted_mass, field_of(control, "load")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -57,15 +57,13 @@ _RATE_START = -1.5  # prior standard deviations: a limit that acts on large step
 _STRENGTHS = 3  # starts
 _FRICTION = 2 * COEFFICIENTS  # index of the half width among a muscle's parameters
 _SHARED = 3  # parameters other than the muscles' shared with `corrected`: weight, zero and scale of the arms
-_OWN = {  # units, and fields of the prior; the friction's only if the joint has its own friction
+_OWN = {  # units, and fields of the prior
     "valve.time_constant": ("s", "lag"),
     "valve.rate": ("Pa/s", "rate"),
     "delay": ("s", "delay"),
     "load.damping": ("N*m*s/rad", "damping"),
     "load.inertia": ("kg*m^2", "mass"),
     "load.gravity_torque": ("N*m", "mass"),
-    "friction.torque": ("N*m", "joint_friction"),
-    "friction.presliding": ("rad", "joint_presliding"),
 }
 
 
@@ -121,14 +119,12 @@ class CommandedCalibration(CalibratedJoint):
     quantities
         As for `JointCalibration`, and ``valve.time_constant``, ``valve.rate``, ``delay``, ``load.damping``,
         ``load.inertia``, ``load.gravity_torque``, with prior deviations relative to the estimates; no ``load.mass``.
-        With friction of the joint ``friction.torque`` and ``friction.presliding``, and ``friction.total`` [N*m], the
-        sum of its torque and of the muscles' half widths times their moment arms.
     residual
         Root mean square of the error of the simulated angle [rad].
     valve, delay
         The valve with the estimates, and the delay [s] of its commands.
     friction
-        Friction of the joint itself with the estimates; None if the initial model has none.
+        Friction of the joint itself, which is not estimated; None if it has none.
     held_out
         Recordings that were not fitted, which `listings` simulates, too.
     """
@@ -211,7 +207,7 @@ def calibrate_from_commands(
     prior
         Prior standard deviations; choose larger ones than the default for a joint with poorly known muscles.
     friction
-        Dry friction of the joint itself; its torque and presliding angle are then estimated.
+        Dry friction of the joint itself, which is not estimated.
     delay
         Delay of the commands in the initial model [s]. Default: a prior about 20 ms.
 
@@ -235,7 +231,6 @@ def calibrate_from_commands(
     damping = rigid.damping or rigid.inertia / _DAMPING_TIME
     rate = highest / valve.time_constant if valve.rate is None else valve.rate
     medians = (valve.time_constant, rate, delay or _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
-    medians += () if friction is None else (friction.torque, friction.presliding)
     problem = _Problem(base, valve, friction, tuple(map(float, medians)))
     fit, covariance, scatter = _solve(problem, motions)
     z = fit.z
@@ -244,9 +239,6 @@ def calibrate_from_commands(
     model = jax.tree.map(number, _model(problem, jnp.asarray(z)))
     plant, quantities = model.plant, quantities_of(base, full, wide)
     quantities |= _own_quantities(problem, z, np.sqrt(np.diag(covariance)))
-    if friction is not None:
-        middle = float(np.concatenate([motion.angle for motion in motions]).mean())
-        quantities["friction.total"] = _total_friction(problem, plant, z, covariance, middle)
     return CommandedCalibration(
         quantities=quantities,
         joint=plant.joint,
@@ -260,7 +252,7 @@ def calibrate_from_commands(
         delay=model.delay,
         friction=plant.friction,
         _before=_Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
-        _scatter=_differing(scatter, len(medians)),
+        _scatter=_differing(scatter),
     )
 
 
@@ -349,64 +341,43 @@ def _full_and_slope(base: CalibrationProblem, z: Any) -> tuple[Array, Array]:
 
 
 def _own_deviations(problem: _Problem) -> Any:
-    names = [name for _, name in _OWN.values()][: len(problem.medians)]
-    return jnp.stack([jnp.asarray(problem.base.prior[name]) for name in names])
+    return jnp.stack([jnp.asarray(problem.base.prior[name]) for _, name in _OWN.values()])
 
 
 def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     """The model by parameters in prior standard deviations from their prior mean."""
-    base, load, friction = problem.base, problem.base.load, problem.friction
+    base, load = problem.base, problem.base.load
     joint, _, added, zero, _ = corrected(base, _full(base, z))
-    factors = jnp.exp(_own_deviations(problem) * z[-len(problem.medians) :])
-    own: Iterator[Any] = (median * factors[i] for i, median in enumerate(problem.medians))
-    lag, rate, delay, damping, inertia, gravity, *rubbing = own
+    factors = jnp.exp(_own_deviations(problem) * z[-len(_OWN) :])
+    lag, rate, delay, damping, inertia, gravity = (median * factors[i] for i, median in enumerate(problem.medians))
     load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)  # pyrefly: ignore[unexpected-keyword]
     valve = dataclasses.replace(problem.valve, time_constant=lag, rate=rate)
-    if friction is not None:
-        friction = dataclasses.replace(friction, **dict(zip(("torque", "presliding"), rubbing, strict=True)))
-    return _Simulated(JointPlant(joint, load, valve, friction=friction), delay, zero, added)
+    return _Simulated(JointPlant(joint, load, valve, friction=problem.friction), delay, zero, added)
 
 
 _model = compiled(_simulated_by)
 
 
 def _own_quantities(problem: _Problem, z: Floats, deviation: Floats) -> dict[str, JointEstimate]:
-    prior, own = np.asarray(_own_deviations(problem)), len(problem.medians)
-    rows = zip(list(_OWN.items())[:own], problem.medians, prior, z[-own:], deviation[-own:], strict=True)
-    found = {}
+    prior, own = np.asarray(_own_deviations(problem)), len(_OWN)
+    rows = zip(_OWN.items(), problem.medians, prior, z[-own:], deviation[-own:], strict=True)
+    estimates = {}
     for (name, (unit, _)), median, wide, at, narrow in rows:
         value = median * math.exp(wide * at)
         if median:
-            found[name] = JointEstimate(value, abs(value) * wide * float(narrow), abs(value) * wide, unit)
-    return found
+            estimates[name] = JointEstimate(value, abs(value) * wide * float(narrow), abs(value) * wide, unit)
+    return estimates
 
 
-def _total_friction(problem: _Problem, plant: JointPlant, z: Floats, covariance: Floats, angle: float) -> JointEstimate:
-    """Friction torque [N*m] of joint and muscles at an angle [rad]; logarithms of its parts are estimated."""
-    assert plant.friction is not None
-    prior, own = problem.base.prior, iter(range(muscle_parameters(problem.base) // OF_MUSCLE))
-    slope = np.zeros(z.size)
-    muscles, arms = (plant.joint.muscle1, plant.joint.muscle2), plant.joint.geometry.moment_arms(angle)
-    for muscle, arm, spring in zip(muscles, arms, plant.joint.springs, strict=True):
-        if not spring:
-            friction: Any = muscle.friction
-            slope[OF_MUSCLE * next(own) + _FRICTION] = friction.half_width * abs(float(arm))
-    slope[-2] = plant.friction.torque
-    total = float(slope.sum())
-    slope *= prior["friction"]
-    slope[-2] *= prior["joint_friction"] / prior["friction"]
-    return JointEstimate(total, math.sqrt(slope @ covariance @ slope), float(np.linalg.norm(slope)), "N*m")
-
-
-def _differing(scatter: Scatter, own: int) -> dict[str, float]:
+def _differing(scatter: Scatter) -> dict[str, float]:
     """Valve, delay and load that differ between the recordings by more than their intervals allow, and factors."""
-    rows = zip(list(_OWN)[:own], scatter.ratio[-own:], scatter.p_value[-own:], strict=True)
+    rows = zip(_OWN, scatter.ratio[-len(_OWN) :], scatter.p_value[-len(_OWN) :], strict=True)
     return {name: math.sqrt(ratio) for name, ratio, p_value in rows if p_value < _DIFFERS}
 
 
 def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[OutputErrorFit, Floats, Scatter]:
     """The fit, its covariance widened by the scatter between recordings, and this scatter."""
-    muscles, own = muscle_parameters(problem.base), len(problem.medians)
+    muscles, own = muscle_parameters(problem.base), len(_OWN)
     count, substeps = muscles + _SHARED + own, _substeps(motions)
     padded, sizes = list(map(_padded, motions)), [motion.angle.size for motion in motions]
     measured = np.concatenate([motion.angle for motion in motions])

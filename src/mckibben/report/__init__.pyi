@@ -18,6 +18,7 @@ from .joint import envelope as envelope
 from .joint import selection as selection
 from .joint import stiffness as stiffness
 from .joint import torque_stiffness_map as torque_stiffness_map
+from .joint import valve_calibration as valve_calibration
 from .leg import foot_ellipses as foot_ellipses
 from .leg import jump_traces as jump_traces
 from .leg import landing_forces as landing_forces
