@@ -129,7 +129,7 @@ class JointPrior(Checked):
     critical_ratio: Strength = 0.3
     volume: Strength = 0.05
     pressure_zero: PositiveNoise = 1 * kPa
-    fits: tuple[Fit | None, Fit | None] = (None, None)
+    fits: tuple[Any, Any] = (None, None)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> JointPrior:

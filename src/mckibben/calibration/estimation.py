@@ -57,6 +57,7 @@ _EXPECTED = {"added_mass": 1.0, "zero": 0.0, "arm_scale": 1.0}
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, -4.0)  # prior standard deviations of the muscles' strength
 _EXCHANGES = (0.35, -0.35)  # of the friction of muscle 1; the opposite of muscle 2, and of the presliding lengths
 _FIRST, _STAGES, _ITERATIONS, _TOLERANCE = 8, 3, 25, 1e-3
+_FARTHEST = 2.0  # prior standard deviations, of a step
 _UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
 
 
@@ -381,6 +382,6 @@ def _minimised(
         hess=lambda z: at(z)[2],
         method="trust-exact",
         callback=settled,
-        options={"maxiter": most},
+        options={"maxiter": most, "max_trust_radius": _FARTHEST},
     )
     return fit.x, float(fit.fun)
