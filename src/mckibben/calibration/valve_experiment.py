@@ -88,14 +88,14 @@ class ValveExperiment:
                     text = (
                         f"the commands have {kept:.0%} of the range of the attainable stiffness, as otherwise {reason}"
                     )
-                    remedy = "wider --angles or a smaller --strength-error may determine more quantities of the valves"
+                    remedy = "wider --angles or a smaller `strength` in --prior may determine more quantities of the valves"
                     warnings.warn(f"{text}: {remedy}", McKibbenWarning, stacklevel=2)
                 return parts
             centre, reason, kept = ends.mean(axis=0), found, _SHRINK * kept
             ends = centre + _SHRINK * (ends - centre)
         raise ParameterError(
             f"even commands of {kept:.0%} of the range are too wide: {reason}",
-            remedy="give wider --angles, a smaller --strength-error, or a valve closer to the real one",
+            remedy="give wider --angles, a smaller `strength` in --prior, or a valve closer to the real one",
         )
 
     @property

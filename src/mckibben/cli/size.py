@@ -22,7 +22,7 @@ def envelope(
     ] = "",
     extrapolate: Extrapolate = False,
 ) -> Envelope:
-    """Show the attainable set, whether the reference is trackable, and the nearest feasible references."""
+    """Show the attainable set, whether the reference is trackable, and what would be."""
     width = parse_optional_quantity("--smoothing", smoothing, "s")
     from mckibben import reachability
     from mckibben.scenario import Scenario

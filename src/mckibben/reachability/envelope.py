@@ -1,4 +1,4 @@
-"""Reachability of a scenario: static envelope, trackability, nearest feasible references, and files of the results."""
+"""Reachability of a scenario: static envelope, trackability, and what would be trackable."""
 
 from __future__ import annotations
 
@@ -74,7 +74,8 @@ class Envelope(Result):
             remarks.append(Remark.warning("reference", text))
         ends = [end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest)]
         limits = active_limits(plant.supplied_joint, plant.muscles, static.angles[static.inside], ends)
-        return remarks + [Remark.note("stiffness", text) for text in (*limits, *self.scenario.joint.remarks)]
+        remarks += [Remark.warning("joint", text) for text in self.scenario.joint.remarks]
+        return remarks + [Remark.note("stiffness", text) for text in limits]
 
     def listings(self) -> list[Listing]:
         """Trackable factors, and the static envelope at no more than 11 angles."""
