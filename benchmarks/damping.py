@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mckibben.study.benchmark import Suite, draw, evaluate
+from mckibben.study.compare import Suite, draw, evaluate
 from mckibben.units import deg, litre
 
 SUITE = Path(__file__).parents[1] / "examples" / "comparison" / "knee.yaml"

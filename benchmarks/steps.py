@@ -17,7 +17,7 @@ from jax import lax
 
 from mckibben.control import Measurement, Setpoint
 from mckibben.simulation import simulate
-from mckibben.study.benchmark import Suite
+from mckibben.study.compare import Suite
 
 SUITE = Path(__file__).parent.parent / "examples" / "comparison" / "knee.yaml"
 TOGETHER, REPEATS = 100, 20

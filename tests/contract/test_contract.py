@@ -41,7 +41,7 @@ from mckibben.study.rig.document import MountedMuscle
 from mckibben.units import Bandwidth, Quantity, SignalValue, bar, deg, mm
 
 for module in pkgutil.walk_packages(mckibben.__path__, "mckibben."):
-    absent = ("mckibben.cli", "mckibben.web", "mckibben.__main__", "mckibben.export.mjlab", "mckibben.export.newton")
+    absent = ("mckibben.cli", "mckibben.web", "mckibben.__main__")
     if not module.name.startswith(absent):
         importlib.import_module(module.name)
 CLASSES = {
@@ -122,7 +122,6 @@ EXAMPLES = [
     LOOPS,
     DECOUPLING,
     control.InverseModelControl(LOOPS, LOAD),
-    control.FrictionCompensation(LOOPS, model=joint.AntagonisticJoint(KNEE.geometry, ROUGH, ROUGH)),
     control.SupplyLimit(LOOPS),
     control.OpenLoopControl(control.Step(2e5, 3e5, 1e-3), 2.5e5, KNEE),
     control.DelayCompensation(KNEE, LOAD, controller=LOOPS, command_delay=2.5e-3),

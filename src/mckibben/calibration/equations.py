@@ -210,7 +210,7 @@ def local_cubic(values: Floats, width: int, derivative: int = 0, period: float =
     """
     from scipy.signal import savgol_filter  # 1 s
 
-    return savgol_filter(values, width, 3, derivative, period)
+    return np.asarray(savgol_filter(values, width, 3, derivative, period))
 
 
 def halves_of(recording: JointRecording) -> Halves:

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Array
 
 from mckibben.calibration.equations import JointPrior, JointRecording, path_lengths, sliding_length
-from mckibben.calibration.estimation import JointCalibration, calibrate_joint
+from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.component.schema import ENDINGS, independent, inherited_fields, origin_of, replaced, write_text
 from mckibben.control import Controller, Multisine, Reference, Sine
@@ -348,7 +348,7 @@ def calibrate_scenario(
     return replace(fit, writers=writers)
 
 
-def calibrated_model(scenario: Scenario, found: JointCalibration) -> AntagonisticJoint:
+def calibrated_model(scenario: Scenario, found: CalibratedJoint) -> AntagonisticJoint:
     """Return the controller's model with the estimates."""
     model, joint, muscles = first_model_of(scenario), found.joint, {}
     for name in ("muscle1", "muscle2"):
@@ -359,7 +359,7 @@ def calibrated_model(scenario: Scenario, found: JointCalibration) -> Antagonisti
     return replaced(model, {**muscles, "geometry": ScaledArms(model.geometry, joint.geometry.scale)})
 
 
-def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario:
+def calibrated_scenario(scenario: Scenario, found: CalibratedJoint) -> Scenario:
     """Return the scenario with the estimates as its controller's model of joint and load.
 
     Estimates from commands become its plant, too.
@@ -378,7 +378,7 @@ def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario
     return scenario.model_copy(update={"controller": with_fields(independent(control), fields)})
 
 
-def write_model(scenario: Scenario, found: JointCalibration, path: str | os.PathLike[str]) -> None:
+def write_model(scenario: Scenario, found: CalibratedJoint, path: str | os.PathLike[str]) -> None:
     """Write the section of the controller's model with the estimates, for ``model: FILE`` of a controller."""
     text = write_text(calibrated_model(scenario, found), folder=Path(path).parent)
     with atomic_write(path, overwrite=True) as part:

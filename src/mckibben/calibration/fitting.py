@@ -196,6 +196,7 @@ def fit_output_error(
         raise IdentificationError("the simulated model diverges", remedy="give a model closer to the recordings")
     evaluations = _BRIEF if len(finite) > 1 else _EVALUATIONS
     z = min((search(z, variance, evaluations) for z in finite), key=lambda fit: fit.cost).x
+    error = slope = np.zeros(0)
     for _ in range(_STAGES):
         z = search(z, variance, _EVALUATIONS).x
         error, slope = linearised(z)

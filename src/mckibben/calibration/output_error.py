@@ -349,7 +349,8 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     base, load = problem.base, problem.base.load
     joint, _, added, zero, _ = corrected(base, _full(base, z))
     factors = jnp.exp(_own_deviations(problem) * z[-len(_OWN) :])
-    lag, rate, delay, damping, inertia, gravity = (median * factors[i] for i, median in enumerate(problem.medians))
+    own: list[Any] = [median * factors[i] for i, median in enumerate(problem.medians)]
+    lag, rate, delay, damping, inertia, gravity = own
     load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)  # pyrefly: ignore[unexpected-keyword]
     valve = dataclasses.replace(problem.valve, time_constant=lag, rate=rate)
     return _Simulated(JointPlant(joint, load, valve, friction=problem.friction), delay, zero, added)

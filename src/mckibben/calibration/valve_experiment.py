@@ -88,7 +88,9 @@ class ValveExperiment:
                     text = (
                         f"the commands have {kept:.0%} of the range of the attainable stiffness, as otherwise {reason}"
                     )
-                    remedy = "wider --angles or a smaller `strength` in --prior may determine more quantities of the valves"
+                    remedy = (
+                        "wider --angles or a smaller `strength` in --prior may determine more quantities of the valves"
+                    )
                     warnings.warn(f"{text}: {remedy}", McKibbenWarning, stacklevel=2)
                 return parts
             centre, reason, kept = ends.mean(axis=0), found, _SHRINK * kept

@@ -199,8 +199,9 @@ def envelope(scenario: Scenario, *, smoothing: float | None = None) -> Envelope:
     def largest(change: str) -> float:
         return _largest(lambda factor: _is_trackable(plant, checked.trajectory.scaled(**{change: factor})))
 
-    factors = [1.0 if checked.trackable else largest(change) for change in ("amplitude", "speed")]
-    return Envelope(scenario, static, checked, *factors, (float(low), float(high)) if low <= high else None)
+    amplitude, speed = (1.0 if checked.trackable else largest(change) for change in ("amplitude", "speed"))
+    common = (float(low), float(high)) if low <= high else None
+    return Envelope(scenario, static, checked, amplitude, speed, common)
 
 
 def _is_trackable(plant: JointPlant, trajectory: ReferenceTrajectory) -> bool:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.calls import checked_call
@@ -277,9 +277,8 @@ def size(requirement: Requirement, makes: Sequence[Make] | None = None) -> Selec
 
 def _template(joint: AntagonisticJoint, need: Requirement, strength: float = 1.0) -> JointPlant:
     """The plant of a joint whose forces are multiplied by a strength, within the usable supply."""
-    muscles = {}
-    for name in ("muscle1", "muscle2"):
-        muscle = getattr(joint, name)
+    muscles = []
+    for muscle in (joint.muscle1, joint.muscle2):
         if not isinstance(muscle.law, PressureAffineLaw):
             raise ParameterError(
                 f"the law of {muscle.specimen.name}, {type(muscle.law).__name__}, is not affine in pressure",
@@ -289,13 +288,14 @@ def _template(joint: AntagonisticJoint, need: Requirement, strength: float = 1.0
             used = show(_HEADROOM * need.supply, "bar", 3)
             raise UnreachableError(f"its law begins at {show(lowest, 'bar', 3)}, and {used} of the supply are used")
         stronger = dataclasses.replace(muscle, strength=strength * float(muscle.strength or 1.0))
-        muscles[name] = with_supply(stronger, _HEADROOM * need.supply)
-    return JointPlant(dataclasses.replace(joint, **muscles), need.load, IdealValve())
+        muscles.append(with_supply(stronger, _HEADROOM * need.supply))
+    usable = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
+    return JointPlant(usable, need.load, IdealValve())
 
 
 def _margins(plants: Sequence[JointPlant], lengths: dict[str, Any], need: Requirement) -> Floats:
     """Least margins of `CONSTRAINTS` over the motion and the plants, shape (candidates, constraints)."""
-    angles = np.linspace(*need.angles, _ANGLES)
+    angles = np.linspace(need.angles[0], need.angles[1], _ANGLES)
     given = angles, np.asarray(need.stiffness or _ANY), need.reserve, need.speed
     margins = [np.asarray(_margins_of(plant, lengths, *given)) for plant in plants]
     return np.nan_to_num(functools.reduce(np.minimum, margins), nan=-np.inf)
@@ -303,7 +303,7 @@ def _margins(plants: Sequence[JointPlant], lengths: dict[str, Any], need: Requir
 
 @compiled
 def _margins_of(
-    plant: JointPlant, lengths: dict[str, Array], angles: Array, stiffness: Array, reserve: Array, speed: Array
+    plant: JointPlant, lengths: Any, angles: ArrayLike, stiffness: Any, reserve: ArrayLike, speed: ArrayLike
 ) -> Array:
     """Least margins over torques and angles, shape (candidates, constraints); friction adds to the reserve."""
 
@@ -409,7 +409,7 @@ def _candidate(
     need: Requirement,
 ) -> Candidate:
     """Torque, stiffness and air supply of a joint with chosen lengths."""
-    angles = np.linspace(*need.angles, _RESULT_ANGLES)
+    angles = np.linspace(need.angles[0], need.angles[1], _RESULT_ANGLES)
     plants = [with_lengths(_template(joint, need, 1 + part * uncertainty), lengths) for part in (-1, 0, 1)]
     stiffness, torque = [], []
     for plant in plants:

@@ -1,6 +1,5 @@
 """A host that crashes: the second process vents the card, though the relay would wait for a minute.
 
-More ways, and whole tests: `python benchmarks/crash.py`.
 """
 
 import contextlib
