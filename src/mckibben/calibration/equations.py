@@ -194,7 +194,7 @@ def sampling_period(recording: JointRecording) -> float:
 def check_recording(recording: JointRecording) -> None:
     """Raise `IdentificationError` for non-finite numbers, and for a recording that is too short."""
     columns = [recording.time, recording.angle, recording.pressures]
-    columns += [one for one in (recording.tensions, recording.commands) if one is not None]
+    columns += [column for column in (recording.tensions, recording.commands) if column is not None]
     if not all(np.all(np.isfinite(column)) for column in columns):
         raise IdentificationError("a recording contains numbers that are not finite", remedy="leave these rows out")
     time = recording.time
@@ -267,7 +267,7 @@ def problem_of(
             muscle = dataclasses.replace(muscle, friction=band)
         muscles.append(muscle)
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    deviations = {each.name: getattr(prior, each.name) for each in dataclasses.fields(prior) if each.name != "fits"}
+    deviations = {field.name: getattr(prior, field.name) for field in dataclasses.fields(prior) if field.name != "fits"}
     force, highest, centre, half_width, pressure, creep, laws = zip(*scales, strict=True)
     return CalibrationProblem(joint, load, force, highest, centre, half_width, pressure, creep, laws, deviations)
 

@@ -223,13 +223,13 @@ def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Flo
     """Estimates by name, from estimates and covariance of the parameters."""
     value, slope = _quantities(problem, estimate)
     before = _quantities(problem, np.zeros(estimate.size))[1]
-    found = {}
+    estimates = {}
     for name in value:
         deviation = _deviation(np.asarray(slope[name]), covariance)
         wide = _deviation(np.asarray(before[name]), np.eye(estimate.size))
         unit = _UNITS.get(name.rpartition(".")[2], "1")
-        found[name] = JointEstimate(float(value[name]), float(deviation), float(wide), unit)
-    return found
+        estimates[name] = JointEstimate(float(value[name]), float(deviation), float(wide), unit)
+    return estimates
 
 
 def number(leaf: Any) -> Any:
@@ -259,7 +259,7 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
     def values(z: Array) -> OrderedDict[str, Array]:
         joint, load, added, zero, _ = corrected(problem, z)
         geometry: Any = joint.geometry
-        found: Any = OrderedDict()
+        quantities: Any = OrderedDict()
         bands = []
         creep = creep_stiffness(problem, z).sum(axis=1) if z.size > creep_begin(problem) else None
         pairs = zip((joint.muscle1, joint.muscle2), (problem.joint.muscle1, problem.joint.muscle2), strict=True)
@@ -268,16 +268,16 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
                 continue
             point, name, friction = (problem.centre[i], problem.pressure[i]), f"muscle{i + 1}", muscle.friction
             bands.append(friction.half_width)  # type: ignore[attr-defined]
-            found[f"{name}.force"] = muscle.law.force(*point) / before.law.force(*point)
-            found[f"{name}.friction"] = bands[-1]
-            found[f"{name}.presliding"] = friction.presliding_length  # type: ignore[attr-defined]
+            quantities[f"{name}.force"] = muscle.law.force(*point) / before.law.force(*point)
+            quantities[f"{name}.friction"] = bands[-1]
+            quantities[f"{name}.presliding"] = friction.presliding_length  # type: ignore[attr-defined]
             if creep is not None:
-                found[f"{name}.creep"] = creep[i]
-        found["friction"] = sum(bands)
+                quantities[f"{name}.creep"] = creep[i]
+        quantities["friction"] = sum(bands)
         if load.adapted_mass:
-            found["load.mass"] = getattr(load, load.adapted_mass)
-        found |= {"added_mass": added, "zero": zero, "arm_scale": geometry.scale}
-        return found
+            quantities["load.mass"] = getattr(load, load.adapted_mass)
+        quantities |= {"added_mass": added, "zero": zero, "arm_scale": geometry.scale}
+        return quantities
 
     return values(z), jax.jacfwd(values)(z)
 
@@ -316,19 +316,20 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
 
     means: list[Floats] = []
     apart: list[Floats] = []  # half the difference between the halves
-    starts_of_search = [start(problem, one) for one in STARTS] + [start(problem, exchange=one) for one in _EXCHANGES]
-    z = min((_minimised(terms, one, _FIRST) for one in starts_of_search), key=lambda found: found[1])[0]
+    starts_of_search = [start(problem, strength) for strength in STARTS]
+    starts_of_search += [start(problem, exchange=exchange) for exchange in _EXCHANGES]
+    z = min((_minimised(terms, first, _FIRST) for first in starts_of_search), key=lambda fit: fit[1])[0]
     for _ in range(_STAGES):
         z, _ = _minimised(terms, z)
         even, odd = raw(z)
         means, apart = ([(a + sign * b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)] for sign in (1, -1))
         variances = np.array([max(variance_of([one[:, i] for one in means]), _LEAST_VARIANCE) for i in range(groups)])
-    residual, noise = (float(np.sqrt(np.mean(np.concatenate(one)[:, 0] ** 2))) for one in (means, apart))
+    residual, noise = (float(np.sqrt(np.mean(np.concatenate(errors)[:, 0] ** 2))) for errors in (means, apart))
     bands = friction_places(problem)  # at the bound there is no derivative; the covariance is taken at its edge
     z[bands] = np.maximum(z[bands], (LEAST_FRICTION - 1) / problem.prior["friction"] + _INSIDE)
     _, gradients, curvature = data(z)
     inverse: Any = np.linalg.inv(curvature + np.eye(count))
-    time = float(np.mean([correlation_time(one[:, i]) for one in means for i in range(groups)]))
+    time = float(np.mean([correlation_time(errors[:, i]) for errors in means for i in range(groups)]))
     covariance = inverse @ (_long_run(gradients, time) + np.eye(count)) @ inverse
     return z, covariance, residual, noise
 
@@ -337,11 +338,11 @@ def _long_run(gradients: list[Floats], correlation_time: float) -> Floats:
     """Covariance of the sum of correlated gradients (Newey and West 1987; bandwidth: Andrews 1991, Eqs. 6.2, 6.4)."""
     total = np.zeros((gradients[0].shape[1],) * 2)
     rho = (correlation_time - 1) / (correlation_time + 1)
-    for one in gradients:
-        bandwidth = 1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * len(one)) ** (1 / 3)
-        total += one.T @ one
-        for lag in range(1, min(int(bandwidth) + 1, len(one))):
-            cross = (1 - lag / (int(bandwidth) + 1)) * one[lag:].T @ one[:-lag]
+    for gradient in gradients:
+        bandwidth = 1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * len(gradient)) ** (1 / 3)
+        total += gradient.T @ gradient
+        for lag in range(1, min(int(bandwidth) + 1, len(gradient))):
+            cross = (1 - lag / (int(bandwidth) + 1)) * gradient[lag:].T @ gradient[:-lag]
             total += cross + cross.T
     return total
 

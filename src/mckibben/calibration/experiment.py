@@ -99,11 +99,11 @@ class Sweeps:
         load = field_of(control, "load")
         parts = {}
         for name, mass in self.weights.items():
-            believed = control if load is None else with_fields(control, {"load": self._weighted(load, mass)})
+            controller = control if load is None else with_fields(control, {"load": self._weighted(load, mass)})
             parts[name] = scenario.model_copy(
                 update={
                     "name": f"{scenario.name[:150]}, calibration with {mass:g} kg",
-                    "controller": believed,
+                    "controller": controller,
                     "load": self._weighted(scenario.load, mass),
                     "signals": signals,
                     "start": Start(angle=middle),
@@ -170,7 +170,7 @@ def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Any) -> Array:
     highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
     least: Any = _TAUT * jnp.stack(highest).min()
     torques = [-load.gravity_torque(angles) for load in loads]
-    return jnp.stack([jnp.stack(stiffness_range(joint, angles, one, None, least)) for one in torques])
+    return jnp.stack([jnp.stack(stiffness_range(joint, angles, torque, None, least)) for torque in torques])
 
 
 @compiled
@@ -196,18 +196,19 @@ def field_of(controller: Controller, name: str) -> Any:
 def holds(controller: Controller, name: str) -> bool:
     """Whether a controller, or one that it wraps, has a field that is not inherited from the plant."""
     own = name not in inherited_fields(controller) and vars(controller).get(name) is not None
-    return own or any(holds(one, name) for one in _inner(controller).values())
+    return own or any(holds(inner, name) for inner in _inner(controller).values())
 
 
 def with_fields(controller: Controller, fields: dict[str, Any]) -> Any:
     """Controller with other values of the fields that it, or one that it wraps, has and does not inherit."""
-    kept = inherited_fields(controller)
-    own = {name: one for name, one in fields.items() if name not in kept and vars(controller).get(name) is not None}
-    return replaced(controller, own | {name: with_fields(one, fields) for name, one in _inner(controller).items()})
+    inherited = inherited_fields(controller)
+    stated = {name for name, value in vars(controller).items() if value is not None} - inherited
+    own = {name: value for name, value in fields.items() if name in stated}
+    return replaced(controller, own | {name: with_fields(inner, fields) for name, inner in _inner(controller).items()})
 
 
 def _inner(controller: Controller) -> dict[str, Controller]:
-    return {name: one for name, one in vars(controller).items() if isinstance(one, Controller)}
+    return {name: field for name, field in vars(controller).items() if isinstance(field, Controller)}
 
 
 def model_of(scenario: Scenario) -> AntagonisticJoint:
@@ -348,9 +349,9 @@ def calibrate_scenario(
     return replace(fit, writers=writers)
 
 
-def calibrated_model(scenario: Scenario, found: CalibratedJoint) -> AntagonisticJoint:
+def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJoint:
     """Return the controller's model with the estimates."""
-    model, joint, muscles = first_model_of(scenario), found.joint, {}
+    model, joint, muscles = first_model_of(scenario), fit.joint, {}
     for name in ("muscle1", "muscle2"):
         before, after = getattr(model, name), getattr(joint, name)
         if isinstance(after.law, CorrectedLaw | CorrectedAffineLaw):
@@ -359,27 +360,27 @@ def calibrated_model(scenario: Scenario, found: CalibratedJoint) -> Antagonistic
     return replaced(model, {**muscles, "geometry": ScaledArms(model.geometry, joint.geometry.scale)})
 
 
-def calibrated_scenario(scenario: Scenario, found: CalibratedJoint) -> Scenario:
+def calibrated_scenario(scenario: Scenario, fit: CalibratedJoint) -> Scenario:
     """Return the scenario with the estimates as its controller's model of joint and load.
 
     Estimates from commands become its plant, too.
     """
-    control, model = scenario.control(), calibrated_model(scenario, found)
-    if isinstance(found, CommandedCalibration):
-        load = _general(found.load)
-        valve = replaced(scenario.valve, {name: getattr(found.valve, name) for name in ("time_constant", "rate")})
-        update: dict[str, Any] = {"joint": model, "load": load, "valve": valve, "command_delay": found.delay}
+    control, model = scenario.control(), calibrated_model(scenario, fit)
+    if isinstance(fit, CommandedCalibration):
+        load = _general(fit.load)
+        valve = replaced(scenario.valve, {name: getattr(fit.valve, name) for name in ("time_constant", "rate")})
+        update: dict[str, Any] = {"joint": model, "load": load, "valve": valve, "command_delay": fit.delay}
         update["controller"] = with_fields(scenario.controller, {"load": load, "model": model})
         return scenario.model_copy(update=update)
-    mass, load = found.load.adapted_mass, field_of(control, "load")
+    mass, load = fit.load.adapted_mass, field_of(control, "load")
     fields: dict[str, Any] = {"model": model}
     if mass and load is not None:
-        fields["load"] = replaced(load, {mass: getattr(found.load, mass)})
+        fields["load"] = replaced(load, {mass: getattr(fit.load, mass)})
     return scenario.model_copy(update={"controller": with_fields(independent(control), fields)})
 
 
-def write_model(scenario: Scenario, found: CalibratedJoint, path: str | os.PathLike[str]) -> None:
+def write_model(scenario: Scenario, fit: CalibratedJoint, path: str | os.PathLike[str]) -> None:
     """Write the section of the controller's model with the estimates, for ``model: FILE`` of a controller."""
-    text = write_text(calibrated_model(scenario, found), folder=Path(path).parent)
+    text = write_text(calibrated_model(scenario, fit), folder=Path(path).parent)
     with atomic_write(path, overwrite=True) as part:
         part.write_bytes(sealed((_HEAD + text).encode()))

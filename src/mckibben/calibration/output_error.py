@@ -89,7 +89,7 @@ class SimulatedAngles(NamedTuple):
     @property
     def errors(self) -> tuple[float, float]:
         """Root mean square errors [rad] of the model before and after calibration."""
-        before, after = (float(np.sqrt(np.mean((one - self.measured) ** 2))) for one in (self.before, self.after))
+        before, after = (float(np.sqrt(np.mean((angle - self.measured) ** 2))) for angle in (self.before, self.after))
         return before, after
 
 
@@ -224,10 +224,10 @@ def calibrate_from_commands(
     if not recordings:
         raise IdentificationError("there is no recording", remedy="give at least one")
     highest = _highest(joint)
-    motions = [_motion(one, highest) for one in recordings]
+    motions = [_motion(recording, highest) for recording in recordings]
     rigid = jax.tree.map(float, load.with_weight(0.0, 0.0))
-    samples = [JointSamples(one.angle, None, None, tuple(one.commands), (), 0.0, 0.0) for one in motions]
-    base = problem_of(joint, rigid, [(one, one) for one in samples], prior)
+    samples = [JointSamples(motion.angle, None, None, tuple(motion.commands), (), 0.0, 0.0) for motion in motions]
+    base = problem_of(joint, rigid, [(half, half) for half in samples], prior)
     damping = rigid.damping or rigid.inertia / _DAMPING_TIME
     rate = highest / valve.time_constant if valve.rate is None else valve.rate
     medians = (valve.time_constant, rate, delay or _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
@@ -283,21 +283,22 @@ def _motion(recording: JointRecording, highest: float) -> _Motion:
     edges = np.zeros(grid.size + 1)
     np.add.at(edges, np.maximum(changes - round(_BEFORE / period), 0), 1)
     np.add.at(edges, np.minimum(changes + round(_REST / period), grid.size), -1)
-    kept = np.cumsum(edges[:-1]) > 0
+    moving = np.cumsum(edges[:-1]) > 0
     angle = np.interp(grid, recording.time, recording.angle)
     weight = np.float64(recording.added_mass), np.float64(recording.distance)
-    return _Motion(grid[kept], angle[kept], commands[:, kept], np.float64(period), *weight)
+    return _Motion(grid[moving], angle[moving], commands[:, moving], np.float64(period), *weight)
 
 
 def _padded(motion: _Motion) -> _Motion:
     """A motion padded with rest to a common length: each length needs its own program."""
     more = -motion.angle.size % _BLOCK
-    time, angle, commands = (np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, more)], mode="edge") for one in motion[:3])
+    columns = motion[:3]
+    time, angle, commands = (np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, more)], "edge") for values in columns)
     return motion._replace(time=time, angle=angle, commands=commands)
 
 
 def _substeps(motions: Sequence[_Motion]) -> int:
-    return math.ceil(max(float(one.period) for one in motions) / _STEP)
+    return math.ceil(max(float(motion.period) for motion in motions) / _STEP)
 
 
 def _trajectory(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
@@ -305,7 +306,7 @@ def _trajectory(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
     plant, steps = model.plant, jnp.arange(motion.angle.shape[0])
     plant = dataclasses.replace(plant, load=plant.load.with_weight(model.added * motion.added_mass, motion.distance))
     at = steps - model.delay / motion.period  # between two samples: their mean over the period
-    command1, command2 = (jnp.interp(at, steps, one) for one in motion.commands)
+    command1, command2 = (jnp.interp(at, steps, command) for command in motion.commands)
     first = plant.init_state(motion.angle[0] - model.zero, (command1[0], command2[0]))
 
     def step(state: Any, commands: Any) -> tuple[Any, Array]:

@@ -184,7 +184,7 @@ def identify_air(
     if not recordings:
         raise IdentificationError("there is no recording", remedy="give at least one")
     specimen.check_volume("the heat to the wall")
-    phases = [phase for one in recordings for phase in _shut_phases(one, specimen, contraction)]
+    phases = [phase for recording in recordings for phase in _shut_phases(recording, specimen, contraction)]
     if not phases:
         raise IdentificationError(
             "the recordings have no phase in which the pressure relaxes behind a shut valve",
@@ -282,7 +282,7 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
     rate = np.abs(smooth[window:] - smooth[:-window]) / (window * period)
     slow = np.concatenate([np.zeros(window, bool), rate < _FAST * rate.max(initial=0.0), np.zeros(window, bool)])
     edges = np.flatnonzero(np.diff(slow.astype(int), prepend=0, append=0))
-    found = []
+    phases = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         blocks = (last - first) // count
         if blocks * count * period < _SHORTEST:
@@ -309,8 +309,8 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
                 remedy="hold the muscle at a fixed length",
             )
         volume = float(specimen.volume(at))
-        found.append(ShutPhase(float(time[first]), float(time[last - 1]), at, volume, means, count * period))
-    return found
+        phases.append(ShutPhase(float(time[first]), float(time[last - 1]), at, volume, means, count * period))
+    return phases
 
 
 def _held(means: Floats, tenth: int) -> int:
@@ -334,20 +334,20 @@ class _Problem(NamedTuple):
     def of(
         cls, phases: Sequence[ShutPhase], areas: Floats, dead_volume: float, *, estimates_dead_volume: bool
     ) -> _Problem:
-        longest = -(-max(len(one.pressures) for one in phases) // _PADDING) * _PADDING
+        longest = -(-max(len(phase.pressures) for phase in phases) // _PADDING) * _PADDING
         pressures, used = np.zeros((len(phases), longest)), np.zeros((len(phases), longest), bool)
         first, conductances = [], []
-        for i, one in enumerate(phases):
-            size = len(one.pressures)
-            pressures[i, :size], used[i, :size] = one.pressures, True
-            begin, end = one.pressures[0], one.pressures[-max(size // 10, 1) :].mean()
-            left = np.abs(one.pressures - end) < abs(begin - end) / math.e
-            constant = max(float(np.argmax(left)), 1.0) * one.period
-            room = one.volume + dead_volume
+        for i, phase in enumerate(phases):
+            size = len(phase.pressures)
+            pressures[i, :size], used[i, :size] = phase.pressures, True
+            begin, end = phase.pressures[0], phase.pressures[-max(size // 10, 1) :].mean()
+            left = np.abs(phase.pressures - end) < abs(begin - end) / math.e
+            constant = max(float(np.argmax(left)), 1.0) * phase.period
+            room = phase.volume + dead_volume
             conductances.append((end + ATMOSPHERE) * room / ((HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * constant))
             first += [begin / bar, math.log((begin + ATMOSPHERE) / (end + ATMOSPHERE))]
         shared = [math.log(float(np.median(np.array(conductances) / areas))), 0.0, dead_volume / _DEAD, 0.0]
-        volumes, periods = (np.array([getattr(one, name) for one in phases]) for name in ("volume", "period"))
+        volumes, periods = (np.array([getattr(phase, name) for phase in phases]) for name in ("volume", "period"))
         start = np.array([*shared, *first])
         return cls(pressures, used, volumes, areas, periods, start, estimates_dead_volume)
 
@@ -378,11 +378,11 @@ def _sensitivities(z: Array, volumes: Array, areas: Array, periods: Array, like:
     """Pressures [Pa] of all phases and their derivatives."""
 
     def simulated(z: Array) -> tuple[Array, Array]:
-        found = _simulated(z, volumes, areas, periods, like.shape[1])
-        return found, found
+        pressures = _simulated(z, volumes, areas, periods, like.shape[1])
+        return pressures, pressures
 
-    slope, found = jax.jacfwd(simulated, has_aux=True)(z)
-    return found, slope
+    slope, pressures = jax.jacfwd(simulated, has_aux=True)(z)
+    return pressures, slope
 
 
 def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:

@@ -67,7 +67,7 @@ class ValveExperiment:
         plant = scenario.model_copy(update={"joint": model, "load": load_of(scenario)}).plant()
         ends, rest = self._ends(plant, middle), plant.equilibrium(middle)
         signals = Reference(middle, float(plant.stiffness(middle, rest.pressures)))
-        kept, reason = 1.0, ""
+        share, reason = 1.0, ""
         for _ in range(_TRIES):
             parts = {
                 name: scenario.model_copy(
@@ -82,21 +82,21 @@ class ValveExperiment:
                 for name, commands in _commands(ends).items()
             }
             tried = (self._excess(part, joint) for joint in self._joints(model) for part in parts.values())
-            found = next(filter(None, tried), "")
-            if not found:
-                if kept < _NARROW:
+            excess = next(filter(None, tried), "")
+            if not excess:
+                if share < _NARROW:
                     text = (
-                        f"the commands have {kept:.0%} of the range of the attainable stiffness, as otherwise {reason}"
+                        f"the commands have {share:.0%} of the range of the attainable stiffness, as otherwise {reason}"
                     )
                     remedy = (
                         "wider --angles or a smaller `strength` in --prior may determine more quantities of the valves"
                     )
                     warnings.warn(f"{text}: {remedy}", McKibbenWarning, stacklevel=2)
                 return parts
-            centre, reason, kept = ends.mean(axis=0), found, _SHRINK * kept
+            centre, reason, share = ends.mean(axis=0), excess, _SHRINK * share
             ends = centre + _SHRINK * (ends - centre)
         raise ParameterError(
-            f"even commands of {kept:.0%} of the range are too wide: {reason}",
+            f"even commands of {share:.0%} of the range are too wide: {reason}",
             remedy="give wider --angles, a smaller `strength` in --prior, or a valve closer to the real one",
         )
 

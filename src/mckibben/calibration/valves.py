@@ -143,8 +143,8 @@ class ValveCalibration(Calibration):
         """
         if len(self.valves) == 1:
             return self.valves[0]
-        one, other = self._problems.values()
-        if one.parameters != other.parameters or set(self.differing) - {"delay"}:
+        first, second = self._problems.values()
+        if first.parameters != second.parameters or set(self.differing) - {"delay"}:
             return UnequalValves(*self.valves)
         return self.mean_valve
 
@@ -361,35 +361,35 @@ def _substeps(problems: dict[int, _Problem], valves: Sequence[Actuator], records
     if not valves[0].holds_air:
         return 1
     joint = next(iter(problems.values())).joint
-    angle = np.concatenate([one.angle for one in records])
+    angle = np.concatenate([record.angle for record in records])
     room = min(
-        float(np.min(one.volume))
-        for index, one in enumerate(air_volumes(joint, angle, 0.0, _mean_pressures(records)))
+        float(np.min(air.volume))
+        for index, air in enumerate(air_volumes(joint, angle, 0.0, _mean_pressures(records)))
         if index in problems
     )
-    fastest = max(one.fastest_rate_in(room) for one in valves)
-    return math.ceil(_MARGIN * fastest * max(float(one.period) for one in records) / STABILITY_LIMIT)
+    fastest = max(valve.fastest_rate_in(room) for valve in valves)
+    return math.ceil(_MARGIN * fastest * max(float(record.period) for record in records) / STABILITY_LIMIT)
 
 
 def _mean_pressures(records: Sequence[_Record]) -> tuple[Any, Any]:
-    one, two = (jnp.asarray(np.mean([record.pressures[i].mean() for record in records])) for i in (0, 1))
-    return one, two
+    first, second = (jnp.asarray(np.mean([record.pressures[i].mean() for record in records])) for i in (0, 1))
+    return first, second
 
 
 def _valve_of(problem: _Problem, z: Floats, deviations: Floats) -> Actuator:
     """Valve with the estimates; what the first model lacks and the recordings do not show is left out."""
     own, ranges = {}, {name: quantity for name, _, quantity in _numbers(problem.valve)}
-    for one, at, wide in zip(problem.parameters[:-1], z, deviations, strict=False):
-        if one.deviation or abs(at) > _SHOWN * wide:
-            lower, upper = ranges[one.name].limits
-            own[one.name] = float(np.clip(float(one.at(at)), lower, upper))
+    for parameter, at, wide in zip(problem.parameters[:-1], z, deviations, strict=False):
+        if parameter.deviation or abs(at) > _SHOWN * wide:
+            lower, upper = ranges[parameter.name].limits
+            own[parameter.name] = float(np.clip(float(parameter.at(at)), lower, upper))
     return _with(problem.valve, own)
 
 
 def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, substeps: int) -> Array:
     """Pressure [Pa] of a muscle at the samples, for parameters in prior standard deviations."""
-    own = [one.at(z[number]) for number, one in enumerate(problem.parameters)]
-    names = [one.name for one in problem.parameters[:-1]]
+    own = [parameter.at(z[number]) for number, parameter in enumerate(problem.parameters)]
+    names = [parameter.name for parameter in problem.parameters[:-1]]
     valve = _with(problem.valve, dict(zip(names, own[:-1], strict=True)))
     steps = jnp.arange(record.angle.shape[0])
     late = steps - own[-1] / record.period  # between two samples a valve gets their mean over the period
@@ -413,8 +413,8 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
     rate = jnp.diff(room, append=room[-1:]) / record.period  # exactly the changes of the volume: errors do not add up
     air = AirVolume(room, rate, air.by_pressure)
 
-    def follow_air(carry: tuple[Array, AirState], given: tuple[Array, AirVolume]) -> tuple[Any, Array]:
-        command, at = given
+    def follow_air(carry: tuple[Array, AirState], row: tuple[Array, AirVolume]) -> tuple[Any, Array]:
+        command, at = row
 
         def one_step(number: Array, carry: tuple[Array, AirState]) -> tuple[Array, AirState]:
             pressure, state = carry
@@ -475,13 +475,14 @@ def _solve(problem: _Problem, records: list[_Record], muscle: int, substeps: int
 def _quantities(
     problems: dict[int, _Problem], z: Sequence[Floats], deviations: Sequence[Floats]
 ) -> dict[str, JointEstimate]:
-    found = {}
+    estimates = {}
     for (muscle, problem), row, wide in zip(problems.items(), z, deviations, strict=True):
-        for number, one in enumerate(problem.parameters):
-            found[f"valve{muscle + 1}.{one.name}"] = one.estimate(float(row[number]), float(wide[number]))
+        for number, parameter in enumerate(problem.parameters):
+            estimate = parameter.estimate(float(row[number]), float(wide[number]))
+            estimates[f"valve{muscle + 1}.{parameter.name}"] = estimate
         for number, (name, scale) in enumerate(
             zip(NUISANCES, problem.nuisances, strict=False), len(problem.parameters)
         ):
             value, unit = scale * float(row[number]) + (name not in _ZEROS), _ZEROS.get(name, "1")
-            found[f"valve{muscle + 1}.{name}"] = JointEstimate(value, scale * float(wide[number]), scale, unit)
-    return found
+            estimates[f"valve{muscle + 1}.{name}"] = JointEstimate(value, scale * float(wide[number]), scale, unit)
+    return estimates

@@ -72,12 +72,7 @@ def calibrate(
     length = _positive("--distance", distance, "m")
     if (mass is None) != (length is None):
         raise ParameterError("--weight and --distance go together", remedy="give both, such as '0.5 kg' and '200 mm'")
-    if weighted and mass is None:
-        raise ParameterError("--weighted without a weight", remedy="add --weight and --distance")
-    if valves and (mass or held_out or weighted):
-        raise ParameterError("--valves with a weight, or with --held-out", remedy="calibrate joint and valves in turn")
-    if held_out and not (recording or weighted):
-        raise ParameterError("--held-out without a recording", remedy="add --recording")
+    _check_files(weight, valves, recording or [], weighted or [], held_out or [])
     seconds = _duration(duration, 2 * _DURATION if valves else _DURATION)
     out = required_folder(out, "calibration")
     from mckibben import calibration
@@ -107,6 +102,16 @@ def calibrate(
     else:
         fit = calibration.calibrate_scenario(read, recordings, deviations, held_out=unused)
     present(fit, details=details, json=json, out=out, force=True)
+
+
+def _check_files(weight: str, valves: bool, recording: list[Path], weighted: list[Path], held_out: list[Path]) -> None:
+    """Raise `ParameterError` for recordings that do not go together."""
+    if weighted and not weight:
+        raise ParameterError("--weighted without a weight", remedy="add --weight and --distance")
+    if valves and (weight or held_out or weighted):
+        raise ParameterError("--valves with a weight, or with --held-out", remedy="calibrate joint and valves in turn")
+    if held_out and not (recording or weighted):
+        raise ParameterError("--held-out without a recording", remedy="add --recording")
 
 
 def _positive(option: str, text: str, unit: str) -> float | None:

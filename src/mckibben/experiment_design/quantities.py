@@ -139,7 +139,7 @@ class _JointQuantity(QuantityOfInterest):
         joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), self.joint, (law, law))
         values = np.array([float(getattr(law, p.name)) for p in type(law).parameters()])
         derivatives = torque_and_stiffness_gradients(joint, (values,), angles, *pressures, one=True)
-        found, (gradients,), contractions = jax.tree.map(np.asarray, derivatives)
+        values, (gradients,), contractions = jax.tree.map(np.asarray, derivatives)
         warnings: list[str] = []
         muscles = self.joint.muscle1, self.joint.muscle2
         for number, muscle, contraction, pressure in zip((1, 2), muscles, contractions, pressures, strict=True):
@@ -157,7 +157,7 @@ class _JointQuantity(QuantityOfInterest):
             if np.any(forces(law, contraction, pressure) <= 0):
                 warnings.append(f"muscle {number} is slack there and does not contribute to the {self._name}")
         places = np.stack([np.concatenate(contractions), np.concatenate(pressures)], axis=1)
-        return LinearizedQuantity(gradients[self._row].T, found[self._row], states=places, warnings=tuple(warnings))
+        return LinearizedQuantity(gradients[self._row].T, values[self._row], states=places, warnings=tuple(warnings))
 
 
 @dataclass(frozen=True)

@@ -178,22 +178,22 @@ def diagnostics(prior: PriorData, free: Floats, errors: Floats, maps: ErrorMap) 
 
 
 def _parameter_diagnostics(names: list[str], free: Floats, values: Floats, errors: Floats) -> list[str]:
-    found = []
+    texts = []
     tied = np.zeros(len(names), bool)
     if free.shape[1]:
         share = np.abs(free).max(axis=1)
         tied = share > 0.05 * share.max()
         listed = ", ".join(name for name, part in zip(names, tied, strict=True) if part)
         rank = free.shape[1]
-        found.append(
+        texts.append(
             f"not identifiable: {rank} combination{'s' if rank > 1 else ''} of {listed} affect no measured force"
         )
     with np.errstate(invalid="ignore"):
         vague = np.isfinite(errors) & (errors > np.abs(values)) & ~tied
     if vague.any():
         listed = ", ".join(name for name, part in zip(names, vague, strict=True) if part)
-        found.append(f"{listed}: the standard error exceeds the value")
-    return found
+        texts.append(f"{listed}: the standard error exceeds the value")
+    return texts
 
 
 def _force_diagnostics(states: StateGrid, errors: Floats, noise: float) -> list[str]:

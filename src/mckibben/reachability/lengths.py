@@ -37,12 +37,12 @@ def design_lengths(joint: AntagonisticJoint) -> dict[str, list[Place]]:
     ['path1.radius', 'path1.rest_length', 'path2.radius']
     """
     geometry = joint.geometry
-    found: dict[str, list[Place]] = {".".join(place): [("geometry", *place)] for place, _ in _lengths(geometry)}
+    own: dict[str, list[Place]] = {".".join(place): [("geometry", *place)] for place, _ in _lengths(geometry)}
     shared: dict[str, list[Place]] = {}
     for place, quantity in _lengths(geometry):
         if len(place) > 1 and quantity.lower >= 0:  # coordinates of the two muscles differ in sign
             shared.setdefault(place[-1], []).append(("geometry", *place))
-    return found | shared | _MUSCLES  # pyrefly: ignore[bad-return]
+    return own | shared | _MUSCLES  # pyrefly: ignore[bad-return]
 
 
 def with_lengths(plant: JointPlant, lengths: Mapping[str, ArrayLike]) -> JointPlant:

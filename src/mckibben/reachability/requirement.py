@@ -216,10 +216,10 @@ def _relative_error(fit: Fit) -> float:
     domain = fit.law.domain
     contraction = np.linspace(float(domain.contraction_min), float(domain.contraction_max), 25)
     pressure = np.linspace(float(domain.pressure_min), float(domain.pressure_max), 9)
-    found = fit.force_intervals(contraction[:, None], pressure).prediction
-    taut = np.asarray(found.value) > 0
-    half = ((np.asarray(found.upper) - np.asarray(found.lower)) / 2)[taut]
-    return float(np.sqrt(np.mean(half**2) / np.mean(np.asarray(found.value)[taut] ** 2)))
+    interval = fit.force_intervals(contraction[:, None], pressure).prediction
+    taut = np.asarray(interval.value) > 0
+    half = ((np.asarray(interval.upper) - np.asarray(interval.lower)) / 2)[taut]
+    return float(np.sqrt(np.mean(half**2) / np.mean(np.asarray(interval.value)[taut] ** 2)))
 
 
 @functools.cache

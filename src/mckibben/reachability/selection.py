@@ -272,7 +272,9 @@ def size(requirement: Requirement, makes: Sequence[Make] | None = None) -> Selec
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected)
         remedy = "allow a longer cycle, a smaller range of angles, less load, another stiffness or longer muscles"
         raise UnreachableError(f"no muscle meets the requirement: {reasons}", remedy=remedy)
-    return Selection(requirement, tuple(sorted(candidates, key=lambda one: one.supply.air)), tuple(rejected))
+    return Selection(
+        requirement, tuple(sorted(candidates, key=lambda candidate: candidate.supply.air)), tuple(rejected)
+    )
 
 
 def _template(joint: AntagonisticJoint, need: Requirement, strength: float = 1.0) -> JointPlant:
@@ -296,8 +298,8 @@ def _template(joint: AntagonisticJoint, need: Requirement, strength: float = 1.0
 def _margins(plants: Sequence[JointPlant], lengths: dict[str, Any], need: Requirement) -> Floats:
     """Least margins of `CONSTRAINTS` over the motion and the plants, shape (candidates, constraints)."""
     angles = np.linspace(need.angles[0], need.angles[1], _ANGLES)
-    given = angles, np.asarray(need.stiffness or _ANY), need.reserve, need.speed
-    margins = [np.asarray(_margins_of(plant, lengths, *given)) for plant in plants]
+    motion = angles, np.asarray(need.stiffness or _ANY), need.reserve, need.speed
+    margins = [np.asarray(_margins_of(plant, lengths, *motion)) for plant in plants]
     return np.nan_to_num(functools.reduce(np.minimum, margins), nan=-np.inf)
 
 

@@ -59,11 +59,11 @@ def bands_along(plant: JointPlant, trajectory: ReferenceTrajectory) -> Stiffness
     """Attainable stiffness at each sample, without muscle friction; see `check_trackability`."""
     motion = trajectory.angle, trajectory.velocity, trajectory.acceleration, trajectory.jerk, trajectory.stiffness_rate
     points, shape = scan_points(_is_affine(plant))[:, None], np.shape(trajectory.angle)
-    lanes = [np.broadcast_to(each, (points.size, *shape)).ravel() for each in (*motion, points)]
+    lanes = [np.broadcast_to(column, (points.size, *shape)).ravel() for column in (*motion, points)]
     shared = numeric((plant, None, 0.0))
     (low, high), _ = static_bands("auto", shared, trajectory.angle)
     states, _ = _states("auto", shared[0], tuple(lanes))
-    torque, feasible, stiffness, *commands = (np.reshape(each, (points.size, *shape)) for each in states)
+    torque, feasible, stiffness, *commands = (np.reshape(column, (points.size, *shape)) for column in states)
     stiffness = np.where(feasible, stiffness, np.nan)
     joint = plant.supplied_joint
     domains = [muscle.specimen.domain for muscle in (joint.muscle1, joint.muscle2)]

@@ -85,8 +85,8 @@ def derivatives(signal: Signal, times: Values, order: int, *, smoothing: float) 
 def _sine_derivatives(sine: Sine, times: Values, order: int) -> list[Values]:
     a, w = float(sine.amplitude), 2 * math.pi * float(sine.frequency)
     phase = w * times + float(sine.phase)
-    found = [a * w**k * np.sin(phase + k * math.pi / 2) for k in range(order + 1)]
-    return [found[0] + float(sine.offset), *found[1:]]
+    derivatives = [a * w**k * np.sin(phase + k * math.pi / 2) for k in range(order + 1)]
+    return [derivatives[0] + float(sine.offset), *derivatives[1:]]
 
 
 def smoothed(signal: Signal, times: Values, width: float, *, order: int = 0) -> Values:
