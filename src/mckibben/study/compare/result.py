@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario, run_scenario, with_values
-from mckibben.simulation import Batch, Metrics, Outcome
-from mckibben.simulation import Result as RunResult
+from mckibben.simulation import Batch, Metrics, Outcome, SimulationResult
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.storage.files import make_folder
 from mckibben.study.compare.runs import Runs
@@ -60,13 +59,13 @@ class CompareResult(Result):
     at_air: CompareResult | None = None
     finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with the medians of their further runs
 
-    def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, RunResult]]:
+    def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, SimulationResult]]:
         """Return the run with the first controller's median angle error, and the results of some controllers in it."""
         errors = self.metric(next(iter(self.batches)), "angle_rmse")
         order = np.argsort(errors)  # NaN last
         run = int(np.flatnonzero(self.started)[order[np.isfinite(errors).sum() // 2]])
         scenarios = {name: self.runs.scenario(name, run, self.tuned.get(name)) for name in controllers}
-        return run, {name: run_scenario(scenario).result for name, scenario in scenarios.items()}
+        return run, {name: run_scenario(scenario) for name, scenario in scenarios.items()}
 
     @property
     def started(self) -> NDArray[np.bool_]:
