@@ -206,14 +206,14 @@ def left_out_at_air(numbers: Mapping[str, Any], titles: Mapping[str, str] | None
     """Text on the tuned controllers of which no gains take as little air as the first; empty if there are none."""
     if (at_air := numbers["at_air_of_first"]) is None:
         return ""
-    found = numbers["controllers"]
-    shown = {name: name for name in found} | dict(titles or {})
+    controllers = numbers["controllers"]
+    shown = {name: name for name in controllers} | dict(titles or {})
     left_out = [
-        shown[name] + ("" if each["least_air_L"] is None else f" (at least {each['least_air_L']:.4g} L)")
-        for name, each in found.items()
-        if each["tuned"] and name not in at_air["controllers"]
+        shown[name] + ("" if errors["least_air_L"] is None else f" (at least {errors['least_air_L']:.4g} L)")
+        for name, errors in controllers.items()
+        if errors["tuned"] and name not in at_air["controllers"]
     ]
-    first = shown[next(iter(found))]
+    first = shown[next(iter(controllers))]
     limit = f"{at_air['air_L']:.4g} L of air, the median of {first} in the training runs"
     return f"no gains were found that take at most {limit}: {', '.join(left_out)}" if left_out else ""
 
