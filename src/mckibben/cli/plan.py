@@ -11,20 +11,14 @@ from typer import Argument, Option
 from mckibben.cli.command import command
 from mckibben.cli.options import (
     Data,
-    Force,
-    Json,
-    Out,
     Reading,
     echo,
-    job_progress,
     keeping,
     notify,
     parse_limits,
     parse_optional_quantity,
     parse_quantity,
     reads_files,
-    results_folder,
-    table,
 )
 from mckibben.errors import ParameterError, UnitError
 from mckibben.storage.files import to_json, write_json
@@ -35,6 +29,7 @@ if TYPE_CHECKING:
 
     from mckibben.experiment_design import ExperimentPlan
     from mckibben.simulation import Margins
+    from mckibben.study.stiffness import StiffnessTests
 
 
 @reads_files("contraction", "sample_rate", "specimen")
@@ -131,20 +126,18 @@ def _contraction_step(text: str, length: float | None) -> float | None:
     return step / length
 
 
+@command
 def stiffness(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, valve and controller.")],
     amplitude: Annotated[str, Option(metavar="RANGE", help="Amplitudes of the motion.")] = "0.01..10 deg",
     rate: Annotated[str, Option(metavar="RANGE", help="Rates of the motion.")] = "0.1..10 Hz",
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
+    progress: Any = None,
+) -> StiffnessTests:
     """Test the stiffness of a joint over amplitude and rate of a motion, at the setpoint held by its controller."""
-    results_folder(out, ("results.json", "stiffness.png", "stiffness.svg"), force)
-    sizes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
+    amplitudes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
     from mckibben.component.checks import check_positive
 
-    for option, (low, _), unit in (("--amplitude", sizes, "rad"), ("--rate", rates, "Hz")):
+    for option, (low, _), unit in (("--amplitude", amplitudes, "rad"), ("--rate", rates, "Hz")):
         check_positive(option, unit, lowest=low)
     import numpy as np
 
@@ -152,22 +145,9 @@ def stiffness(
     from mckibben.study.stiffness import stiffness_tests
 
     read = Scenario.read(scenario)
-    with job_progress(quiet=json) as report:
-        found = stiffness_tests(
-            read, np.unique(np.geomspace(*sizes, 13)), np.unique(np.geomspace(*rates, 5)), progress=report
-        )
-    numbers = found.records()
-
-    def show() -> None:
-        table(f"{read.name}: stiffness [N*m/rad]", *found.rows())
-        echo(found.describe())
-
-    def draw() -> Figure:
-        from mckibben.report.joint import stiffness
-
-        return stiffness(found)
-
-    _present(numbers, "stiffness", draw, show, out, json)
+    return stiffness_tests(
+        read, np.unique(np.geomspace(*amplitudes, 13)), np.unique(np.geomspace(*rates, 5)), progress=progress
+    )
 
 
 def _present(

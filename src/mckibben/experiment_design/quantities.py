@@ -138,7 +138,7 @@ class _JointQuantity(QuantityOfInterest):
         pressures = [np.full(len(angles), float(pressure)) for pressure in self.pressures]
         joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), self.joint, (law, law))
         values = np.array([float(getattr(law, p.name)) for p in type(law).parameters()])
-        derivatives = torque_and_stiffness_gradients(joint, (values,), angles, *pressures, one=True)
+        derivatives = torque_and_stiffness_gradients(joint, (values,), angles, *pressures)
         values, (gradients,), contractions = jax.tree.map(np.asarray, derivatives)
         warnings: list[str] = []
         muscles = self.joint.muscle1, self.joint.muscle2

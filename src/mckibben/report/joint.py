@@ -283,7 +283,7 @@ def stiffness(found: StiffnessTests) -> Figure:
     if found.closed_dynamic is not None:
         below = [figure.add_subplot(grid[1, part]) for part in (slice(panels), slice(panels, None))]
         _closed_valves(below, found, found.closed_dynamic, panels)
-    amplitudes = found.amplitudes / deg
+    amplitudes = found.amplitude / deg
     forms = ((HELD, found.secant, found.isobaric, BLUE), (CLOSED, found.closed_secant, found.closed_valve, VERMILLION))
     for name, secant, slope, color in forms:
         first.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
@@ -330,7 +330,7 @@ def _closed_valves(both: list[Axes], found: StiffnessTests, closed: np.ndarray, 
         axes.plot(test.frequency, simulated[:, 0], label="simulated", **look)
         axes.set(xscale="log", xlabel="rate [Hz]", ylabel=_STIFFNESS)
         plain_numbers(axes.xaxis)
-        letter(axes, panels + i, f"closed valves, {name}, {found.amplitudes[0] / deg:.2g} deg")
+        letter(axes, panels + i, f"closed valves, {name}, {found.amplitude[0] / deg:.2g} deg")
 
 
 @styled
