@@ -30,7 +30,7 @@ _DRAWN = ("fit", "bands", "loops")
 def identify(
     data: Data,
     law: Annotated[
-        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben laws' lists them; 'all' ranks them.")
+        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben catalog' lists them; 'all' ranks them.")
     ] = "exponential",
     friction: Annotated[
         str,
@@ -166,9 +166,12 @@ class _Identified(Result):
 
     def listings(self) -> Iterable[Listing]:
         """Return the tables of the parts."""
-        yield from (self.late if self.late and self._late else self.fitted).fit.listings()
-        yield from self.late.listings() if self.late else ()
-        yield from self.fitted.hysteresis.listings() if self.fitted.hysteresis else ()
+        from mckibben.identification.with_friction import titled
+
+        loops, late = self.fitted.hysteresis, self.late
+        yield from titled((late if late and self._late else self.fitted).fit.listings(), "law")
+        yield from titled(late.listings(), "threshold") if late else ()
+        yield from titled(loops.listings(), "law and friction") if loops else ()
 
     @property
     def _late(self) -> bool:
@@ -215,7 +218,9 @@ class _Ranked(Result):
 
     def listings(self) -> Iterable[Listing]:
         """Return the table of laws."""
-        return self.ranking.listings()
+        from mckibben.identification.with_friction import titled
+
+        return titled(self.ranking.listings(), "points")
 
     def write(self, folder: Path) -> None:
         """Write all fits, the best one, its muscle, inputs and figures."""
@@ -255,7 +260,9 @@ class _Pool(Result):
 
     def listings(self) -> Iterable[Listing]:
         """Return the tables of the pool, and the forces of another specimen."""
-        yield from self.pooled.listings()
+        from mckibben.identification.with_friction import titled
+
+        yield from titled(self.pooled.listings(), "pool")
         if self.length is not None:
             yield self.pooled.prediction(self.length)
 

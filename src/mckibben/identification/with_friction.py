@@ -58,8 +58,8 @@ class FitWithFriction(Result):
 
     def listings(self) -> Iterable[Listing]:
         """Return the tables of the law and of the friction."""
-        yield from self.fit.listings()
-        yield from self.hysteresis.listings() if self.hysteresis else ()
+        yield from titled(self.fit.listings(), "law")
+        yield from titled(self.hysteresis.listings(), "law and friction") if self.hysteresis else ()
 
     @property
     def friction(self) -> MaxwellSlip | None:
@@ -112,6 +112,11 @@ class FitWithFriction(Result):
     def plot(self) -> Any:
         """Return a figure of points, curves and residuals without friction, see `mckibben.report.isobaric`."""
         return self.fit.plot(self.points)
+
+
+def titled(listings: Iterable[Listing], title: str) -> Iterable[Listing]:
+    """Listings of a part of a result, those without a title with the name of the part."""
+    return [replace(listing, title=listing.title or title) for listing in listings]
 
 
 @checked_call

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,14 +15,12 @@ from numpy.typing import NDArray
 
 from mckibben.control import Constant, Sine
 from mckibben.reachability import (
-    Design,
     Envelope,
-    Preserved,
     Selection,
     StaticEnvelope,
     static_envelope,
 )
-from mckibben.report.palette import BLACK, BLUE, GREEN, GREY, MUSCLES, ORANGE, PURPLE, VERMILLION
+from mckibben.report.palette import BLACK, BLUE, MUSCLES, ORANGE, VERMILLION
 from mckibben.report.style import (
     DESIRED,
     DOUBLE,
@@ -42,9 +40,10 @@ from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, StiffnessT
 from mckibben.units import bar, deg, kPa, mm
 
 if TYPE_CHECKING:
-    from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
+    from mckibben.calibration import ValveCalibration
+    from mckibben.calibration.estimation import CalibratedJoint
     from mckibben.paper.identification import JointMap
-    from mckibben.simulation import Result
+    from mckibben.simulation import SimulationResult
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _SAMPLES_APART = 100
@@ -59,7 +58,7 @@ _REFERENCES = (
 
 @styled
 def attainable_stiffness(
-    maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, Result]] | None = None
+    maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, SimulationResult]] | None = None
 ) -> Figure:
     """Attainable stiffness in static equilibrium with the load, over the joint angle, by name of the geometry.
 
@@ -147,7 +146,7 @@ def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.f
     return np.arange(np.floor(first / step), np.ceil(last / step) + 1) * step
 
 
-def _path(result: Result, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+def _path(result: SimulationResult, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
     """Reference stiffness over the range of reference angles, one horizontal line per level."""
     angle = result["desired_angle"] / deg
     stiffness = result["desired_stiffness"]
@@ -161,17 +160,12 @@ def _path(result: Result, reference: str) -> Sequence[tuple[str, NDArray[np.floa
     ]
 
 
-_STATIC, _DYNAMIC, _NEAREST = "#DCE9F2", "#9CC3E0", "#BFE3D5"
-_LOOKS: dict[Preserved, dict[str, Any]] = {
-    Preserved.ANGLE: {"label": "nearest, angle preserved", "color": GREEN, "linestyle": "-"},
-    Preserved.AMPLITUDE: {"label": "nearest, amplitude preserved", "color": ORANGE, "linestyle": (0, (5, 1.2))},
-    Preserved.STIFFNESS: {"label": "nearest, stiffness preserved", "color": PURPLE, "linestyle": (0, (3, 1, 1, 1))},
-}
+_STATIC, _DYNAMIC = "#DCE9F2", "#9CC3E0"
 
 
 @styled
 def envelope(envelope: Envelope) -> Figure:
-    """Attainable set of a scenario's joint, its reference, and the nearest feasible references.
+    """Attainable set of a scenario's joint, and its reference.
 
     Panels: torque and stiffness range over the angle; static stiffness over the angle; stiffness and angle over time.
     """
@@ -215,7 +209,6 @@ def _over_angle(axes: Axes, envelope: Envelope) -> None:
     else:
         axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
     axes.plot(motion.angle / deg, motion.stiffness, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
-    _nearest(axes, envelope, lambda moved: (moved.angle / deg, moved.stiffness))
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     if static.small_motion is None:
         _limits(axes, *(edge[inside] for edge in static.stiffness), motion.stiffness)
@@ -241,14 +234,7 @@ def _over_time(axes: Axes, envelope: Envelope) -> None:
     edges = [edge[shown] for edge in (*bands.static, *bands.rate_limited)]
     draw_band(axes, times, *edges[:2], color=_STATIC, label="attainable, static")
     draw_band(axes, times, *edges[2:], color=_DYNAMIC, label="attainable, reference motion", zorder=1)
-    if envelope.nearest:
-        nearest = envelope.nearest[0].trackability
-        until = nearest.trajectory.times <= times[-1]
-        edges += [edge[until] for edge in nearest.bands.rate_limited]
-        label = "attainable, nearest motion"
-        draw_band(axes, nearest.trajectory.times[until], *edges[-2:], color=_NEAREST, label=label)
     axes.plot(times, motion.stiffness[shown], label="reference", **DESIRED)
-    _nearest(axes, envelope, lambda moved: (moved.times, moved.stiffness))
     axes.set(xlabel="time [s]", ylabel=_STIFFNESS, xlim=(times[0], times[-1]))
     _limits(axes, *edges, motion.stiffness[shown])
 
@@ -260,7 +246,6 @@ def _angle(axes: Axes, envelope: Envelope) -> None:
     if static.angle_min <= static.angle_max:
         axes.axhspan(static.angle_min / deg, static.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
     axes.plot(times, motion.angle[shown] / deg, label="reference", **DESIRED)
-    _nearest(axes, envelope, lambda moved: (moved.times, moved.angle / deg))
     axes.set(xlabel="time [s]", ylabel=_ANGLE, xlim=(times[0], times[-1]))
 
 
@@ -271,13 +256,6 @@ def _shown(envelope: Envelope) -> slice:
     if not (isinstance(sine, Sine) and sine.frequency and isinstance(signals.stiffness, Constant)):
         return slice(None)
     return slice(0, max(int(np.searchsorted(times, times[0] + 2 / sine.frequency)), 2))
-
-
-def _nearest(axes: Axes, envelope: Envelope, curve: Callable[[Any], tuple[Any, Any]]) -> None:
-    """Draw the nearest feasible references, by a curve of their trajectories."""
-    for reference in envelope.nearest:
-        look = _LOOKS[reference.preserved]
-        axes.plot(*curve(reference.trackability.trajectory), linewidth=1.3, zorder=4, **look)
 
 
 def _limits(axes: Axes, *curves: np.ndarray) -> None:
@@ -300,7 +278,8 @@ def stiffness(tests: StiffnessTests) -> Figure:
         test = tests.tests[name]
         for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
             label = f"simulated, {test.frequency[row]:.2g} Hz" if color == BLUE else None
-            look = {"color": color, "linestyle": "", "marker": marker, "markersize": size, "fillstyle": "none"}
+            look: dict[str, Any] = {"color": color, "linestyle": "", "marker": marker}
+            look |= {"markersize": size, "fillstyle": "none"}
             first.plot(amplitudes, test.stiffness[row], label=label, **look)
         for axes in others:
             axes.plot(amplitudes, secant, color=color, linewidth=2.6, alpha=0.3)
@@ -323,28 +302,6 @@ def stiffness(tests: StiffnessTests) -> Figure:
     first.set_ylabel(_STIFFNESS)
     others[-1].set_ylabel("magnitude [N·m/rad]")
     legend_above(figure, first, others[-1], columns=4)
-    return figure
-
-
-@styled
-def design(design: Design, before: StaticEnvelope) -> Figure:
-    """Attainable stiffness of a joint before and after sizing, and the design target."""
-    figure = blank(DOUBLE, 3.2)
-    axes = figure.subplots()
-    _band(axes, design.envelope, color=_DYNAMIC, label="attainable after sizing")
-    inside = before.inside
-    for edge, label in zip(before.stiffness, ("attainable before", None), strict=True):
-        axes.plot(before.angles[inside] / deg, edge[inside], color=GREY, linestyle=(0, (3, 1.5)), label=label)
-    _box(axes, design.target.angles, design.target.stiffness, "target")
-    if design.target.torque_reserve:
-        label = "with the torque margin"
-        draw_band(axes, design.angles / deg, *design.stiffness, color=BLUE, alpha=0.5, label=label)
-    axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    reached = design.envelope.inside
-    _limits(axes, *(edge[reached] for edge in design.envelope.stiffness), np.array(design.target.stiffness))
-    lengths = (f"{name.replace('_', ' ')} {value / mm:.4g} mm" for name, value in design.lengths.items())
-    letter(axes, 0, ", ".join(lengths))
-    legend_above(figure, axes)
     return figure
 
 
@@ -376,19 +333,19 @@ def selection(selection: Selection) -> Figure:
     middle, half = need.middle / deg, _SHOWN_RANGE * need.amplitude / deg
     left.set(xlabel=_ANGLE, ylabel=_STIFFNESS, xlim=(middle - half, middle + half))
     right.set(xlabel=_ANGLE, ylabel=_TORQUE, xlim=(middle - half, middle + half))
-    letter(left, 0, f"{joint.make.name}, {joint.length / mm:g} mm")
-    letter(right, 1, f"pulleys of {joint.radius / mm:g} mm")
+    letter(left, 0, joint.name)
+    letter(right, 1, ", ".join(f"{name} {length / mm:.4g} mm" for name, length in list(joint.lengths.items())[:2]))
     legend_above(figure, left, right)
     return figure
 
 
 @styled
-def calibration(calibration: JointCalibration, recordings: Sequence[JointRecording]) -> Figure:
+def calibration(calibration: CalibratedJoint) -> Figure:
     """Model stiffness before and after calibration over recording time, with 95 % intervals, and its change."""
     figure = blank(DOUBLE, 2.9)
     over_time, over_angle = figure.subplots(1, 2, width_ratios=(2, 1))
     start = 0.0
-    for recording in recordings:
+    for recording in calibration.recordings:
         angle, pressures = recording.angle[::_SAMPLES_APART], recording.pressures[::_SAMPLES_APART].T
         before = calibration.prior_stiffness(angle, (pressures[0], pressures[1]))
         after = calibration.stiffness(angle, (pressures[0], pressures[1]))
@@ -410,8 +367,9 @@ def calibration(calibration: JointCalibration, recordings: Sequence[JointRecordi
 
 
 @styled
-def valve_calibration(calibration: ValveCalibration, recordings: Sequence[JointRecording]) -> Figure:
+def valve_calibration(calibration: ValveCalibration) -> Figure:
     """Commands, measured and simulated pressures of both muscles over a few seconds of each recording, and errors."""
+    recordings = calibration.recordings
     figure = blank(DOUBLE, 1.9 * len(recordings) + 0.8)
     rows = figure.subplots(len(recordings), 2, squeeze=False, width_ratios=(2, 1))
     for number, ((over_time, over_error), recording) in enumerate(zip(rows, recordings, strict=True)):

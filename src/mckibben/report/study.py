@@ -287,7 +287,7 @@ def planned(plan: ExperimentPlan) -> Figure:
         pad=0.01,
     )
     log_ticks(bar_of_colours.ax.yaxis, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-    figure.suptitle(plan.summary().replace("; ", ";\n", 1), fontsize=8, fontweight="normal")
+    figure.suptitle(plan.verdict().replace("; ", ";\n", 1), fontsize=8, fontweight="normal")
     return figure
 
 

@@ -61,8 +61,8 @@ class Store:
                 f"BEGIN; PRAGMA application_id = {_APPLICATION}; PRAGMA user_version = {_VERSION}; {_SCHEMA} COMMIT"
             )
         run("PRAGMA synchronous = FULL")
-        found = run("PRAGMA application_id").fetchone()[0], run("PRAGMA user_version").fetchone()[0]
-        if found != (_APPLICATION, _VERSION):
+        version = run("PRAGMA application_id").fetchone()[0], run("PRAGMA user_version").fetchone()[0]
+        if version != (_APPLICATION, _VERSION):
             message = "it is not a study, or one of another version of mckibben"
             raise FileError(str(self.path), [Problem(message, field="version", remedy="choose another folder")])
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario, run_scenario, with_values
-from mckibben.simulation import Batch, Metrics, Outcome
-from mckibben.simulation import Result as RunResult
+from mckibben.simulation import Batch, Metrics, Outcome, SimulationResult
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.storage.files import make_folder
 from mckibben.study.compare.runs import Runs
@@ -60,13 +59,13 @@ class CompareResult(Result):
     at_air: CompareResult | None = None
     finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with the medians of their further runs
 
-    def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, RunResult]]:
+    def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, SimulationResult]]:
         """Return the run with the first controller's median angle error, and the results of some controllers in it."""
         errors = self.metric(next(iter(self.batches)), "angle_rmse")
         order = np.argsort(errors)  # NaN last
         run = int(np.flatnonzero(self.started)[order[np.isfinite(errors).sum() // 2]])
         scenarios = {name: self.runs.scenario(name, run, self.tuned.get(name)) for name in controllers}
-        return run, {name: run_scenario(scenario).result for name, scenario in scenarios.items()}
+        return run, {name: run_scenario(scenario) for name, scenario in scenarios.items()}
 
     @property
     def started(self) -> NDArray[np.bool_]:
@@ -207,14 +206,14 @@ def left_out_at_air(numbers: Mapping[str, Any], titles: Mapping[str, str] | None
     """Text on the tuned controllers of which no gains take as little air as the first; empty if there are none."""
     if (at_air := numbers["at_air_of_first"]) is None:
         return ""
-    found = numbers["controllers"]
-    shown = {name: name for name in found} | dict(titles or {})
+    controllers = numbers["controllers"]
+    shown = {name: name for name in controllers} | dict(titles or {})
     left_out = [
-        shown[name] + ("" if each["least_air_L"] is None else f" (at least {each['least_air_L']:.4g} L)")
-        for name, each in found.items()
-        if each["tuned"] and name not in at_air["controllers"]
+        shown[name] + ("" if errors["least_air_L"] is None else f" (at least {errors['least_air_L']:.4g} L)")
+        for name, errors in controllers.items()
+        if errors["tuned"] and name not in at_air["controllers"]
     ]
-    first = shown[next(iter(found))]
+    first = shown[next(iter(controllers))]
     limit = f"{at_air['air_L']:.4g} L of air, the median of {first} in the training runs"
     return f"no gains were found that take at most {limit}: {', '.join(left_out)}" if left_out else ""
 

@@ -11,13 +11,14 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from mckibben.actuator import IdealValve
 from mckibben.component.schema import independent, inherit
 from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model
 from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference, Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
-from mckibben.plant import IdealValve, NoDisturbance, PerfectSensors
+from mckibben.plant import NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario, list_parameters
 from mckibben.scenario.scenario import (
     ControllerPart,
@@ -377,17 +378,17 @@ class Suite(RunSettings):
             own = type(scenario.controller)
             controllers = {name: section for name, (kind, section) in _OTHERS.items() if kind is not own}
         if "conditions" not in settings:
-            masses = [each for each in list_parameters(scenario) if each.part == "load" and each.unit == "kg"]
+            masses = [p for p in list_parameters(scenario) if p.part == "load" and p.unit == "kg"]
             strengths = [f"joint.muscle{number}.strength=+-10 %" for number in (1, 2)]
-            settings["conditions"] = (*strengths, *(f"{each.name}=+-20 %" for each in masses if each.nominal))
+            settings["conditions"] = (*strengths, *(f"{mass.name}=+-20 %" for mass in masses if mass.nominal))
         shared = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
-        given = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
+        parts = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
         steps: dict[str, Any] = (
             {"substeps": scenario.substeps} if scenario.substeps is not None else {"accuracy": scenario.accuracy}
         )
         references = {"reference": ReferenceCase(reference=scenario.signals)}
         together = {"scenario": scenario.controller, **controllers}
-        suite = cls(**given, **steps, references=references, controllers=together, **settings)
+        suite = cls(**parts, **steps, references=references, controllers=together, **settings)
         _check_differs(suite)
         return suite
 
@@ -419,15 +420,15 @@ class Suite(RunSettings):
     def of_setup(self, name: str) -> Suite:
         """Return the suite of one of the setups alone; its valves are those of all models too."""
         setup = self.setups[name]
-        given = setup.model_dump(exclude_none=True, include={"max_angular_velocity", "substeps"})
-        given |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
+        update = setup.model_dump(exclude_none=True, include={"max_angular_velocity", "substeps"})
+        update |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
         conditions = (*self.conditions, *setup.conditions)
-        return self.model_copy(update=given | {"name": f"{self.name}: {name}", "conditions": conditions})
+        return self.model_copy(update=update | {"name": f"{self.name}: {name}", "conditions": conditions})
 
     @property
     def has_noise(self) -> bool:
         """Whether its sensors have noise."""
-        return "sensors.seed" in [one.name for one in list_parameters(self.example())]
+        return "sensors.seed" in [parameter.name for parameter in list_parameters(self.example())]
 
     @property
     def cost(self) -> Cost:
@@ -496,12 +497,14 @@ class Suite(RunSettings):
 
     def tuned_inside(self, controller: str, tuned: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         """Tuned values [SI] of other controllers that a controller wraps, by their names in the wrapper."""
-        found: dict[str, float] = {}
+        values_inside: dict[str, float] = {}
         for part, inner in vars(self.controllers[controller]).items():
             for other, values in tuned.items():
                 if isinstance(inner, Controller) and inner == self.controllers[other]:
-                    found |= {f"controller.{part}.{name.partition('.')[2]}": value for name, value in values.items()}
-        return found
+                    values_inside |= {
+                        f"controller.{part}.{name.partition('.')[2]}": value for name, value in values.items()
+                    }
+        return values_inside
 
     def example(self, reference: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
         """A run of the first controller."""

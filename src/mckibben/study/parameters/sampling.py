@@ -80,20 +80,20 @@ def sweep_parameters(scenario: Scenario, distributions: Mapping[str, Distributio
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> [each.text for each in sweep_parameters(scenario, {"load.mass2": Uniform(0.2, 1.0)})]
+    >>> [swept.text for swept in sweep_parameters(scenario, {"load.mass2": Uniform(0.2, 1.0)})]
     ['load.mass2=0.2 kg..1 kg']
     """
-    found = find_parameters(scenario, distributions)
-    for name, given in distributions.items():
-        if not isinstance(given, Distribution):
+    parameters = find_parameters(scenario, distributions)
+    for name, distribution in distributions.items():
+        if not isinstance(distribution, Distribution):
             remedy = f"give a Distribution of mckibben.study.parameters, or texts, such as ['{name}=+-10 %']"
             raise CallError(
-                f"over[{name!r}] is {described(given)}",
+                f"over[{name!r}] is {described(distribution)}",
                 field=f"over[{name!r}]",
-                value=given,
+                value=distribution,
                 remedy=f"{remedy}; `simulate_many` takes arrays",
             )
-    return tuple(SweptParameter(*pair) for pair in zip(found, distributions.values(), strict=True))
+    return tuple(SweptParameter(*pair) for pair in zip(parameters, distributions.values(), strict=True))
 
 
 def _fitted(parameter: ScenarioParameter, distribution: Distribution) -> Distribution:
@@ -183,13 +183,13 @@ def parse_sweeps(texts: Iterable[str], scenario: Scenario) -> tuple[SweptParamet
 
 def parse_distinct(texts: Iterable[str], parse: Callable[[str], SweptParameter]) -> tuple[SweptParameter, ...]:
     """Parse each text; raises ParameterError if a parameter is repeated."""
-    found: dict[str, str] = {}
+    texts_of: dict[str, str] = {}
     several = []
     for text in texts:
         swept = parse(text)
-        if swept.name in found:
-            _fail(f"{quoted(found[swept.name])} and {quoted(text)} are about the same parameter", "keep one of them")
-        found[swept.name] = text
+        if swept.name in texts_of:
+            _fail(f"{quoted(texts_of[swept.name])} and {quoted(text)} are about the same parameter", "keep one of them")
+        texts_of[swept.name] = text
         several.append(swept)
     return tuple(several)
 
@@ -234,7 +234,7 @@ def _parse_range(text: str, parameter: ScenarioParameter) -> Distribution:
 def _parse_values(text: str, parameter: ScenarioParameter) -> Values:
     if not parameter.is_integer and re.search(r"[0-9],[0-9]", text):
         _fail(f"{quoted(text)} has a comma between digits", "write decimals with a point, and lists like `1 kg, 2 kg`")
-    return Values(tuple(_read(parameter.mark, each) for each in text.split(",")))
+    return Values(tuple(_read(parameter.mark, value) for value in text.split(",")))
 
 
 def _parse_amount(text: str, parameter: ScenarioParameter) -> tuple[float, float]:
@@ -275,8 +275,8 @@ def _read(mark: Any, text: str) -> Any:
 
 def _split_ending(ending: re.Pattern[str], text: str) -> tuple[str, str | None]:
     """Text without an ending, and the last group of the ending."""
-    found = ending.fullmatch(text)
-    return (found[1], found[found.lastindex or 1]) if found else (text, None)
+    match = ending.fullmatch(text)
+    return (match[1], match[match.lastindex or 1]) if match else (text, None)
 
 
 def _fail(message: str, remedy: str) -> NoReturn:

@@ -19,8 +19,8 @@ from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import compiled_batch, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched
+from mckibben.simulation.feasibility import attainable_band
 from mckibben.simulation.problem import sample_reference, sampling_times
-from mckibben.simulation.simulate import attainable_band
 from mckibben.study.study import Table
 
 FEASIBILITY = {

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 from mckibben.component.columns import attributes
 from mckibben.dataset.schema import load_netcdf, write_netcdf
 from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.result import Column, Listing, Remark, Result
+from mckibben.result import Column, Listing, Remark
 from mckibben.scenario import Known, Scenario, batched, with_values
 from mckibben.simulation import Metrics
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
+from mckibben.simulation.batch import RunTable, outcome_variable
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
-from mckibben.simulation.table import RunTable, outcome_variable
 from mckibben.study.parameters import SweptParameter
 from mckibben.study.ranks import spearman
 from mckibben.study.study import Table
@@ -39,7 +39,7 @@ _WEAK = 0.05
 _SHOWN = {metric: name for name, (metric, _, _) in METRICS.items()}
 
 
-class SweepResult(RunTable, Result):
+class SweepResult(RunTable):
     """Results of a sweep; `computed` runs come from this call, the others were kept before.
 
     The table has along ``run``, all in SI: the inputs by their names in the scenario (attribute ``shown_units``: their

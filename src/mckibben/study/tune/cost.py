@@ -119,12 +119,12 @@ def parse_cost(text: str, **options: Any) -> Cost:
     parts = [part.strip() for part in _PLUS.split(text)]
     terms = []
     for part in parts:
-        found = _TERM.fullmatch(part)
-        if found is None:
+        match = _TERM.fullmatch(part)
+        if match is None:
             raise ParameterError(
                 f"{part!r} is not a term of a cost", value=part, remedy="write it like angle_rmse/0.1 deg"
             )
-        metric, scale = found["metric"], found["scale"]
+        metric, scale = match["metric"], match["scale"]
         Term(metric, 1.0)  # raises for an unknown metric
         if scale is None and len(parts) > 1:
             unit = _unit(metric).replace("ratio", "%")
@@ -134,12 +134,12 @@ def parse_cost(text: str, **options: Any) -> Cost:
                 remedy=f"write it like {metric}/0.1 {unit}",
             )
         try:
-            weight = float(found["weight"] or 1.0)
+            weight = float(match["weight"] or 1.0)
             size = 1.0 if scale is None else quantity(scale, _unit(metric))
         except UnitError as error:
             raise ParameterError(f"{part!r}: {error}", value=part) from None
         except ValueError:
-            raise ParameterError(f"{found['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
+            raise ParameterError(f"{match['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
         terms.append(Term(metric, size, weight))
     return Cost(tuple(terms), **options)
 

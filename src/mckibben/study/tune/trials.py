@@ -39,7 +39,7 @@ class Trials:
     def __init__(self, job: Job, space: SearchSpace, batch: int, compute: Callable[[Vector], Evaluated]) -> None:
         self._job, self._space, self._batch, self._compute = job, space, batch, compute
         self._known = {trial.point: (number, trial) for number, trial in _kept(job)}
-        self.kept = len(self._known)
+        self.first = len(self._known)
 
     @property
     def all(self) -> list[Trial]:

@@ -111,7 +111,7 @@ def tune(
         def step(part: float) -> None:
             known_trials = trials.all
             lowest = min((trial.cost for trial in known_trials), default=FAILED_COST)
-            what = "searching" if len(known_trials) > trials.kept else "compiling"
+            what = "searching" if len(known_trials) > trials.first else "compiling"
             report(f"{what}, lowest cost {lowest:.4g}" if lowest < FAILED_COST else what, part)
 
         step(0.0)
