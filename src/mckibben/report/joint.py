@@ -305,7 +305,7 @@ def stiffness(tests: StiffnessTests) -> Figure:
     return figure
 
 
-def _box(axes: Axes, angles: tuple[float, float], stiffness: tuple[float, float], label: str) -> None:
+def _box(axes: Axes, angles: Sequence[float], stiffness: Sequence[float], label: str) -> None:
     """Draw a range of angles [rad] and of stiffness [N*m/rad]."""
     (first, last), (low, high) = (angle / deg for angle in angles), stiffness
     look: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.4}
