@@ -17,9 +17,9 @@ _PAIR = re.compile(r"'([^']*)': '([^']*)'")
 _COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
 KEEP, FRICTION, SKIP = "keep outliers", "friction", "leave out damaged rows"  # labels of what stands for arguments
 _INSTEAD = {
-    KEEP_OUTLIERS: f"; to keep such points, tick “{KEEP}”",
+    KEEP_OUTLIERS: f"to keep such points, tick “{KEEP}”",
     LEAVE_OUT: f", or tick “{SKIP}”",
-    WITH_FRICTION: f"; to identify the friction, choose “{FRICTION}: with”",
+    WITH_FRICTION: f"to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
     f"; {LISTING}": "",
     f" {LISTING}": "",
