@@ -20,6 +20,8 @@ import functools
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 from typing import Annotated, Any, NoReturn
 
 from mckibben.errors import LONGEST_VALUE, RangeError, UnitError, quoted
@@ -66,6 +68,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "ms": (ms, _TIME),
     "us": (1e-6, _TIME),
     "min": (60.0, _TIME),
+    "h": (3600.0, _TIME),
     "Hz": (1.0, (0, 0, -1, 0, 0)),
     "N": (1.0, _FORCE),
     "kN": (1e3, _FORCE),
@@ -215,6 +218,9 @@ def quantity(text: str, unit: str) -> float:
         step = f"{360 / 2 ** min(abs(float(number.group())), 64):.6g} deg"
         raise UnitError(f"{quoted(text)} is not an angle", value=text, unit=unit, remedy=f"write the step: {step!r}")
     value = float(number.group()) * factor(rest or "1", unit)
+    mantissa = number.group().lower().partition("e")[0]
+    if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # by `Quantity.write`
+        value = float(Fraction(number.group()) * Fraction(factor(rest or "1", unit)))
     if not math.isfinite(value):
         raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=unit)
     return value
@@ -308,14 +314,19 @@ class Quantity:
         return number
 
     def write(self, value: float) -> str:
-        """Text in the shown unit that `read` converts back to the same float, or in SI if no such text exists."""
+        """Text in the shown unit that `read` converts back to the same float.
+
+        Some floats are not the product of a float and the factor. They get 20 digits, and `quantity` rounds the product
+        once.
+        """
         if self.shown == "1":
             return f"{value:.16g}" if float(f"{value:.16g}") == value else repr(value)
         for digits in (15, 16, 17):
             text = show(value, self.shown, digits)
             if quantity(text, self.unit) == value:
                 return text
-        return show(value, self.unit, 17)
+        text = f"{Decimal(value) / Decimal(factor(self.shown, self.unit)):.20g} {self.shown}"
+        return text if quantity(text, self.unit) == value else show(value, self.unit, 17)
 
     @functools.cached_property
     def limits(self) -> tuple[float, float]:
