@@ -70,7 +70,7 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.tune(3), "Scenario"),  # type: ignore[arg-type]
         (lambda: SCENARIO.tune(3), "list"),
         (lambda: SCENARIO.tune(method="cmaes"), "'cma'"),
-        (lambda: SCENARIO.tune(method=3), "gradient, evolution, cma"),
+        (lambda: SCENARIO.tune(method=3), "cma, local"),
         (lambda: mk.sweep(SCENARIO, 3), "mapping"),  # type: ignore[arg-type]
         (lambda: SCENARIO.envelope(3), "envelope()"),  # type: ignore[call-arg]
         (lambda: LAW.force({}, 2e5), "SI units"),  # type: ignore[arg-type]

@@ -12,6 +12,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import ConfigDict, Field, model_validator
 
+from mckibben.component.classes import classes_of
 from mckibben.component.extensions import load_installed, package_version
 from mckibben.component.schema import ComponentField
 from mckibben.config.document import to_text
@@ -91,13 +92,17 @@ class _FitNumbers(ConfigModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _not_numbers(cls, section: Any) -> Any:
-        """Numbers in place of the texts for those that are not finite, such as errors of parameters at a bound."""
-        if isinstance(section, dict):
-            return {key: cls._not_numbers(value) for key, value in section.items()}
-        if isinstance(section, list | tuple):
-            return [cls._not_numbers(value) for value in section]
-        return _NOT_FINITE.get(section, section) if isinstance(section, str) else section
+    def _read_not_finite(cls, section: Any) -> Any:
+        return _with_not_finite(section)
+
+
+def _with_not_finite(section: Any) -> Any:
+    """Numbers in place of the texts for those that are not finite, such as errors of parameters at a bound."""
+    if isinstance(section, dict):
+        return {key: _with_not_finite(value) for key, value in section.items()}
+    if isinstance(section, list | tuple):
+        return [_with_not_finite(value) for value in section]
+    return _NOT_FINITE.get(section, section) if isinstance(section, str) else section
 
 
 class _FitFile(DocumentModel):
@@ -186,4 +191,5 @@ def law_types(*, installed: bool = False) -> dict[str, type[ForceLaw]]:
     """Force laws by name: those of mckibben, and imported ones, also those of installed packages where asked."""
     if installed:
         load_installed()
-    return dict(LAWS)
+    others = {name: law for name, law in classes_of(ForceLaw).items() if law.parameters()}
+    return {**LAWS, **{name: law for name, law in others.items() if law not in LAWS.values()}}

@@ -260,15 +260,15 @@ class Scenario(RunSettings):
 
     @checked_call
     def compare(
-        self, controllers: Mapping[str, Controller] | None = None, *, folder: Path | None = None, **settings: Any
+        self, controllers: Mapping[str, Controller] | None = None, *, out: Path | None = None, **settings: Any
     ) -> Any:
         """Tune and compare controllers by name with that of the scenario, on its reference and in `conditions`.
 
         Defaults: as for `mckibben.study.compare.Suite.of`. `settings` are attributes of a `Suite`; see
         `mckibben.study.compare.compare`.
         """
-        comparison = _above("study.compare")
-        return comparison.compare(comparison.Suite.of(self, controllers, **settings), folder=folder)
+        study = _above("study.compare")
+        return study.compare(study.Suite.of(self, controllers, **settings), out=out)
 
     @checked_call
     def margins(self, points: int = 20) -> Margins:
