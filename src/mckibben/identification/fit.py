@@ -7,14 +7,14 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from mckibben.component.calls import CheckedCalls, checked_call, user_level
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import DomainWarning, IdentificationError, no_attribute, printable
+from mckibben.errors import DomainWarning, IdentificationError, printable
 from mckibben.identification.estimator import (
     Bools,
     Floats,
@@ -211,11 +211,6 @@ class Fit(Result, metaclass=CheckedCalls):
     robust: RobustErrors | None = None
     regression: Regression | None = None
     outliers: tuple[Outlier, ...] = ()
-
-    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
-
-        def __getattr__(self, name: str) -> Any:
-            raise no_attribute(self, name, self.suggestions)
 
     @property
     def estimates(self) -> dict[str, float]:
