@@ -13,7 +13,7 @@ import numpy as np
 from mckibben.errors import ParameterError, RangeError, UnitError
 from mckibben.experiment_design.candidates import StateGrid
 from mckibben.experiment_design.information import Floats
-from mckibben.identification.intervals import force_gradients
+from mckibben.identification.least_squares import force_gradients
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.study.uncertainty import torque_and_stiffness_gradients
