@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mckibben.dataset import IsobaricDataset, read_dataset
+from mckibben.dataset import IsobaricDataset
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar
 

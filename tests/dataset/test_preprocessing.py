@@ -6,7 +6,7 @@ import pytest
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
 from mckibben.dataset import preprocessing
 from mckibben.dataset.preprocessing import group_pressures, half_sample_mode, nominal_pressures, passes, slack_force
-from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning, RangeError
+from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning
 from mckibben.muscle import ChouLaw, forces
 from mckibben.units import bar, deg, mm
 

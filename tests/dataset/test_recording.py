@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from mckibben.dataset import Recording, read_dataset, read_recording
 from mckibben.dataset.points import saturated_samples
-from mckibben.errors import DatasetError, McKibbenWarning, RangeError
+from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar, kPa, percent
 
 from .conftest import problems_of as said_of

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.checks import Points, questions_of_labels, questions_of_points
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.schema import OF_FILE
 from mckibben.errors import DatasetError, Problem, RangeError

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from mckibben.component.classes import classes_of
 from mckibben.component.extensions import load_installed, package_version
-from mckibben.component.schema import Part
+from mckibben.component.schema import ComponentField
 from mckibben.config.document import to_text
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.dataset import IsobaricDataset
@@ -92,13 +92,17 @@ class _FitNumbers(ConfigModel):
 
     @model_validator(mode="before")
     @classmethod
-    def _not_numbers(cls, section: Any) -> Any:
-        """Numbers in place of the texts for those that are not finite, such as errors of parameters at a bound."""
-        if isinstance(section, dict):
-            return {key: cls._not_numbers(value) for key, value in section.items()}
-        if isinstance(section, list | tuple):
-            return [cls._not_numbers(value) for value in section]
-        return _NOT_FINITE.get(section, section) if isinstance(section, str) else section
+    def _read_not_finite(cls, section: Any) -> Any:
+        return _with_not_finite(section)
+
+
+def _with_not_finite(section: Any) -> Any:
+    """Numbers in place of the texts for those that are not finite, such as errors of parameters at a bound."""
+    if isinstance(section, dict):
+        return {key: _with_not_finite(value) for key, value in section.items()}
+    if isinstance(section, list | tuple):
+        return [_with_not_finite(value) for value in section]
+    return _NOT_FINITE.get(section, section) if isinstance(section, str) else section
 
 
 class _FitFile(DocumentModel):
@@ -107,7 +111,7 @@ class _FitFile(DocumentModel):
     kind: ClassVar[str] = "fit"
     examples: ClassVar[str] = "docs/files.md"
 
-    law: Annotated[Any, Part(ForceLaw)]
+    law: Annotated[Any, ComponentField(ForceLaw)]
     equation: str = ""
     version: str = ""
     fit: _FitNumbers | None = None
