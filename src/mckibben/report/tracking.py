@@ -29,12 +29,13 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
+from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import SETTLING_PART, last_change, settling_band
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.paper.tracking import ControllerRun
-    from mckibben.simulation import Feasibility, Margins, SimulationResult
+    from mckibben.simulation import Feasibility, Margins
 
 TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
 _BAND = "attainable at the desired angle"
@@ -49,7 +50,7 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
 
     Runs are given by name, such as ``{"PID": result}``, or one alone. Raises `RangeError` if their references differ.
     """
-    if not isinstance(results, Mapping):
+    if isinstance(results, SimulationResult):
         results = {"run": results}
     _same_reference(results)
     alone = len(results) == 1
