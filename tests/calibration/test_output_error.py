@@ -8,6 +8,7 @@ import pytest
 from jax import lax
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve
 from mckibben.calibration import JointPrior, JointRecording, calibrate_from_commands, calibrate_joint
 from mckibben.calibration.experiment import calibrated_scenario
 from mckibben.errors import IdentificationError
@@ -15,7 +16,7 @@ from mckibben.joint import AntagonisticJoint, GeneralLoad
 from mckibben.muscle import MaxwellSlip, scaled_law
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
 

@@ -8,12 +8,12 @@ import jax
 import numpy as np
 import pytest
 
-from mckibben.actuator import Actuator
+from mckibben.actuator import Actuator, FirstOrderValve
 from mckibben.calibration import Sweeps
 from mckibben.component.schema import read_component
 from mckibben.errors import ScenarioError
 from mckibben.numerics.batching import batched_program
-from mckibben.plant import FirstOrderValve, PerfectSensors
+from mckibben.plant import PerfectSensors
 from mckibben.scenario import Scenario
 
 pytestmark = pytest.mark.usefixtures("optimized")

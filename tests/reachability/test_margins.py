@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben.actuator import FirstOrderValve
 from mckibben.errors import ParameterError, UnreachableError
 from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, Pulley, SeriesSpring, TabulatedPath, TwoBonePath
 from mckibben.muscle import return_spring
 from mckibben.numerics.compiled import compiled, numeric
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.reachability import LengthRange, Requirement, size
 from mckibben.reachability.lengths import design_lengths, with_lengths
 from mckibben.reachability.margins import CONSTRAINTS, constraint_margins

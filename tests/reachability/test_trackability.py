@@ -4,12 +4,13 @@ import equinox as eqx
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve, FlowValve, IdealValve
 from mckibben.control import Constant, Reference, Samples, Sine, Step
 from mckibben.errors import RangeError, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import FirstOrderValve, FlowValve, IdealValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.reachability import check_trackability, reference_trajectory, static_envelope
 from mckibben.reachability.trackability import MAX_SMOOTHING, bands_along
 from mckibben.simulation import check_reference, simulate

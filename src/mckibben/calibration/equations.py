@@ -293,7 +293,7 @@ def _law_factor(
     """Cholesky factor of the covariance of a correction: from the prior, and from a fit projected on it."""
     covariance = np.eye(2 * COEFFICIENTS)
     if fit is not None:
-        from mckibben.identification.intervals import force_gradients  # 0.1 s
+        from mckibben.identification.least_squares import force_gradients
 
         v, p = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(0, 1, 7)))
         powers = np.array([(v / 2) ** i for i in range(COEFFICIENTS)]) * force

@@ -13,6 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.calibration.equations import (
     COEFFICIENTS,
     OF_MUSCLE,
@@ -40,7 +41,7 @@ from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import FirstOrderValve, JointFriction, JointPlant
+from mckibben.plant import JointFriction, JointPlant
 from mckibben.result import Column, Listing, Remark, column
 from mckibben.units import ms
 

@@ -25,7 +25,7 @@ from mckibben.muscle import Muscle
 from mckibben.plant import JointPlant
 from mckibben.rig.bench import JointLimits
 from mckibben.scenario import Scenario, Start
-from mckibben.simulation import Result, simulate
+from mckibben.simulation import SimulationResult, simulate
 from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import bar, deg
 
@@ -105,7 +105,7 @@ class ValveExperiment:
         """What a person has to confirm before each part on a physical rig."""
         return dict.fromkeys(("steps", "multisine"), "the joint moves freely with no weight on the limb")
 
-    def recordings(self, results: Mapping[str, Result]) -> list[JointRecording]:
+    def recordings(self, results: Mapping[str, SimulationResult]) -> list[JointRecording]:
         """Recordings of the parts."""
         return [recording_of(result) for result in results.values()]
 

@@ -6,25 +6,19 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, Exit, Option
+from typer import Argument, Option
 
 from mckibben.cli.command import command
 from mckibben.cli.options import (
     Data,
-    Force,
-    Json,
-    Out,
     Reading,
     echo,
-    job_progress,
     keeping,
     notify,
     parse_limits,
     parse_optional_quantity,
     parse_quantity,
     reads_files,
-    results_folder,
-    table,
 )
 from mckibben.errors import ParameterError, UnitError
 from mckibben.storage.files import to_json, write_json
@@ -34,6 +28,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mckibben.experiment_design import ExperimentPlan
+    from mckibben.simulation import Margins
+    from mckibben.study.stiffness import StiffnessTests
 
 
 @reads_files("contraction", "sample_rate", "specimen")
@@ -130,20 +126,18 @@ def _contraction_step(text: str, length: float | None) -> float | None:
     return step / length
 
 
+@command
 def stiffness(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, valve and controller.")],
     amplitude: Annotated[str, Option(metavar="RANGE", help="Amplitudes of the motion.")] = "0.01..10 deg",
     rate: Annotated[str, Option(metavar="RANGE", help="Rates of the motion.")] = "0.1..10 Hz",
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
+    progress: Any = None,
+) -> StiffnessTests:
     """Test the stiffness of a joint over amplitude and rate of a motion, at the setpoint held by its controller."""
-    results_folder(out, ("results.json", "stiffness.png", "stiffness.svg"), force)
-    sizes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
+    amplitudes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
     from mckibben.component.checks import check_positive
 
-    for option, (low, _), unit in (("--amplitude", sizes, "rad"), ("--rate", rates, "Hz")):
+    for option, (low, _), unit in (("--amplitude", amplitudes, "rad"), ("--rate", rates, "Hz")):
         check_positive(option, unit, lowest=low)
     import numpy as np
 
@@ -151,22 +145,9 @@ def stiffness(
     from mckibben.study.stiffness import stiffness_tests
 
     read = Scenario.read(scenario)
-    with job_progress(quiet=json) as report:
-        found = stiffness_tests(
-            read, np.unique(np.geomspace(*sizes, 13)), np.unique(np.geomspace(*rates, 5)), progress=report
-        )
-    numbers = found.records()
-
-    def show() -> None:
-        table(f"{read.name}: stiffness [N*m/rad]", *found.rows())
-        echo(found.describe())
-
-    def draw() -> Figure:
-        from mckibben.report.joint import stiffness
-
-        return stiffness(found)
-
-    _present(numbers, "stiffness", draw, show, out, json)
+    return stiffness_tests(
+        read, np.unique(np.geomspace(*amplitudes, 13)), np.unique(np.geomspace(*rates, 5)), progress=progress
+    )
 
 
 def _present(
@@ -192,39 +173,12 @@ def _present(
         notify(f"wrote results.json, {name}.png and {name}.svg to {out}", json)
 
 
+@command
 def margins(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, valve and controller.")],
     points: Annotated[int, Option(min=1, max=1000, help="Operating points along the reference.")] = 20,
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
+) -> Margins:
     """Compute the stability margins of the sampled loop at operating points along the reference."""
-    results_folder(out, ("results.json", "margins.png", "margins.svg"), force)
     from mckibben.scenario import Scenario
 
-    read = Scenario.read(scenario)
-    found = read.margins(points)
-    shown = found.in_shown_units()
-    numbers = {
-        "scenario": read.name,
-        "stable": found.stable,
-        "time_s": found.time.tolist(),
-        "largest_pole": found.radius.tolist(),
-        "margins": {name: values.tolist() for name, values in shown.items()},
-    }
-
-    def show() -> None:
-        table(f"{read.name}: stability margins", found.headers, found.rows())
-        echo(found.verdict())
-        if (found.radius >= 1).any():
-            plant = read.plant()
-            if plant.friction is not None or plant.joint.has_friction:
-                echo(
-                    "where friction sticks it counts as a spring: oscillations grow there after a small push, until "
-                    "friction slips; simulate with a `disturbance` to see their amplitude"
-                )
-
-    _present(numbers, "margins", found.plot, show, out, json)
-    if not found.stable:
-        raise Exit(1)
+    return Scenario.read(scenario).margins(points)

@@ -12,7 +12,7 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.experiment_design.information import Floats, Indices
 from mckibben.experiment_design.prior import DIRECTION_SIGN, PriorData
-from mckibben.identification.intervals import force_gradients
+from mckibben.identification.least_squares import force_gradients
 from mckibben.muscle import Domain, ForceLaw, Specimen, forces
 from mckibben.units import mm, percent
 

@@ -11,8 +11,8 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError
 from mckibben.experiment_design.information import Floats, Indices, NoiseModel, estimate_noise
 from mckibben.identification import Fit, Grouping, identify
-from mckibben.identification.intervals import force_gradients
-from mckibben.identification.uncertainty import group_labels
+from mckibben.identification.grouping import group_labels
+from mckibben.identification.least_squares import force_gradients
 from mckibben.muscle import Domain, ForceLaw
 
 DIRECTION_SIGN = {"loading": 1.0, "unloading": -1.0}

@@ -13,7 +13,7 @@ import numpy as np
 from mckibben.errors import ParameterError, RangeError, UnitError
 from mckibben.experiment_design.candidates import StateGrid
 from mckibben.experiment_design.information import Floats
-from mckibben.identification.intervals import force_gradients
+from mckibben.identification.least_squares import force_gradients
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.muscle.base import Parameter
@@ -138,7 +138,7 @@ class _JointQuantity(QuantityOfInterest):
         pressures = [np.full(len(angles), float(pressure)) for pressure in self.pressures]
         joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), self.joint, (law, law))
         values = np.array([float(getattr(law, p.name)) for p in type(law).parameters()])
-        derivatives = torque_and_stiffness_gradients(joint, (values,), angles, *pressures, one=True)
+        derivatives = torque_and_stiffness_gradients(joint, (values,), angles, *pressures)
         values, (gradients,), contractions = jax.tree.map(np.asarray, derivatives)
         warnings: list[str] = []
         muscles = self.joint.muscle1, self.joint.muscle2

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben import catalog
+from mckibben.actuator import AirValve, FlowValve
 from mckibben.catalog import entries
 from mckibben.errors import UnreachableError
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, L_PER_S_BAR, mass_flow
-from mckibben.plant import AirValve, FlowValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.reachability.trajectory import ReferenceTrajectory
 from mckibben.units import mm
 

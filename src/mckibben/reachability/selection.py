@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.actuator import IdealValve
 from mckibben.component.calls import checked_call
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Samples, Signal, Sine
@@ -23,7 +24,7 @@ from mckibben.errors import ParameterError, UnreachableError
 from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley, RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.compiled import compiled
-from mckibben.plant import IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.lengths import check_lengths, with_lengths
 from mckibben.reachability.margins import CONSTRAINTS, attained_stiffness, constraint_margins, friction_torque
@@ -38,7 +39,7 @@ from mckibben.reachability.requirement import (
 from mckibben.reachability.trajectory import reference_trajectory
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario, Start
-from mckibben.simulation import Result as Run
+from mckibben.simulation import SimulationResult
 from mckibben.storage.files import atomic_write
 from mckibben.units import deg, mm, show
 
@@ -196,7 +197,7 @@ class Selection(Result):
         """Return the selection with the checks of a run of the best joint's scenario."""
         return dataclasses.replace(self, checks=tuple(self.verify(self.scenario().simulate())))
 
-    def verify(self, result: Run) -> list[Check]:
+    def verify(self, result: SimulationResult) -> list[Check]:
         """Compare a run of the scenario with the requirement: outcome, angle within 2 %, stiffness within 5 %."""
         need, angle = self.requirement, np.asarray(result["angle"])
         error = np.abs(angle - np.asarray(result["desired_angle"])).max()

@@ -8,9 +8,7 @@ from .figures import ReportFigure as ReportFigure
 from .figures import figures as figures
 from .identification import force_bands as force_bands
 from .identification import loops as loops
-from .identification import profile_likelihood as profile_likelihood
 from .identification import ranking as ranking
-from .identification import relaxation as relaxation
 from .joint import attainable_stiffness as attainable_stiffness
 from .joint import calibration as calibration
 from .joint import envelope as envelope

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from mckibben.calibration import ValveCalibration
     from mckibben.calibration.estimation import CalibratedJoint
     from mckibben.paper.identification import JointMap
-    from mckibben.simulation import Result
+    from mckibben.simulation import SimulationResult
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _SAMPLES_APART = 100
@@ -61,7 +61,7 @@ _REFERENCES = (
 
 @styled
 def attainable_stiffness(
-    maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, Result]] | None = None
+    maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, SimulationResult]] | None = None
 ) -> Figure:
     """Attainable stiffness in static equilibrium with the load, over the joint angle, by name of the geometry.
 
@@ -149,7 +149,7 @@ def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.f
     return np.arange(np.floor(first / step), np.ceil(last / step) + 1) * step
 
 
-def _path(result: Result, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+def _path(result: SimulationResult, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
     """Reference stiffness over the range of reference angles, one horizontal line per level."""
     angle = result["desired_angle"] / deg
     stiffness = result["desired_stiffness"]
@@ -283,7 +283,7 @@ def stiffness(found: StiffnessTests) -> Figure:
     if found.closed_dynamic is not None:
         below = [figure.add_subplot(grid[1, part]) for part in (slice(panels), slice(panels, None))]
         _closed_valves(below, found, found.closed_dynamic, panels)
-    amplitudes = found.amplitudes / deg
+    amplitudes = found.amplitude / deg
     forms = ((HELD, found.secant, found.isobaric, BLUE), (CLOSED, found.closed_secant, found.closed_valve, VERMILLION))
     for name, secant, slope, color in forms:
         first.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
@@ -330,7 +330,7 @@ def _closed_valves(both: list[Axes], found: StiffnessTests, closed: np.ndarray, 
         axes.plot(test.frequency, simulated[:, 0], label="simulated", **look)
         axes.set(xscale="log", xlabel="rate [Hz]", ylabel=_STIFFNESS)
         plain_numbers(axes.xaxis)
-        letter(axes, panels + i, f"closed valves, {name}, {found.amplitudes[0] / deg:.2g} deg")
+        letter(axes, panels + i, f"closed valves, {name}, {found.amplitude[0] / deg:.2g} deg")
 
 
 @styled

@@ -1,6 +1,4 @@
-"""A host that crashes: the second process vents the card, though the relay would wait for a minute.
-
-"""
+"""A host that crashes: the second process vents the card, though the relay would wait for a minute."""
 
 import contextlib
 import importlib
