@@ -51,7 +51,7 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.PID(Kp=1.0, ki=2.0, kd=3.0), "'kp'"),  # type: ignore[call-arg]
         (lambda: mk.Requirement(load=None), "Requirement(load, angles"),  # type: ignore[call-arg]
         (lambda: SCENARIO.tune(iteration=3), "'iterations'"),
-        (lambda: SCENARIO.envelope(angles=[0.1]), "margin"),
+        (lambda: SCENARIO.envelope(angles=[0.1]), "smoothing"),
         (lambda: SCENARIO.export("c"), "export(target, out"),  # type: ignore[call-arg]
         (lambda: SCENARIO.compare(mk.PID(1.0, 2.0, 3.0)), "by name"),  # type: ignore[arg-type]
         (lambda: SCENARIO.linearize("1 s"), "SI units"),  # type: ignore[arg-type]
@@ -104,7 +104,6 @@ def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
         (lambda: SCENARIO, "stiffness", "joint.stiffness(angle, pressures)"),
         (lambda: LAW, "stiffness", "slope(contraction, pressure)"),
         (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA), "rmse", "fit.rmse"),
-        (lambda: SCENARIO.envelope(), "trackable", "trackability.trackable"),
         (lambda: mk, "envelope", "scenario.envelope()"),
         (lambda: mk, "ExponentialLw", "ExponentialLaw"),
         (lambda: DATA, "identify", "mk.identify"),
