@@ -4,9 +4,10 @@ from mckibben.identification.creep import CreepFit, identify_creep, identify_pre
 from mckibben.identification.estimator import Interval, IntervalEstimate
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
 from mckibben.identification.fitting import ResidualCorrelation, identify
-from mckibben.identification.friction import FormComparison, HysteresisFit, LackOfFit, SensorDrift, identify_hysteresis
+from mckibben.identification.friction import identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import Grouping
+from mckibben.identification.hysteresis import FormComparison, HysteresisFit, LackOfFit, SensorDrift
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled

@@ -83,9 +83,11 @@ def identify(
     if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
         values = (law_type,) if dataset is None else (law_type, dataset)
         kinds = [f"class {value.__name__}" if isinstance(value, type) else type(value).__name__ for value in values]
+        law = next((kind for kind in kinds if kind.endswith("Law")), "ExponentialLaw").removeprefix("class ")
+        data = "data" if IsobaricDataset in map(type, values) else "read_dataset('rig.csv')"
         raise IdentificationError(
             f"identify takes the class of a law and a dataset, not {' and '.join(kinds)}",
-            remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
+            remedy=f"write identify({law}, {data})",
         )
     means = dataset.plateau_means()
     return fit_means(law_type, means, find_outliers(means) if robust else (), domain)
