@@ -14,7 +14,6 @@ import pytest
 import mckibben as mk
 from mckibben.errors import ExportError
 from mckibben.export.episodes import plants_of
-from mckibben.identification.storage import read_fit
 
 VARIED = ["valve.time_constant=10..50 ms", "command_delay=3 ms"]
 KNEE = "examples/pre-contracted-step-pid.yaml", [*VARIED, "joint.muscle.strength=+-10 %"], 5e4

@@ -18,12 +18,13 @@ from mckibben.identification.estimator import (
     condition_number,
     robust_errors,
 )
-from mckibben.identification.fit import DatasetSummary, Fit, domain_of, left_out
+from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
 from mckibben.identification.hysteresis import FormComparison, HysteresisFit, LackOfFit, SensorDrift
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths, clipped, loop_half_width
 from mckibben.identification.outliers import find_outliers
+from mckibben.identification.summary import DatasetSummary, domain_of, left_out
 from mckibben.muscle import ForceLaw
 from mckibben.result import Remark
 from mckibben.units import show
@@ -119,15 +120,23 @@ def identify_hysteresis(
         start = model.start(start, form)
     model, solution = _with_drift(model, bases, start, (*of_law, *form.free))
     solution, about_presliding = _presliding(model, solution)
-    lack, rejected = _lack_of_fit(model, solution, half_gap), form
-    if lack is None and form in (FrictionForm.PRESSURE, FrictionForm.TENSION):
-        # A dependence on contraction may be mistaken for growth, which hides it if there are few paths.
-        simpler = model.fit(model.start(solution.values, FrictionForm.CONSTANT), (*of_law, *FrictionForm.CONSTANT.free))
-        lack = _lack_of_fit(model, simpler, half_gap)
-        lack, rejected = (lack, FrictionForm.CONSTANT) if lack and lack.remedy is None else (None, form)
+    lack, rejected = _rejected(model, solution, form, of_law, half_gap)
     result = _result(model, solution, taut, form, comparison, lack)
     notes += [*about_presliding, *_doubts(model, solution, result, half_gap, rejected)]
     return dataclasses.replace(result, notes=tuple(notes))
+
+
+def _rejected(
+    model: PathDependentModel, solution: PathSolution, form: FrictionForm, of_law: tuple[str, ...], half_gap: float
+) -> tuple[LackOfFit | None, FrictionForm]:
+    """Dependence that a form lacks, and the form that is rejected for it."""
+    lack = _lack_of_fit(model, solution, half_gap)
+    if lack is not None or form not in (FrictionForm.PRESSURE, FrictionForm.TENSION):
+        return lack, form
+    # A dependence on contraction may be mistaken for growth, which hides it if there are few paths.
+    simpler = model.fit(model.start(solution.values, FrictionForm.CONSTANT), (*of_law, *FrictionForm.CONSTANT.free))
+    lack = _lack_of_fit(model, simpler, half_gap)
+    return (lack, FrictionForm.CONSTANT) if lack and lack.remedy is None else (None, form)
 
 
 def _check(model: PathDependentModel, form: FrictionForm | None, of_law: int, drift: DriftBasis) -> None:

@@ -13,8 +13,9 @@ from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import (
     Floats,
 )
-from mckibben.identification.fit import DatasetSummary, warning_texts
+from mckibben.identification.fit import warning_texts
 from mckibben.identification.friction_model import FrictionForm
+from mckibben.identification.summary import DatasetSummary
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
 from mckibben.notebook import draw
 from mckibben.result import Column, Listing, Remark, Result, column

@@ -6,8 +6,8 @@ import re
 
 from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.errors import ON_COMMAND_LINE
-from mckibben.identification.fit import KEEP_OUTLIERS
 from mckibben.identification.fitting import WITH_FRICTION
+from mckibben.identification.summary import KEEP_OUTLIERS
 from mckibben.scenario.parameters import LISTING
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
