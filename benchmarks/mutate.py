@@ -185,7 +185,7 @@ def _calibration() -> bytes:
 def _dataset(path: Path) -> Any:
     from mckibben import read_dataset
 
-    return read_dataset(path, on_corrupt="report")
+    return read_dataset(path, accept=["corrupt"])
 
 
 def _scenario(path: Path) -> Any:
@@ -195,7 +195,7 @@ def _scenario(path: Path) -> Any:
 
 
 def _suite(path: Path) -> Any:
-    from mckibben.study.benchmark.suite import Suite
+    from mckibben.study.compare.suite import Suite
 
     return Suite.read(path)
 

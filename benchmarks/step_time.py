@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 from mckibben.export import export
-from mckibben.study.benchmark import Suite
+from mckibben.study.compare import Suite
 
 SUITE = Path(__file__).parents[1] / "examples" / "comparison" / "valves.yaml"
 STEPS = 30_000  # of a repeat

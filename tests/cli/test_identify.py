@@ -278,7 +278,7 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     for command in (
         ("simulate", "joint.yaml"),
         ("envelope", "joint.yaml"),
-        ("tune", "joint.yaml", "--method", "evolution", "--population", "5", "--iterations", "1", "--out", "tuned"),
+        ("tune", "joint.yaml", "--population", "5", "--iterations", "1", "--out", "tuned"),
     ):
         answer = cli(*command)
         assert answer.code == 0, answer.err

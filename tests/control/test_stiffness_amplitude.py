@@ -7,22 +7,23 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.control import (
     PID,
     DecouplingControl,
     ExtendedStateObserver,
-    FrictionCompensation,
     InverseModelControl,
     PolePlacement,
     PositionStiffnessControl,
     PredictiveControl,
     Reference,
     Setpoint,
+    SupplyLimit,
 )
-from mckibben.errors import RangeError, ReachabilityWarning
+from mckibben.errors import ReachabilityWarning
 from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.simulation import dynamic_stiffness, simulate, simulate_many
 from mckibben.units import deg, mm, ms
 
@@ -111,14 +112,7 @@ def test_what_friction_adds_shifts_the_attainable_stiffness_up(joint, knee, load
 
 
 def test_the_wrapper_controls_what_the_controller_in_it_does(joint, load):
-    assert FrictionCompensation(controllers(joint, load)["PID"], model=joint).stiffness_amplitude == SIZE
-
-
-@pytest.mark.parametrize("name", ["PID", "decoupling"])
-def test_an_amplitude_of_zero_is_refused(joint, load, name):
-    with pytest.raises(RangeError) as refused:
-        dataclasses.replace(controllers(joint, load)[name], stiffness_amplitude=0.0)
-    assert refused.value.field == "stiffness_amplitude"
+    assert SupplyLimit(controllers(joint, load)["PID"]).stiffness_amplitude == SIZE
 
 
 @pytest.mark.slow

@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.leg import LegPlant, LegScenario, LegStart, PressureSchedule, simulate_leg, simulate_legs
 from mckibben.leg.control import LegController
-from mckibben.plant import FirstOrderValve, IdealValve, JointFriction, SampledSensors, TorquePulses
+from mckibben.plant import JointFriction, SampledSensors, TorquePulses
 from mckibben.units import deg, kPa, ms
 from tests.leg.conftest import leg_of
 
@@ -73,7 +74,7 @@ def test_sensors_quantise_angles_and_disturb_pressures(fixed):
     assert np.ptp(steps) > 3
     noise = run["seen_pressure"] - run["pressure"][0]
     assert float(noise.std()) == pytest.approx(4 * kPa, rel=0.3)
-    assert run.to_xarray().equals(again.to_xarray())
+    assert run.to_dataset().equals(again.to_dataset())
 
 
 @pytest.mark.slow

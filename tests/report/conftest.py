@@ -24,7 +24,7 @@ from mckibben.paper.tracking import (
 )
 from mckibben.scenario import list_parameters, run_scenario, with_values
 from mckibben.simulation import Metrics
-from mckibben.study.tune import TuningResult
+from mckibben.study.tune import TuneResult
 
 SEEDS = 3
 
@@ -44,16 +44,18 @@ def reproduction():
         moderate = pid_scenario(setting, StiffnessReference.CONSTANT)
         doubled = {a.name: 2 * a.nominal for a in list_parameters(moderate) if a.name.endswith(("kp", "ki"))}
         found = with_values(moderate, doubled)
-        tuned[setting.key] = TuningResult(doubled, (found,), 5.0, 80.0, 100, ("controller.position.ki",), ())
+        tuned[setting.key] = TuneResult(
+            doubled, (moderate,), (found,), 5.0, 80.0, 100, at_bound=("controller.position.ki",)
+        )
         coupling[setting.key] = Coupling(1e-3, 0.1, 1e-14)
         gains = gains_of(found)
         for wish in StiffnessReference:
             for name, given in ((PID, None), (DOUBLED_PID, double(setting.moderate)), (TUNED_PID, gains)):
                 scenario = pid_scenario(setting, wish, given, name=name)
-                runs[setting.key, wish, name] = ControllerRun(scenario, run_scenario(scenario).result, None)
+                runs[setting.key, wish, name] = ControllerRun(scenario, run_scenario(scenario), None)
             for name, given, ratio in ((BP, None, 2.0), (TUNED_BP, gains, 1.1), (FREE_TUNED_BP, gains, 2.0)):
                 scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
-                run = ControllerRun(scenario, run_scenario(scenario).result, None)
+                run = ControllerRun(scenario, run_scenario(scenario), None)
                 runs[setting.key, wish, name] = dataclasses.replace(run, seeds=_spread(run))
     identification, joint = run_identification(repeats=2), run_joint(resolution=81)
     tracking = Tracking(runs, tuned, coupling, SEEDS)

@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve, PressureRegulator
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import KneeLoad
 from mckibben.muscle import MaxwellSlip
 from mckibben.muscle.friction import polygon
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointFriction, JointPlant, PressureRegulator, TorquePulses
+from mckibben.plant import JointFriction, JointPlant, TorquePulses
 from mckibben.simulation import closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.units import bar, deg, mm, ms
 
@@ -149,14 +150,6 @@ def test_what_does_not_fit_is_refused(held, start):
         assert refused.value.field == field
     with pytest.raises(RangeError):
         dynamic_stiffness(held, start, 1 * deg, 1.0, setpoint=Setpoint(jnp.asarray(0.0), jnp.asarray(15.0)))
-
-
-def test_closed_valves_need_the_volume_of_the_muscles(held):
-    muscle = held.joint.muscle1
-    unknown = dataclasses.replace(muscle, specimen=dataclasses.replace(muscle.specimen, initial_diameter=None))
-    with pytest.raises(RangeError, match="closed valves") as refused:
-        closed_valves(dataclasses.replace(held, joint=dataclasses.replace(held.joint, muscle1=unknown)))
-    assert refused.value.field == "initial_diameter"
 
 
 @pytest.mark.slow

@@ -5,18 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve
 from mckibben.control import Constant, Controller, Reference, Step
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import (
-    IdealValve,
-    JointPlant,
-    NoDisturbance,
-    PerfectSensors,
-    PlantState,
-    SampledSensors,
-    TorquePulses,
-)
+from mckibben.plant import JointPlant, NoDisturbance, PerfectSensors, PlantState, SampledSensors, TorquePulses
 from mckibben.simulation import compiled_episode, episode, sampled, simulate_many, without_last_change
 from mckibben.units import deg
 
@@ -113,12 +106,6 @@ def test_a_run_that_goes_on_hears_and_feels_what_comes_next(heard, alone):
     np.testing.assert_array_equal(
         went_on, np.select([since < 0, since % 40 < 10, since // 10 % 4 == 2], [0, 0.5, -0.5])
     )
-
-
-def test_in_32_bits_a_run_stays_single(heard):
-    """The noise and the times of the pushes are those of 64 bits: test_sensors, test_disturbance."""
-    record, final = heard(kind=jnp.float32)
-    assert {leaf.dtype for leaf in jax.tree.leaves((record.state, final))} == {np.dtype(np.float32)}
 
 
 KEPT = ("stiffness_estimate", "angle", "stiffness", "desired_stiffness", "pressure1", "pressure2", "air1", "air2")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import errno
 import io
-import math
 import os
 import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -20,9 +19,10 @@ import typer
 from typer import Argument, Option
 
 import mckibben
-from mckibben.cli.bench import bench
 from mckibben.cli.calibrate import calibrate
+from mckibben.cli.catalog import catalog
 from mckibben.cli.check import check
+from mckibben.cli.command import command
 from mckibben.cli.compare import compare
 from mckibben.cli.export import export
 from mckibben.cli.identify import identify, validate
@@ -32,32 +32,26 @@ from mckibben.cli.options import (
     Accuracy,
     Commands,
     Extrapolate,
-    Force,
     Json,
-    Out,
     echo,
-    format_metrics,
     keeping,
-    notify,
     on_command_line,
     progress,
     results_folder,
     table,
     with_accuracy,
 )
-from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
+from mckibben.cli.plan import margins, plan, stiffness
 from mckibben.cli.points import points
 from mckibben.cli.recordings import identify_air, identify_creep
 from mckibben.cli.rig import rig
-from mckibben.cli.size import size
-from mckibben.cli.sweep import merge, sweep, tune
+from mckibben.cli.size import envelope, size
+from mckibben.cli.sweep import sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
-from mckibben.storage.files import make_folder, to_json, write_json
-from mckibben.units import mm
+from mckibben.storage.files import make_folder, to_json
 
 if TYPE_CHECKING:
-    from mckibben.scenario import Scenario
-    from mckibben.simulation import Result
+    from mckibben.simulation import SimulationResult
 
 _LONGEST_REASON = 1000  # characters of a foreign exception
 
@@ -96,12 +90,13 @@ def reproduce(
         echo(to_json(done.results()))
         return
     for title, claims in (("The paper's claims", done.paper_claims), ("Our own questions", done.questions)):
-        verdicts = [("holds" if claim.holds else "does not hold", claim.claim, claim.source) for claim in claims]
+        verdicts = [(claim.verdict, claim.claim, claim.source) for claim in claims]
         table(title, ("verdict", "statement", "source"), verdicts)
     echo(done.verdict)
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 
+@command
 def simulate(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     animate: Annotated[
@@ -109,66 +104,25 @@ def simulate(
     ] = None,
     accuracy: Accuracy = "",
     extrapolate: Extrapolate = False,
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
+    force: bool = False,
+) -> SimulationResult:
     """Simulate a scenario: a controller on a joint."""
     if animate:  # report mistakes before the run
         from mckibben.report.animation import animation_format
 
         animation_format(animate)
         results_folder(animate.parent, [animate.name], force)
-    results_folder(out, ("result.nc", "results.json", "scenario.yaml", "tracking.png", "tracking.svg"), force)
-    from mckibben.scenario import Scenario
+    from mckibben.scenario import Scenario, run_scenario
 
-    read = with_accuracy(Scenario.read(scenario), accuracy)
-    read = read.with_extrapolation() if extrapolate else read
-    from mckibben.scenario import run_scenario, unknown_air
-    from mckibben.simulation.metrics import in_shown_units
-
-    result, feasibility = run_scenario(read, source=str(scenario))
-    infeasible = "" if feasibility.feasible else feasibility.describe()
-    numbers = {
-        "scenario": read.name,
-        "outcome": result.outcome.name.lower(),
-        "described": result.describe(),
-        "integration": result.resolution._asdict() if result.resolution else {},
-        "infeasible": infeasible,
-        "metrics": in_shown_units(result.metrics),
-        "remarks": read.joint.remarks,
-    }
-    if out:  # before printing: the reader of the output may be gone
-        with keeping(out):
-            _keep_run(out, read, result)
-            write_json(out / "results.json", numbers)
-    if json:
-        echo(to_json(numbers))
-    else:
-        if infeasible:
-            echo(f"warning: {infeasible}", err=True)
-        table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
-        if result.resolution:
-            echo(result.resolution.describe())
-        echo(result.describe())
-        for remark in read.joint.remarks:
-            echo(remark)
-        if "small_motion_stiffness" in result.columns and not result.outcome.failed:
-            small, isobaric = result["small_motion_stiffness"], result["stiffness"]
-            ranges = [f"{values.min():.3g}..{values.max():.3g} N*m/rad" for values in (small, isobaric)]
-            echo(f"small-motion stiffness {ranges[0]}, isobaric stiffness {ranges[1]}")
-        if math.isnan(result.metrics["air"]) and not result.outcome.failed:
-            echo(unknown_air(read))
-    if out:
-        notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
+    run = with_accuracy(Scenario.read(scenario), accuracy)
+    run = run.with_extrapolation() if extrapolate else run
+    result = run_scenario(run, source=str(scenario))
     if animate:
         from mckibben import report
 
         with keeping(animate.parent):
-            report.animate(result, animate, read.plant(), overwrite=True)
-        notify(f"wrote {animate}", json)
-    if result.outcome.failed:
-        raise typer.Exit(1)
+            report.animate(result, animate, run.plant(), overwrite=True)
+    return result
 
 
 def web(
@@ -185,68 +139,6 @@ def web(
     start(port, show=not no_browser, ready=lambda address: echo(f"{address} (Ctrl-C ends it)"))
 
 
-def laws(json: Json = False) -> None:
-    """List the force laws and the published parameter sets."""
-
-    def build() -> dict[str, Any]:
-        from mckibben import catalog
-        from mckibben.muscle import LAWS
-
-        published = {name: catalog.law(name) for name in catalog.names("laws")}
-        sets = {name: {"law": type(law).__name__, "domain": str(law.domain)} for name, law in published.items()}
-        known = {name: {"equation": law.equation, "source": law.source} for name, law in LAWS.items()}
-        return {"laws": known, "published": sets}
-
-    found = _listing("laws", build)
-    if json:
-        echo(to_json(found))
-        return
-    rows = [(name, law["equation"], law["source"]) for name, law in found["laws"].items()]
-    table("Laws", ("law", "equation", "source"), rows)
-    sets = [(name, law["law"], law["domain"]) for name, law in found["published"].items()]
-    table("Published parameter sets", ("name", "law", "domain"), sets)
-
-
-def specimens(json: Json = False) -> None:
-    """List the specimens and measured datasets of the catalog."""
-
-    def build() -> dict[str, Any]:
-        from mckibben import catalog
-
-        known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
-        data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
-        numbers = {
-            name: {
-                "initial_length_mm": s.initial_length / mm,
-                "initial_diameter_mm": (s.initial_diameter or math.nan) / mm,
-                "rated_force_N": s.rated_force,
-                "domain": str(s.domain),
-                "source": catalog.cite(name),
-            }
-            for name, s in known.items()
-        }
-        return {"specimens": numbers, "datasets": data}
-
-    found = _listing("specimens", build)
-    if json:
-        echo(to_json(found))
-        return
-    rows = []
-    for name, s in found["specimens"].items():
-        size = f"{s['initial_length_mm']:g} x {s['initial_diameter_mm']:g} mm"
-        rows.append((name, size, f"{s['rated_force_N']:g} N", s["domain"]))
-    table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)
-    table("Datasets", ("name", "source"), list(found["datasets"].items()))
-
-
-def _listing(name: str, build: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Listing from the user's cache folder: building it needs JAX."""
-    from mckibben.numerics.runtime import programs_folder
-    from mckibben.storage.private import listing
-
-    return listing(programs_folder(), name, build)
-
-
 _PANELS = {
     "The paper": (reproduce,),
     "Muscles, data and test rig": (
@@ -256,12 +148,11 @@ _PANELS = {
         identify_air,
         validate,
         plan,
-        laws,
-        specimens,
+        catalog,
         rig,
     ),
-    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, oracle, calibrate, leg),
-    "Studies": (tune, compare, sweep, merge, bench),
+    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, calibrate, leg),
+    "Studies": (tune, compare, sweep),
     "Other programs": (web, export, check),
 }
 for _panel, _commands in _PANELS.items():
@@ -369,14 +260,6 @@ def _interrupts() -> Iterator[list[int]]:
         yield found
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
-    from mckibben import report
-
-    scenario.to_yaml(out / "scenario.yaml")
-    result.to_netcdf(out / "result.nc")
-    report.save(report.tracking({scenario.name: result}), out, "tracking")
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:

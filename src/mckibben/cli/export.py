@@ -59,20 +59,17 @@ def export(
 
 
 def _export_leg(file: Path, to: str, out: Path, name: str, single: bool, fmi: float | None, force: bool) -> Exported:
-    """Export a leg, as MJCF, for MuJoCo Warp, or as URDF."""
-    if to not in ("mjcf", "warp", "urdf") or single:
+    """Export a leg, as MJCF, or for MuJoCo Warp."""
+    if to not in ("mjcf", "warp") or single:
         message = f"a leg cannot be written as {quoted(to)}{' in 32 bits' if single else ''}"
-        remedy = "give --to mjcf, --to warp or --to urdf, or a scenario of a joint"
+        remedy = "give --to mjcf or --to warp, or a scenario of a joint"
         raise ParameterError(message, field="to", value=to, remedy=remedy)
     if fmi is not None:
         raise ParameterError("a leg cannot be an FMU", field="fmi", value=fmi, remedy="leave it out")
     from mckibben.export.leg_mjcf import export_leg
-    from mckibben.export.leg_urdf import export_leg_urdf
     from mckibben.leg import LegScenario
 
     options: dict[str, Any] = {"name": name or "leg", "overwrite": force}
-    if to == "urdf":
-        return export_leg_urdf(LegScenario.read(file), out, **options)
     if to == "warp":
         from mckibben.export.warp import warp_leg
 

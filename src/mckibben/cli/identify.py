@@ -30,7 +30,7 @@ _DRAWN = ("fit", "bands", "loops")
 def identify(
     data: Data,
     law: Annotated[
-        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben laws' lists them; 'all' ranks them.")
+        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben catalog' lists them; 'all' ranks them.")
     ] = "exponential",
     friction: Annotated[
         str,

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from mckibben.component.classes import classes_of
 from mckibben.component.extensions import load_installed, package_version
-from mckibben.component.schema import Part
+from mckibben.component.schema import ComponentField
 from mckibben.config.document import to_text
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.dataset import IsobaricDataset
@@ -110,7 +110,7 @@ class _FitFile(DocumentModel):
     kind: ClassVar[str] = "fit"
     examples: ClassVar[str] = "docs/files.md"
 
-    law: Annotated[Any, Part(ForceLaw)]
+    law: Annotated[Any, ComponentField(ForceLaw)]
     equation: str = ""
     version: str = ""
     fit: _FitNumbers | None = None

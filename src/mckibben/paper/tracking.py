@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,8 +25,9 @@ from mckibben.paper.settings import (
     pid_scenario,
 )
 from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import Metrics, Result, rms, run_episode, sampled
-from mckibben.study.tune import Cost, Method, TuningResult, gain_ranges, tune
+from mckibben.simulation import Metrics, SimulationResult, rms, run_episode, sampled
+from mckibben.study.tune import Cost, TuneResult, gain_ranges, tune
+from mckibben.study.tune.search import Costs, Vector
 from mckibben.units import quantity
 
 PID, BP, DOUBLED_PID, TUNED_PID = "PID", "BP", "PID, position gains doubled", "PID tuned"
@@ -39,7 +41,7 @@ class ControllerRun:
     """A run (for BP, with the first seed) and the metrics per seed; None for a controller without seeds."""
 
     scenario: Scenario
-    result: Result
+    result: SimulationResult
     seeds: Metrics | None
 
     def median(self, metric: str) -> float:
@@ -57,8 +59,8 @@ class ControllerRun:
         return int(np.sum(~(self._values("angle_rmse") < reference)))
 
     def _ranked(self, take: Callable[[np.ndarray], np.floating], metric: str) -> float:
-        found = float(take(np.nan_to_num(self._values(metric), nan=np.inf, posinf=np.inf)))
-        return found if np.isfinite(found) else np.nan
+        value = float(take(np.nan_to_num(self._values(metric), nan=np.inf, posinf=np.inf)))
+        return value if np.isfinite(value) else np.nan
 
     def _values(self, metric: str) -> np.ndarray:
         if self.seeds is None:
@@ -83,7 +85,7 @@ class Tracking:
     """Runs by setting key, stiffness reference and controller; tuning and coupling by setting key."""
 
     runs: _Runs
-    tuned: dict[str, TuningResult]
+    tuned: dict[str, TuneResult]
     coupling: dict[str, Coupling]
     seeds: int
 
@@ -120,7 +122,7 @@ def _moderate_runs(seeds: int) -> _Runs:
     return runs
 
 
-def _tuned_runs(setting: Setting, tuned: TuningResult, seeds: int) -> _Runs:
+def _tuned_runs(setting: Setting, tuned: TuneResult, seeds: int) -> _Runs:
     gains = gains_of(tuned.scenarios[0])
     runs: _Runs = {}
     for reference in StiffnessReference:
@@ -132,7 +134,7 @@ def _tuned_runs(setting: Setting, tuned: TuningResult, seeds: int) -> _Runs:
     return runs
 
 
-def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> TuningResult:
+def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> TuneResult:
     scenarios = [pid_scenario(setting, reference) for reference in StiffnessReference]
     scales = {
         "angle_rmse": quantity(setting.angle_scale, "rad") / 10,
@@ -142,15 +144,37 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
         scenarios,
         gain_ranges(scenarios[0]),
         Cost.of(scales, gain_margin=_GAIN_MARGIN),
-        method=Method.EVOLUTION,
+        method=_by_evolution,
         iterations=generations,
         population=population,
         progress=lambda _, part: progress(part),
     )
 
 
+def _by_evolution(
+    costs: Costs, first: Vector, *, population: int, generations: int, seed: int, progress: Callable[[float], object]
+) -> None:
+    """Differential evolution (Storn and Price, J. Global Optim. 11 (1997) 341) from random points and the first one."""
+    from scipy.optimize import differential_evolution  # 0.3 s at import
+
+    steps = itertools.count(1)
+    differential_evolution(
+        lambda columns: costs(columns.T),
+        [(0.0, 1.0)] * first.size,
+        x0=first,
+        init=np.random.default_rng(seed).uniform(0.0, 1.0, (population, first.size)),
+        maxiter=generations,
+        vectorized=True,
+        updating="deferred",
+        polish=False,
+        tol=0.0,
+        rng=seed,
+        callback=lambda *_: progress(min(next(steps) / generations, 1.0)),
+    )
+
+
 def _run_pid(scenario: Scenario) -> ControllerRun:
-    return ControllerRun(scenario, run_scenario(scenario).result, None)
+    return ControllerRun(scenario, run_scenario(scenario), None)
 
 
 def _steps(scenario: Scenario) -> tuple[float, int | None]:
@@ -168,8 +192,8 @@ def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
         return Metrics(**run.metrics)
 
     # One by one, with the program of the single run: a batch would need another compilation.
-    each = [metrics(seed) for seed in range(seeds)]
-    return ControllerRun(scenario, run_scenario(scenario).result, jax.tree.map(lambda *m: jnp.stack(m), *each))
+    by_seed = [metrics(seed) for seed in range(seeds)]
+    return ControllerRun(scenario, run_scenario(scenario), jax.tree.map(lambda *m: jnp.stack(m), *by_seed))
 
 
 def _coupling(setting: Setting, stepping: ControllerRun) -> Coupling:

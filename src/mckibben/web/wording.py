@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import re
 
-from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.errors import ON_COMMAND_LINE
 from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.identification.summary import KEEP_OUTLIERS
 from mckibben.scenario.parameters import LISTING
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
-_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|largest_force|force_sign|from_name)\b")
+_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|largest_force|force_sign|from_name|ambient)\b")
 _CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
 _PAIR = re.compile(r"'([^']*)': '([^']*)'")
 _COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
 KEEP, FRICTION, SKIP = "keep outliers", "friction", "leave out damaged rows"  # labels of what stands for arguments
 _INSTEAD = {
     KEEP_OUTLIERS: f"to keep such points, tick “{KEEP}”",
-    LEAVE_OUT: f", or tick “{SKIP}”",
+    "accept=['corrupt']": f"tick “{SKIP}”",
     WITH_FRICTION: f"to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
     f"; {LISTING}": "",
@@ -28,7 +27,6 @@ _INSTEAD = {
 """Parts of texts that name calls and options, with those for the page."""
 _READERS = {
     "which `mckibben simulate` reads": "which the page Run reads",
-    "which `mckibben leg` reads": "which the page Leg reads",
 }
 
 

@@ -1,0 +1,75 @@
+"""Comparison of controllers: tuned with one budget, compared on the same evaluation runs."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+from mckibben.notebook import Progress, notebook_progress, silent
+from mckibben.storage.store import STUDY, open_store
+from mckibben.study.compare.evaluation import evaluate
+from mckibben.study.compare.result import CompareResult, started
+from mckibben.study.compare.runs import draw
+from mckibben.study.compare.statistics import trial_at_air
+from mckibben.study.compare.suite import Suite
+from mckibben.study.compare.tuning import ControllerTuning, none_starts
+from mckibben.study.tune.space import SearchSpace
+
+_TUNING = 0.98  # share of a controller's time
+
+
+def compare(
+    suite: Suite, *, out: str | os.PathLike[str] | None = None, resume: bool = False, progress: Progress | None = None
+) -> CompareResult:
+    """Tune the controllers of a suite and compare them on its evaluation runs.
+
+    Parameters
+    ----------
+    suite
+        Plants, references, conditions and controllers.
+    out, resume
+        Folder of the study, whose file study.sqlite keeps every trial of all controllers, and whether to continue it.
+        Default: nothing is kept.
+    progress
+        Called with the current step and the completed fraction, 0 to 1. Default: a progress bar in notebooks.
+
+    Raises
+    ------
+    ParameterError
+        If a controller has nothing to tune, no trial succeeds, or no run can start.
+    FileError
+        As for `tune`.
+    """
+    progress = progress or notebook_progress() or silent
+    training = draw(suite, suite.tuning.runs, suite.tuning.seed)
+    evaluation = draw(suite, suite.evaluation.runs, suite.evaluation.seed)
+    names = list(suite.controllers)
+    result, at_air = (CompareResult(suite, evaluation, {}, {}, {}, {}) for _ in range(2))
+    with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
+        for number, name in enumerate(names):
+
+            def report(task: str, part: float, name: str = name, number: int = number) -> None:
+                progress(f"{name} ({number + 1} of {len(names)}): {task}", (number + part) / len(names))
+
+            swept = suite.tuned_over(name)
+            result.tuned[name], result.at_bound[name] = {}, ()
+            if swept:
+                air = None if number == 0 else result.training_air(names[0])
+                wrapped = suite.tuned_inside(name, result.tuned)
+                task = ControllerTuning(suite, name, SearchSpace(swept), training, air, wrapped)
+                report("tuning", 0.0)
+                tuned = task.run(store, lambda part: report("tuning", _TUNING * part))
+                result.tuned[name], result.training_cost[name], result.at_bound[name] = tuned[:3]
+                result.trials[name], result.finalists[name] = tuned.trials, tuned.finalists
+                trial = trial_at_air(tuned.trials, result.training_air(names[0]))
+                if trial is not None:
+                    at_air.tuned[name] = task.values(trial)
+            report("evaluation runs, the last part", _TUNING)
+            for part in (result, at_air):
+                if name in part.tuned:
+                    part.batches[name] = evaluate(evaluation, name, part.tuned[name])
+            if not started(result.batches[name]).any():
+                raise none_starts("evaluation")
+    progress("done", 1.0)
+    return replace(result, at_air=at_air) if at_air.batches else result

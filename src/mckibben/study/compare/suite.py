@@ -1,0 +1,511 @@
+"""Benchmark suites: plants, references, conditions and controllers, and their consistency."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Annotated, Any, Self
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from mckibben.actuator import IdealValve
+from mckibben.component.schema import independent, inherit
+from mckibben.config.document import Document, dotted
+from mckibben.config.fields import Title
+from mckibben.config.model import ConfigModel, fail_validation, parse_model
+from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference, Step
+from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
+from mckibben.plant import NoDisturbance, PerfectSensors
+from mckibben.scenario import Scenario, list_parameters
+from mckibben.scenario.scenario import (
+    ControllerPart,
+    DisturbancePart,
+    FrictionPart,
+    JointPart,
+    LoadPart,
+    ReferencePart,
+    RunSettings,
+    SensorsPart,
+    Start,
+    Substeps,
+    ValvePart,
+    model_scope,
+)
+from mckibben.simulation import ACCURACY
+from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
+from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
+from mckibben.units import (
+    Accuracy,
+    AngularAcceleration,
+    AngularVelocity,
+    BoundedInt,
+    CommandDelay,
+    Duration,
+    PositiveTime,
+)
+
+_OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
+_LONGEST_NAME = 80
+
+
+def filename(name: str) -> str:
+    """A name as part of a path: "Sliding mode, 2" becomes "sliding-mode-2"."""
+    return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"
+
+
+Place = tuple[str | int, ...]
+Check = tuple[Place, Callable[[], object]]
+"""A place in the document, and a call that raises what is wrong there."""
+
+
+def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Problem]:
+    """Return the problems of interdependent parts; `nominal` is the reserved name of the suite's own joint."""
+    problems: list[Problem] = []
+    for checks in (
+        _checks_of_names,
+        _checks_of_settings,
+        _checks_of_variation,
+        _checks_of_runs,
+    ):  # each needs the ones before
+        for place, call in checks(suite, nominal):
+            problems += _problems_at(place, document, call)
+        if problems:
+            break
+    return problems
+
+
+def _checks_of_names(suite: Suite, nominal: str) -> Iterator[Check]:
+    for key, reserved in (("other_joints", nominal), ("references", ""), ("controllers", "")):
+        for name in getattr(suite, key):
+            yield (key, name), partial(_check_name, name, reserved)
+    for name in suite.controllers:
+        yield ("controllers", name), partial(_check_controller, suite, name)
+    yield ("valve",), suite.example
+
+
+def _checks_of_settings(suite: Suite, nominal: str) -> Iterator[Check]:
+    yield ("conditions",), partial(_check_differs, suite)
+    yield ("tuning", "cost"), partial(_check_cost, suite)
+    for i, text in enumerate(suite.conditions):
+        yield ("conditions", i), partial(_check_within, _OF_PLANT, text, suite, None)
+    for name, case in suite.references.items():
+        for i, text in enumerate(case.over):
+            yield ("references", name, "over", i), partial(_check_within, ("reference",), text, suite, name)
+    for i, name in enumerate(suite.true_model):
+        yield ("true_model", i), partial(_check_known, suite, name)
+    for i, name in enumerate(suite.tuning.untuned):
+        yield ("tuning", "untuned", i), partial(_check_known, suite, name)
+    for name in (*suite.tuning.over, *suite.tuning.starts_of):
+        key = "over" if name in suite.tuning.over else "starts_of"
+        yield ("tuning", key, name), partial(_check_known, suite, name)
+
+
+def _checks_of_variation(suite: Suite, nominal: str) -> Iterator[Check]:
+    yield ("conditions",), suite.conditions_over
+    for name in suite.references:
+        yield ("references", name, "over"), partial(suite.reference_over, name)
+
+
+def _checks_of_runs(suite: Suite, nominal: str) -> Iterator[Check]:
+    for name in suite.other_joints:
+        yield ("other_joints", name), partial(_check_joint, suite, name)
+    for name in suite.controllers:
+        place = ("tuning", "over", name) if name in suite.tuning.over else ("controllers", name)
+        yield place, partial(_check_tuned, suite, name)
+
+
+def problems_of_setup(suite: Suite, name: str, document: Document) -> list[Problem]:
+    """Problems of the suite of a setup alone."""
+    own = suite.of_setup(name)
+
+    def check() -> None:
+        _check_name(name, "")
+        parse_sweeps(own.conditions, own.example())
+        for controller in own.controllers:
+            own.tuned_over(controller)
+
+    return _problems_at(("setups", name), document, check)
+
+
+def _problems_at(place: tuple[str | int, ...], document: Document, call: Callable[[], object]) -> list[Problem]:
+    """The problems at a place of a document that a call raises, if any."""
+    try:
+        call()
+    except ScenarioError as error:  # of a scenario that the suite makes
+        return [
+            replace(
+                problem, message=f"{problem.field}: {problem.message}", line=document.line(place), field=dotted(place)
+            )
+            for problem in error.problems
+        ]
+    except McKibbenError as error:
+        return [Problem.of(error, document.line(place), dotted(place))]
+    return []
+
+
+def _check_name(name: str, reserved: str) -> None:
+    if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
+        raise ParameterError(f"a name is one line of 1 to {_LONGEST_NAME} characters", remedy="give another")
+    if name == reserved:
+        raise ParameterError(f"{name!r} is the name of the suite's own joint", remedy="give another")
+
+
+def _check_controller(suite: Suite, name: str) -> None:
+    """Check that its file name is unique."""
+    same = next(other for other in suite.controllers if filename(other) == filename(name))
+    if same != name:
+        raise ParameterError(f"would be kept in the same file as {same!r}", remedy="give it another name")
+
+
+def _check_differs(suite: Suite) -> None:
+    first, *others = suite.references.values()
+    if not (others or first.over or suite.conditions or suite.has_noise or suite.other_joints):
+        raise ParameterError("all runs are identical", remedy="give conditions, or `over` of a reference")
+
+
+def _check_cost(suite: Suite) -> None:
+    """Check that every run has a value of each metric."""
+    steps = all(isinstance(case.reference.stiffness, Step) for case in suite.references.values())
+    if "coupling" in suite.cost.metrics and not steps:
+        raise ParameterError(
+            "coupling is defined for stiffness steps only", remedy="leave it out, or let all references step"
+        )
+
+
+def _check_joint(suite: Suite, name: str) -> None:
+    """Check that the conditions apply to the joint's plant as well."""
+    parse_sweeps([text for text in suite.conditions if suite.has(name, text)], suite.example(joint=name))
+    suite.example(joint=name).plant()
+
+
+def _check_known(suite: Suite, name: str) -> None:
+    if name not in suite.controllers:
+        raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(suite.controllers)))
+
+
+def _check_within(sections: tuple[str, ...], text: str, suite: Suite, reference: str | None) -> None:
+    _check_sections(sections, [parse_sweep(text, suite.example(reference))])
+
+
+def _check_tuned(suite: Suite, name: str) -> None:
+    _check_sections(("controller",), suite.tuned_over(name))
+
+
+def _check_sections(sections: tuple[str, ...], over: Sequence[SweptParameter]) -> None:
+    """Check that parameters are in sections of a scenario."""
+    for swept in over:
+        if swept.name.split(".")[0] not in sections:
+            whole = {"reference": "the reference", "controller": "the controller"}.get(sections[0], "the plant")
+            raise ParameterError(
+                f"{swept.name} is not a parameter of {whole}",
+                remedy=f"give a parameter of {', '.join(sections)}: conditions vary the plant, `over` the reference",
+            )
+
+
+_Share = Annotated[int, BoundedInt(1, 1000)]
+_Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
+_MOST = 1_000_000
+
+_OTHERS: Mapping[str, tuple[type[Controller], Any]] = {
+    "PID": (
+        PositionStiffnessControl,
+        {
+            "position": {"kp": "2 bar/rad", "ki": "60 bar/(rad*s)", "kd": "0.4 bar*s/rad"},
+            "stiffness": {"kp": "0.08 bar/(N*m/rad)", "ki": "5 bar/(N*m*s/rad)", "kd": "0 bar*s/(N*m/rad)"},
+        },
+    ),
+    "decoupling": (
+        DecouplingControl,
+        {
+            "class": "decoupling",
+            "feedback": {"bandwidth": "60 rad/s", "damping": 2.5},
+            "observer": {"bandwidth": "200 rad/s", "damping": 2.0},
+        },
+    ),
+}
+"""Controllers that the suite of a scenario has by default, with the gains at which their tuning starts."""
+
+NOMINAL_JOINT = "nominal"
+"""Plant name of the suite's own joint, which the controllers' models use."""
+
+
+def start_of(reference: Reference) -> Start:
+    """Start at rest at the first angle of a reference, with the middle of the attainable stiffness."""
+    return Start(angle=float(reference.angle(0.0)))
+
+
+class PlantCase(ConfigModel):
+    """A joint, valves or both that replace the suite's own, and their share of the runs."""
+
+    share: _Share = 1
+    joint: JointPart | None = None
+    valve: ValvePart | None = Field(None, validate_default=True)
+
+    @field_validator("valve", mode="after")
+    @classmethod
+    def _differs(cls, value: Any, info: ValidationInfo) -> Any:
+        if value is None and info.data.get("joint", "wrong") is None:
+            fail_validation("is the suite's own plant", "give a `joint`, a `valve` or both", parent=True)
+        return value
+
+
+class ValveSetup(ConfigModel):
+    """Valves of a lab: the comparison is made for each setup, with controllers that have its valves as their model.
+
+    Its conditions are in addition to those of the suite.
+    """
+
+    valve: ValvePart
+    command_delay: CommandDelay | None = None
+    conditions: tuple[str, ...] = ()
+    max_angular_velocity: AngularVelocity | None = None
+    substeps: Substeps | None = None
+
+
+class ReferenceCase(ConfigModel):
+    """A reference, the parameters that vary between runs, and its share of the runs."""
+
+    share: _Share = 1
+    reference: ReferencePart
+    over: tuple[str, ...] = ()
+
+
+class TuningSettings(ConfigModel):
+    """Tuning of each controller by CMA-ES, with the same budget except for those in `starts_of`."""
+
+    cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
+    runs: Annotated[int, BoundedInt(1, _MOST)] = 32  # training runs per point
+    seed: _Seed = 99
+    starts: Annotated[int, BoundedInt(1, 1000)] = 2  # the gains of the file, then random ones
+    starts_of: dict[str, Annotated[int, BoundedInt(1, 1000)]] = Field(default_factory=dict)  # of individual controllers
+    candidates: Annotated[int, BoundedInt(0, 10_000)] = 0  # random gains, of which a search starts at the best
+    generations: Annotated[int, BoundedInt(1, 100_000)] = 40
+    population: Annotated[int, BoundedInt(4, 10_000)] = 16
+    finalists: Annotated[int, BoundedInt(0, 1000)] = 0  # trials of least cost, evaluated again on more runs
+    finalist_runs: Annotated[int, BoundedInt(1, _MOST)] = 400
+    decades: Annotated[int, BoundedInt(1, 6)] = 1  # powers of ten down and up from the gains in the file
+    delay_margin: CommandDelay = 0.0  # the cost covers commands that arrive this much later
+    over: dict[str, tuple[str, ...]] = Field(default_factory=dict)  # other parameters and ranges, by controller
+    untuned: tuple[str, ...] = ()  # controllers
+
+    @property
+    def finalist_seed(self) -> int:
+        """Seed of the runs of the finalists."""
+        return self.seed + 1
+
+    @field_validator("cost", mode="after")
+    @classmethod
+    def _readable(cls, value: str) -> str:
+        try:
+            parse_cost(value)
+        except McKibbenError as error:
+            fail_validation(str(error))
+        return value
+
+
+class EvaluationSettings(ConfigModel):
+    """Runs on which controllers are compared, with a seed different from the tuning."""
+
+    runs: Annotated[int, BoundedInt(2, _MOST)] = 512
+    seed: _Seed = 1
+
+
+class Suite(RunSettings):
+    """A benchmark suite: plants, references, conditions and controllers.
+
+    All controllers' models are the nominal `joint`, `load` and `valve`, independent of the plant of a run.
+
+    Attributes
+    ----------
+    other_joints, joint_share
+        Joints and valves that replace the suite's own in a share of the runs, and the share of the suite's own.
+        Conditions on the `valve` apply to the suite's own valve.
+    conditions
+        Plant parameters that vary, such as ``load.mass2=+-50 %``; see `mckibben.study.parameters.parse_sweep`.
+    references
+        References by name. The coupling needs one whose stiffness steps.
+    max_angular_acceleration, max_angular_velocity
+        Largest angular acceleration [rad/s^2] and velocity [rad/s] of a reference; sines are scaled down to them.
+    setups
+        Valves by name, each compared separately: see `of_setup`.
+    controllers
+        Controllers by name; all are compared with the first.
+    true_model
+        Controllers whose model is the plant of each run, to show the value of exact plant knowledge.
+    tuning, evaluation
+        Training runs and budget, and evaluation runs.
+    """
+
+    kind = "suite"
+    examples = "examples/comparison/"
+
+    name: Title
+    joint: JointPart
+    joint_share: _Share = 1
+    other_joints: dict[str, PlantCase] = Field(default_factory=dict)
+    load: LoadPart
+    valve: ValvePart = IdealValve()
+    sensors: SensorsPart = PerfectSensors()
+    disturbance: DisturbancePart = NoDisturbance()
+    friction: FrictionPart | None = None
+    command_delay: CommandDelay | None = None
+    conditions: tuple[str, ...] = ()
+    references: dict[str, ReferenceCase] = Field(min_length=1)
+    max_angular_acceleration: AngularAcceleration | None = None
+    max_angular_velocity: AngularVelocity | None = None
+    setups: dict[str, ValveSetup] = Field(default_factory=dict)
+    controllers: dict[str, ControllerPart] = Field(min_length=1)
+    true_model: tuple[str, ...] = ()
+    tuning: TuningSettings = TuningSettings()
+    evaluation: EvaluationSettings = EvaluationSettings()
+    duration: Duration
+    control_period: PositiveTime
+    accuracy: Accuracy = ACCURACY
+    substeps: Substeps | None = None
+
+    @classmethod
+    def of(cls, scenario: Scenario, controllers: Mapping[str, Controller] | None = None, **settings: Any) -> Suite:
+        """Return the suite of a scenario: its controller, named "scenario", and others by name on its reference.
+
+        Default controllers: PID loops and decoupling, unless the scenario's is of that class. `settings` are other
+        attributes, such as `tuning` and `evaluation`; default `conditions`: both muscles' strengths differ by up to
+        10 %, and the masses of the load by up to 20 %. Raises `ParameterError` if all runs are identical.
+        """
+        if controllers is None:
+            own = type(scenario.controller)
+            controllers = {name: section for name, (kind, section) in _OTHERS.items() if kind is not own}
+        if "conditions" not in settings:
+            masses = [p for p in list_parameters(scenario) if p.part == "load" and p.unit == "kg"]
+            strengths = [f"joint.muscle{number}.strength=+-10 %" for number in (1, 2)]
+            settings["conditions"] = (*strengths, *(f"{mass.name}=+-20 %" for mass in masses if mass.nominal))
+        shared = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
+        parts = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
+        steps: dict[str, Any] = (
+            {"substeps": scenario.substeps} if scenario.substeps is not None else {"accuracy": scenario.accuracy}
+        )
+        references = {"reference": ReferenceCase(reference=scenario.signals)}
+        together = {"scenario": scenario.controller, **controllers}
+        suite = cls(**parts, **steps, references=references, controllers=together, **settings)
+        _check_differs(suite)
+        return suite
+
+    @field_validator("evaluation", mode="after")
+    @classmethod
+    def _other_seed(cls, value: EvaluationSettings, info: ValidationInfo) -> EvaluationSettings:
+        tuning = info.data.get("tuning")
+        if tuning is not None and (
+            value.seed == tuning.seed or (tuning.finalists and value.seed == tuning.finalist_seed)
+        ):
+            fail_validation(
+                "is a seed of the tuning, or of its finalists", "give another: training runs do not count as evaluation"
+            )
+        return value
+
+    @classmethod
+    def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Self:
+        """Read a suite from text; arguments and errors as for `Scenario.parse`."""
+        suite, document = parse_model(cls, text, source=source, folder=folder)
+        first = next(iter(suite.setups), None)
+        whole = suite if first is None else suite.of_setup(first)
+        problems = problems_of_suite(whole, document, NOMINAL_JOINT)
+        for name in suite.setups if not problems else ():
+            problems += problems_of_setup(suite, name, document)
+        if problems:
+            raise ScenarioError(source, problems)
+        return suite
+
+    def of_setup(self, name: str) -> Suite:
+        """Return the suite of one of the setups alone; its valves are those of all models too."""
+        setup = self.setups[name]
+        update = setup.model_dump(exclude_none=True, include={"max_angular_velocity", "substeps"})
+        update |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
+        conditions = (*self.conditions, *setup.conditions)
+        return self.model_copy(update=update | {"name": f"{self.name}: {name}", "conditions": conditions})
+
+    @property
+    def has_noise(self) -> bool:
+        """Whether its sensors have noise."""
+        return "sensors.seed" in [parameter.name for parameter in list_parameters(self.example())]
+
+    @property
+    def cost(self) -> Cost:
+        """Cost of a run."""
+        return parse_cost(self.tuning.cost)
+
+    @property
+    def plants(self) -> dict[str, PlantCase]:
+        """Joint and valves of all plants by name, each with its share; the nominal plant comes first."""
+        own = {"joint": self.joint, "valve": self.valve}
+        others = {
+            name: other.model_copy(update={key: part for key, part in own.items() if getattr(other, key) is None})
+            for name, other in self.other_joints.items()
+        }
+        return {NOMINAL_JOINT: PlantCase.model_construct(share=self.joint_share, **own), **others}
+
+    def has(self, joint: str, condition: str) -> bool:
+        """Whether a condition applies to a plant: other valves are used as given."""
+        other = self.other_joints.get(joint)
+        return other is None or other.valve is None or not condition.strip().startswith("valve.")
+
+    def scenario(self, controller: str, reference: str, joint: str = NOMINAL_JOINT) -> Scenario:
+        """Scenario of a run before its conditions; the controller has the nominal model or the plant's own."""
+        control = self.controllers[controller]
+        if controller not in self.true_model:
+            control = independent(inherit(control, model_scope(self)))
+        steps: Any = {"accuracy": self.accuracy} if self.substeps is None else {"substeps": self.substeps}
+        signals, plant = self.references[reference].reference, self.plants[joint]
+        assert plant.joint is not None and plant.valve is not None
+        return Scenario(
+            name=f"{self.name}: {controller}, {reference}"[:200],
+            joint=plant.joint,
+            load=self.load,
+            valve=plant.valve,
+            sensors=self.sensors,
+            disturbance=self.disturbance,
+            friction=self.friction,
+            command_delay=self.command_delay,
+            controller=control,
+            reference=signals,
+            start=start_of(signals),
+            duration=self.duration,
+            control_period=self.control_period,
+            **steps,
+        )
+
+    def conditions_over(self) -> tuple[SweptParameter, ...]:
+        """Plant parameters that vary."""
+        return parse_sweeps(self.conditions, self.example())
+
+    def reference_over(self, reference: str) -> tuple[SweptParameter, ...]:
+        """Parameters of a reference that vary."""
+        return parse_sweeps(self.references[reference].over, self.example(reference))
+
+    def tuned_over(self, controller: str) -> tuple[SweptParameter, ...]:
+        """Tuned parameters of a controller and their ranges."""
+        if controller in self.tuning.untuned:
+            return ()
+        scenario = self.scenario(controller, next(iter(self.references)))
+        if controller in self.tuning.over:
+            return parse_ranges(self.tuning.over[controller], scenario)
+        gains = gain_ranges(scenario, float(self.tuning.decades))
+        if not gains:
+            raise ParameterError(f"{controller} has no nonzero gain", remedy="name it in tuning.over or tuning.untuned")
+        return sweep_parameters(scenario, gains)
+
+    def tuned_inside(self, controller: str, tuned: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+        """Tuned values [SI] of other controllers that a controller wraps, by their names in the wrapper."""
+        values_inside: dict[str, float] = {}
+        for part, inner in vars(self.controllers[controller]).items():
+            for other, values in tuned.items():
+                if isinstance(inner, Controller) and inner == self.controllers[other]:
+                    values_inside |= {
+                        f"controller.{part}.{name.partition('.')[2]}": value for name, value in values.items()
+                    }
+        return values_inside
+
+    def example(self, reference: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
+        """A run of the first controller."""
+        return self.scenario(next(iter(self.controllers)), reference or next(iter(self.references)), joint)
