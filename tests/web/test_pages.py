@@ -288,7 +288,7 @@ def test_an_outlier_is_named_and_can_be_kept():
 @pytest.mark.parametrize(
     ("text", "shown"),
     [
-        ("x: 1; identify the friction with identify_hysteresis (command line: --hysteresis)", wording.FRICTION),
+        ("x: 1; identify the friction with identify_hysteresis (command line: --friction on)", wording.FRICTION),
         (f"correct it{LEAVE_OUT}", wording.SKIP),
         ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
         ("is a scenario of a joint, which `mckibben simulate` reads; give a recipe", "the page Run"),

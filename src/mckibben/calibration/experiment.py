@@ -309,7 +309,7 @@ def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
     files = [origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2)]
     if not any(file.endswith(ENDINGS) for file in files):
         return prior
-    from mckibben.identification.storage import find_fit  # 0.1 s
+    from mckibben.identification.fit import find_fit  # 0.1 s
 
     first, second = (find_fit(Path(file)) if file.endswith(ENDINGS) else None for file in files)
     return replace(prior, fits=(first, second))

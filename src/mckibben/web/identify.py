@@ -97,7 +97,7 @@ def keep_muscle(
 ) -> Muscle | None:
     """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown.
 
-    An inner diameter, or the measured volume of air, gives it a volume, as `mckibben identify --diameter` and `--fill`.
+    An inner diameter, or the measured volume of air, gives it a volume, as `mckibben identify --inner`.
     """
     fit.to_yaml(folder / "fit.yaml")
     attrs = data.table.attrs
