@@ -12,14 +12,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from mckibben.actuator import Tube
+from mckibben.actuator import IdealValve, Tube
 from mckibben.cli import app
 from mckibben.errors import FileError, RangeError, ScenarioError
 from mckibben.leg import LandingStudy, LegScenario, LegStart, Link, Trunk, jump_search, jumping, landing, study_landing
 from mckibben.leg.landing import valve_with
 from mckibben.leg.scenario import DrawSettings
 from mckibben.leg.uncertainty import drawn_air, drawn_plant, with_mass
-from mckibben.plant import IdealValve
 from mckibben.storage.files import check_seal, file_lock
 from mckibben.storage.store import Store
 from tests.leg.conftest import FILE

@@ -10,9 +10,9 @@ import jax
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve
 from mckibben.control import PID, Constant, Jacobian, Sine
 from mckibben.numerics.program_cache import FingerprintError, code_fingerprint, fingerprint, structure_fingerprint
-from mckibben.plant import IdealValve
 
 VALUES = (
     *(None, True, False, 1, 0, 1.0, 0.0, -0.0, 1e-300, "1", "", b"1", 1j),

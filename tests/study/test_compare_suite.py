@@ -8,8 +8,9 @@ import jax
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve, UnequalValves
 from mckibben.errors import ScenarioError
-from mckibben.plant import IdealValve, PerfectSensors, UnequalValves
+from mckibben.plant import PerfectSensors
 from mckibben.scenario import Scenario
 from mckibben.study.compare import NOMINAL_JOINT, Suite, draw
 from mckibben.units import deg, ms

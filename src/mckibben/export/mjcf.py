@@ -13,6 +13,7 @@ import equinox as eqx
 import numpy as np
 
 import mckibben
+from mckibben.actuator import Actuator
 from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError
@@ -32,7 +33,7 @@ from mckibben.joint import (
 )
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import Actuator, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2

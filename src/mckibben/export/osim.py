@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import mckibben
+from mckibben.actuator import IdealValve
 from mckibben.codegen.graph import FOLDED as NUMERIC
 from mckibben.errors import ExportError
 from mckibben.export.evaluation import evaluate, find_function
@@ -18,7 +19,7 @@ from mckibben.export.mjcf import MassPoint, Transmission, gravity_of, mass_point
 from mckibben.export.targets import Exported
 from mckibben.muscle.creep import NoCreep
 from mckibben.muscle.friction import NoFriction
-from mckibben.plant import IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario
 from mckibben.units import bar
 

@@ -286,7 +286,7 @@ def planned(found: ExperimentPlan) -> Figure:
         mappable, ax=[left, right], label="standard error of the force [N]", fraction=0.04, pad=0.01
     )
     log_ticks(shades.ax.yaxis, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-    figure.suptitle(_wrapped(found.summary()), fontsize=8, fontweight="normal")
+    figure.suptitle(_wrapped(found.verdict()), fontsize=8, fontweight="normal")
     return figure
 
 

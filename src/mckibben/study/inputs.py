@@ -20,12 +20,10 @@ if TYPE_CHECKING:
     from mckibben.muscle import ForceLaw, Specimen
 
 
-def data_named(
-    names: str | Sequence[str], recipe: Recipe | None = None, *, skip_corrupt: bool = False
-) -> IsobaricDataset:
+def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> IsobaricDataset:
     """A dataset of the catalog, or files of measurements, read by the recipe."""
-    from mckibben.dataset.consistency import check_dataset
-    from mckibben.dataset.recipe import Recipe
+    from mckibben.dataset import Recipe, read_dataset
+    from mckibben.dataset.reading import check_points
 
     recipe = recipe or Recipe()
     names = [names] if isinstance(names, str) else names
@@ -36,8 +34,8 @@ def data_named(
             raise NotInCatalogError(
                 f"{name} is a dataset of the catalog",
                 value=name,
-                remedy="leave out the options that read files (--column, --initial-length, --displacement, "
-                "--zero-length, --slack-force, --largest-force, --force-sign, --decimal, --recipe)",
+                remedy="leave out the options that read files (--read, --column, --initial-length, --ambient, --decimal, "
+                "--accept)",
             )
         return catalog.dataset(name)
     for name in names:
@@ -53,9 +51,10 @@ def data_named(
             message = f"there is no file {name!r}, and no dataset of that name"
             remedy = f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}"
             raise NotInCatalogError(message, value=name, remedy=remedy)
-    dataset = recipe.dataset(names, on_corrupt="report" if skip_corrupt else "raise")
-    kind = dataset.table.attrs["specimen"]
-    return check_dataset(dataset, names[0], catalog.specimen(kind)) if kind in catalog.names("specimens") else dataset
+    dataset = read_dataset(names, recipe)
+    if (kind := dataset.table.attrs["specimen"]) in catalog.names("specimens"):
+        check_points(dataset, name, recipe.accept, catalog.specimen(kind))
+    return dataset
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:

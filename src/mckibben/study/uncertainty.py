@@ -19,9 +19,9 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import ParameterError
+from mckibben.identification.estimator import IntervalEstimate, check_level, t_interval, variance_of
 from mckibben.identification.fit import Fit
-from mckibben.identification.intervals import IntervalEstimate, check_level, t_interval, variance_of
-from mckibben.identification.uncertainty import Grouping
+from mckibben.identification.grouping import Grouping
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import pressure_pair
 from mckibben.muscle import ForceLaw

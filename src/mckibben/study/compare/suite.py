@@ -8,12 +8,13 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from mckibben.actuator import IdealValve
 from mckibben.component.schema import independent, inherit
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model
 from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError
-from mckibben.plant import IdealValve, NoDisturbance, PerfectSensors
+from mckibben.plant import NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario, list_parameters
 from mckibben.scenario.scenario import (
     ControllerPart,

@@ -1,17 +1,28 @@
-"""Standard errors and correlations of estimates, classical and cluster-robust."""
+r"""Estimator shared by all fits: bounded least squares, standard errors, and intervals.
+
+Numbers alone, no datasets: residuals r of shape (n,), and their Jacobian J of shape (n, k), in any consistent units.
+
+1. `least_squares` returns a `Minimum`: values, residuals, Jacobian, and the parameters at a bound.
+2. `standard_errors` gives the classical errors and correlations; `IndependentErrors.of` and `ClusterRobustErrors.of`
+   are error models, whose ``variance(gradients)`` is that of any quantity with those gradients, and its degrees of
+   freedom. `robust_errors` chooses the cluster-robust one unless one group alone determines a parameter.
+3. `t_quantile`, `t_interval` and `parameter_interval` turn variances into intervals; `profile_interval` and
+   `minimum_near` serve profiles of the cost.
+4. `condition_number` and `unidentifiable` name the parameters that the data do not determine.
+"""
 
 from __future__ import annotations
 
-import enum
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError
+from mckibben.errors import RangeError
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -46,11 +57,64 @@ def _tsqr(matrix: Floats) -> tuple[Floats, Floats]:
     return q, r
 
 
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Minimum of a sum of squares, by `least_squares`.
+
+    Attributes
+    ----------
+    values, at_bound
+        Shape (k,): parameters, and whether each is at a bound.
+    residuals, jacobian
+        Shape (n,) and (n, k), at the values.
+    converged
+        False if the number of evaluations was exhausted.
+    """
+
+    values: Floats
+    at_bound: Bools
+    residuals: Floats = field(repr=False)
+    jacobian: Floats = field(repr=False)
+    converged: bool
+
+    @property
+    def cost(self) -> float:
+        """Sum of squared residuals."""
+        return float(self.residuals @ self.residuals)
+
+
+def least_squares(
+    residuals: Callable[[Floats], Floats],
+    start: Floats,
+    jacobian: Callable[[Floats], Floats],
+    bounds: tuple[Floats, Floats],
+    *,
+    tolerance: float = 1e-12,
+    evaluations: int = 300,
+) -> Minimum:
+    """Minimise a sum of squares between bounds by a trust region (`scipy.optimize.least_squares`).
+
+    Parameters
+    ----------
+    residuals, jacobian
+        Functions of the parameters, shape (k,): residuals (n,) and their derivatives (n, k).
+    bounds
+        Lower and upper bounds, shape (k,) each; infinite where there is none.
+    tolerance
+        Relative, of values, cost and gradient.
+    """
+    from scipy.optimize import least_squares as search
+
+    limits = {"ftol": tolerance, "xtol": tolerance, "gtol": tolerance, "max_nfev": evaluations}
+    answer = search(residuals, start, jacobian, bounds=bounds, x_scale="jac", **limits)  # type: ignore[call-overload]
+    return Minimum(answer.x, answer.active_mask != 0, answer.fun, answer.jac, answer.status > 0)
+
+
 CONDITION_LIMIT = 1e10
 """Limit of the condition number of a Jacobian with columns of unit length: six of sixteen digits are left."""
 
 
-def uncertainty(jacobian: Floats, residuals: Floats, at_bound: Bools) -> tuple[Floats, Floats]:
+def standard_errors(jacobian: Floats, residuals: Floats, at_bound: Bools) -> tuple[Floats, Floats]:
     """Classical standard errors and correlations, NaN at a bound; the Jacobian has shape (points, parameters)."""
     count = jacobian.shape[1]
     free = np.flatnonzero(~at_bound)
@@ -187,6 +251,12 @@ ErrorModel = IndependentErrors | ClusterRobustErrors
 """Covariance of the estimates."""
 
 
+def robust_errors(jacobian: Floats, residuals: Floats, labels: Ints) -> ErrorModel:
+    """Error model for errors common to a group, unless one group alone determines a parameter: independent ones."""
+    model = ClusterRobustErrors.of(jacobian, residuals, labels)
+    return IndependentErrors.of(jacobian, residuals) if model.decisive else model
+
+
 def _residual_variance(residuals: Floats, starts: Ints, sizes: Ints, parameters: int) -> tuple[float, float]:
     """Mean square e^T e / n of the residuals, and n^2 / tr R^2 degrees of freedom less the parameters."""
     count = len(residuals)
@@ -235,72 +305,85 @@ def scatter_growth(force: Floats, residuals: Floats) -> float:
     return min(_GROWTHS, key=deviance) / largest
 
 
-class Grouping(enum.Enum):
-    """Points that may share an error: each by itself, of one pass, of one pressure level, or of a repeat of the test.
+class Interval(NamedTuple):
+    """Interval in SI units; NaN if unknown."""
 
-    A pass has one level, repeat and direction or phase, as far as recorded (docs/uncertainty.md).
-    """
-
-    POINT = "point"
-    STROKE = "stroke"
-    PRESSURE = "pressure"
-    REPEAT = "repeat"
-
-    def counted(self, count: int) -> str:
-        """Number of groups as text, such as "1 stroke" or "26 strokes"."""
-        return f"{count} {self.value}{'' if count == 1 else 's'}"
+    lower: float
+    upper: float
 
 
-def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
-    """Group number of each point, from 0 without gaps, shape (points,)."""
-    if grouping is Grouping.POINT:
-        return np.arange(len(points))
-    columns: list[np.ndarray] = []
-    if grouping in (Grouping.STROKE, Grouping.PRESSURE):
-        columns.append(points.levels)
-    if grouping in (Grouping.STROKE, Grouping.REPEAT) and "repeat" in points.table:
-        columns.append(points.table["repeat"].to_numpy())
-    if grouping is Grouping.STROKE:
-        columns.append(approach_labels(points))
-    if not columns:
-        raise IdentificationError(
-            "the data do not record which repeat a point belongs to",
-            remedy="record a column 'repeat', or group by stroke or by pressure",
-        )
-    return row_numbers(columns)
+@dataclass(frozen=True, eq=False)
+class IntervalEstimate:
+    """Estimate of a quantity with its pointwise interval; all arrays have the shape of `value`."""
+
+    level: float
+    value: Floats
+    standard_error: Floats
+    degrees_of_freedom: Floats
+    lower: Floats
+    upper: Floats
 
 
-def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
-    """Direction, or else phase, of each point's pass; an unlabelled point takes the next label of its level."""
-    direction, phase = (
-        points.table[name].to_numpy() if name in points.table else np.full(len(points), "", "<U9")
-        for name in ("direction", "phase")
+def check_level(level: float) -> float:
+    """Return the confidence level, or raise a `RangeError` if it is not between 0 and 1."""
+    if not 0 < level < 1:
+        remedy = "write 0.95 for 95 %" if level >= 1 else ""
+        raise RangeError(f"a level of {level:g} is not a probability", value=level, lower=0.0, upper=1.0, remedy=remedy)
+    return level
+
+
+def t_quantile(level: float, freedom: ArrayLike) -> Floats:
+    """Half-width of a two-sided t interval in standard errors."""
+    from scipy.special import stdtrit
+
+    return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
+
+
+def profile_interval(grid: Floats, roots: Floats, limit: float, place: int, unbounded: float) -> tuple[float, float]:
+    """Where roots of the increase of the cost reach a limit beside a place; `unbounded` and infinity if nowhere."""
+    below = np.flatnonzero(roots[:place] > limit)
+    above = np.flatnonzero(roots[place:] > limit) + place
+
+    def crossing(outside: int, inside: int) -> float:
+        part = (roots[outside] - limit) / (roots[outside] - roots[inside])
+        return float(grid[outside] + part * (grid[inside] - grid[outside]))
+
+    return (
+        crossing(int(below[-1]), int(below[-1]) + 1) if len(below) else unbounded,
+        crossing(int(above[0]), int(above[0]) - 1) if len(above) else np.inf,
     )
-    repeat = [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
-    cells = row_numbers([points.levels, *repeat])
-    has_direction = np.bincount(cells, direction != "") > 0
-    order = np.argsort(cells, kind="stable")
-    own, cell = np.where(has_direction[cells], direction, phase)[order], cells[order]
-    place = np.arange(len(own))
-    following = np.minimum.accumulate(np.where(own != "", place, len(own) - 1)[::-1])[::-1]
-    preceding = np.maximum.accumulate(np.where(own != "", place, 0))
-    source = np.where(cell[following] == cell, following, place)
-    source = np.where(own[source] == "", preceding, source)
-    found = np.empty_like(own)
-    found[order] = np.where(cell[source] == cell, own[source], "")
-    return found
 
 
-def finest_grouping(points: IsobaricDataset) -> Grouping:
-    """Strokes where a direction, a phase or a repeat is known, else pressures."""
-    has_passes = bool(len(points.directions) or len(points.phases) or len(points.repeats))
-    return Grouping.STROKE if has_passes else Grouping.PRESSURE
+def minimum_near(cost: Callable[[float], float], grid: Sequence[float], costs: Sequence[float], xatol: float) -> float:
+    """Minimum of a cost between the neighbours of the lowest one of an ascending grid."""
+    from scipy.optimize import minimize_scalar  # takes 0.1 s to import
+
+    at = int(np.argmin(costs))
+    bounds = (grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)])
+    return float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": xatol}).x)  # type: ignore
 
 
-def row_numbers(columns: Sequence[np.ndarray]) -> Ints:
-    """Number of each row among the sorted distinct rows."""
-    number = np.zeros(len(columns[0]), np.int64)
-    for column in columns:  # one after the other: numbers sort faster than rows
-        codes = np.unique(column, return_inverse=True)[1].reshape(-1)
-        number = np.unique(number * (int(codes.max(initial=0)) + 1) + codes, return_inverse=True)[1].reshape(-1)
-    return number
+def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats, Floats]]) -> IntervalEstimate:
+    """T interval of a sum of independent variances V, with Satterthwaite's (sum V)^2 / sum(V^2/nu)."""
+    value = np.asarray(value, np.float64)
+    total = np.sum([variance for variance, _ in variances], axis=0).reshape(value.shape)
+    parts = np.sum([variance**2 / freedom for variance, freedom in variances], axis=0).reshape(value.shape)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom = np.where(parts > 0, total**2 / parts, np.inf)
+    error = np.sqrt(total)
+    half_width = t_quantile(level, freedom) * error
+    return IntervalEstimate(level, value, error, freedom, value - half_width, value + half_width)
+
+
+def parameter_interval(estimate: float, error: float, freedom: float, level: float) -> Interval:
+    """T interval of one parameter."""
+    if math.isnan(error):
+        return Interval(math.nan, math.nan)
+    half_width = float(t_quantile(level, freedom)) * error
+    return Interval(estimate - half_width, estimate + half_width)
+
+
+def variance_of(model: ErrorModel, gradients: Floats) -> tuple[Floats, Floats]:
+    """Variance and degrees of freedom, shape (...), for gradients of shape (..., parameters)."""
+    variance, freedom = model.variance(gradients.reshape(-1, gradients.shape[-1]))
+    return variance.reshape(gradients.shape[:-1]), freedom.reshape(gradients.shape[:-1])
