@@ -246,7 +246,7 @@ def test_a_scenario_forwards(tmp_path):
         one for one in tuned.values if "controller." in one
     }
     assert "bar/rad" in tuned._repr_html_() and isinstance(tuned.plot(), NotebookFigure)
-    assert "controller.c" in SCENARIO.export("c", tmp_path).files
+    assert "controller.c" in SCENARIO.export("c", tmp_path).contents
 
 
 def test_the_suite_of_a_scenario_has_other_controllers_and_conditions():

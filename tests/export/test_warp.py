@@ -54,7 +54,7 @@ def made(plant, name, folder):
     muscles = (dataclasses.replace(one, strength=1.0) for one in (plant.joint.muscle1, plant.joint.muscle2))
     parts = (plant.joint.geometry, *muscles, plant.joint.tendon)
     plant = dataclasses.replace(plant, joint=mk.AntagonisticJoint(*parts))
-    files = warp_joint(plant, name, STEP, plant.init_state(0.0, (0.0, 0.0))).files
+    files = warp_joint(plant, name, STEP, plant.init_state(0.0, (0.0, 0.0))).contents
     path = folder / f"{name}_warp.py"
     path.write_text(files[path.name])
     return Made(files[f"{name}.xml"], loaded(path), plant)
@@ -259,7 +259,7 @@ def late(commands, periods):
 
 def test_the_export_has_all_files_and_names_what_is_left_out(tmp_path):
     files = export(mk.Scenario.read("examples/pre-contracted-step-pid.yaml"), "warp", tmp_path)
-    assert sorted(files.files) == ["joint.xml", "joint_warp.py", "scenario.yaml"]
+    assert sorted(files.contents) == ["joint.xml", "joint_warp.py", "scenario.yaml"]
     assert len(files.left_out) == 1  # the controller
     tree = ast.parse((tmp_path / "joint_warp.py").read_text())
     names = {node.name for node in ast.walk(tree) if hasattr(node, "name")}

@@ -58,7 +58,7 @@ _CONTROLLER_INPUTS = {
 }
 
 
-def plant_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
+def plant_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
     given = scenario.plant()
     plant, initial = numeric((given.with_ideal_io(), scenario.initial(given)))
@@ -67,7 +67,7 @@ def plant_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> E
         left_out.append("sensors and disturbance: connect your own to the angle, the pressures and the torque")
     if given.command_delay is not None:
         left_out.append("delay of the commands: give one to the signals of the inputs")
-    content, missing = fmu(unit, scenario.dumps(folder=folder), fmi)
+    content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, (*left_out, *missing))
 
 
@@ -157,7 +157,7 @@ def plant_unit(
     return unit, why
 
 
-def muscle_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
+def muscle_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The force of a muscle over contraction and pressure; two FMUs if the muscles of the joint differ."""
     joint = numeric(scenario.plant().joint)
     muscles = {name: joint.muscle1}
@@ -166,7 +166,7 @@ def muscle_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> 
     made, left_out = {}, list[str]()
     for each, muscle in muscles.items():
         unit = _muscle_unit(muscle, each, scenario.control_period)
-        made[f"{each}.fmu"], missing = fmu(unit, scenario.dumps(folder=folder), fmi)
+        made[f"{each}.fmu"], missing = fmu(unit, scenario.dumps(folder=folder))
         left_out += missing
         if muscle.has_creep or muscle.friction.follows_rate:
             left_out.append(f"{each}: creep and viscous friction, which follow the rate of the contraction")
@@ -204,7 +204,7 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
     return FunctionalUnit(module, title, period, start, units | units_of(muscle, "parameters"), model_exchange=True)
 
 
-def controller_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
+def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The controller for co-simulation with steps of the control period."""
     source = controller_functions(scenario)
     module = SourceModule(name, source.parameters, "controller.")
@@ -250,5 +250,5 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2)
         fixed=("control_period",),
         sampled=True,
     )
-    content, missing = fmu(unit, scenario.dumps(folder=folder), fmi)
+    content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, tuple(missing))

@@ -17,7 +17,7 @@ from mckibben.errors import ExportError
 from mckibben.export.controller import ControllerModule, recorded, stepping_module, units_of
 from mckibben.export.controller_files import program_files
 from mckibben.export.plant import is_real
-from mckibben.export.targets import Exported, check_name, write_exported
+from mckibben.export.targets import Exported, check_name
 from mckibben.leg import JointwiseControl, LegMeasurement, LegPlant, LegReference, LegStart
 from mckibben.numerics.compiled import numeric
 from mckibben.simulation.problem import sampling_times
@@ -66,7 +66,7 @@ def export_leg_controller(
     made = _module(plant.with_period(control_period), controller, start, name, duration, control_period)
     text = f"Controller of a leg, written by mckibben {mckibben.__version__}."
     exported = Exported(program_files(made, name, "a leg", text, control_period, single=single))
-    write_exported(exported, out, overwrite=overwrite)
+    exported.save(out, force=overwrite)
     return exported
 
 

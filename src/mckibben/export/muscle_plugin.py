@@ -14,7 +14,7 @@ import mckibben
 from mckibben.actuator.base import AirState, AirVolume, state_of_muscle
 from mckibben.codegen.c import write_c
 from mckibben.codegen.source_module import SourceModule
-from mckibben.export.controller_files import filled
+from mckibben.export.targets import filled
 from mckibben.joint import Tendon
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
