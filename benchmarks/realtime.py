@@ -95,11 +95,11 @@ def print_steps():
     """The table of `--steps`."""
     backprop = Scenario.read(EXAMPLES / "pre-contracted-step-backprop.yaml")
     print("| controller | C: to compile, a step | XLA: to compile, a step |\n|---|---|---|")
-    compilers = compiled_step.compile_alone, compiled_step._compile_loop
+    compilers = compiled_step.compile_native, compiled_step._compile_loop
     for name, one in (("PID", scenario(1, 1e-3)), ("BP", backprop), ("decoupling", scenario(1, 1e-3, DECOUPLING))):
         cells = []
         for compiler in compilers:
-            compiled_step.compile_alone = compiler
+            compiled_step.compile_native = compiler
             compiled_step.flat_program.cache_clear()
             cells.append("{:.2f} s, {:.0f} us".format(*steps(one.control())))
         print(f"| {name} | {' | '.join(cells)} |", flush=True)

@@ -16,7 +16,7 @@ from mckibben.control import OpenLoopControl, Reference
 from mckibben.errors import FileError, RangeError
 from mckibben.joint import SeriesSpring
 from mckibben.numerics.calculus import rk4
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario
 from mckibben.units import bar, cm, ms
@@ -32,7 +32,7 @@ ACTUATORS = {
     "tube": Tube(VALVE, volume=TUBE_VOLUME, conductance=THIN),
 }
 REGULATOR = Path(__file__).parents[2] / "examples" / "valves" / "regulator-decoupling.yaml"
-advance = compiled(lambda plant, state, commands, time: plant.advance(state, commands, time, 200))
+advance = jit(lambda plant, state, commands, time: plant.advance(state, commands, time, 200))
 
 
 def flow(conductance, inlet, outlet, temperature=ROOM, critical=0.3):

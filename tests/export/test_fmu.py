@@ -15,7 +15,7 @@ from mckibben.export.fmi import fmu
 from mckibben.export.fmu import plant_unit
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import NoCreep, NoFriction
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.scenario import Scenario
 from mckibben.simulation.loop import compiled_episode
 from mckibben.simulation.problem import sampled
@@ -325,7 +325,7 @@ def test_the_temperature_of_the_air_is_a_state(tmp_path, opened):
     commands = (float(state.pressures[0]) + 2e5, float(state.pressures[1]))
     one.set(command1=commands[0], command2=commands[1])
     substeps = scenario.needed_substeps()
-    advance = compiled(lambda plant, state: plant.advance(state, commands, PERIOD, substeps))
+    advance = jit(lambda plant, state: plant.advance(state, commands, PERIOD, substeps))
     for number in range(50):
         state = advance(plant, state)
         one.fmu.doStep(number * PERIOD, PERIOD)

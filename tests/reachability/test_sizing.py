@@ -8,7 +8,7 @@ import pytest
 from mckibben.errors import McKibbenError, ParameterError, UnitError
 from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, Pulley, SeriesSpring, TabulatedPath, TwoBonePath
 from mckibben.muscle import return_spring
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import FirstOrderValve, JointPlant
 from mckibben.reachability import DesignTarget, DesignVariable, design, parse_target, parse_variable
 from mckibben.reachability.lengths import design_lengths, length_of, with_lengths
@@ -25,7 +25,7 @@ def plant(as_printed, load):
     return numeric(JointPlant(as_printed, load, FirstOrderValve(0.02)))
 
 
-@compiled
+@jit
 def band(joint, angle, torque, tension):
     return joint.attainable_stiffness(angle, torque, minimum_tension=tension)
 

@@ -255,7 +255,7 @@ EXACT = ("-ffp-contract=off",)
 """Compiler option by which a computation has the same result in every program: no product and sum are fused."""
 
 
-def compile_alone(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
+def compile_native(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
     """Compile a function of static arguments and float vectors for calls of microseconds; raises `ExportError`."""
 
     def written() -> Written:

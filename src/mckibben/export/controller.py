@@ -20,7 +20,7 @@ from mckibben.export.plant import is_real
 from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
@@ -172,7 +172,7 @@ def recorded(
     return np.vstack([first, np.column_stack([one for part in columns for one in part])])
 
 
-@compiled_as_given
+@jit_arrays
 def _recorded(
     plant: Plant, controller: Any, given: Any, initial: Any, period: Any, substeps: Any, setpoints: Callable[..., Any]
 ) -> tuple[Any, ...]:

@@ -20,7 +20,7 @@ from mckibben.errors import ExportError
 from mckibben.identification.storage import read_fit
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import FlatTree, compile_flat
 from mckibben.scenario import Scenario, batched, initial_state, valid_rows
@@ -172,7 +172,7 @@ def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -
     return found
 
 
-@compiled_as_given
+@jit_arrays
 def _starts(plants: Plants, rows: Any) -> tuple[PlantState, Array]:
     def start(row: Array) -> tuple[PlantState, Array]:
         problem, _ = plants.row(row)

@@ -30,7 +30,7 @@ from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.uncertainty import Bools, Floats, tsqr_r
 from mckibben.muscle import Domain, ForceLaw, Parameter
 from mckibben.notebook import stop_check
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 
 
 def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> Floats:
@@ -60,14 +60,14 @@ def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, p
     return np.asarray(_columns(law, values, contraction, pressure, names=tuple(names))).T
 
 
-@compiled
+@jit
 def _columns(
     law: ForceLaw, values: ArrayLike, contraction: ArrayLike, pressure: ArrayLike, *, names: tuple[str, ...]
 ) -> Array:
     return _force_and_columns(lambda given: dataclasses.replace(law, **given), names, values, contraction, pressure)[1]
 
 
-@compiled
+@jit
 def _columns_and_residuals(
     law_type: type[ForceLaw],
     values: ArrayLike,
@@ -85,7 +85,7 @@ def _columns_and_residuals(
     return jnp.concatenate([columns, (jnp.asarray(force) - modelled)[None]]) * jnp.asarray(weights)
 
 
-@compiled
+@jit
 def _grid_of_columns_and_residuals(law_type: type[ForceLaw], values: ArrayLike, *others: Any) -> Array:
     """`_columns_and_residuals` of many values, shape (count, parameters)."""
     return jax.vmap(lambda one: _columns_and_residuals(law_type, one, *others))(jnp.asarray(values))

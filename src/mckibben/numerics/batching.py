@@ -266,7 +266,7 @@ def trace_mode() -> tuple[bool, bool]:
     return _BATCHED.get(), _ROLLED.get()
 
 
-def compute_once(function: Callable[..., R], *args: object) -> R:
+def fusion_barrier(function: Callable[..., R], *args: object) -> R:
     """`function(*args)`; in a batched program within a branch, so that XLA does not repeat it at each use."""
     if not _BATCHED.get():
         return function(*args)

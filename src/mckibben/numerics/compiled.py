@@ -12,7 +12,7 @@ import jax
 import jax.core
 import numpy as np
 
-from mckibben.numerics.batching import compute_once, trace_mode
+from mckibben.numerics.batching import fusion_barrier, trace_mode
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, load_or_compile
 from mckibben.numerics.runtime import batch_options, xla_programs_folder
 
@@ -37,7 +37,7 @@ def numeric(tree: Any) -> Any:
     return jax.tree.map(convert, tree)
 
 
-def compiled(function: Callable[P, R]) -> Callable[P, R]:
+def jit(function: Callable[P, R]) -> Callable[P, R]:
     """`equinox.filter_jit` that traces Python numbers too: a new value does not recompile."""
     program = Program(function)
 
@@ -49,9 +49,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def compiled_alone(function: Callable[P, R]) -> Callable[P, R]:
-    """`compiled` for concrete arguments; inlined when traced by another program."""
-    alone = compiled(function)
+def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
+    """`jit` for concrete arguments; inlined when traced by another program."""
+    alone = jit(function)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -60,14 +60,14 @@ def compiled_alone(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def computed_once(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator for functions and methods that are always called by `compute_once`, and traced once per structure."""
+def cached_trace(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator for functions and methods that are always called by `fusion_barrier`, and traced once per structure."""
     program = Program(function)
 
     @functools.wraps(function)
     def once(*args: P.args, **kwargs: P.kwargs) -> R:
         call = program if _is_traced((args, kwargs)) else function
-        return compute_once(lambda: call(*args, **kwargs))
+        return fusion_barrier(lambda: call(*args, **kwargs))
 
     return once
 
@@ -77,14 +77,14 @@ def _is_traced(tree: Any) -> bool:
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
-def compiled_as_given(function: Callable[P, R], options: Callable[[], dict[str, Any]] = dict) -> Callable[P, R]:
-    """`compiled` with only arrays traced and numbers static; pass trees through `numeric` first."""
+def jit_arrays(function: Callable[P, R], options: Callable[[], dict[str, Any]] = dict) -> Callable[P, R]:
+    """`jit` with only arrays traced and numbers static; pass trees through `numeric` first."""
     return cast(Any, functools.update_wrapper(Program(function, options), function))
 
 
-def compiled_batch(function: Callable[P, R]) -> Callable[P, R]:
-    """`compiled_as_given` with the compiler options for many lanes."""
-    return compiled_as_given(function, batch_options)
+def jit_lanes(function: Callable[P, R]) -> Callable[P, R]:
+    """`jit_arrays` with the compiler options for many lanes."""
+    return jit_arrays(function, batch_options)
 
 
 class Program:

@@ -21,7 +21,7 @@ from mckibben.errors import ParameterError, UnreachableError
 from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.notebook import draw, html_table
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant import IdealValve, JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.requirement import (
@@ -311,7 +311,7 @@ def _plant(muscle: Muscle, need: Requirement) -> JointPlant:
     return JointPlant(AntagonisticJoint(PairedPaths(path, path), limited, limited), need.scaled().load, IdealValve())
 
 
-@compiled
+@jit
 def _margins(
     plant: JointPlant, lengths: dict[str, Array], angles: ArrayLike, stiffness: ArrayLike, reserve: Array
 ) -> Array:

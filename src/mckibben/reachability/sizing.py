@@ -18,7 +18,7 @@ from mckibben.joint.attainable import pressure_limits_of
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.notebook import html_table
 from mckibben.numerics.calculus import derivative, evenly_spaced
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
 from mckibben.reachability.lengths import check_length, design_lengths, length_of, with_lengths
@@ -180,7 +180,7 @@ def _unclipped_stiffness(
     return -derivative(torque, jnp.broadcast_to(angle, pressures[0].shape))
 
 
-@compiled
+@jit
 def margins_and_jacobian(
     plant: JointPlant,
     lengths: dict[str, float],
@@ -420,7 +420,7 @@ def _check_problem(plant: JointPlant, variables: Sequence[DesignVariable], start
         )
 
 
-@compiled
+@jit
 def attained_stiffness(
     plant: JointPlant, angle: ArrayLike, reserve: ArrayLike, minimum_tension: float
 ) -> tuple[Array, Array]:

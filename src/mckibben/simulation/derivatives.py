@@ -27,7 +27,7 @@ from mckibben.numerics.batching import (
     replace_leaves,
     select_leaves,
 )
-from mckibben.numerics.compiled import compiled_as_given, compiled_batch
+from mckibben.numerics.compiled import jit_arrays, jit_lanes
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import ACCURACY, check_accuracy
 from mckibben.simulation.engine import compute_with
@@ -212,7 +212,7 @@ def _derivatives(
     return values, {name: shaped(slope) for name, slope in slopes.items()}
 
 
-_single, _many = compiled_as_given(_derivatives), compiled_batch(_derivatives)  # wide vectors slow a single run down
+_single, _many = jit_arrays(_derivatives), jit_lanes(_derivatives)  # wide vectors slow a single run down
 
 
 def _natively(
@@ -235,7 +235,7 @@ def _natively(
     )
 
 
-@compiled_as_given
+@jit_arrays
 def _begun(
     shared: SimulationProblem, flat: Array, times: ArrayLike, asked: _Asked
 ) -> tuple[_Begun, _Begun, tuple[_Begun, Array, Array | None]]:

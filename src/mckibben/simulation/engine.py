@@ -16,7 +16,7 @@ from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import DeviceError, ExportError, ParameterError, SimulationError, quoted
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, map_chunks, pad_chunk
-from mckibben.numerics.compiled import compiled_batch
+from mckibben.numerics.compiled import jit_lanes
 from mckibben.plant import Plant
 from mckibben.simulation.loop import Record, compiled_episode, episode
 
@@ -131,7 +131,7 @@ class BatchFunction:
         )
 
 
-@compiled_batch
+@jit_lanes
 def _by_xla(function: Callable[[Any, Any], Any], shared: Any, lanes: Any) -> Any:
     def run(lane: Any) -> Any:
         with batched_program():

@@ -18,7 +18,7 @@ from mckibben.control.base import Reference, Setpoint
 from mckibben.control.ddp import box_qp
 from mckibben.errors import SimulationError
 from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PerfectSensors, PlantState
 from mckibben.simulation.problem import sample_reference, sampling_times
 from mckibben.units import bar, deg
@@ -193,14 +193,14 @@ def _run(problem: _Problem, law: Callable[[Any, Array], Array], rows: Any) -> _R
     return _Run(states, commands, errors, jnp.mean(jnp.sum(errors**2, axis=1)))
 
 
-@compiled_as_given
+@jit_arrays
 def _first(problem: _Problem, commands: Array) -> _Run:
     """Run with given commands."""
     with batched_program():
         return _run(problem, lambda row, state: row, commands)
 
 
-@compiled_as_given
+@jit_arrays
 def _followed(problem: _Problem, last: _Run, steps: Array, gains: Array) -> _Run:
     """Runs with parts of the steps, shape (parts, ...), and feedback of the distance from the last run."""
 
@@ -224,7 +224,7 @@ class _Linear(NamedTuple):
     c: Array
 
 
-@compiled_as_given
+@jit_arrays
 def _linearised(problem: _Problem, run: _Run) -> _Linear:
     def one(at: tuple[Setpoint, Array, Array]) -> _Linear:
         setpoint, state, commands = at
@@ -235,7 +235,7 @@ def _linearised(problem: _Problem, run: _Run) -> _Linear:
         return lax.map(one, (problem.setpoints, run.states, run.commands), batch_size=8)
 
 
-@compiled_as_given
+@jit_arrays
 def _backward(problem: _Problem, linear: _Linear, run: _Run, damping: Array) -> tuple[Array, Array]:
     """Steps of the commands and gains over the state at each control period, from the last to the first."""
     lower, upper = problem.limits

@@ -19,7 +19,7 @@ from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint, MuscleS
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import Domain
 from mckibben.notebook import draw
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.engine import BatchFunction, compute_with
 from mckibben.simulation.metrics import (
@@ -79,11 +79,11 @@ def compute_trajectory(
     return jax.tree.map(np.asarray, found)
 
 
-_friction_torque = compiled(AntagonisticJoint.friction_torque)
-_creep_torque = compiled(AntagonisticJoint.creep_torque)
+_friction_torque = jit(AntagonisticJoint.friction_torque)
+_creep_torque = jit(AntagonisticJoint.creep_torque)
 
 
-@compiled
+@jit
 def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> Array:
     return joint.secant_stiffness(angle, pressures, SMALL_MOTION)
 
@@ -118,7 +118,7 @@ def _native_metrics(parts: Any, _: None) -> Metrics:
     return measure_since(*parts)
 
 
-_metrics_by_xla = compiled(measure_since)
+_metrics_by_xla = jit(measure_since)
 
 
 class Result(RunResult):

@@ -21,7 +21,7 @@ from mckibben.errors import ParameterError, SimulationError
 from mckibben.notebook import draw, html_table
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.loop import LoopState, initial_loop
@@ -267,7 +267,7 @@ def _without_modulation(plant: JointPlant, initial: Any) -> Any:
     return initial._replace(air=()) if plant.valve.switches and isinstance(initial, PlantState) else initial
 
 
-@compiled_as_given
+@jit_arrays
 def _begun(lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike) -> tuple[Any, Array]:
     """Start and setpoints of each run, and whether it can start."""
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mckibben.control import Setpoint
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import IdealValve, JointPlant
 from mckibben.scenario import Scenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
@@ -160,7 +160,7 @@ def stiffness_tests(
     )
 
 
-@compiled
+@jit
 def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index: Any, dead_volume: Any) -> tuple:
     air = {"polytropic_index": index, "dead_volume": dead_volume}
     return (
@@ -171,7 +171,7 @@ def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index
     )
 
 
-@compiled
+@jit
 def _closed_dynamic(plant: JointPlant, state: Any, rates: Any) -> Any:
     """Complex stiffness [N*m/rad] of small motions at rates [Hz] with closed valves, without friction."""
     volumes = [one.volume for one in plant.air_volumes(state)]
