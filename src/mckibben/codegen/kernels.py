@@ -12,14 +12,13 @@ from dataclasses import replace
 
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
-from mckibben.codegen.writer import Language, Text, Writer
+from mckibben.codegen.writer import ATOM, Language, Text, Writer
 
 THREADS = 128
 """Threads per block."""
 
 _BLOCKS = {"double": 4, "float": 2}  # per multiprocessor, as is fastest on an H100: 128 and 255 registers per thread
 _MOST = 8192  # constants: the device has 64 KiB for them
-_ATOM = 8
 _OF_INTEGERS = {
     "abs": "{0} < 0 ? -{0} : {0}",
     "rem": "{0} % {1}",
@@ -111,10 +110,10 @@ class KernelWriter(Writer):
                 return super()._argument(value, argument)
             self._known[id(argument)] = len(self.constants)
             self.constants.append(argument)
-        return f"known[{self._known[id(argument)]}]", _ATOM
+        return f"known[{self._known[id(argument)]}]", ATOM
 
     def _operation(self, value: Value) -> Text:
         if value.kind is Kind.INTEGER and value.operation in _OF_INTEGERS:
             texts = (f"({self.text(one)})" for one in value.arguments)
-            return f"({_OF_INTEGERS[value.operation].format(*texts)})", _ATOM
+            return f"({_OF_INTEGERS[value.operation].format(*texts)})", ATOM
         return super()._operation(value)

@@ -8,11 +8,10 @@ from typing import Any
 
 from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.source_module import Function, SourceModule, element, identifier
-from mckibben.codegen.writer import Language, Text, Writer, inputs_of
+from mckibben.codegen.writer import ATOM, Language, Text, Writer, inputs_of
 from mckibben.errors import ExportError
 
 _LARGEST, _SMALLEST = 3.4e38, 1.18e-38  # of a 32-bit number
-_ATOM = 8
 _TYPES = {Kind.REAL: "float", Kind.INTEGER: "int", Kind.BOOLEAN: "bool"}
 _ZEROS = {"float": "0.0", "int": "0", "bool": "False"}
 _SAME = ("exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "sqrt", "floor",
@@ -93,8 +92,8 @@ class _Writer(Writer):
         if name in ("select", "not") or (name in ("and", "or") and value.kind is Kind.BOOLEAN):
             texts = [self._argument(value, one)[0] for one in value.arguments]
             if name == "select":
-                return f"wp.where({', '.join(texts)})", _ATOM
-            return (f"(not ({texts[0]}))" if name == "not" else f"(({texts[0]}) {name} ({texts[1]}))"), _ATOM
+                return f"wp.where({', '.join(texts)})", ATOM
+            return (f"(not ({texts[0]}))" if name == "not" else f"(({texts[0]}) {name} ({texts[1]}))"), ATOM
         if name not in WARP.functions and name in ("bits", "from_bits", "from_bits_32", "single"):
             raise ExportError(f"{name} needs 64-bit integers", field=name, remedy="export to C")
         return super()._operation(value)
