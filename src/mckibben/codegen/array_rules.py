@@ -17,8 +17,8 @@ Rule = Callable[..., Array]
 
 def _over_axes(method: str, *operations: str) -> Iterator[Rule]:
     """Rules of primitives that apply a method to the axes in their parameters, each with an operation."""
-    for one in operations:
-        yield lambda self, parameters, kind, _, x, one=one: getattr(self, method)(one, parameters["axes"], kind, x)
+    for name in operations:
+        yield lambda self, parameters, kind, _, x, name=name: getattr(self, method)(name, parameters["axes"], kind, x)
 
 
 class ArrayRules:
@@ -27,12 +27,12 @@ class ArrayRules:
     _graph: Graph
 
     def _elementwise(self, function: Callable[..., Value], *arrays: Array) -> Array:
-        if not any(one.ndim for one in arrays):  # the common case
+        if not any(array.ndim for array in arrays):  # the common case
             result = np.empty((), object)
-            result[()] = function(*(one[()] for one in arrays))
+            result[()] = function(*(array[()] for array in arrays))
             return result
         arrays = np.broadcast_arrays(*arrays)
-        return array_of(arrays[0].shape, lambda at: function(*(one[at] for one in arrays)))
+        return array_of(arrays[0].shape, lambda at: function(*(array[at] for array in arrays)))
 
     # Elementwise, with parameters
 
@@ -41,22 +41,22 @@ class ArrayRules:
 
     def _one_minus_square(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         """Derivative of tanh by its value, in JAX 0.12 and newer."""
-        one, operation = self._graph.constant(1.0, kind), self._graph.operation
-        sides = lambda x: (operation("sub", kind, one, x), operation("add", kind, one, x))  # noqa: E731
+        unit, operation = self._graph.constant(1.0, kind), self._graph.operation
+        sides = lambda x: (operation("sub", kind, unit, x), operation("add", kind, unit, x))  # noqa: E731
         return self._elementwise(lambda x: operation("mul", kind, *sides(x)), x)
 
     def _integer_pow(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         return self._elementwise(lambda x: self._graph.power(x, parameters["y"]), x)
 
     def _rsqrt(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        one = self._graph.constant(1.0, kind)
+        unit = self._graph.constant(1.0, kind)
         root = lambda x: self._graph.operation("sqrt", kind, x)  # noqa: E731
-        return self._elementwise(lambda x: self._graph.operation("div", kind, one, root(x)), x)
+        return self._elementwise(lambda x: self._graph.operation("div", kind, unit, root(x)), x)
 
     def _logistic(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        one, operation = self._graph.constant(1.0, kind), self._graph.operation
+        unit, operation = self._graph.constant(1.0, kind), self._graph.operation
         power = lambda x: operation("exp", kind, operation("neg", kind, x))  # noqa: E731
-        return self._elementwise(lambda x: operation("div", kind, one, operation("add", kind, one, power(x))), x)
+        return self._elementwise(lambda x: operation("div", kind, unit, operation("add", kind, unit, power(x))), x)
 
     def _round(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
         if parameters["rounding_method"] is not jax.lax.RoundingMethod.TO_NEAREST_EVEN:
@@ -142,12 +142,12 @@ class ArrayRules:
             unordered = operation("and", Kind.BOOLEAN, no_number, number)
             return operation("or", Kind.BOOLEAN, operation(better, Kind.BOOLEAN, x, best), unordered)
 
-        best, *others = (np.asarray(one, object) for one in np.moveaxis(x, axes[0], 0))
+        best, *others = (np.asarray(part, object) for part in np.moveaxis(x, axes[0], 0))
         index = array_of(best.shape, lambda _: self._graph.constant(0, kind))
-        for number, one in enumerate(others, 1):
-            chosen, place = self._elementwise(preferred, one, best), self._graph.constant(number, kind)
+        for number, part in enumerate(others, 1):
+            chosen, place = self._elementwise(preferred, part, best), self._graph.constant(number, kind)
             index = self._elementwise(lambda c, i, n=place: operation("select", kind, c, n, i), chosen, index)
-            best = self._elementwise(lambda c, new, old: operation("select", new.kind, c, new, old), chosen, one, best)
+            best = self._elementwise(lambda c, new, old: operation("select", new.kind, c, new, old), chosen, part, best)
         return index
 
     def _dot_general(self, parameters: Any, kind: Kind, shape: Any, x: Array, y: Array) -> Array | None:
@@ -188,12 +188,12 @@ class ArrayRules:
     def _unstack(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
         """Items along an axis; a primitive of JAX 0.12 and newer."""
         axis = parameters["axis"]
-        return [np.squeeze(one, axis) for one in np.split(x, x.shape[axis], axis)]
+        return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
 
     def _slice(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
         strides = parameters["strides"] or [1] * x.ndim
         ends = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
-        return x[tuple(slice(*one) for one in ends)]
+        return x[tuple(slice(*bounds) for bounds in ends)]
 
     def _dynamic_slice(self, parameters: Any, kind: Kind, shape: Any, x: Array, *starts: Array) -> Array:
         """Part of an array of few values, by a selection for each place where it may begin."""
@@ -209,10 +209,10 @@ class ArrayRules:
 
     def _pad(self, parameters: Any, kind: Kind, shape: Any, x: Array, value: Array) -> Array | None:
         config = parameters["padding_config"]
-        if any(min(one) < 0 for one in config):
+        if any(min(amounts) < 0 for amounts in config):
             return None
-        result, each = np.broadcast_to(value, shape).copy(), zip(config, shape, strict=True)
-        result[tuple(slice(low, size - high, between + 1) for (low, high, between), size in each)] = x
+        result, sizes = np.broadcast_to(value, shape).copy(), zip(config, shape, strict=True)
+        result[tuple(slice(low, size - high, between + 1) for (low, high, between), size in sizes)] = x
         return result
 
 

@@ -83,7 +83,7 @@ class Nvrtc:
             )
         known = architecture in self.architectures
         target = f"sm_{architecture}" if known else f"compute_{max(self.architectures)}"
-        options = [one.encode() for one in (f"--gpu-architecture={target}", *_OPTIONS)]
+        options = [option.encode() for option in (f"--gpu-architecture={target}", *_OPTIONS)]
         program = c_void_p()
         self._call("nvrtcCreateProgram", byref(program), (_PRELUDE + source).encode(), b"run.cu", 0, None, None)
         try:
@@ -98,7 +98,7 @@ class Nvrtc:
             self._call("nvrtcDestroyProgram", byref(program))
         log = log.partition("'run'")[2]  # without the kernel that computes the constants
         registers, spilled = (re.search(rf"(\d+) {what}", log) for what in ("registers", "bytes spill stores"))
-        return Kernel(image, ptx.decode(), *(int(one[1]) if one else 0 for one in (registers, spilled)))
+        return Kernel(image, ptx.decode(), *(int(match[1]) if match else 0 for match in (registers, spilled)))
 
     @property
     def name(self) -> str:
@@ -126,10 +126,10 @@ def nvrtc() -> Nvrtc:
     """NVRTC of a wheel or the system; raises `DeviceError` if there is none."""
     # Version 12 comes first, as drivers of CUDA 13 load its programs, but not the other way round.
     spec = importlib.util.find_spec("nvidia")
-    folders = [Path(one) for one in (spec.submodule_search_locations or ())] if spec else []
+    folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
     for major, wheel in _WHEELS.items():
         name = f"libnvrtc.so.{major}"
-        for path in (*(str(one / wheel / "lib" / name) for one in folders), name):
+        for path in (*(str(folder / wheel / "lib" / name) for folder in folders), name):
             with suppress(OSError):
                 return Nvrtc(ctypes.CDLL(path))
     raise DeviceError(
@@ -195,7 +195,7 @@ class Device:
             self._call("cuMemcpyDtoH_v2", c_void_p(results.ctypes.data), places[1], c_size_t(results.nbytes))
 
     def _launch(self, function: c_void_p, blocks: int, threads: int, arguments: Sequence[Any]) -> None:
-        pointers = (c_void_p * len(arguments))(*(ctypes.addressof(one) for one in arguments))
+        pointers = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
         sizes = map(c_uint, (blocks, 1, 1, threads, 1, 1, 0))
         self._call("cuLaunchKernel", function, *sizes, None, pointers, None)
 

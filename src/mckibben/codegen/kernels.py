@@ -103,7 +103,7 @@ class KernelWriter(Writer):
 
     def _argument(self, value: Value, argument: Value) -> Text:
         known = argument.uniform and argument.scope is self._first and argument.operation != "constant"
-        if not known or argument.kind is not Kind.REAL or all(one.uniform for one in value.arguments):
+        if not known or argument.kind is not Kind.REAL or all(argument.uniform for argument in value.arguments):
             return super()._argument(value, argument)
         if id(argument) not in self._known:
             if len(self.constants) == _MOST:
@@ -114,6 +114,6 @@ class KernelWriter(Writer):
 
     def _operation(self, value: Value) -> Text:
         if value.kind is Kind.INTEGER and value.operation in _OF_INTEGERS:
-            texts = (f"({self.text(one)})" for one in value.arguments)
+            texts = (f"({self.text(argument)})" for argument in value.arguments)
             return f"({_OF_INTEGERS[value.operation].format(*texts)})", ATOM
         return super()._operation(value)

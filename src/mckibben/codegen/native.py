@@ -91,9 +91,9 @@ _WARNED: list[CompilerError] = []
 
 def _without_frames(error: E) -> E:
     """Copy of an error that keeps none of the arrays in the frames of its traceback."""
-    found = copy(error).with_traceback(None)  # tblib, which Dask installs, copies the traceback, too
-    found.__cause__ = found.__context__ = None
-    return found
+    bare = copy(error).with_traceback(None)  # tblib, which Dask installs, copies the traceback, too
+    bare.__cause__ = bare.__context__ = None
+    return bare
 
 
 def warn_of_fallback(error: ExportError) -> None:
@@ -117,33 +117,33 @@ class NativeFunction:
 
     def bound(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Callable[[], Any]:
         """The compiled function with its arguments packed, as a callable that computes the results."""
-        given, varying = Split.of(shared), Split.of(lanes, lanes=True)
-        key = given.key, varying.key, single
+        common, varying = Split.of(shared), Split.of(lanes, lanes=True)
+        key = common.key, varying.key, single
         with self._lock:
-            if (found := self._known.get(key)) is None:
+            if (program := self._known.get(key)) is None:
                 try:
-                    written = lambda: self.written(given, varying, single=single)  # noqa: E731
-                    found = self.cached(key, written, many=bool(varying.arrays))
+                    written = lambda: self.written(common, varying, single=single)  # noqa: E731
+                    program = self.cached(key, written, many=bool(varying.arrays))
                 except ExportError as error:  # it will fail next time too
-                    found = _without_frames(error)
-                self._known[key] = found
-        if isinstance(found, ExportError):
-            raise _without_frames(found)
-        return found.bound(given.arrays, varying.arrays)
+                    program = _without_frames(error)
+                self._known[key] = program
+        if isinstance(program, ExportError):
+            raise _without_frames(program)
+        return program.bound(common.arrays, varying.arrays)
 
     def cached(self, key: Any, written: Callable[[], Written], *, many: bool = False) -> Compiled:
         """Return the program of a key from the program cache, or write and compile it."""
         folder, path = programs_folder(), None
         if folder is not None:
             path = program_path(folder, self._function, key, *self._state())
-        if path is not None and (found := self._stored(path)) is not None:
-            return found
+        if path is not None and (compiled := self._stored(path)) is not None:
+            return compiled
         source, leaves, tree = written()
         program = self._built(source, many)
-        found = self._loaded(program, leaves, tree)
+        compiled = self._loaded(program, leaves, tree)
         if path is not None:
             write_program(path, pickle.dumps((program, leaves, jax.tree.unflatten(tree, [0] * len(leaves)))))
-        return found
+        return compiled
 
     def _stored(self, path: Path) -> Compiled | None:
         """The program of a file of the cache; None if it is missing or cannot be loaded."""
@@ -158,8 +158,8 @@ class NativeFunction:
     def written(self, shared: Split, lanes: Split, *, single: bool) -> Written:
         """Source for arguments."""
 
-        def function(given: Sequence[Any], varying: Sequence[Any]) -> Any:
-            return self._function(shared.filled(given), lanes.filled(varying))
+        def function(common: Sequence[Any], varying: Sequence[Any]) -> Any:
+            return self._function(shared.filled(common), lanes.filled(varying))
 
         varying = [x[..., 0] for x in lanes.arrays]
         return write_native(function, shared.arrays, varying, single=single, threads=self._threads)
@@ -220,14 +220,14 @@ class Compiled:
     leaves: list[tuple[tuple[int, ...], str]]
     tree: Any
 
-    def bound(self, given: Sequence[Any], varying: Sequence[Any] = ()) -> Callable[[], Any]:
+    def bound(self, common: Sequence[Any], varying: Sequence[Any] = ()) -> Callable[[], Any]:
         """Arguments packed in 64-bit words, as a callable that computes the results of all runs."""
         count = varying[0].shape[-1] if varying else 1
         size = -(-count // self.width) * self.width if varying else 1
-        scalars = [x for x in given if not x.ndim]
+        scalars = [x for x in common if not x.ndim]
         kinds = "".join(["d" if x.dtype.kind == "f" else "q" for x in scalars])
         packed = struct.pack(kinds, *[x.item() for x in scalars])
-        arrays = [_words(x) for x in given if x.ndim] + [_words(_padded(x, size)) for x in varying]
+        arrays = [_words(x) for x in common if x.ndim] + [_words(_padded(x, size)) for x in varying]
         words = np.concatenate([np.empty(0), *arrays])
         lengths = [math.prod(shape) * size for shape, _ in self.leaves]
 
@@ -258,10 +258,10 @@ def compile_native(function: Callable[..., Any], *sizes: int, static: tuple[Any,
 
     def written() -> Written:
         vectors = [np.zeros(size) for size in sizes]
-        return write_native(lambda given, _: function(*static, *given), vectors, ())
+        return write_native(lambda vectors_given, _: function(*static, *vectors_given), vectors, ())
 
     compiled = NativeFunction(function, EXACT).cached((*static, *sizes), written)
-    return lambda *given: compiled.bound(given)()
+    return lambda *vectors: compiled.bound(vectors)()
 
 
 class Written(NamedTuple):
@@ -274,7 +274,7 @@ class Written(NamedTuple):
 
 def write_native(
     function: Callable[..., Any],
-    given: Sequence[Any],
+    common: Sequence[Any],
     varying: Sequence[Any],
     single: bool = False,
     threads: bool = False,
@@ -282,9 +282,11 @@ def write_native(
     """Write a function of arrays shared by all runs and arrays with an entry per run, as C or as a CUDA kernel."""
     graph = Graph(lanes=bool(varying), single=single, threads=threads, most=_LARGEST)
     graph.scope = graph.root.inner()
-    inputs = [_input_value(graph, f"in{n}", x, n < len(given)) for n, x in enumerate([*given, *varying])]
-    results, shape = Lowering(graph).function(function, (given, varying), inputs)
-    values: list[Any] = [value for one in results for value in ([one.array] if isinstance(one, Stored) else one.flat)]
+    inputs = [_input_value(graph, f"in{n}", x, n < len(common)) for n, x in enumerate([*common, *varying])]
+    results, shape = Lowering(graph).function(function, (common, varying), inputs)
+    values: list[Any] = []
+    for result in results:
+        values += [result.array] if isinstance(result, Stored) else result.flat
     before, step = "", "1"
     if threads:
         writer = KernelWriter([graph.scope], values, single=single)
@@ -292,14 +294,14 @@ def write_native(
         writer, before, step = VectorWriter([graph.scope], values, single=single), prelude(single), "W"
     else:
         writer, before = Writer([graph.scope], native_language(), values), definitions()
-    leaves = [(one.shape, one.dtype.str) for one in jax.tree.leaves(shape)]
-    places, body = _places(given, varying, leaves), _body(graph, writer, inputs, results)
+    leaves = [(leaf.shape, leaf.dtype.str) for leaf in jax.tree.leaves(shape)]
+    places, body = _places(common, varying, leaves), _body(graph, writer, inputs, results)
     if isinstance(writer, KernelWriter):
         preparing = KernelWriter([graph.scope], writer.constants, single=single)
         prepared = _body(graph, preparing, inputs, ())
-        constants = [preparing.text(one) for one in writer.constants]
+        constants = [preparing.text(constant) for constant in writer.constants]
         real = writer.language.types[Kind.REAL]
-        lines = kernels.kernels(sum(not x.ndim for x in given), places, prepared, constants, body, real)
+        lines = kernels.kernels(sum(not x.ndim for x in common), places, prepared, constants, body, real)
         writer.helpers |= preparing.helpers
     else:
         lines = [_HEAD, "{", *places, f"    for (int64_t b = 0; b < lanes; b += {step}) {{", *body, "    }", "}"]
@@ -309,13 +311,13 @@ def write_native(
     return Written(source, leaves, jax.tree.structure(shape))
 
 
-def _places(given: Sequence[Any], varying: Sequence[Any], leaves: Sequence[tuple[tuple[int, ...], str]]) -> list[str]:
+def _places(common: Sequence[Any], varying: Sequence[Any], leaves: Sequence[tuple[tuple[int, ...], str]]) -> list[str]:
     """Declarations of the location of each argument and result: 64-bit words, as packed by `Compiled`."""
     lines = []
     scalars, shared, lanes = 0, 0, 0
-    for n, x in enumerate([*given, *varying]):
+    for n, x in enumerate([*common, *varying]):
         kind = _TYPES[kind_of(x.dtype)]
-        if n >= len(given):
+        if n >= len(common):
             place, lanes = f"arrays + {shared} + {lanes} * lanes", lanes + x.size
         elif x.ndim:
             place, shared = f"arrays + {shared}", shared + x.size
@@ -343,14 +345,14 @@ def _input_value(graph: Graph, name: str, x: Any, uniform: bool) -> Any:
 def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence[Any]) -> list[str]:
     """Statements that compute the results of one run or of a vector of runs."""
     indent = " " * 8
-    for one in inputs:
-        if isinstance(one, Stored) and one.array is not None:
-            writer.name_array(one.array, one.array.name)
-    for place, one in enumerate(results):
-        if isinstance(one, Stored):
-            if one.array is None or one.array.loop is None or one.begin or one.array.size != one.size:
+    for argument in inputs:
+        if isinstance(argument, Stored) and argument.array is not None:
+            writer.name_array(argument.array, argument.array.name)
+    for place, result in enumerate(results):
+        if isinstance(result, Stored):
+            if result.array is None or result.array.loop is None or result.begin or result.array.size != result.size:
                 raise ExportError("a result is a part of an array", remedy="return a copy, such as x + 0")
-            writer.name_array(one.array, f"out{place}")
+            writer.name_array(result.array, f"out{place}")
     lines = []
     for value in inputs_of(graph.scope):
         if writer.is_needed(value):
@@ -358,11 +360,11 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
             writer.name(value, name)
             lines.append(f"{indent}{writer.constant(value)} {name} = {writer.loaded(value)};")
     lines += writer.scope(graph.scope, indent)
-    for place, one in enumerate(results):
-        if not isinstance(one, Stored):
-            array = StoredArray(one.flat[0].kind, one.size, [], name=f"out{place}")
+    for place, result in enumerate(results):
+        if not isinstance(result, Stored):
+            array = StoredArray(result.flat[0].kind, result.size, [], name=f"out{place}")
             writer.name_array(array, array.name)
-            lines += [f"{indent}{writer.store(array, str(at), value)};" for at, value in enumerate(one.flat)]
+            lines += [f"{indent}{writer.store(array, str(at), value)};" for at, value in enumerate(result.flat)]
     return lines
 
 

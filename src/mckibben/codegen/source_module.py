@@ -79,9 +79,9 @@ class SourceModule:
     ) -> None:
         """Add a function of the parameters and of named trees, which returns named trees; raises `ExportError`."""
         scope = self.graph.scope = self.graph.root.inner()
-        given = {name: members_of(tree) for name, tree in arguments.items()}
+        members_by_argument = {name: members_of(tree) for name, tree in arguments.items()}
         inputs = [*self._inputs]
-        for argument, members in given.items():
+        for argument, members in members_by_argument.items():
             inputs += self._arrays(argument, members)
         leaves, shape = self._lowering.function(
             lambda parameters, *trees: dict(function(parameters, **dict(zip(arguments, trees, strict=True)))),
@@ -89,35 +89,35 @@ class SourceModule:
             inputs,
         )
         rest = map(self._lowering.plain, leaves)
-        found, values = {}, {}
+        members_by_result, values = {}, {}
         for result, tree in shape.items():
-            found[result] = members_of(jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), tree))
+            members_by_result[result] = members_of(jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), tree))
             values[result] = [value for _ in jax.tree.leaves(tree) for value in next(rest).flat]
         self.graph.scope = self.graph.root
-        self.functions.append(Function(name, given, found, scope, values, text))
+        self.functions.append(Function(name, members_by_argument, members_by_result, scope, values, text))
 
     @property
     def state(self) -> list[Member]:
         """Members of the state, if a function has one."""
-        return next((one.results["state"] for one in self.functions if "state" in one.results), [])
+        return next((function.results["state"] for function in self.functions if "state" in function.results), [])
 
     @property
     def scopes(self) -> list[Scope]:
         """Scope of the parameters, and scopes of the functions."""
-        return [self.graph.root, *(one.scope for one in self.functions)]
+        return [self.graph.root, *(function.scope for function in self.functions)]
 
     def results(self) -> list[Value]:
         """Values of all results."""
-        return [value for one in self.functions for values in one.values.values() for value in values]
+        return [value for function in self.functions for values in function.values.values() for value in values]
 
     def structures(self) -> dict[str, list[Member]]:
         """Arguments and results of all functions by name, except the state and scalars."""
-        found: dict[str, list[Member]] = {}
+        structures: dict[str, list[Member]] = {}
         for function in self.functions:
             for name, members in (function.arguments | function.results).items():
                 if name != "state" and not is_scalar(members):
-                    found.setdefault(name, members)
-        return found
+                    structures.setdefault(name, members)
+        return structures
 
     def _arrays(self, name: str, members: Sequence[Member]) -> list[Any]:
         """Inputs for the members of a structure, in the current scope."""

@@ -110,7 +110,7 @@ class Writer:
             elif id(statement) not in self._needed or id(statement) in self._texts:
                 continue
             elif isinstance(statement, StoredArray):
-                texts = [self.text(one) for one in statement.elements]
+                texts = [self.text(element) for element in statement.elements]
                 lines += self._array(statement, texts, indent)
             else:
                 lines += self._value(statement, indent, stored)
@@ -186,18 +186,18 @@ class Writer:
         return lines
 
     def _branch(self, branch: Branch, indent: str) -> list[str]:
-        chosen = [one for one in branch.chosen if id(one) in self._needed]
+        chosen = [value for value in branch.chosen if id(value) in self._needed]
         if not chosen:
             return []
         lines = []
-        for one in chosen:
-            self.name(one, self._new("y"))
-            lines.append(f"{indent}{self.declared(self.variable(one.kind, one.uniform), self.text(one))}")
+        for value in chosen:
+            self.name(value, self._new("y"))
+            lines.append(f"{indent}{self.declared(self.variable(value.kind, value.uniform), self.text(value))}")
         for head, scope, values in zip(self.branch_heads, branch.scopes, branch.values, strict=True):
             lines.append(indent + head.format(self.text(branch.condition)))
             lines += self.scope(scope, indent + "    ")
-            for one in chosen:
-                assigned = self.assigned(self.text(one), self.converted(values[one.data[1]], one.uniform))
+            for value in chosen:
+                assigned = self.assigned(self.text(value), self.converted(values[value.data[1]], value.uniform))
                 lines.append(f"{indent}    {assigned}")
         return lines + [f"{indent}{line}" for line in self.block_end]
 
@@ -275,7 +275,7 @@ class Writer:
 
     def _operation(self, value: Value) -> Text:
         name, kind, arguments = value.operation, value.kind, value.arguments
-        texts = [self._argument(value, one) for one in arguments]
+        texts = [self._argument(value, argument) for argument in arguments]
         if name == "select":
             condition, yes, no = texts
             return f"{_bound(condition, _CHOICE + 1)} ? {_bound(yes, _CHOICE + 1)} : {_bound(no, _CHOICE)}", _CHOICE
@@ -316,10 +316,10 @@ class Writer:
         """Count the uses of each value; use in another scope or a loop counts twice, as it requires a name."""
         for statement in scope.statements:
             if isinstance(statement, ForLoop):
-                for one in statement.carried:
-                    if id(one) in self._needed:
-                        self._use([one.initial] * 2, scope)
-                        self._use([one.following] * 2, statement.scope)
+                for variable in statement.carried:
+                    if id(variable) in self._needed:
+                        self._use([variable.initial] * 2, scope)
+                        self._use([variable.following] * 2, statement.scope)
                 for array in statement.arrays:
                     if id(array) in self._needed:
                         self._use(array.elements, statement.scope)
@@ -329,24 +329,25 @@ class Writer:
                 if id(statement) in self._needed:
                     self._use([statement.condition], scope)
                 for inside, values in zip(statement.scopes, statement.values, strict=True):
-                    for one in statement.chosen:
-                        if id(one) in self._needed:
-                            self._use([values[one.data[1]]] * 2, inside)
+                    for value in statement.chosen:
+                        if id(value) in self._needed:
+                            self._use([values[value.data[1]]] * 2, inside)
                     self._count(inside)
             elif id(statement) in self._needed:
                 values = statement.elements if isinstance(statement, StoredArray) else statement.arguments
                 self._use(values, statement.scope if isinstance(statement, Value) else scope)
 
     def _use(self, values: Sequence[Value], scope: Scope) -> None:
-        for one in values:
-            self._uses[id(one)] += 1 if one.scope is scope else 2
-            if one.scope is not scope:
-                self.shared.add(id(one))
+        for value in values:
+            self._uses[id(value)] += 1 if value.scope is scope else 2
+            if value.scope is not scope:
+                self.shared.add(id(value))
 
 
 def inputs_of(scope: Scope) -> list[Value]:
     """Inputs of a scope."""
-    return [one for one in scope.statements if isinstance(one, Value) and one.operation == "input"]
+    values = (statement for statement in scope.statements if isinstance(statement, Value))
+    return [value for value in values if value.operation == "input"]
 
 
 def _bound(text: Text, least: int) -> str:

@@ -48,10 +48,11 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
         options = {"control_period": scenario.control_period} | own | options
     plant = scenario.plant() if isinstance(scenario, Scenario) else scenario
     made = plant_module(plant, **options)  # pyrefly: ignore[bad-argument-type]
-    moving = next((one for one in made.module.functions if "state" in one.arguments), None)
+    moving = next((function for function in made.module.functions if "state" in function.arguments), None)
     state = [] if moving is None else element_names("state", moving.arguments["state"])
     functions = {
-        one.name: casadi_function(made.module, one.name, parameters=parameters) for one in made.module.functions
+        function.name: casadi_function(made.module, function.name, parameters=parameters)
+        for function in made.module.functions
     }
     return CasadiPlant(functions, tuple(name.removeprefix("state.") for name in state), made.left_out)
 
@@ -62,14 +63,14 @@ def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str
     function = find_function(module.functions, name)
     symbols: dict[str, Any] = {}
     inputs: dict[str, Any] = {}
-    given = {one: element_names(one, members) for one, members in function.arguments.items()}
+    names_by_argument = {argument: element_names(argument, members) for argument, members in function.arguments.items()}
     if parameters:
-        given["parameters"] = [_parameter(module, one) for one in parameters]
-    for argument, names in given.items():
+        names_by_argument["parameters"] = [_parameter(module, parameter) for parameter in parameters]
+    for argument, names in names_by_argument.items():
         symbols[argument] = casadi.SX.sym(argument, len(names))
-        inputs.update({each: symbols[argument][place] for place, each in enumerate(names)})
+        inputs.update({name: symbols[argument][place] for place, name in enumerate(names)})
     results = evaluate(module, function, _operations(casadi), inputs)
-    columns = {one: casadi.vertcat(*map(casadi.SX, values)) for one, values in results.items()}
+    columns = {result: casadi.vertcat(*map(casadi.SX, values)) for result, values in results.items()}
     return casadi.Function(name, list(symbols.values()), list(columns.values()), list(symbols), list(columns))
 
 

@@ -83,12 +83,12 @@ def controller_functions(scenario: Scenario) -> ControllerFunctions:
     def step(parameters: Any, state: Any, setpoint: Setpoint, measurement: Measurement) -> dict[str, Any]:
         controller = of(parameters)
         state, commands = controller.step(state, setpoint, measurement, parameters["control_period"])
-        pressures = {f"pressure{number}": one for number, one in enumerate(commands, 1)}
+        pressures = {f"pressure{number}": command for number, command in enumerate(commands, 1)}
         return {"state": state, "commands": pressures, "telemetry": controller.telemetry(state)}
 
     measurement = plant.sample(initial, 0.0)[1]
     state = jax.eval_shape(controller.init, measurement)
-    state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
+    state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state)
     setpoint = Setpoint(jnp.zeros(()), jnp.zeros(()))
     return ControllerFunctions(parameters, of, init, step, state, setpoint, measurement, plant, controller, initial)
 
@@ -104,21 +104,21 @@ def controller_module(scenario: Scenario, name: str = "controller") -> Controlle
     _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     setpoints = jax.tree.map(lambda x: x[:_MOST_PERIODS], setpoints)
     timing = scenario.control_period, scenario.needed_substeps()
-    recording = recorded(source.plant, source.controller, setpoints, source.initial, *timing, _given)
+    recording = recorded(source.plant, source.controller, setpoints, source.initial, *timing, _setpoint_of)
     columns = ("setpoint.angle", "setpoint.stiffness", "measurement.angle", "measurement.pressures_0",
                "measurement.pressures_1", "commands.pressure1", "commands.pressure2")  # fmt: skip
     units = UNITS | units_of(source.parameters, "parameters")
     return ControllerModule(module, units, columns, recording, left_out)
 
 
-def _given(controller: Controller, state: Any, setpoint: Setpoint, *_: Any) -> Setpoint:
+def _setpoint_of(controller: Controller, state: Any, setpoint: Setpoint, *_: Any) -> Setpoint:
     return setpoint
 
 
 def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
     """First step, subsequent steps and model of a controller, and the parts that cannot be exported."""
-    given = source.state, source.setpoint, source.measurement
-    module = stepping_module(name, source.parameters, source.init, source.step, *given)
+    examples = source.state, source.setpoint, source.measurement
+    module = stepping_module(name, source.parameters, source.init, source.step, *examples)
     model = getattr(source.controller, "model", None)
     return module, tuple(_add_model(module, source.of, model) if isinstance(model, AntagonisticJoint) else ())
 
@@ -163,31 +163,31 @@ def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[
 
 
 def recorded(
-    plant: Plant, controller: Any, given: Any, initial: Any, period: Any, substeps: int, setpoints: Callable[..., Any]
+    plant: Plant, controller: Any, rows: Any, initial: Any, period: Any, substeps: int, setpoints: Callable[..., Any]
 ) -> NDArray[np.float64]:
-    """Recording of a run with what its controller is given in each period, from which `setpoints` follow."""
-    measured, *columns = _recorded(plant, controller, given, initial, period, substeps, setpoints)
+    """Recording of a run with what its controller is rows in each period, from which `setpoints` follow."""
+    measured, *columns = _recorded(plant, controller, rows, initial, period, substeps, setpoints)
     others = [np.nan] * len(columns[0]), [np.nan] * len(columns[2])
     first = [*others[0], *map(float, jax.tree.leaves(measured)), *others[1]]
-    return np.vstack([first, np.column_stack([one for part in columns for one in part])])
+    return np.vstack([first, np.column_stack([column for part in columns for column in part])])
 
 
 @jit_arrays
 def _recorded(
-    plant: Plant, controller: Any, given: Any, initial: Any, period: Any, substeps: Any, setpoints: Callable[..., Any]
+    plant: Plant, controller: Any, rows: Any, initial: Any, period: Any, substeps: Any, setpoints: Callable[..., Any]
 ) -> tuple[Any, ...]:
     """First measurement; setpoints, measurements and commands of a run, each of shape (periods,)."""
 
-    def next_period(states: Any, given: Any) -> Any:
+    def next_period(states: Any, rows: Any) -> Any:
         plant_state, measurement = plant.sample(states[0], period)
-        wanted = setpoints(controller, states[1], given, measurement, period)
-        state, commands = controller.step(states[1], given, measurement, period)
+        wanted = setpoints(controller, states[1], rows, measurement, period)
+        state, commands = controller.step(states[1], rows, measurement, period)
         following = plant.follow(plant_state, plant.clip_commands(commands), period, substeps)
         return (following, state), (tuple(wanted), tuple(jax.tree.leaves(measurement)), commands)
 
     with batched_program():  # compiles a third faster
         measured = plant.sample(initial, 0.0)[1]
-        return measured, *lax.scan(next_period, (initial, controller.init(measured)), given)[1]
+        return measured, *lax.scan(next_period, (initial, controller.init(measured)), rows)[1]
 
 
 def units_of(tree: Any, prefix: str) -> dict[str, str]:
@@ -203,14 +203,14 @@ def _units(tree: Any, path: str, symbols: Units = Units()) -> Iterator[tuple[str
     if isinstance(tree, dict):
         parts = tree
     elif isinstance(tree, tuple | list):
-        parts = {str(number): one for number, one in enumerate(tree)}
+        parts = {str(number): part for number, part in enumerate(tree)}
     elif dataclasses.is_dataclass(tree):
         parts = {field.name: getattr(tree, field.name) for field in dataclasses.fields(tree)}
         hints = field_hints(type(tree))
         units = {name: symbols.get(mark.unit, mark).unit for name, mark in field_quantities(type(tree)).items()}
         units = {name: unit for name, unit in units.items() if unit not in SYMBOLS}
         if isinstance(tree, ForceLaw):
-            units |= {one.name: one.unit for one in tree.parameters()}
+            units |= {parameter.name: parameter.unit for parameter in tree.parameters()}
     else:
         return
     for name, part in parts.items():

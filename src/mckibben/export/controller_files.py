@@ -57,7 +57,7 @@ def program_files(
             if part == "commands"
             else f"{part}->{member} = {'' if part == 'setpoint' else f'({real})'}row[{index}];"
         )
-    left_out = "".join(f"- {one}\n" for one in made.left_out)
+    left_out = "".join(f"- {part}\n" for part in made.left_out)
     values = {
         "name": name,
         "title": title,

@@ -25,12 +25,12 @@ def evaluate(
     evaluation = _Evaluation(operations, _defaults(module) | dict(inputs), needed(results))
     evaluation.scope(module.graph.root)
     evaluation.scope(function.scope)
-    return {name: [evaluation.value(one) for one in values] for name, values in function.values.items()}
+    return {name: [evaluation.value(value) for value in values] for name, values in function.values.items()}
 
 
 def _defaults(module: SourceModule) -> dict[str, Any]:
     names = element_names("parameters", module.members)
-    return dict(zip(names, [x.item() for one in module.members for x in one.value.flat], strict=True))
+    return dict(zip(names, [x.item() for member in module.members for x in member.value.flat], strict=True))
 
 
 def element_names(structure: str, members: Sequence[Member]) -> list[str]:
@@ -62,7 +62,7 @@ class _Evaluation:
             elif id(statement) not in self._wanted:
                 continue
             elif isinstance(statement, StoredArray):
-                self._arrays[id(statement)] = [self.value(one) for one in statement.elements]
+                self._arrays[id(statement)] = [self.value(element) for element in statement.elements]
             else:
                 self._known[id(statement)] = self._computed(statement)
 
@@ -72,13 +72,13 @@ class _Evaluation:
             return
         for scope in branch.scopes:
             self.scope(scope)
-        for one in branch.chosen:
-            if id(one) in self._wanted:
-                yes, no = (self.value(values[one.data[1]]) for values in branch.values)
-                self._known[id(one)] = self._operations["select"](self.value(branch.condition), yes, no)
+        for value in branch.chosen:
+            if id(value) in self._wanted:
+                yes, no = (self.value(values[value.data[1]]) for values in branch.values)
+                self._known[id(value)] = self._operations["select"](self.value(branch.condition), yes, no)
 
     def _computed(self, value: Value) -> Any:
-        arguments = [self.value(one) for one in value.arguments]
+        arguments = [self.value(argument) for argument in value.arguments]
         if value.operation == "input":
             return self._inputs[value.data]
         if value.operation == "element":
@@ -94,15 +94,15 @@ class _Evaluation:
         return self._operations[name](*arguments)
 
     def _loop(self, loop: ForLoop) -> None:
-        carried = [one for one in loop.carried if id(one) in self._wanted]
-        arrays = [one for one in loop.arrays if id(one) in self._wanted]
+        carried = [variable for variable in loop.carried if id(variable) in self._wanted]
+        arrays = [array for array in loop.arrays if id(array) in self._wanted]
         if not carried and not arrays:
             return
         if loop.going is not None:
             remedy = "use another option of this component, such as rigid tendons"
             raise ExportError("a loop that ends on a condition cannot be unrolled", field="while", remedy=remedy)
-        for one in carried:
-            self._known[id(one)] = self.value(one.initial)
+        for variable in carried:
+            self._known[id(variable)] = self.value(variable.initial)
         for array in arrays:
             self._arrays[id(array)] = [None] * array.size
         for index in range(loop.length):
@@ -111,15 +111,16 @@ class _Evaluation:
             row = loop.length - 1 - index if loop.row is not loop.index else index
             for array in arrays:
                 size = len(array.elements)
-                self._arrays[id(array)][row * size : (row + 1) * size] = [self.value(one) for one in array.elements]
-            following = [self.value(one.following) for one in carried]
+                elements = [self.value(element) for element in array.elements]
+                self._arrays[id(array)][row * size : (row + 1) * size] = elements
+            following = [self.value(variable.following) for variable in carried]
             self._known.update(zip(map(id, carried), following, strict=True))
 
 
 def find_function(functions: Sequence[Function], name: str) -> Function:
     """Function by name."""
-    for one in functions:
-        if one.name == name:
-            return one
-    known = ", ".join(one.name for one in functions)
+    for function in functions:
+        if function.name == name:
+            return function
+    known = ", ".join(function.name for function in functions)
     raise ExportError(f"there is no function {name!r}", field="function", value=name, remedy=f"choose {known}")

@@ -60,12 +60,12 @@ _CONTROLLER_INPUTS = {
 
 def plant_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
-    given = scenario.plant()
-    plant, initial = numeric((given.with_ideal_io(), scenario.initial(given)))
+    real = scenario.plant()
+    plant, initial = numeric((real.with_ideal_io(), scenario.initial(real)))
     unit, left_out = plant_unit(plant, initial, name, scenario.control_period, scenario.needed_substeps())
-    if not given.has_ideal_io:
+    if not real.has_ideal_io:
         left_out.append("sensors and disturbance: connect your own to the angle, the pressures and the torque")
-    if given.command_delay is not None:
+    if real.command_delay is not None:
         left_out.append("delay of the commands: give one to the signals of the inputs")
     content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, (*left_out, *missing))
@@ -83,7 +83,7 @@ def plant_unit(
     inputs = {"command1": _NUMBER, "command2": _NUMBER, "torque": _NUMBER}
     module = SourceModule(name, numbers)
 
-    def given(parameters: Any, state: PlantState, inputs: Any) -> tuple[JointPlant, PlantState, tuple[Any, Any]]:
+    def commanded(parameters: Any, state: PlantState, inputs: Any) -> tuple[JointPlant, PlantState, tuple[Any, Any]]:
         """Plant, state under the torque and right after the commands, and these within their limits."""
         plant = eqx.combine(parameters, fixed)
         commands = plant.clip_commands((inputs["command1"], inputs["command2"]))
@@ -96,21 +96,21 @@ def plant_unit(
         return {"state": plant.complete_state(PlantState(start["angle"], start["velocity"], tuple(pressures)))}
 
     def advance(parameters: Any, state: PlantState, inputs: Any, duration: Any) -> dict[str, Any]:
-        plant, at, commands = given(parameters, state, inputs)
+        plant, at, commands = commanded(parameters, state, inputs)
         at = at._replace(pressures=state.pressures)
         return {"state": plant.advance(at, commands, duration, substeps)._replace(io=())}
 
     def results(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
-        plant, state, _ = given(parameters, state, inputs)
+        plant, state, _ = commanded(parameters, state, inputs)
         forces = plant.joint.forces(state.angle, state.velocity, state.pressures, state.muscles)
-        found = {"stiffness": plant.joint.stiffness(state.angle, state.pressures)}
-        found |= {f"tension{number}": one for number, one in enumerate(forces.tensions, 1)}
+        numbers = {"stiffness": plant.joint.stiffness(state.angle, state.pressures)}
+        numbers |= {f"tension{number}": tension for number, tension in enumerate(forces.tensions, 1)}
         if not held:
-            found |= {f"pressure{number}": one for number, one in enumerate(state.pressures, 1)}
-        return {"results": found}
+            numbers |= {f"pressure{number}": pressure for number, pressure in enumerate(state.pressures, 1)}
+        return {"results": numbers}
 
     def rates(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
-        plant, state, commands = given(parameters, state, inputs)
+        plant, state, commands = commanded(parameters, state, inputs)
         motion, valve = plant.rate(state), plant.valve
         pressures, air = (), ()
         if held:
@@ -119,10 +119,10 @@ def plant_unit(
         return {"rates": PlantState(motion.position, motion.velocity, tuple(pressures), muscles, (), air)}  # type: ignore
 
     def project(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
-        plant, at, _ = given(parameters, state, inputs)
+        plant, at, _ = commanded(parameters, state, inputs)
         return {"state": plant.project(at)._replace(io=(), pressures=state.pressures)}
 
-    state = jax.tree.map(lambda one: np.zeros(np.shape(one)), initial)
+    state = jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), initial)
     both = {"state": state, "inputs": inputs}
     text = "state at an angle, a velocity and pressures, its muscles relaxed"
     module.add("init", text, init, {"start": start, "inputs": inputs})
@@ -163,14 +163,14 @@ def muscle_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     muscles = {name: joint.muscle1}
     if not eqx.tree_equal(joint.muscle1, joint.muscle2):
         muscles = {f"{name}1": joint.muscle1, f"{name}2": joint.muscle2}
-    made, left_out = {}, list[str]()
-    for each, muscle in muscles.items():
-        unit = _muscle_unit(muscle, each, scenario.control_period)
-        made[f"{each}.fmu"], missing = fmu(unit, scenario.dumps(folder=folder))
+    contents, left_out = {}, list[str]()
+    for title, muscle in muscles.items():
+        unit = _muscle_unit(muscle, title, scenario.control_period)
+        contents[f"{title}.fmu"], missing = fmu(unit, scenario.dumps(folder=folder))
         left_out += missing
         if muscle.has_creep or muscle.friction.follows_rate:
-            left_out.append(f"{each}: creep and viscous friction, which follow the rate of the contraction")
-    return Exported(made, tuple(dict.fromkeys(left_out)))
+            left_out.append(f"{title}: creep and viscous friction, which follow the rate of the contraction")
+    return Exported(contents, tuple(dict.fromkeys(left_out)))
 
 
 def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
@@ -178,7 +178,7 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
     numbers, fixed = eqx.partition(muscle, is_real)
     module = SourceModule(name, numbers)
     inputs = {"contraction": _NUMBER, "pressure": _NUMBER}
-    state = jax.tree.map(lambda one: np.zeros(np.shape(one)), muscle.init_state(0.0, 0.0)._replace(creep=()))
+    state = jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), muscle.init_state(0.0, 0.0)._replace(creep=()))
 
     def of(parameters: Any) -> Muscle:
         return eqx.combine(parameters, fixed)
@@ -237,10 +237,10 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     module.add("evaluate", "commands from now on", results, both)
     module.add("advance", "state after a control period", advance, both)
     setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)[1]
-    starts = *(one[0] for one in setpoints), source.measurement.angle, *source.measurement.pressures
-    results_of = next(one for one in module.functions if one.name == "evaluate").results["results"]
+    starts = *(column[0] for column in setpoints), source.measurement.angle, *source.measurement.pressures
+    results_of = next(f for f in module.functions if f.name == "evaluate").results["results"]
     units = {f"inputs.{path}": unit for path, unit in _CONTROLLER_INPUTS.items()}
-    units |= {f"results.{one.path}": attributes(one.path).get("units", "") for one in results_of}
+    units |= {f"results.{member.path}": attributes(member.path).get("units", "") for member in results_of}
     unit = FunctionalUnit(
         module,
         f"Controller of the scenario {scenario.name!r}",

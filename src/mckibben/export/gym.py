@@ -20,10 +20,9 @@ from numpy.typing import NDArray
 from mckibben.errors import ExportError
 from mckibben.export.episodes import (
     LIMITS,
-    ManyProgram,
+    EpisodeProgram,
     RewardTerms,
     Settings,
-    SingleProgram,
     example_of,
     names_of,
     plants_of,
@@ -55,7 +54,7 @@ class _Joint:
         self.scenario, random_plant = example_of(scenario, random_plant)
         nominal = self.scenario.plant()
         if reward.air_price and not all(
-            one.specimen.has_volume for one in (nominal.joint.muscle1, nominal.joint.muscle2)
+            muscle.specimen.has_volume for muscle in (nominal.joint.muscle1, nominal.joint.muscle2)
         ):
             raise ExportError(
                 "the reward has a price of air, but the volume of a muscle is unknown",
@@ -72,8 +71,8 @@ class _Joint:
         self.most_steps = -(-periods // repeat)
         self.options = {"substeps": self.scenario.needed_substeps(), "repeat": repeat, "history": history}
         direct, unit, shown = nominal.valve.direct, bar, "bar"
-        rated = [one.specimen.domain for one in (nominal.supplied_joint.muscle1, nominal.supplied_joint.muscle2)]
-        ranges = [(float(one.pressure_min), float(one.pressure_max)) for one in rated]
+        rated = [muscle.specimen.domain for muscle in (nominal.supplied_joint.muscle1, nominal.supplied_joint.muscle2)]
+        ranges = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in rated]
         if direct:
             ranges, unit, shown = [(-1.0, 1.0)] * 2, 1.0, "1"
         low, high = np.array(ranges).T
@@ -86,7 +85,7 @@ class _Joint:
         self.metadata = {
             "render_modes": [],
             "observation_units": names,
-            "action_ranges": {f"command{i}": (one[0] / unit, one[1] / unit, shown) for i, one in enumerate(ranges, 1)},
+            "action_ranges": {f"command{i}": (x / unit, y / unit, shown) for i, (x, y) in enumerate(ranges, 1)},
             "step": repeat * self.scenario.control_period,  # s
             "left_out": ("controller of the scenario", "its reference beyond the current period"),
         }
@@ -132,23 +131,23 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         self.joint = _Joint(scenario, **options)
         self.observation_space, self.action_space = self.joint.observation_space, self.joint.action_space
         self.metadata = self.joint.metadata
-        self._program = SingleProgram(self.joint.plants, self.joint.settings, **self.joint.options)
+        self._program = EpisodeProgram(self.joint.plants, self.joint.settings, **self.joint.options)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode with one of the plants; `options` may select it, ``{"plant": 3}``."""
         super().reset(seed=seed)
-        given = (options or {}).get("plant")
-        row = self.np_random.integers(self.joint.plants.rows) if given is None else given
-        self._steps = 0
-        return self._program.begin(int(row)).observation.astype(np.float32), {"plant": int(row)}
+        row = (options or {}).get("plant")
+        row = int(self.np_random.integers(self.joint.plants.rows) if row is None else row)
+        self._steps, self._rows = 0, np.array([row])
+        return self._program.begin(self._rows)[0].astype(np.float32), {"plant": row}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Apply commands for a step."""
-        step = self._program.advance(action)
+        step = self._program.advance(self._rows, np.asarray(action)[None], np.zeros(1, bool))
         self._steps += 1
-        info = {"stiffness": float(step.stiffness), "air": float(step.air)}
-        observation = np.asarray(step.observation, np.float32)
-        return observation, float(step.reward), bool(step.failed), self._steps >= self.joint.most_steps, info
+        info = {"stiffness": float(step.stiffness[0]), "air": float(step.air[0])}
+        observation, ended = step.observation[0].astype(np.float32), self._steps >= self.joint.most_steps
+        return observation, float(step.reward[0]), bool(step.failed[0]), ended, info
 
 
 class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
@@ -173,7 +172,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         self.single_observation_space, self.single_action_space = self.joint.observation_space, self.joint.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._program = ManyProgram(self.joint.plants, self.joint.settings, **self.joint.options)
+        self._program = EpisodeProgram(self.joint.plants, self.joint.settings, **self.joint.options)
         self.metadata = {**self.joint.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:

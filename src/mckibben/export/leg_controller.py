@@ -77,13 +77,13 @@ def _module(
     plant, controller, initial = numeric((plant, controller.with_period(period), plant.begin(start)))
     joints = len(controller.controllers)
     zero = jnp.zeros(())
-    given = dataclasses.replace(controller, reference=_GivenSetpoints((Setpoint(zero, zero),) * joints))
-    numbers, fixed = eqx.partition(given, is_real)
+    example = dataclasses.replace(controller, reference=_GivenSetpoints((Setpoint(zero, zero),) * joints))
+    numbers, fixed = eqx.partition(example, is_real)
     parameters = {"controller": numbers, "control_period": np.asarray(period)}
 
     def of(parameters: Any, setpoints: tuple[Setpoint, ...]) -> JointwiseControl:
-        found = eqx.combine(parameters["controller"], fixed)
-        return dataclasses.replace(found, reference=_GivenSetpoints(setpoints))
+        controller = eqx.combine(parameters["controller"], fixed)
+        return dataclasses.replace(controller, reference=_GivenSetpoints(setpoints))
 
     def init(parameters: Any, measurement: LegMeasurement) -> dict[str, Any]:
         return {"state": of(parameters, ()).init(measurement)}
@@ -92,11 +92,11 @@ def _module(
         setpoints = tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"]))
         controller = of(parameters, setpoints)
         state, commands = controller.step(state, jnp.zeros(()), measurement, parameters["control_period"])
-        pressures = {f"pressure{number}": one for number, one in enumerate(commands, 1)}
+        pressures = {f"pressure{number}": command for number, command in enumerate(commands, 1)}
         return {"state": state, "commands": pressures, "telemetry": controller.telemetry(state)}
 
     measurement = plant.sample(initial, 0.0)[1]
-    state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), jax.eval_shape(given.init, measurement))
+    state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), jax.eval_shape(example.init, measurement))
     setpoint = {"angles": (zero,) * joints, "stiffness": (zero,) * joints}
     module = stepping_module(name, parameters, init, step, state, setpoint, measurement)
     muscles, of_joints = range(1, len(plant.muscles) + 1), range(joints)
@@ -104,7 +104,7 @@ def _module(
     columns = (
         *(f"setpoint.angles_{i}" for i in of_joints),
         *(f"setpoint.stiffness_{i}" for i in of_joints),
-        *(f"measurement.{one}" for one in measured),
+        *(f"measurement.{name}" for name in measured),
         *(f"commands.pressure{i}" for i in muscles),
     )
     times = sampling_times(duration, period)

@@ -31,7 +31,7 @@ def load_mujoco(folder: str | os.PathLike[str], name: str = "") -> Any:
     name = _only_model(folder, name)
     library, sources = folder / f"lib{name}.so", [folder / f"{name}.c", folder / "plugin.c"]
     if name not in _LOADED:
-        if not library.exists() or library.stat().st_mtime < max(one.stat().st_mtime for one in sources):
+        if not library.exists() or library.stat().st_mtime < max(source.stat().st_mtime for source in sources):
             build_plugin(library, sources, Path(mujoco.__file__).parent)
         mujoco.mj_loadPluginLibrary(str(library))
         _LOADED[name] = library
@@ -73,8 +73,8 @@ def build_plugin(library: Path, sources: list[Path], mujoco: Path) -> None:
     compiler = compiler_words()
     if shutil.which(compiler[0]) is None:
         raise ExportError("there is no C compiler", field="CC", remedy="install one, or set CC to its name")
-    found = sorted(mujoco.glob("libmujoco.*"))
+    libraries = sorted(mujoco.glob("libmujoco.*"))
     command = [*compiler, "-std=c99", "-O2", "-fPIC", "-shared", f"-I{mujoco / 'include'}", "-o", library, *sources]
-    made = subprocess.run([*map(str, [*command, *found]), "-lm"], capture_output=True, text=True)
+    made = subprocess.run([*map(str, [*command, *libraries]), "-lm"], capture_output=True, text=True)
     if made.returncode:
         raise ExportError(f"the plugin does not compile: {made.stderr[:2000]}", field="CC", remedy="report it")

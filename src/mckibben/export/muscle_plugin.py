@@ -83,10 +83,10 @@ class MuscleFunctions:
         """Add the functions to a module."""
         number, (activations, anchors, slips, filtered, _) = self._number, self.summary
         zero = np.zeros(())
-        given = {"length": zero, "velocity": zero, "command": zero}
-        given |= {"act": np.zeros(activations)} if activations else {}
+        inputs = {"length": zero, "velocity": zero, "command": zero}
+        inputs |= {"act": np.zeros(activations)} if activations else {}
         argument = f"input{number}"
-        held = {argument: given | ({"anchors": np.zeros(anchors)} if anchors else {})}
+        held = {argument: inputs | ({"anchors": np.zeros(anchors)} if anchors else {})}
 
         def force(parameters: Any, **arguments: Any) -> dict[str, Any]:
             return {"force": self._force(parameters, arguments[argument])}
@@ -106,27 +106,29 @@ class MuscleFunctions:
         if slips:
             module.add(f"settled{number}", f"muscle {number} after a step; the force does not change", settled, held)
         if anchors:
-            module.add(f"unset{number}", f"unstressed anchors of muscle {number}", unset, {argument: given})
+            module.add(f"unset{number}", f"unstressed anchors of muscle {number}", unset, {argument: inputs})
 
-    def _at(self, parameters: Any, given: Any) -> tuple[Any, tuple[Muscle, Tendon], Any, Any, Activations, MuscleState]:
+    def _at(
+        self, parameters: Any, inputs: Any
+    ) -> tuple[Any, tuple[Muscle, Tendon], Any, Any, Activations, MuscleState]:
         """Plant, muscle with its tendon, path and its derivative, activations, and state of the muscle."""
         plant = eqx.combine(parameters["plant"], self._fixed)
-        path, slope = value_and_derivative(lambda length: self._path_of(plant, length), given["length"])
-        acts = self._layout.unpack(given["act"]) if "act" in given else self._start
+        path, slope = value_and_derivative(lambda length: self._path_of(plant, length), inputs["length"])
+        acts = self._layout.unpack(inputs["act"]) if "act" in inputs else self._start
         if not plant.valve.holds_pressure:
-            acts = acts._replace(pressure=given["command"])
-        state = MuscleState(tuple(given.get("anchors", ())), acts.creep)
+            acts = acts._replace(pressure=inputs["command"])
+        state = MuscleState(tuple(inputs.get("anchors", ())), acts.creep)
         return plant, self._muscle_of(plant), path, slope, acts, state
 
-    def _force(self, parameters: Any, given: Any) -> Any:
-        _, (muscle, tendon), path, slope, (_, _, pressure), state = self._at(parameters, given)
+    def _force(self, parameters: Any, inputs: Any) -> Any:
+        _, (muscle, tendon), path, slope, (_, _, pressure), state = self._at(parameters, inputs)
         contraction = tendon.contraction(muscle, path, pressure, state)
-        viscous = muscle.viscous_force(contraction, pressure, slope * given["velocity"], state)
+        viscous = muscle.viscous_force(contraction, pressure, slope * inputs["velocity"], state)
         return -(muscle.tension(contraction, pressure, state) + viscous) * slope
 
-    def _rates(self, parameters: Any, given: Any) -> Any:
-        plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, given)
-        valve, command, velocity = plant.valve.for_muscle(self._number - 1), given["command"], given["velocity"]
+    def _rates(self, parameters: Any, inputs: Any) -> Any:
+        plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, inputs)
+        valve, command, velocity = plant.valve.for_muscle(self._number - 1), inputs["command"], inputs["velocity"]
         creep = muscle.state_rate(held, slope * velocity, pressure).creep
         if not valve.holds_pressure:
             return self._layout.pack(Activations(creep, ((), ()), ()), jnp)
@@ -135,7 +137,7 @@ class MuscleFunctions:
             def volume(length: Any) -> Any:
                 return muscle.specimen.volume(muscle.specimen.contraction_at(self._path_of(plant, length)))
 
-            size, growth = value_and_derivative(volume, given["length"])
+            size, growth = value_and_derivative(volume, inputs["length"])
             air = AirVolume(size + valve.attached_volume, growth * velocity)
             return air, air
 
@@ -147,16 +149,16 @@ class MuscleFunctions:
         rates = Activations(creep, state_of_muscle(moved, 0), changed)
         return self._layout.pack(rates, jnp)
 
-    def _settled(self, parameters: Any, given: Any) -> dict[str, Any]:
-        plant, (muscle, _), path, _, acts, state = self._at(parameters, given)
+    def _settled(self, parameters: Any, inputs: Any) -> dict[str, Any]:
+        plant, (muscle, _), path, _, acts, state = self._at(parameters, inputs)
         friction, creep = muscle.update_state(state, muscle.specimen.contraction_at(path), acts.pressure)
         pressure = acts.pressure if plant.valve.holds_pressure else ()
         held = Activations(creep, acts.valve, pressure)
-        found = {"act": self._layout.pack(held, jnp)} if self._layout.size else {}
-        return found | ({"anchors": jnp.stack(friction)} if friction else {})
+        settled = {"act": self._layout.pack(held, jnp)} if self._layout.size else {}
+        return settled | ({"anchors": jnp.stack(friction)} if friction else {})
 
-    def _unset(self, parameters: Any, given: Any) -> Any:
-        _, (muscle, _), path, _, acts, _ = self._at(parameters, given)
+    def _unset(self, parameters: Any, inputs: Any) -> Any:
+        _, (muscle, _), path, _, acts, _ = self._at(parameters, inputs)
         return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path), acts.pressure).friction)
 
 
@@ -213,7 +215,7 @@ def plugin_files(
     name = module.name
     comment = f"Muscles of {title}, written by mckibben {mckibben.__version__}."
     sources = write_c(module, comment, single=False)
-    listed = "".join(f"- {one}\n" for one in left_out)
+    listed = "".join(f"- {part}\n" for part in left_out)
     return {
         f"{name}.xml": xml,
         f"{name}.h": sources.header,

@@ -50,7 +50,7 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
     """The joint and load of a plant at gauge pressures [Pa]; raises `ExportError`."""
     joint = plant.joint
     muscles = [
-        dataclasses.replace(one, friction=NoFriction(), creep=NoCreep()) for one in (joint.muscle1, joint.muscle2)
+        dataclasses.replace(muscle, friction=NoFriction(), creep=NoCreep()) for muscle in (joint.muscle1, joint.muscle2)
     ]
     static = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
     plant_without = JointPlant(static, plant.load, IdealValve())
@@ -65,8 +65,8 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
     for number, (path, muscle, pressure) in enumerate(zip(moved, muscles, pressures, strict=True), 1):
         rest = float(muscle.specimen.initial_length - path.offset) if path.tendon else None
         lines = _Expression()
-        given = {"length": "q" if rest is None else f"(s+{rest!r})", "velocity": 0.0, "command": float(pressure)}
-        inputs = {f"input{number}.{key}": value for key, value in given.items()}
+        arguments = {"length": "q" if rest is None else f"(s+{rest!r})", "velocity": 0.0, "command": float(pressure)}
+        inputs = {f"input{number}.{key}": value for key, value in arguments.items()}
         try:
             force = evaluate(module, find_function(module.functions, f"force{number}"), lines, inputs)["force"][0]
             expressions.append(lines.text(force if rest is None else lines["neg"](force)))
@@ -101,21 +101,21 @@ class _Expression(dict[str, Callable[..., Any]]):
     def __init__(self) -> None:
         self._names: dict[str, str] = {}
         written: dict[str, Callable[..., Any]] = {
-            one: lambda *xs, one=one: f"{one}({','.join(xs)})" for one in self._SAME
+            name: lambda *xs, name=name: f"{name}({','.join(xs)})" for name in self._SAME
         }
-        written |= {one: lambda x, y, sign=sign: f"({x}{sign}{y})" for one, sign in self._INFIX.items()}
+        written |= {name: lambda x, y, sign=sign: f"({x}{sign}{y})" for name, sign in self._INFIX.items()}
         written |= dict.fromkeys(("lt", "le"), lambda x, y: _Condition(f"step({y}-{x})", x, y))
         written |= dict.fromkeys(("gt", "ge"), lambda x, y: _Condition(f"step({x}-{y})", y, x))
         written["eq"] = lambda x, y: _Condition(f"(step({x}-{y})*step({y}-{x}))")
         written |= {"neg": lambda x: f"(-{x})" if not x.startswith("(-") else x[2:-1], "real": lambda x: x}
-        super().__init__({one: self._folded(one, function) for one, function in written.items()})
+        super().__init__({name: self._folded(name, function) for name, function in written.items()})
         self["select"] = self._select
 
     def text(self, result: Any) -> str:
         """The whole expression."""
         sizes: dict[str, int] = {}
         for text, name in [*self._names.items(), (str(result), "")]:
-            sizes[name] = len(text) + sum(sizes[one] for one in re.findall(r"\bv\d+", text))
+            sizes[name] = len(text) + sum(sizes[name] for name in re.findall(r"\bv\d+", text))
         if sizes[""] > _MOST:
             raise ExportError(f"expanded, it has {sizes['']} characters, more than {_MOST}", field="expression")
         definitions = [f"{name}={text}" for text, name in self._names.items()]
@@ -123,11 +123,11 @@ class _Expression(dict[str, Callable[..., Any]]):
 
     def _folded(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
         def operation(*arguments: Any) -> Any:
-            if not any(isinstance(one, str) for one in arguments):
+            if not any(isinstance(argument, str) for argument in arguments):
                 return NUMERIC[name](*arguments)
             if name in ("add", "sub") and 0 in arguments[1:]:
                 return arguments[0]
-            return self._named(function(*(one if isinstance(one, str) else _number(one) for one in arguments)))
+            return self._named(function(*map(_number, arguments)))
 
         return operation
 
@@ -180,7 +180,7 @@ def _osim(plant: JointPlant, name: str, forces: Sequence[str]) -> str:
 def osim_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The joint of a scenario at its initial pressures."""
     plant = scenario.plant()
-    pressure1, pressure2 = (float(one) for one in scenario.initial(plant).pressures)
+    pressure1, pressure2 = (float(pressure) for pressure in scenario.initial(plant).pressures)
     model = osim_model(plant, (pressure1, pressure2), name)
     left_out = ("controller and reference of the scenario", *model.left_out)
     return Exported({f"{name}.osim": model.text, "scenario.yaml": scenario.dumps(folder=folder)}, left_out)

@@ -74,20 +74,21 @@ def warp_muscles(
 ) -> str:
     """Text of the module of Warp for the muscles of a model, with the delay [s] of their commands."""
     numbers = range(1, len(muscles) + 1)
-    before = [sum(one.anchors for one in muscles[: number - 1]) for number in numbers]
-    kernels = map(partial(_kernels, {one.name: one for one in module.functions}), muscles, numbers, before)
+    before = [sum(muscle.anchors for muscle in muscles[: number - 1]) for number in numbers]
+    functions = {function.name: function for function in module.functions}
+    kernels = map(partial(_kernels, functions), muscles, numbers, before)
     return filled(
         "warp-muscles.txt",
         {
             "title": title.replace("\\", "/").replace('"""', "'"),
             "version": mckibben.__version__,
             "name": module.name,
-            "left_out": "".join(f"- {one}\n" for one in left_out),
+            "left_out": "".join(f"- {part}\n" for part in left_out),
             "delay": repr(delay),
             "functions": write_warp(module),
             "kernels": "".join(kernels),
             "actuators": repr(tuple(names)),
-            "pressures": repr(tuple(one.activations - 1 if one.pressurized else -1 for one in muscles)),
+            "pressures": repr(tuple(muscle.activations - 1 if muscle.pressurized else -1 for muscle in muscles)),
             "anchors": repr(tuple(muscle.anchors for muscle in muscles)),
             "dynamics": ", ".join(f"dynamics{number}" for number in numbers),
             "forces": ", ".join(f"forces{number}" for number in numbers),
@@ -109,20 +110,20 @@ def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: in
     }
 
     def call(name: str) -> str:
-        given = [
-            single.get(one.name) or places[one.name][place]
+        inputs = [
+            single.get(member.name) or places[member.name][place]
             for members in functions[name].arguments.values()
-            for one in members
-            for place in range(one.size)
+            for member in members
+            for place in range(member.size)
         ]
-        return f"{name}({', '.join(['model', 'world', *given])})"
+        return f"{name}({', '.join(['model', 'world', *inputs])})"
 
     def assigned(name: str, targets: Mapping[str, Sequence[str]], condition: str = "") -> str:
         """Statements that store the results of a function."""
         if name not in functions:
             return ""
         (members,) = functions[name].results.values()
-        stored = [targets[one.name][place] for one in members for place in range(one.size)]
+        stored = [targets[member.name][place] for member in members for place in range(member.size)]
         results = [f"r{place}" for place in range(len(stored))]
         lines = [f"{', '.join(results)} = {call(name)}"]
         lines += [f"{target} = {result}" for target, result in zip(stored, results, strict=True)]

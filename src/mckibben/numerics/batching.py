@@ -66,7 +66,7 @@ def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> di
     """Trees with new, checked values at leaves by dotted names; ``joint.muscle.strength`` is that of both muscles."""
     if not values:
         return dict(trees)
-    values = {each: value for name, value in values.items() for each in _aliased(trees, name)}
+    values = {address: value for name, value in values.items() for address in _aliased(trees, name)}
     known = select_leaves(trees, list(values))
     numbers = {name: _numbers(trees, name, known[name], value) for name, value in values.items()}
     changed = replace_leaves(trees, numbers)
@@ -90,8 +90,8 @@ def _aliased(trees: Mapping[str, Any], name: str) -> list[str]:
     for depth, step in enumerate(steps):
         if names := getattr(type(owner), "aliases", {}).get(step):
             prefix = [] if root == _UNNAMED else [root]
-            several = [".".join([*prefix, *steps[:depth], one, *steps[depth + 1 :]]) for one in names]
-            return [each for one in several for each in _aliased(trees, one)]
+            addresses = [".".join([*prefix, *steps[:depth], alias, *steps[depth + 1 :]]) for alias in names]
+            return [leaf for address in addresses for leaf in _aliased(trees, address)]
         if not hasattr(owner, step):
             break
         owner = getattr(owner, step)
@@ -101,18 +101,18 @@ def _aliased(trees: Mapping[str, Any], name: str) -> list[str]:
 def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
     """Values of a leaf as an array of its type."""
     try:
-        given = np.asarray(value)
+        array = np.asarray(value)
     except (TypeError, ValueError, OverflowError):  # ragged rows, or not an array
-        given = np.asarray(None)
-    whole = jnp.issubdtype(given.dtype, jnp.integer)
-    if not (whole or jnp.issubdtype(given.dtype, jnp.floating)):
+        array = np.asarray(None)
+    whole = jnp.issubdtype(array.dtype, jnp.integer)
+    if not (whole or jnp.issubdtype(array.dtype, jnp.floating)):
         raise ParameterError(
             f"the values of {name} are not numeric", value=value, remedy="give a number, or an array with one per run"
         )
     if not whole and _is_whole(trees, name):
         raise ParameterError(f"{name} is an integer", value=value, remedy="give integers")
     keeps = whole and jnp.issubdtype(np.asarray(leaf).dtype, jnp.integer)
-    return given if keeps else given.astype(float)
+    return array if keeps else array.astype(float)
 
 
 def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
@@ -138,13 +138,13 @@ def select_leaves(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, A
 
 def named_leaves(trees: Mapping[str, Any]) -> dict[str, Any]:
     """All numeric leaves by dotted name; those of the plant begin with its parts, as in a scenario."""
-    found = {}
+    named = {}
     for root, tree in trees.items():
         leaves, structure = jax.tree.flatten(tree)
         for name, leaf in zip(_names(structure), leaves, strict=True):
             if eqx.is_array_like(leaf) and not isinstance(leaf, bool):
-                found[name if root == _UNNAMED else f"{root}.{name}"] = leaf
-    return found
+                named[name if root == _UNNAMED else f"{root}.{name}"] = leaf
+    return named
 
 
 @functools.lru_cache(maxsize=256)

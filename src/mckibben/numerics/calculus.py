@@ -87,8 +87,8 @@ def rk4(
 
     # The barrier keeps XLA from computing parts of one stage's derivative again inside the next stage's fusion.
     @functools.partial(jax.jit, inline=True)  # traced once for all stages
-    def stage(at: State, given: tuple[Any, ...]) -> State:
-        return lax.optimization_barrier(rate(at, *given))
+    def stage(at: State, inputs: tuple[Any, ...]) -> State:
+        return lax.optimization_barrier(rate(at, *inputs))
 
     beginning, middle, end = inputs
     k1 = stage(state, beginning)
@@ -125,8 +125,8 @@ def semi_implicit(
             lambda at, pair: jax.tree.map(lambda x, dx: x + pair[0] * step * dx, at, pair[1]), used, state
         )
 
-    def stage(explicit: Any, implicit: Any, slopes: Sequence[State], given: tuple[Any, ...]) -> State:
-        return rate(moved(explicit, slopes), *given, ahead=(moved(implicit, slopes), _A * step))
+    def stage(explicit: Any, implicit: Any, slopes: Sequence[State], inputs: tuple[Any, ...]) -> State:
+        return rate(moved(explicit, slopes), *inputs, ahead=(moved(implicit, slopes), _A * step))
 
     if trace_mode()[1]:
         kind = jnp.result_type(step)
@@ -135,13 +135,13 @@ def semi_implicit(
         def next_stage(i: Array, slopes: tuple[State, ...]) -> tuple[State, ...]:
             here = jax.tree.map(lambda b, m, e: jnp.where(i < 2, b, jnp.where(i == 3, m, e)), *inputs)
             new = stage(tuple(explicit[i]), tuple(implicit[i]), slopes, here)
-            each = enumerate(slopes)
-            return tuple(jax.tree.map(lambda x, old, j=j: jnp.where(i == j, x, old), new, one) for j, one in each)
+            replaced = [functools.partial(jnp.where, i == j) for j in range(len(slopes))]
+            return tuple(jax.tree.map(*parts) for parts in zip(replaced, (new,) * len(slopes), slopes, strict=True))
 
         return moved(_WEIGHTS, lax.fori_loop(0, 4, next_stage, (zero,) * 4))
     slopes: list[State] = []
-    for row, ahead, given in zip(_EXPLICIT, _IMPLICIT, (beginning, beginning, end, middle), strict=True):
-        slopes.append(stage(row, ahead, slopes, given))
+    for row, ahead, here in zip(_EXPLICIT, _IMPLICIT, (beginning, beginning, end, middle), strict=True):
+        slopes.append(stage(row, ahead, slopes, here))
     return moved(_WEIGHTS, slopes)
 
 

@@ -100,7 +100,7 @@ class Program:
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         leaves, structure = jax.tree.flatten((args, kwargs))
         static = tuple(ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves)
-        arrays = [leaf for leaf, kept in zip(leaves, static, strict=True) if kept is ARRAY]
+        arrays = [leaf for leaf, mark in zip(leaves, static, strict=True) if mark is ARRAY]
         if _is_traced(arrays):  # part of another program
             known = (structure, static, tuple(map(type, static)), trace_mode())
             if (program := self._parts.get(known)) is None:

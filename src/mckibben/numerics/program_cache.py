@@ -86,15 +86,15 @@ def load_or_compile(
     path = program_path(folder, function, (structure, *static), *rest)
     if path is None:
         return jitted
-    given = jax.tree.structure((tuple(arrays), {}))
+    arguments = jax.tree.structure((tuple(arrays), {}))
     try:
         payload, answer = pickle.loads(read_private(path))
-        return deserialize_and_load(payload, given, jax.tree.structure(answer))
+        return deserialize_and_load(payload, arguments, jax.tree.structure(answer))
     except Exception:  # missing, damaged, not private, or of another JAX
         program = jitted.lower(*arrays).compile()
     try:
         payload, _, answer = serialize(program)
-        jax.block_until_ready(deserialize_and_load(payload, given, answer)(*arrays))  # not every program loads again
+        jax.block_until_ready(deserialize_and_load(payload, arguments, answer)(*arrays))  # not every one loads again
         write_program(path, pickle.dumps((payload, jax.tree.unflatten(answer, [0] * answer.num_leaves))))
     except Exception:  # it runs even where it cannot be stored, such as on a full disk
         pass
@@ -141,9 +141,9 @@ def fingerprint(value: Any) -> str:
     elif isinstance(value, np.dtype):
         text = f"{value.str} {value.name}"
     elif isinstance(value, dict):
-        text = " ".join(f"{fingerprint(key)}:{fingerprint(one)}" for key, one in value.items())
+        text = " ".join(f"{fingerprint(key)}:{fingerprint(item)}" for key, item in value.items())
     elif isinstance(value, _CONTAINERS):
-        names = [fingerprint(one) for one in value]
+        names = [fingerprint(item) for item in value]
         text = " ".join(sorted(names) if isinstance(value, set | frozenset) else names)
     elif dataclasses.is_dataclass(value):
         fields = dataclasses.fields(value)
