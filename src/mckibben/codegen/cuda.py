@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxtyping import PyTree
+
 from mckibben.codegen.kernels import THREADS
 from mckibben.codegen.native import Compiled, NativeFunction
 from mckibben.errors import CompilerError, DeviceError
@@ -116,7 +118,7 @@ class Nvrtc:
         self._library.nvrtcGetErrorString.restype = c_char_p
         return self._library.nvrtcGetErrorString(status).decode()
 
-    def _call(self, name: str, *arguments: Any) -> None:
+    def _call(self, name: str, *arguments: PyTree) -> None:
         if status := getattr(self._library, name)(*arguments):
             raise CompilerError(f"{name}: {self._error(status)}", value=status)
 
@@ -181,7 +183,7 @@ class Device:
             self._call("cuModuleGetGlobal_v2", byref(program.constants), byref(program.size), module, b"known")
         return program
 
-    def run(self, program: DeviceProgram, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
+    def run(self, program: DeviceProgram, scalars: bytes, words: Any, results: PyTree, lanes: int) -> None:
         """Compute all runs; `results`, an array in memory, is overwritten."""
         with self._used(), ExitStack() as memory:
             sizes = words.nbytes, max(results.nbytes, program.size.value)
@@ -194,7 +196,7 @@ class Device:
             self._call("cuCtxSynchronize")
             self._call("cuMemcpyDtoH_v2", c_void_p(results.ctypes.data), places[1], c_size_t(results.nbytes))
 
-    def _launch(self, function: c_void_p, blocks: int, threads: int, arguments: Sequence[Any]) -> None:
+    def _launch(self, function: c_void_p, blocks: int, threads: int, arguments: Sequence[PyTree]) -> None:
         pointers = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
         sizes = map(c_uint, (blocks, 1, 1, threads, 1, 1, 0))
         self._call("cuLaunchKernel", function, *sizes, None, pointers, None)
@@ -212,7 +214,7 @@ class Device:
         memory.callback(lambda: self._driver.cuMemFree_v2(place))
         return place
 
-    def _call(self, name: str, *arguments: Any) -> None:
+    def _call(self, name: str, *arguments: PyTree) -> None:
         status = getattr(self._driver, name)(*arguments)
         if status == 0:
             return
@@ -246,7 +248,7 @@ def device() -> Device:
 class _OnDevice(Compiled):
     """A kernel on the device."""
 
-    def _call(self, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
+    def _call(self, scalars: bytes, words: Any, results: PyTree, lanes: int) -> None:
         device().run(self.run, scalars, words, results, lanes)
 
 
@@ -261,5 +263,5 @@ class CudaFunction(NativeFunction):
     def _built(self, source: str, many: bool) -> bytes:
         return nvrtc().compile(source, device().architecture).image
 
-    def _loaded(self, program: bytes, leaves: Sequence[Any], tree: Any) -> Compiled:
+    def _loaded(self, program: bytes, leaves: Sequence[PyTree], tree: PyTree) -> Compiled:
         return _OnDevice(device().load(program), 1, list(leaves), tree)

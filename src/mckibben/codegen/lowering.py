@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
+from jaxtyping import PyTree
 
-from mckibben.codegen.array_rules import ArrayRules, array_of
+from mckibben.codegen.array_rules import ArrayRules, Parameters, Shape, array_of
 from mckibben.codegen.graph import FOLDED, ForLoop, Graph, Kind, StoredArray, Value
 from mckibben.codegen.polynomials import erf_inv, log1p, log1p_single, tanh
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
@@ -85,7 +86,7 @@ class Lowering(ArrayRules):
         self._graph = graph
 
     def function(
-        self, function: Callable[..., Any], arguments: Any, inputs: Sequence[Array]
+        self, function: Callable[..., Any], arguments: PyTree, inputs: Sequence[Array]
     ) -> tuple[list[Array], Any]:
         """Leaves of a function of trees for values of the leaves of arguments; tree of their shapes and types."""
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
@@ -184,7 +185,9 @@ class Lowering(ArrayRules):
             return self._graph.operation("and", Kind.INTEGER, result, self._graph.constant(MASK, Kind.INTEGER))
         return result
 
-    def _random(self, name: str, parameters: Any, aval: Any, arguments: list[Array], equation: Any) -> list[Array]:
+    def _random(
+        self, name: str, parameters: Parameters, aval: Any, arguments: list[Array], equation: Any
+    ) -> list[Array]:
         """Random keys (two words each) and the bits drawn from them."""
         if (
             (aval.ndim and name != "random_bits")
@@ -214,19 +217,19 @@ class Lowering(ArrayRules):
             return rule
         return ()  # sine and cosine of CUDA have a branch for large angles
 
-    def _reshape(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+    def _reshape(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)
 
     _squeeze = _expand_dims = _reshape
 
-    def _iota(self, parameters: Any, kind: Kind, shape: Any) -> Array:
+    def _iota(self, parameters: Parameters, kind: Kind, shape: Shape) -> Array:
         if len(shape) == 1:
             return Stored(tuple(shape), kind)
         return self.literal(jax.lax.broadcasted_iota(parameters["dtype"], shape, parameters["dimension"]))
 
     # Control flow
 
-    def _cond(self, parameters: Any, kind: Kind, shape: Any, which: Array, *arguments: Array) -> list[Array]:
+    def _cond(self, parameters: Parameters, kind: Kind, shape: Shape, which: Array, *arguments: Array) -> list[Array]:
         """One branch runs if all elements of a vector take it; otherwise all are computed: they are pure and few."""
         index, branches = which.item(), parameters["branches"]
         if index.constant is not None:
@@ -245,7 +248,7 @@ class Lowering(ArrayRules):
             return [array_of(array.shape, lambda _: next(chosen)) for array in branch_results[0]]
         cases = [list(map(self.plain, self._closed(branch, arguments))) for branch in branches]
         return [
-            self._select_n(None, results[0].flat[0].kind if results[0].size else Kind.REAL, None, which, *results)
+            self._select_n({}, results[0].flat[0].kind if results[0].size else Kind.REAL, (), which, *results)
             for results in zip(*cases, strict=True)
         ]
 
@@ -253,7 +256,7 @@ class Lowering(ArrayRules):
         """An array of values, in memory or not."""
         return self.expanded(array) if isinstance(array, Stored) else array
 
-    def _scan(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array]:
+    def _scan(self, parameters: Parameters, kind: Kind, shape: Shape, *arguments: Array) -> list[Array]:
         (count, carries), length = _scan_sizes(parameters), parameters["length"]
         body, reverse = parameters["jaxpr"], parameters["reverse"]
         constants, columns = arguments[:count], arguments[count + carries :]
@@ -289,7 +292,7 @@ class Lowering(ArrayRules):
         """Variables of a loop with the elements of an array as initial values."""
         return array_of(array.shape, lambda at: self._graph.carry(loop, array[at], uniform))
 
-    def _while(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array] | None:
+    def _while(self, parameters: Parameters, kind: Kind, shape: Shape, *arguments: Array) -> list[Array] | None:
         """A loop until a condition fails; not for vectors, whose elements end at different iterations."""
         outside, inside = parameters["cond_nconsts"], parameters["body_nconsts"]
         outer, constants = arguments[:outside], arguments[outside : outside + inside]
@@ -323,7 +326,7 @@ class Lowering(ArrayRules):
         last = iter([self._graph.after(variable) for variable in self._graph.loop(0, passes).carried])
         return [array_of(array.shape, lambda _: next(last)) for array in carry]
 
-    def _custom_linear_solve(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array]:
+    def _custom_linear_solve(self, parameters: Parameters, kind: Kind, shape: Shape, *arguments: Array) -> list[Array]:
         counts = parameters["const_lengths"]
         before, end = counts.matvec + counts.vecmat, sum(counts)
         return self._closed(parameters["jaxprs"].solve, [*arguments[before : before + counts.solve], *arguments[end:]])
@@ -422,14 +425,14 @@ def _varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], 
 
 
 def _varying_while(
-    parameters: Any, outer: Sequence[bool], constants: Sequence[bool], carry: Sequence[bool]
+    parameters: Parameters, outer: Sequence[bool], constants: Sequence[bool], carry: Sequence[bool]
 ) -> tuple[list[bool], bool]:
     """Loop-carried variables of a `while` that vary over lanes, and whether its condition does."""
     varying = _varying_carry(parameters["body_jaxpr"], constants, carry, ())
     return varying, _varying(parameters["cond_jaxpr"].jaxpr, [*outer, *varying])[0]
 
 
-def _scan_sizes(parameters: Any) -> tuple[int, int]:
+def _scan_sizes(parameters: Parameters) -> tuple[int, int]:
     """Numbers of constants and of carried values of a scan."""
     if "ft_in" in parameters:  # JAX 0.12 and newer
         constants, carry, _ = (len(list(part.vals)) for part in parameters["ft_in"].unpack())

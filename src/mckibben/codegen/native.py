@@ -25,6 +25,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import numpy as np
+from jax.tree_util import PyTreeDef
+from jaxtyping import Array, PyTree
 
 from mckibben.codegen import kernels
 from mckibben.codegen.functions import definitions, native_language
@@ -111,11 +113,11 @@ class NativeFunction:
         self._known: dict[Any, Compiled | ExportError] = {}
         self._lock = threading.Lock()
 
-    def __call__(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Any:
+    def __call__(self, shared: PyTree, lanes: Any = None, *, single: bool = False) -> Any:
         """Results, with 32 bits where they differ between runs of a `single` program; raises `ExportError`."""
         return self.bound(shared, lanes, single=single)()
 
-    def bound(self, shared: Any, lanes: Any = None, *, single: bool = False) -> Callable[[], Any]:
+    def bound(self, shared: PyTree, lanes: Any = None, *, single: bool = False) -> Callable[[], Any]:
         """The compiled function with its arguments packed, as a callable that computes the results."""
         common, varying = Split.of(shared), Split.of(lanes, lanes=True)
         key = common.key, varying.key, single
@@ -158,7 +160,7 @@ class NativeFunction:
     def written(self, shared: Split, lanes: Split, *, single: bool) -> Written:
         """Source for arguments."""
 
-        def function(common: Sequence[Any], varying: Sequence[Any]) -> Any:
+        def function(common: Sequence[PyTree], varying: Sequence[PyTree]) -> Any:
             return self._function(shared.filled(common), lanes.filled(varying))
 
         varying = [x[..., 0] for x in lanes.arrays]
@@ -178,7 +180,7 @@ class NativeFunction:
             options += _FOR_LONG
         return compile_library(source, (*options, *self._flags))
 
-    def _loaded(self, program: bytes, leaves: Any, tree: Any) -> Compiled:
+    def _loaded(self, program: bytes, leaves: Any, tree: PyTree) -> Compiled:
         return Compiled(*load_library(program), leaves, tree)
 
 
@@ -186,13 +188,13 @@ class NativeFunction:
 class Split:
     """Leaves of a tree, with the arrays separated."""
 
-    structure: Any
+    structure: PyTreeDef
     static: tuple[Any, ...]  # `ARRAY` in place of arrays
     arrays: list[Any]
     lanes: bool
 
     @classmethod
-    def of(cls, tree: Any, *, lanes: bool = False) -> Split:
+    def of(cls, tree: PyTree, *, lanes: bool = False) -> Split:
         leaves, structure = jax.tree.flatten(tree)
         static = tuple([ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves])
         arrays = [leaf if type(leaf) is np.ndarray else np.asarray(leaf) for leaf in leaves if isinstance(leaf, ARRAYS)]
@@ -205,7 +207,7 @@ class Split:
         kinds = "".join([x.dtype.char for x in self.arrays])
         return self.structure, self.static, tuple(map(type, self.static)), shapes, kinds
 
-    def filled(self, arrays: Sequence[Any]) -> Any:
+    def filled(self, arrays: Sequence[PyTree]) -> Any:
         """The tree with new arrays."""
         rest = iter(arrays)
         return jax.tree.unflatten(self.structure, [next(rest) if leaf is ARRAY else leaf for leaf in self.static])
@@ -218,9 +220,9 @@ class Compiled:
     run: Any
     width: int  # runs per vector
     leaves: list[tuple[tuple[int, ...], str]]
-    tree: Any
+    tree: PyTree
 
-    def bound(self, common: Sequence[Any], varying: Sequence[Any] = ()) -> Callable[[], Any]:
+    def bound(self, common: Sequence[PyTree], varying: Sequence[PyTree] = ()) -> Callable[[], Any]:
         """Arguments packed in 64-bit words, as a callable that computes the results of all runs."""
         count = varying[0].shape[-1] if varying else 1
         size = -(-count // self.width) * self.width if varying else 1
@@ -244,7 +246,7 @@ class Compiled:
 
         return compute
 
-    def _call(self, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
+    def _call(self, scalars: bytes, words: Any, results: PyTree, lanes: int) -> None:
         """Run the program on its arguments in memory."""
         self.run(scalars, words.ctypes.data, results.ctypes.data, lanes)
 
@@ -269,13 +271,13 @@ class Written(NamedTuple):
 
     source: str
     leaves: list[tuple[tuple[int, ...], str]]
-    tree: Any
+    tree: PyTree
 
 
 def write_native(
     function: Callable[..., Any],
-    common: Sequence[Any],
-    varying: Sequence[Any],
+    common: Sequence[PyTree],
+    varying: Sequence[PyTree],
     single: bool = False,
     threads: bool = False,
 ) -> Written:
@@ -311,7 +313,9 @@ def write_native(
     return Written(source, leaves, jax.tree.structure(shape))
 
 
-def _places(common: Sequence[Any], varying: Sequence[Any], leaves: Sequence[tuple[tuple[int, ...], str]]) -> list[str]:
+def _places(
+    common: Sequence[PyTree], varying: Sequence[PyTree], leaves: Sequence[tuple[tuple[int, ...], str]]
+) -> list[str]:
     """Declarations of the location of each argument and result: 64-bit words, as packed by `Compiled`."""
     lines = []
     scalars, shared, lanes = 0, 0, 0
@@ -332,7 +336,7 @@ def _places(common: Sequence[Any], varying: Sequence[Any], leaves: Sequence[tupl
     return lines
 
 
-def _input_value(graph: Graph, name: str, x: Any, uniform: bool) -> Any:
+def _input_value(graph: Graph, name: str, x: Array, uniform: bool) -> Any:
     """An argument: a number, or an array in memory."""
     kind = kind_of(x.dtype)
     if x.shape:
@@ -342,7 +346,7 @@ def _input_value(graph: Graph, name: str, x: Any, uniform: bool) -> Any:
     return value
 
 
-def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence[Any]) -> list[str]:
+def _body(graph: Graph, writer: Writer, inputs: Sequence[PyTree], results: Sequence[PyTree]) -> list[str]:
     """Statements that compute the results of one run or of a vector of runs."""
     indent = " " * 8
     for argument in inputs:
@@ -451,12 +455,12 @@ def _compiler_state() -> str:
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 
-def _words(x: Any) -> Any:
+def _words(x: Array) -> Any:
     """Elements of an array in 64-bit words."""
     return x.ravel() if x.dtype.kind == "f" else x.astype(np.int64).ravel().view(float)
 
 
-def _padded(x: Any, size: int) -> Any:
+def _padded(x: Array, size: int) -> Any:
     """Lanes padded with the last one."""
     short = size - x.shape[-1]
     return np.concatenate([x, np.repeat(x[..., -1:], short, axis=-1)], axis=-1) if short else x

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
 from mckibben.codegen.graph import Graph, Kind, Scope, Value
 from mckibben.codegen.lowering import Lowering, kind_of
@@ -63,7 +64,7 @@ class SourceModule:
     """
 
     name: str
-    parameters: Any
+    parameters: PyTree
     prefix: str = ""  # prefix of parameter paths, omitted from names
     functions: list[Function] = field(default_factory=list)
 
@@ -75,7 +76,7 @@ class SourceModule:
         self._inputs = self._arrays("parameters", self.members)
 
     def add(
-        self, name: str, text: str, function: Callable[..., Mapping[str, Any]], arguments: Mapping[str, Any]
+        self, name: str, text: str, function: Callable[..., Mapping[str, PyTree]], arguments: Mapping[str, PyTree]
     ) -> None:
         """Add a function of the parameters and of named trees, which returns named trees; raises `ExportError`."""
         scope = self.graph.scope = self.graph.root.inner()
@@ -142,7 +143,7 @@ def element(structure: str, member: Member, number: int) -> str:
     return f"{structure}.{member.name}" + (f"[{number}]" if member.shape else "")
 
 
-def members_of(tree: Any, prefix: str = "") -> list[Member]:
+def members_of(tree: PyTree, prefix: str = "") -> list[Member]:
     """Members of a structure for the leaves of a tree, with names from their paths without a prefix."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
     paths = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves]

@@ -6,6 +6,8 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from jaxtyping import Array, PyTree
+
 from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export.evaluation import element_names, evaluate, find_function
@@ -17,7 +19,7 @@ from mckibben.scenario import Scenario
 class CasadiPlant(NamedTuple):
     """CasADi functions of a plant by name, in SI: of angle and pressures, or of state and commands."""
 
-    functions: dict[str, Any]
+    functions: dict[str, PyTree]
     state: tuple[str, ...]  # elements of the vector
     left_out: tuple[str, ...]
 
@@ -44,7 +46,7 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
     71.93
     """
     if isinstance(scenario, Scenario):
-        own: dict[str, Any] = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
+        own: dict[str, PyTree] = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
         options = {"control_period": scenario.control_period} | own | options
     plant = scenario.plant() if isinstance(scenario, Scenario) else scenario
     made = plant_module(plant, **options)  # pyrefly: ignore[bad-argument-type]
@@ -61,8 +63,8 @@ def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str
     """A function of a module in CasADi, with a column vector per argument, the last one for symbolic parameters."""
     casadi = _casadi()
     function = find_function(module.functions, name)
-    symbols: dict[str, Any] = {}
-    inputs: dict[str, Any] = {}
+    symbols: dict[str, PyTree] = {}
+    inputs: dict[str, PyTree] = {}
     names_by_argument = {argument: element_names(argument, members) for argument, members in function.arguments.items()}
     if parameters:
         names_by_argument["parameters"] = [_parameter(module, parameter) for parameter in parameters]
@@ -98,7 +100,7 @@ def _operations(ca: Any) -> dict[str, Callable[..., Any]]:
             "cosh", "tanh", "floor", "ceil", "sign")  # fmt: skip
     infix = ("add", "sub", "mul", "lt", "le", "gt", "ge", "eq", "ne", "neg")
 
-    def nearest(x: Any) -> Any:
+    def nearest(x: Array) -> Any:
         """Half to even."""
         up = ca.floor(x + 0.5)
         return up - ca.if_else(ca.logic_and(up - x == 0.5, ca.fmod(up, 2) != 0), 1.0, 0.0)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array, PyTree
 from numpy.typing import NDArray
 
 from mckibben.codegen.source_module import SourceModule
@@ -53,11 +54,11 @@ class ControllerModule(NamedTuple):
 class ControllerFunctions(NamedTuple):
     """Functions of a controller over its parameters, and examples of their arguments."""
 
-    parameters: dict[str, Any]
+    parameters: dict[str, PyTree]
     of: Callable[[Any], Controller]  # parameters
-    init: Callable[[Any, Measurement], dict[str, Any]]
-    step: Callable[[Any, Any, Setpoint, Measurement], dict[str, Any]]
-    state: Any
+    init: Callable[[Any, Measurement], dict[str, PyTree]]
+    step: Callable[[Any, Any, Setpoint, Measurement], dict[str, PyTree]]
+    state: PyTree
     setpoint: Setpoint
     measurement: Measurement  # the first one
     plant: JointPlant
@@ -74,13 +75,13 @@ def controller_functions(scenario: Scenario) -> ControllerFunctions:
     numbers, fixed = eqx.partition(controller, is_real)
     parameters = {"controller": numbers, "control_period": np.asarray(scenario.control_period)}
 
-    def of(parameters: Any) -> Controller:
+    def of(parameters: PyTree) -> Controller:
         return eqx.combine(parameters["controller"], fixed)
 
-    def init(parameters: Any, measurement: Measurement) -> dict[str, Any]:
+    def init(parameters: PyTree, measurement: Measurement) -> dict[str, PyTree]:
         return {"state": of(parameters).init(measurement)}
 
-    def step(parameters: Any, state: Any, setpoint: Setpoint, measurement: Measurement) -> dict[str, Any]:
+    def step(parameters: PyTree, state: PyTree, setpoint: Setpoint, measurement: Measurement) -> dict[str, PyTree]:
         controller = of(parameters)
         state, commands = controller.step(state, setpoint, measurement, parameters["control_period"])
         pressures = {f"pressure{number}": command for number, command in enumerate(commands, 1)}
@@ -111,7 +112,7 @@ def controller_module(scenario: Scenario, name: str = "controller") -> Controlle
     return ControllerModule(module, units, columns, recording, left_out)
 
 
-def _setpoint_of(controller: Controller, state: Any, setpoint: Setpoint, *_: Any) -> Setpoint:
+def _setpoint_of(controller: Controller, state: PyTree, setpoint: Setpoint, *_: Any) -> Setpoint:
     return setpoint
 
 
@@ -124,7 +125,7 @@ def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceMo
 
 
 def stepping_module(
-    name: str, parameters: Any, init: Any, step: Any, state: Any, setpoint: Any, measurement: Any
+    name: str, parameters: PyTree, init: Any, step: Any, state: PyTree, setpoint: PyTree, measurement: PyTree
 ) -> SourceModule:
     """Source module of the first step and the subsequent steps of a controller."""
     module = SourceModule(name, parameters, "controller.")
@@ -139,13 +140,13 @@ def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[
     number = np.zeros(())
     for muscle in ("muscle1", "muscle2"):
 
-        def force(parameters: Any, contraction: Any, pressure: Any, muscle: str = muscle) -> dict[str, Any]:
+        def force(parameters: PyTree, contraction: Any, pressure: Array, muscle: str = muscle) -> dict[str, PyTree]:
             return {"force": getattr(of(parameters).model, muscle).force(contraction, pressure)}
 
         text = f"force [N] of {muscle} by the model, at a contraction [1] and a gauge pressure [Pa]"
         module.add(f"{muscle}_force", text, force, {"contraction": number, "pressure": number})
 
-    def stiffness(parameters: Any, angle: Any, pressure1: Any, pressure2: Any) -> dict[str, Any]:
+    def stiffness(parameters: PyTree, angle: Array, pressure1: Any, pressure2: Any) -> dict[str, PyTree]:
         return {"stiffness": of(parameters).model.stiffness(angle, (pressure1, pressure2))}
 
     text = "isobaric stiffness [N*m/rad] by the model, at an angle [rad] and gauge pressures [Pa]"
@@ -153,7 +154,7 @@ def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[
     if not all(isinstance(muscle.law, PressureAffineLaw) for muscle in (model.muscle1, model.muscle2)):
         return ["attainable_stiffness: the laws are not affine in pressure, and the program would be long"]
 
-    def attainable(parameters: Any, angle: Any, torque: Any) -> dict[str, Any]:
+    def attainable(parameters: PyTree, angle: Array, torque: Array) -> dict[str, PyTree]:
         lowest, highest = of(parameters).model.attainable_stiffness(angle, torque)
         return {"lowest": lowest, "highest": highest}
 
@@ -163,9 +164,15 @@ def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[
 
 
 def recorded(
-    plant: Plant, controller: Any, rows: Any, initial: Any, period: Any, substeps: int, setpoints: Callable[..., Any]
+    plant: Plant,
+    controller: PyTree,
+    rows: PyTree,
+    initial: PyTree,
+    period: Any,
+    substeps: int,
+    setpoints: Callable[..., Any],
 ) -> NDArray[np.float64]:
-    """Recording of a run with what its controller is rows in each period, from which `setpoints` follow."""
+    """Recording of a run with the inputs `rows` of its controller in each period, from which `setpoints` follow."""
     measured, *columns = _recorded(plant, controller, rows, initial, period, substeps, setpoints)
     others = [np.nan] * len(columns[0]), [np.nan] * len(columns[2])
     first = [*others[0], *map(float, jax.tree.leaves(measured)), *others[1]]
@@ -174,11 +181,17 @@ def recorded(
 
 @jit_arrays
 def _recorded(
-    plant: Plant, controller: Any, rows: Any, initial: Any, period: Any, substeps: Any, setpoints: Callable[..., Any]
+    plant: Plant,
+    controller: PyTree,
+    rows: PyTree,
+    initial: PyTree,
+    period: Any,
+    substeps: Any,
+    setpoints: Callable[..., Any],
 ) -> tuple[Any, ...]:
     """First measurement; setpoints, measurements and commands of a run, each of shape (periods,)."""
 
-    def next_period(states: Any, rows: Any) -> Any:
+    def next_period(states: PyTree, rows: PyTree) -> Any:
         plant_state, measurement = plant.sample(states[0], period)
         wanted = setpoints(controller, states[1], rows, measurement, period)
         state, commands = controller.step(states[1], rows, measurement, period)
@@ -190,16 +203,16 @@ def _recorded(
         return measured, *lax.scan(next_period, (initial, controller.init(measured)), rows)[1]
 
 
-def units_of(tree: Any, prefix: str) -> dict[str, str]:
+def units_of(tree: PyTree, prefix: str) -> dict[str, str]:
     """Units of the leaves of a tree by path, from the metadata of the fields."""
     return {f"{prefix}.{path}": unit for path, unit in _units(tree, "") if unit}
 
 
-def _units(tree: Any, path: str, symbols: Units = Units()) -> Iterator[tuple[str, str]]:  # noqa: B008
+def _units(tree: PyTree, path: str, symbols: Units = Units()) -> Iterator[tuple[str, str]]:  # noqa: B008
     """Path and unit of each field below; `symbols` are the units of symbolic ones."""
-    parts: dict[str, Any]
+    parts: dict[str, PyTree]
     units: dict[str, str] = {}
-    hints: dict[str, Any] = {}
+    hints: dict[str, PyTree] = {}
     if isinstance(tree, dict):
         parts = tree
     elif isinstance(tree, tuple | list):

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.control import Setpoint
@@ -82,7 +82,7 @@ class Plants(NamedTuple):
     starts: PlantState
     rows: int
 
-    def row(self, row: Any) -> tuple[SimulationProblem, PlantState]:
+    def row(self, row: PyTree) -> tuple[SimulationProblem, PlantState]:
         """Plant, reference and start of a row."""
         varying, start = jax.tree.map(lambda leaf: leaf[row], (self.varying, self.starts))
         return eqx.combine(varying, self.fixed), start
@@ -154,7 +154,7 @@ def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed:
     return Plants(take(varying), fixed, take(starts), len(existing))
 
 
-def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -> dict[str, Any]:
+def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -> dict[str, PyTree]:
     """Draws of the fits of laws by the addresses of their parameters; two laws of one fit have the same draws."""
     joint, draws_by_address = scenario.plant().joint, {}
     known = {"joint.muscle.law": (joint.muscle1, joint.muscle2), "joint.muscle1.law": (joint.muscle1,),
@@ -172,7 +172,7 @@ def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -
 
 
 @jit_arrays
-def _starts(plants: Plants, rows: Any) -> tuple[PlantState, Array]:
+def _starts(plants: Plants, rows: PyTree) -> tuple[PlantState, Array]:
     def start(row: Array) -> tuple[PlantState, Array]:
         problem, _ = plants.row(row)
         setpoint = problem.reference(jnp.zeros(1))
@@ -236,12 +236,12 @@ def advance(
     return episode._replace(seen=seen), step
 
 
-def _begun(shared: Any, lane: Any) -> tuple[Episode, Array]:
+def _begun(shared: PyTree, lane: PyTree) -> tuple[Episode, Array]:
     (fixed, settings, history), (varying, start) = shared, lane
     return begin(eqx.combine(varying, fixed), start, settings.period, history)
 
 
-def _advanced(shared: Any, lane: Any) -> tuple[Episode, EpisodeStep]:
+def _advanced(shared: PyTree, lane: PyTree) -> tuple[Episode, EpisodeStep]:
     (fixed, settings, counts), (varying, episode, action) = shared, lane
     return advance(eqx.combine(varying, fixed), episode, action, settings, *counts)
 
@@ -256,14 +256,14 @@ class EpisodeProgram:
         self._plants = plants
         self._shared = (plants.fixed, settings, history), (plants.fixed, settings, (substeps, repeat))
 
-    def begin(self, rows: Any) -> Any:
+    def begin(self, rows: PyTree) -> Any:
         """Begin all episodes with the plants of the given rows; return their observations, shape (n, size)."""
         table = self._plants.varying, self._plants.starts
         self._varying, starts = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[rows], 0, -1), table)
         (self._episodes, observations), _ = _BEGIN("auto", self._shared[0], (self._varying, starts))
         return np.asarray(observations).T
 
-    def advance(self, rows: Any, actions: Any, over: Any) -> EpisodeStep:
+    def advance(self, rows: PyTree, actions: Any, over: Any) -> EpisodeStep:
         """Advance; finished episodes restart with the plants of the given rows and ignore their action."""
         lanes = self._varying, self._episodes, np.asarray(actions, float).T
         (moved, step), _ = _ADVANCE("auto", self._shared[1], lanes)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from jaxtyping import PyTree
+
 from mckibben.codegen.graph import Branch, ForLoop, Kind, Scope, StoredArray, Value, needed
 from mckibben.codegen.source_module import Function, Member, SourceModule, element
 from mckibben.errors import ExportError
@@ -15,7 +17,7 @@ Operations = Mapping[str, Callable[..., Any]]
 
 
 def evaluate(
-    module: SourceModule, function: Function, operations: Operations, inputs: Mapping[str, Any]
+    module: SourceModule, function: Function, operations: Operations, inputs: Mapping[str, PyTree]
 ) -> dict[str, list[Any]]:
     """Results of a function, element by element, for inputs and parameters by their names in the graph.
 
@@ -28,7 +30,7 @@ def evaluate(
     return {name: [evaluation.value(value) for value in values] for name, values in function.values.items()}
 
 
-def _defaults(module: SourceModule) -> dict[str, Any]:
+def _defaults(module: SourceModule) -> dict[str, PyTree]:
     names = element_names("parameters", module.members)
     return dict(zip(names, [x.item() for member in module.members for x in member.value.flat], strict=True))
 
@@ -41,7 +43,7 @@ def element_names(structure: str, members: Sequence[Member]) -> list[str]:
 class _Evaluation:
     """Values of a graph computed so far."""
 
-    def __init__(self, operations: Operations, inputs: Mapping[str, Any], wanted: set[int]) -> None:
+    def __init__(self, operations: Operations, inputs: Mapping[str, PyTree], wanted: set[int]) -> None:
         self._operations, self._inputs, self._wanted = operations, inputs, wanted
         self._known: dict[int, Any] = {}
         self._arrays: dict[int, list[Any]] = {}

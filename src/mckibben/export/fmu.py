@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.component.columns import attributes
@@ -83,24 +84,26 @@ def plant_unit(
     inputs = {"command1": _NUMBER, "command2": _NUMBER, "torque": _NUMBER}
     module = SourceModule(name, numbers)
 
-    def commanded(parameters: Any, state: PlantState, inputs: Any) -> tuple[JointPlant, PlantState, tuple[Any, Any]]:
+    def commanded(
+        parameters: PyTree, state: PlantState, inputs: PyTree
+    ) -> tuple[JointPlant, PlantState, tuple[Any, Any]]:
         """Plant, state under the torque and right after the commands, and these within their limits."""
         plant = eqx.combine(parameters, fixed)
         commands = plant.clip_commands((inputs["command1"], inputs["command2"]))
         state = state._replace(io=IOState(jnp.zeros(()), inputs["torque"], ()))
         return plant, plant.apply_commands(state, commands), commands
 
-    def init(parameters: Any, start: Any, inputs: Any) -> dict[str, Any]:
+    def init(parameters: PyTree, start: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         plant = eqx.combine(parameters, fixed)
         pressures = start["pressures"] if held else plant.clip_commands((inputs["command1"], inputs["command2"]))
         return {"state": plant.complete_state(PlantState(start["angle"], start["velocity"], tuple(pressures)))}
 
-    def advance(parameters: Any, state: PlantState, inputs: Any, duration: Any) -> dict[str, Any]:
+    def advance(parameters: PyTree, state: PlantState, inputs: PyTree, duration: Any) -> dict[str, PyTree]:
         plant, at, commands = commanded(parameters, state, inputs)
         at = at._replace(pressures=state.pressures)
         return {"state": plant.advance(at, commands, duration, substeps)._replace(io=())}
 
-    def results(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
+    def results(parameters: PyTree, state: PlantState, inputs: PyTree) -> dict[str, PyTree]:
         plant, state, _ = commanded(parameters, state, inputs)
         forces = plant.joint.forces(state.angle, state.velocity, state.pressures, state.muscles)
         numbers = {"stiffness": plant.joint.stiffness(state.angle, state.pressures)}
@@ -109,7 +112,7 @@ def plant_unit(
             numbers |= {f"pressure{number}": pressure for number, pressure in enumerate(state.pressures, 1)}
         return {"results": numbers}
 
-    def rates(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
+    def rates(parameters: PyTree, state: PlantState, inputs: PyTree) -> dict[str, PyTree]:
         plant, state, commands = commanded(parameters, state, inputs)
         motion, valve = plant.rate(state), plant.valve
         pressures, air = (), ()
@@ -118,7 +121,7 @@ def plant_unit(
         muscles = tuple(MuscleState((), creep) for creep in motion.creep)
         return {"rates": PlantState(motion.position, motion.velocity, tuple(pressures), muscles, (), air)}  # type: ignore
 
-    def project(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
+    def project(parameters: PyTree, state: PlantState, inputs: PyTree) -> dict[str, PyTree]:
         plant, at, _ = commanded(parameters, state, inputs)
         return {"state": plant.project(at)._replace(io=(), pressures=state.pressures)}
 
@@ -180,16 +183,16 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
     inputs = {"contraction": _NUMBER, "pressure": _NUMBER}
     state = jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), muscle.init_state(0.0, 0.0)._replace(creep=()))
 
-    def of(parameters: Any) -> Muscle:
+    def of(parameters: PyTree) -> Muscle:
         return eqx.combine(parameters, fixed)
 
-    def init(parameters: Any, inputs: Any) -> dict[str, Any]:
+    def init(parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         return {"state": of(parameters).init_state(inputs["contraction"], inputs["pressure"])._replace(creep=())}
 
-    def project(parameters: Any, state: MuscleState, inputs: Any) -> dict[str, Any]:
+    def project(parameters: PyTree, state: MuscleState, inputs: PyTree) -> dict[str, PyTree]:
         return {"state": of(parameters).update_state(state, inputs["contraction"], inputs["pressure"])}
 
-    def results(parameters: Any, state: MuscleState, inputs: Any) -> dict[str, Any]:
+    def results(parameters: PyTree, state: MuscleState, inputs: PyTree) -> dict[str, PyTree]:
         return {"results": {"force": of(parameters).force(inputs["contraction"], inputs["pressure"], state)}}
 
     both = {"state": state, "inputs": inputs}
@@ -213,23 +216,23 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
         "measurement": {"angle": _NUMBER, "pressure1": _NUMBER, "pressure2": _NUMBER},
     }
 
-    def measured(inputs: Any) -> Any:
+    def measured(inputs: PyTree) -> Any:
         at = inputs["measurement"]
         return source.measurement._replace(angle=at["angle"], pressures=(at["pressure1"], at["pressure2"]))
 
-    def step(parameters: Any, state: Any, inputs: Any) -> dict[str, Any]:
+    def step(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         setpoint = source.setpoint._replace(**inputs["setpoint"])
         return source.step(parameters, state, setpoint, measured(inputs))
 
-    def results(parameters: Any, state: Any, inputs: Any) -> dict[str, Any]:
+    def results(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         done = step(parameters, state, inputs)
         commands = {f"command{number}": done["commands"][f"pressure{number}"] for number in (1, 2)}
         return {"results": commands | done["telemetry"]}
 
-    def init(parameters: Any, inputs: Any) -> dict[str, Any]:
+    def init(parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         return source.init(parameters, measured(inputs))
 
-    def advance(parameters: Any, state: Any, inputs: Any) -> dict[str, Any]:
+    def advance(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         return {"state": step(parameters, state, inputs)["state"]}
 
     both = {"state": source.state, "inputs": inputs}

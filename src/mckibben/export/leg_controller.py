@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike, PyTree
 
 import mckibben
 from mckibben.control import Setpoint
@@ -31,7 +32,9 @@ class _GivenSetpoints(LegReference):
     def init(self, measurement: LegMeasurement) -> tuple[()]:
         return ()
 
-    def step(self, state: Any, time: Any, measurement: LegMeasurement, period: Any) -> tuple[Any, tuple[Setpoint, ...]]:
+    def step(
+        self, state: PyTree, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Setpoint, ...]]:
         return (), self.setpoints
 
 
@@ -81,14 +84,14 @@ def _module(
     numbers, fixed = eqx.partition(example, is_real)
     parameters = {"controller": numbers, "control_period": np.asarray(period)}
 
-    def of(parameters: Any, setpoints: tuple[Setpoint, ...]) -> JointwiseControl:
+    def of(parameters: PyTree, setpoints: tuple[Setpoint, ...]) -> JointwiseControl:
         controller = eqx.combine(parameters["controller"], fixed)
         return dataclasses.replace(controller, reference=_GivenSetpoints(setpoints))
 
-    def init(parameters: Any, measurement: LegMeasurement) -> dict[str, Any]:
+    def init(parameters: PyTree, measurement: LegMeasurement) -> dict[str, PyTree]:
         return {"state": of(parameters, ()).init(measurement)}
 
-    def step(parameters: Any, state: Any, setpoint: Any, measurement: LegMeasurement) -> dict[str, Any]:
+    def step(parameters: PyTree, state: PyTree, setpoint: PyTree, measurement: LegMeasurement) -> dict[str, PyTree]:
         setpoints = tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"]))
         controller = of(parameters, setpoints)
         state, commands = controller.step(state, jnp.zeros(()), measurement, parameters["control_period"])
@@ -124,7 +127,9 @@ def _module(
     return ControllerModule(module, units, columns, recording, ())
 
 
-def _wanted(controller: JointwiseControl, state: Any, time: Any, measurement: LegMeasurement, period: Any) -> Any:
+def _wanted(
+    controller: JointwiseControl, state: PyTree, time: ArrayLike, measurement: LegMeasurement, period: Any
+) -> Any:
     """Angles and stiffness of all joints at a time [s]."""
     angles, stiffness = zip(*controller.reference.step(state[0], time, measurement, period)[1], strict=True)
     return *angles, *stiffness

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
+from jaxtyping import Array, PyTree
+
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import (
     Drive,
@@ -162,7 +164,7 @@ def _bodies(plant: LegPlant) -> list[_Body]:
     return bodies
 
 
-def _inertial(mass: Any, height: Any, inertias: Sequence[Any]) -> str:
+def _inertial(mass: Any, height: Any, inertias: Sequence[PyTree]) -> str:
     mass, *inertias = (max(float(number), _LIGHT) for number in (mass, *inertias))
     return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{numbers_text(inertias)}"/>'
 
@@ -200,7 +202,7 @@ class _Rigging:
             pair = plant.leg.joints[index].muscles
             return (pair.muscle1, pair.muscle2)[number], pair.tendon
 
-        def path(plant: LegPlant, angle: Any) -> Any:
+        def path(plant: LegPlant, angle: Array) -> Any:
             return plant.leg.joints[index].muscles.geometry.path_lengths(angle)[number]
 
         path_of = beyond(moved.offset) if tendon else path

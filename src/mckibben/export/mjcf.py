@@ -11,6 +11,7 @@ from xml.sax.saxutils import quoteattr
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import PyTree
 
 import mckibben
 from mckibben.actuator.base import state_of_muscle
@@ -115,12 +116,12 @@ class Scene(NamedTuple):
     text: str
     gravity: float  # m/s^2
     sensors: str
-    position: Sequence[Any]
-    velocity: Sequence[Any]
+    position: Sequence[PyTree]
+    velocity: Sequence[PyTree]
 
 
 def muscle_functions(
-    plant: Plant, name: str, drives: Sequence[Drive], start: Any, *, filters: bool = True
+    plant: Plant, name: str, drives: Sequence[Drive], start: PyTree, *, filters: bool = True
 ) -> tuple[SourceModule, list[MuscleFunctions]]:
     """The functions of all muscles of a plant in a module; with `filters`, MuJoCo's own model first-order valves."""
     numbers, fixed = eqx.partition(numeric(plant), is_real)
@@ -134,12 +135,12 @@ def muscle_functions(
 
 
 def muscle_model(
-    plant: Any,
+    plant: PyTree,
     name: str,
     timestep: float,
     drives: Sequence[Drive],
     scene: Scene,
-    start: Any,
+    start: PyTree,
     left_out: Sequence[str],
     *,
     plugin: bool,
@@ -155,7 +156,7 @@ def muscle_model(
 
 
 def mjcf(
-    plant: Any,
+    plant: PyTree,
     name: str,
     timestep: float,
     drives: Sequence[Drive],
@@ -194,7 +195,7 @@ Driven = Sequence[tuple[Drive, MuscleFunctions]]
 """Muscles with their functions."""
 
 
-def _plugin_actuators(plant: Any, name: str, muscles: Driven) -> tuple[list[str], list[float]]:
+def _plugin_actuators(plant: PyTree, name: str, muscles: Driven) -> tuple[list[str], list[float]]:
     """Actuators of the plugin, and their activations at the start."""
     actuators = [
         f'<plugin name={quoteattr(drive.name)} {drive.target} plugin="mckibben.{name}" '
@@ -205,7 +206,7 @@ def _plugin_actuators(plant: Any, name: str, muscles: Driven) -> tuple[list[str]
     return actuators, [number for _, function in muscles for number in function.activations]
 
 
-def _callback_actuators(plant: Any, name: str, muscles: Driven) -> tuple[list[str], list[float]]:
+def _callback_actuators(plant: PyTree, name: str, muscles: Driven) -> tuple[list[str], list[float]]:
     """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation."""
     # They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
     actuators = [
@@ -224,7 +225,7 @@ def _callback_actuators(plant: Any, name: str, muscles: Driven) -> tuple[list[st
     return actuators, [number for activations in (*first, *rest) for number in activations]
 
 
-def _limits(plant: Any, drive: Drive) -> str:
+def _limits(plant: PyTree, drive: Drive) -> str:
     """Attributes for the range of commands, gauge pressures [Pa] or openings; a return spring has no limits."""
     muscle, _ = drive.muscle(plant)
     valve = plant.valve.for_muscle(drive.index)

@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, PyTree
 
 import mckibben
 from mckibben.actuator.base import AirState, AirVolume, state_of_muscle
@@ -26,7 +27,7 @@ class Activations(NamedTuple):
 
     creep: Any  # [N, Pa]
     valve: Any  # its state, and the temperature of the air [K]
-    pressure: Any  # [Pa], unless the valve is ideal
+    pressure: PyTree  # [Pa], unless the valve is ideal
 
 
 class PluginMuscle(NamedTuple):
@@ -59,7 +60,7 @@ class MuscleFunctions:
 
     def __init__(
         self,
-        fixed: Any,  # the plant without its real numbers, which are parameters of the module
+        fixed: PyTree,  # the plant without its real numbers, which are parameters of the module
         number: int,  # from 1
         muscle_of: Callable[[Any], tuple[Muscle, Tendon]],
         path_of: Callable[[Any, Any], Any],  # path [m] at MuJoCo's length
@@ -88,16 +89,16 @@ class MuscleFunctions:
         argument = f"input{number}"
         held = {argument: inputs | ({"anchors": np.zeros(anchors)} if anchors else {})}
 
-        def force(parameters: Any, **arguments: Any) -> dict[str, Any]:
+        def force(parameters: PyTree, **arguments: PyTree) -> dict[str, PyTree]:
             return {"force": self._force(parameters, arguments[argument])}
 
-        def rates(parameters: Any, **arguments: Any) -> dict[str, Any]:
+        def rates(parameters: PyTree, **arguments: PyTree) -> dict[str, PyTree]:
             return {f"rate{number}": {"act": self._rates(parameters, arguments[argument])}}
 
-        def settled(parameters: Any, **arguments: Any) -> dict[str, Any]:
+        def settled(parameters: PyTree, **arguments: PyTree) -> dict[str, PyTree]:
             return {f"after{number}": self._settled(parameters, arguments[argument])}
 
-        def unset(parameters: Any, **arguments: Any) -> dict[str, Any]:
+        def unset(parameters: PyTree, **arguments: PyTree) -> dict[str, PyTree]:
             return {f"first{number}": {"anchors": self._unset(parameters, arguments[argument])}}
 
         module.add(f"force{number}", f"force of muscle {number}, 0 or below", force, held)
@@ -109,7 +110,7 @@ class MuscleFunctions:
             module.add(f"unset{number}", f"unstressed anchors of muscle {number}", unset, {argument: inputs})
 
     def _at(
-        self, parameters: Any, inputs: Any
+        self, parameters: PyTree, inputs: PyTree
     ) -> tuple[Any, tuple[Muscle, Tendon], Any, Any, Activations, MuscleState]:
         """Plant, muscle with its tendon, path and its derivative, activations, and state of the muscle."""
         plant = eqx.combine(parameters["plant"], self._fixed)
@@ -120,13 +121,13 @@ class MuscleFunctions:
         state = MuscleState(tuple(inputs.get("anchors", ())), acts.creep)
         return plant, self._muscle_of(plant), path, slope, acts, state
 
-    def _force(self, parameters: Any, inputs: Any) -> Any:
+    def _force(self, parameters: PyTree, inputs: PyTree) -> Any:
         _, (muscle, tendon), path, slope, (_, _, pressure), state = self._at(parameters, inputs)
         contraction = tendon.contraction(muscle, path, pressure, state)
         viscous = muscle.viscous_force(contraction, pressure, slope * inputs["velocity"], state)
         return -(muscle.tension(contraction, pressure, state) + viscous) * slope
 
-    def _rates(self, parameters: Any, inputs: Any) -> Any:
+    def _rates(self, parameters: PyTree, inputs: PyTree) -> Any:
         plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, inputs)
         valve, command, velocity = plant.valve.for_muscle(self._number - 1), inputs["command"], inputs["velocity"]
         creep = muscle.state_rate(held, slope * velocity, pressure).creep
@@ -134,7 +135,7 @@ class MuscleFunctions:
             return self._layout.pack(Activations(creep, ((), ()), ()), jnp)
 
         def volumes() -> tuple[AirVolume, AirVolume]:
-            def volume(length: Any) -> Any:
+            def volume(length: Array) -> Any:
                 return muscle.specimen.volume(muscle.specimen.contraction_at(self._path_of(plant, length)))
 
             size, growth = value_and_derivative(volume, inputs["length"])
@@ -149,7 +150,7 @@ class MuscleFunctions:
         rates = Activations(creep, state_of_muscle(moved, 0), changed)
         return self._layout.pack(rates, jnp)
 
-    def _settled(self, parameters: Any, inputs: Any) -> dict[str, Any]:
+    def _settled(self, parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         plant, (muscle, _), path, _, acts, state = self._at(parameters, inputs)
         friction, creep = muscle.update_state(state, muscle.specimen.contraction_at(path), acts.pressure)
         pressure = acts.pressure if plant.valve.holds_pressure else ()
@@ -157,7 +158,7 @@ class MuscleFunctions:
         settled = {"act": self._layout.pack(held, jnp)} if self._layout.size else {}
         return settled | ({"anchors": jnp.stack(friction)} if friction else {})
 
-    def _unset(self, parameters: Any, inputs: Any) -> Any:
+    def _unset(self, parameters: PyTree, inputs: PyTree) -> Any:
         _, (muscle, _), path, _, acts, _ = self._at(parameters, inputs)
         return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path), acts.pressure).friction)
 

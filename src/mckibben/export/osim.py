@@ -10,6 +10,8 @@ from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxtyping import PyTree
+
 import mckibben
 from mckibben.codegen.graph import FOLDED as NUMERIC
 from mckibben.errors import ExportError
@@ -122,7 +124,7 @@ class _Expression(dict[str, Callable[..., Any]]):
         return ";".join([str(result), *reversed(definitions)])  # definitions follow their use
 
     def _folded(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def operation(*arguments: Any) -> Any:
+        def operation(*arguments: PyTree) -> Any:
             if not any(isinstance(argument, str) for argument in arguments):
                 return NUMERIC[name](*arguments)
             if name in ("add", "sub") and 0 in arguments[1:]:

@@ -8,7 +8,9 @@ from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from jaxtyping import PyTree
 
 from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
@@ -113,7 +115,7 @@ def export(
     place, default, _ = targets[target]
     name = check_name(name or default)
     module, function = place.split(":")
-    options: dict[str, Any] = {"single": True} if single else {}
+    options: dict[str, PyTree] = {"single": True} if single else {}
     exported: Exported = getattr(import_module(module), function)(scenario, name, Path(out), **options)
     exported.save(out, force=overwrite)
     return exported

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+from jaxtyping import PyTree
 
 import mckibben
 from mckibben.codegen.source_module import Function, SourceModule
@@ -57,7 +58,7 @@ def _files(model: MuscleModel, plant: Plant, title: str) -> Exported:
     return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
 
 
-def _with_strengths(plant: Any) -> Any:
+def _with_strengths(plant: PyTree) -> Any:
     """A plant whose muscles have their strength as a number, a parameter."""
     known = lambda part: isinstance(part, Muscle)  # noqa: E731
     numbered = lambda part: replace(part, strength=1.0) if known(part) and part.strength is None else part  # noqa: E731

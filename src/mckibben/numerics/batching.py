@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import ArrayLike
+from jax.tree_util import PyTreeDef
+from jaxtyping import ArrayLike, PyTree
 
 from mckibben.errors import ParameterError
 
@@ -33,7 +34,7 @@ RANK = "rank"
 """Metadata key of a field that holds arrays in a single run, such as samples over time: their number of axes."""
 
 
-def lanes_of(tree: Any) -> tuple[int | None, Any]:
+def lanes_of(tree: PyTree) -> tuple[int | None, Any]:
     """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an extra axis."""
     count, first, flags = None, "", []
     leaves, structure = jax.tree.flatten(tree)
@@ -62,7 +63,7 @@ def lanes_of(tree: Any) -> tuple[int | None, Any]:
     return count, jax.tree_util.tree_unflatten(structure, flags)
 
 
-def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> dict[str, Any]:
+def with_leaves(trees: Mapping[str, PyTree], values: Mapping[str, ArrayLike]) -> dict[str, PyTree]:
     """Trees with new, checked values at leaves by dotted names; ``joint.muscle.strength`` is that of both muscles."""
     if not values:
         return dict(trees)
@@ -77,13 +78,13 @@ def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> di
     return changed
 
 
-def _place(trees: Mapping[str, Any], name: str) -> tuple[str, tuple[str, ...]]:
+def _place(trees: Mapping[str, PyTree], name: str) -> tuple[str, tuple[str, ...]]:
     """Tree of a leaf, and the steps to it: names of parts of the plant begin at these."""
     root, *steps = name.split(".")
     return (root, tuple(steps)) if root in trees else (_UNNAMED, (root, *steps))
 
 
-def _aliased(trees: Mapping[str, Any], name: str) -> list[str]:
+def _aliased(trees: Mapping[str, PyTree], name: str) -> list[str]:
     """Names of the leaves that a name stands for."""
     root, steps = _place(trees, name)
     owner = trees.get(root)
@@ -98,7 +99,7 @@ def _aliased(trees: Mapping[str, Any], name: str) -> list[str]:
     return [name]
 
 
-def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
+def _numbers(trees: Mapping[str, PyTree], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
     """Values of a leaf as an array of its type."""
     try:
         array = np.asarray(value)
@@ -115,7 +116,7 @@ def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -
     return array if keeps else array.astype(float)
 
 
-def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
+def _is_whole(trees: Mapping[str, PyTree], name: str) -> bool:
     """Whether a leaf is declared an integer, such as a seed, rather than a float written without a decimal point."""
     root, steps = _place(trees, name)
     owner = _descend(trees[root], steps[:-1]) if steps else trees
@@ -125,7 +126,7 @@ def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
     return kind is int or str(kind).startswith("int ") or kind == "int"
 
 
-def select_leaves(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+def select_leaves(trees: Mapping[str, PyTree], names: Sequence[str]) -> dict[str, PyTree]:
     """Leaves by dotted name; raises as `with_leaves` does."""
     known = named_leaves(trees)
     for name in names:
@@ -136,7 +137,7 @@ def select_leaves(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, A
     return {name: known[name] for name in names}
 
 
-def named_leaves(trees: Mapping[str, Any]) -> dict[str, Any]:
+def named_leaves(trees: Mapping[str, PyTree]) -> dict[str, PyTree]:
     """All numeric leaves by dotted name; those of the plant begin with its parts, as in a scenario."""
     named = {}
     for root, tree in trees.items():
@@ -148,14 +149,14 @@ def named_leaves(trees: Mapping[str, Any]) -> dict[str, Any]:
 
 
 @functools.lru_cache(maxsize=256)
-def _names(structure: Any) -> tuple[str, ...]:
+def _names(structure: PyTreeDef) -> tuple[str, ...]:
     """Dotted names of the leaves of a structure."""
     tree = jax.tree.unflatten(structure, range(structure.num_leaves))
     paths = jax.tree_util.tree_leaves_with_path(tree)
     return tuple(jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
 
 
-def replace_leaves(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+def replace_leaves(trees: Mapping[str, PyTree], values: Mapping[str, PyTree]) -> dict[str, PyTree]:
     """Trees with new values at existing leaves."""
     changed = dict(trees)
     for name, value in values.items():
@@ -164,7 +165,7 @@ def replace_leaves(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[
     return changed
 
 
-def recheck(tree: Any) -> None:
+def recheck(tree: PyTree) -> None:
     """Run the checks of every module in a tree, as at construction."""
     _check(tree)
     tree = vars(tree) if isinstance(tree, eqx.Module) else tree
@@ -227,7 +228,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _rank(tree: Any, path: tuple[Any, ...]) -> int:
+def _rank(tree: PyTree, path: tuple[Any, ...]) -> int:
     """Number of axes of a leaf in a single run."""
     *owners, last = path
     for step in owners:
@@ -240,7 +241,7 @@ def _rank(tree: Any, path: tuple[Any, ...]) -> int:
     return field.metadata.get(RANK, 0)
 
 
-def _descend(tree: Any, steps: tuple[str, ...]) -> Any:
+def _descend(tree: PyTree, steps: tuple[str, ...]) -> Any:
     for step in steps:
         tree = tree[int(step)] if step.isdigit() else getattr(tree, step)
     return tree

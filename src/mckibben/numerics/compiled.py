@@ -11,6 +11,8 @@ from typing import Any, ParamSpec, TypeVar, cast
 import jax
 import jax.core
 import numpy as np
+from jax.tree_util import PyTreeDef
+from jaxtyping import PyTree
 
 from mckibben.numerics.batching import fusion_barrier, trace_mode
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, load_or_compile
@@ -22,7 +24,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def numeric(tree: Any) -> Any:
+def numeric(tree: PyTree) -> Any:
     """Tree with its Python and NumPy numbers as NumPy arrays (JAX's would be put on the device one by one)."""
 
     def convert(leaf: Any) -> Any:
@@ -72,12 +74,12 @@ def cached_trace(function: Callable[P, R]) -> Callable[P, R]:
     return once
 
 
-def _is_traced(tree: Any) -> bool:
+def _is_traced(tree: PyTree) -> bool:
     """Whether a tree contains tracers of another program."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
-def jit_arrays(function: Callable[P, R], options: Callable[[], dict[str, Any]] = dict) -> Callable[P, R]:
+def jit_arrays(function: Callable[P, R], options: Callable[[], dict[str, PyTree]] = dict) -> Callable[P, R]:
     """`jit` with only arrays traced and numbers static; pass trees through `numeric` first."""
     return cast(Any, functools.update_wrapper(Program(function, options), function))
 
@@ -90,7 +92,7 @@ def jit_lanes(function: Callable[P, R]) -> Callable[P, R]:
 class Program:
     """Pure function of arrays, compiled once per structure of its arguments; all other leaves are static."""
 
-    def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, Any]] = dict) -> None:
+    def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, PyTree]] = dict) -> None:
         self._function = function
         self._options = options
         self._programs: dict[Any, Callable[..., Any]] = {}
@@ -121,7 +123,7 @@ class Program:
                     return answer
         return program(*arrays)
 
-    def _jitted(self, structure: Any, static: tuple[Any, ...], *, inline: bool = False) -> Any:
+    def _jitted(self, structure: PyTreeDef, static: tuple[Any, ...], *, inline: bool = False) -> Any:
         """`jax.jit` of the function over its array leaves."""
 
         def call(*arrays: Any) -> Any:

@@ -25,6 +25,8 @@ import equinox
 import jax
 import jaxlib.version
 import numpy as np
+from jax.tree_util import PyTreeDef
+from jaxtyping import PyTree
 
 from mckibben.numerics.runtime import processor
 from mckibben.storage.private import SOURCES, is_private, read_private, source_files, write_private
@@ -49,7 +51,7 @@ class FingerprintError(ValueError):
     """A value has no fingerprint that is valid in other processes."""
 
 
-def program_path(folder: Path, function: Callable[..., Any], static: Sequence[Any], *rest: Any) -> Path | None:
+def program_path(folder: Path, function: Callable[..., Any], static: Sequence[PyTree], *rest: PyTree) -> Path | None:
     """File of a program in `folder`; None without fingerprint or trusted folder."""
     try:
         words = [code_fingerprint(function), *map(fingerprint, static)]
@@ -78,7 +80,13 @@ def write_program(path: Path, content: bytes) -> None:
 
 
 def load_or_compile(
-    folder: Path, jitted: Any, arrays: list[Any], function: Callable[..., Any], structure: Any, static: Any, *rest: Any
+    folder: Path,
+    jitted: Any,
+    arrays: list[Any],
+    function: Callable[..., Any],
+    structure: PyTreeDef,
+    static: PyTree,
+    *rest: PyTree,
 ) -> Callable[..., Any]:
     """Program from its file in `folder`, or compiled and written; `jitted` without fingerprint or trusted folder."""
     from jax.experimental.serialize_executable import deserialize_and_load, serialize
@@ -118,7 +126,7 @@ def code_fingerprint(thing: Any) -> str:
     return name
 
 
-def structure_fingerprint(structure: Any) -> str:
+def structure_fingerprint(structure: PyTreeDef) -> str:
     """Classes and static values of a JAX tree structure."""
     node = structure.node_data()
     if node is None:
