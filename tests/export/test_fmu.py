@@ -116,20 +116,6 @@ def test_files_are_valid_and_their_sources_have_no_warnings(folder, tmp_path, na
     subprocess.run(["cc", *flags, *map(str, sources.glob("*.c"))], check=True)
 
 
-@pytest.mark.skipif(not shutil.which("cmake"), reason="needs CMake")
-@pytest.mark.slow
-def test_sources_can_be_compiled_by_the_importer(folder, opened, tmp_path):
-    unpacked = Path(fmpy.extract(folder / "controller.fmu", tmp_path / "controller"))
-    shutil.rmtree(unpacked / "binaries")
-    build.build_platform_binary(unpacked)
-    shutil.make_archive(str(tmp_path / "built"), "zip", unpacked)
-    ours, built = opened(folder / "controller.fmu"), opened(tmp_path / "built.zip")
-    for one in (ours, built):
-        one.set(setpoint__angle=0.1)
-        one.fmu.doStep(0.0, PERIOD)
-    assert ours.get("command1", "command2") == pytest.approx(built.get("command1", "command2"), rel=1e-12)
-
-
 @pytest.fixture(scope="module")
 def simulated(scenario):
     """Setpoints of the scenario, and states and commands of its simulation."""
