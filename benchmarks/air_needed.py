@@ -18,10 +18,10 @@ import yaml
 
 from mckibben.simulation import Outcome
 from mckibben.simulation.outcome import OUTCOMES
-from mckibben.study.benchmark import Suite, draw, evaluate
-from mckibben.study.benchmark.benchmark import ControllerTuning
-from mckibben.study.benchmark.statistics import trial_at_air
-from mckibben.study.benchmark.suite import filename
+from mckibben.study.compare import Suite, draw, evaluate
+from mckibben.study.compare.compare import ControllerTuning
+from mckibben.study.compare.statistics import trial_at_air
+from mckibben.study.compare.suite import filename
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.search import SearchSpace
 from mckibben.units import deg, litre

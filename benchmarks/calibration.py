@@ -27,7 +27,7 @@ from mckibben.muscle import ForceCorrection, MaxwellCreep, corrected_law
 from mckibben.plant import NoDisturbance
 from mckibben.scenario import with_values
 from mckibben.simulation import simulate_many
-from mckibben.study.benchmark import Suite, draw
+from mckibben.study.compare import Suite, draw
 from mckibben.units import deg
 
 SUITE, EVERY = "examples/comparison/knee.yaml", 2e-3

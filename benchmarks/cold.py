@@ -24,7 +24,7 @@ IMPORT = "python -c 'import jax'"
 UNSET = ("JAX_PLATFORMS", "JAX_COMPILATION_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
 COMMANDS: tuple[tuple[str, ...], ...] = (
     ("--help",),
-    ("laws",),
+    ("catalog",),
     ("simulate", PID),
     ("simulate", PID, "--out"),
     ("identify", DATA),

@@ -26,7 +26,7 @@ from mckibben.control import (
 )
 from mckibben.plant import FirstOrderValve, JointPlant
 from mckibben.simulation import simulate, simulate_many
-from mckibben.study.benchmark import Suite, draw
+from mckibben.study.compare import Suite, draw
 from mckibben.units import bar, deg, mm, ms
 
 SUITE = Path(__file__).parent.parent / "examples" / "comparison" / "knee.yaml"

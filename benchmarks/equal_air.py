@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mckibben.study.benchmark import Suite, draw, evaluate
+from mckibben.study.compare import Suite, draw, evaluate
 from mckibben.units import deg, litre
 
 NAMES = ("decoupling, friction fed forward", "decoupling, valve lag adapted", "oracle")

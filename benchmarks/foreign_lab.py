@@ -31,7 +31,7 @@ from mckibben.control import Measurement, Setpoint
 from mckibben.numerics.compiled import numeric
 from mckibben.scenario import Scenario
 from mckibben.simulation.oscillation import find_limit_cycle
-from mckibben.study.benchmark import Suite, draw
+from mckibben.study.compare import Suite, draw
 
 PERIOD, HIGHEST = foreign_elbow.rig.PERIOD, foreign_elbow.rig.HIGHEST  # of both rigs
 EXAMPLES = Path("examples").resolve()

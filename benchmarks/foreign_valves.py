@@ -31,7 +31,7 @@ from mckibben.numerics.batching import lanes_of
 from mckibben.plant import JointFriction, NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario, with_values
 from mckibben.simulation import simulate_many
-from mckibben.study.benchmark import Suite, draw
+from mckibben.study.compare import Suite, draw
 from mckibben.units import Bandwidth, Pressure, Quantity, cm, deg, kPa
 
 SUITE, GAINS = Path("examples/comparison/valves.yaml"), Path("examples/valves")

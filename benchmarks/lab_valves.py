@@ -15,7 +15,7 @@ import numpy as np
 
 from mckibben.component.schema import replaced
 from mckibben.scenario import Scenario
-from mckibben.study.benchmark import Suite, compare
+from mckibben.study.compare import Suite, compare
 from mckibben.units import deg, litre
 
 ROOT = Path(__file__).parent.parent / "examples"

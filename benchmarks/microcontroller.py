@@ -19,7 +19,7 @@ from typing import NamedTuple
 from mckibben.control import Reference, Sine, Step
 from mckibben.export import export
 from mckibben.scenario import Scenario
-from mckibben.study.benchmark import Suite
+from mckibben.study.compare import Suite
 from mckibben.units import deg
 
 COMPILER, EMULATOR = "arm-none-eabi-gcc", "qemu-system-arm"

@@ -195,7 +195,7 @@ def _scenario(path: Path) -> Any:
 
 
 def _suite(path: Path) -> Any:
-    from mckibben.study.benchmark.suite import Suite
+    from mckibben.study.compare.suite import Suite
 
     return Suite.read(path)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from mckibben.control import SupplyLimit
-from mckibben.study.benchmark import Suite, draw, evaluate
+from mckibben.study.compare import Suite, draw, evaluate
 from mckibben.units import bar, deg, ms
 
 SUITE = Suite.read(Path(__file__).parents[1] / "examples" / "comparison" / "knee.yaml")

@@ -22,7 +22,7 @@ from lab_valves import FILES
 
 from mckibben.component.schema import replaced
 from mckibben.scenario import Scenario, with_values
-from mckibben.study.benchmark import Suite, draw, evaluate
+from mckibben.study.compare import Suite, draw, evaluate
 from mckibben.units import deg, litre
 
 SUITE, GAINS = Path("examples/comparison/valves.yaml"), Path("examples/valves")

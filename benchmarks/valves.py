@@ -23,7 +23,7 @@ from mckibben.calibration import JointPrior, JointRecording, ValveExperiment, ca
 from mckibben.joint import ScaledArms
 from mckibben.plant import NoDisturbance, PerfectSensors
 from mckibben.simulation import simulate_many
-from mckibben.study.benchmark import Suite, draw
+from mckibben.study.compare import Suite, draw
 from mckibben.units import deg, kPa
 
 SUITE = "examples/comparison/valves.yaml"

@@ -1,4 +1,4 @@
-"""Build the course from its sources, to the folders that nbgrader knows and pages for the browser.
+"""Build the course from its sources, to the folders that nbgrader knows.
 
     python course/notebooks.py build/course
 
@@ -27,7 +27,7 @@ LABS = (
     "valves_and_delay",
     "jumping_leg",
 )
-"""Labs in their order; `pages.py` has the explorers of their pages."""
+"""Labs in their order."""
 
 _HEAD = re.compile(r"^# %%(?: \[(markdown)\]| (task) (\w+)| (check) (\w+) (\d+))?$", re.MULTILINE)
 _SOLUTION = re.compile(r"^( *)### BEGIN SOLUTION\n.*?### END SOLUTION$", re.DOTALL | re.MULTILINE)
@@ -87,38 +87,8 @@ def notebook(lab: str, *, solutions: bool) -> dict[str, Any]:
     return {"cells": made, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 5}
 
 
-def page(lab: str, path: Path) -> Path:
-    """Write the self-contained page of a lab: its text, and an explorer after the introduction."""
-    from pages import EXPLORERS
-
-    from mckibben.report.page import write_explorers
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    introduction, *rest = (one.source for one in cells(lab) if one.kind == "markdown")
-    heading, _, lead = introduction.partition("\n")
-    texts = {"title": heading.removeprefix("# "), "lead": _html(lead), "body": _html("\n\n".join(rest))}
-    return write_explorers([EXPLORERS[lab]()], path, **texts)
-
-
-def _html(text: str) -> str:
-    """HTML of Markdown with formulas between dollars, which become MathML."""
-    from docutils.utils.math.latex2mathml import tex2mathml
-    from markdown_it import MarkdownIt
-
-    formulas: list[str] = []
-
-    def keep(match: re.Match[str]) -> str:
-        block = match[1] is not None
-        formulas.append(tex2mathml(match[1] or match[2], as_block=block))
-        return f"FORMULA{len(formulas) - 1}END"
-
-    text = re.sub(r"\$\$(.+?)\$\$|\$(.+?)\$", keep, text, flags=re.DOTALL)
-    html = MarkdownIt("commonmark", {"html": False}).enable("table").render(text)
-    return re.sub(r"FORMULA(\d+)END", lambda match: formulas[int(match[1])], html)
-
-
 def main(target: Path) -> None:
-    """Write notebooks of teachers and students, the checks, and the pages."""
+    """Write notebooks of teachers and students, and the checks."""
     for lab in LABS:
         for folder, solutions in (("source", True), ("release", False)):
             place = target / folder / lab
@@ -126,7 +96,6 @@ def main(target: Path) -> None:
             text = json.dumps(notebook(lab, solutions=solutions), indent=1, ensure_ascii=False) + "\n"
             (place / f"{lab}.ipynb").write_text(text, encoding="utf-8")
             shutil.copy(FOLDER / "grading.py", place)
-        page(lab, target / "pages" / f"{lab}.html")
     shutil.make_archive(str(target / "students"), "zip", target, "release")
 
 

@@ -13,14 +13,9 @@ from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
 
 import mckibben
-from mckibben.report.explorers import explorers
-from mckibben.report.page import write_explorers
-from mckibben.scenario import Scenario
 
 mpl.use("agg")
 sys.path.insert(0, str(Path(__file__).parent))  # sphinx-gallery imports the scraper by name
-sys.path.insert(0, str(Path(__file__).parents[1] / "course"))
-import notebooks as course
 
 project = "mckibben"
 author = "The mckibben developers"
@@ -108,15 +103,6 @@ def _block_math(translator: Any, node: nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
-def _explorers(app: Sphinx, error: Exception | None) -> None:
-    if error is None:
-        scenario = Scenario.read(Path(app.srcdir).parent / "examples" / "pre-contracted-step-pid.yaml")
-        write_explorers(explorers(scenario).values(), Path(app.outdir) / "explorers.html")
-        for lab in course.LABS:
-            course.page(lab, Path(app.outdir) / "course" / f"{lab}.html")
-
-
 def setup(app: Sphinx) -> None:
-    """Render formulas as MathML, which needs no scripts, and write the pages with sliders."""
-    app.connect("build-finished", _explorers)
+    """Render formulas as MathML, which needs no scripts."""
     app.add_html_math_renderer("mathml", (_inline_math, None), (_block_math, None))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from diagrams import WORKFLOWS, draw_workflow
+from diagrams import WORKFLOWS, draw_control_loop, draw_workflow
 from PIL import Image
 
 import mckibben as mk
@@ -56,7 +56,7 @@ def main() -> None:
     for name, geometry in GEOMETRIES.items():
         joint = mk.AntagonisticJoint(geometry, plant.joint.muscle1, plant.joint.muscle2)
         drawings[f"drawing-{name}"] = mk.report.draw_joint(joint, 15 * deg, labels=False)
-    drawings["control-loop"] = mk.report.draw_control_loop()
+    drawings["control-loop"] = draw_control_loop()
     for name, figure in drawings.items():
         png, _ = save(figure, IMAGES, name)
         png.unlink()  # the pages show the SVG
@@ -131,22 +131,17 @@ def _leg() -> None:
     for name, figure in figures.items():
         _, svg = save(figure, IMAGES, name)
         svg.unlink()  # larger than the PNG
-    for name, jump in jumps.jumps.items():
-        path = IMAGES / f"leg-jump-{name}.webp"
-        mk.report.render_leg(leg.plant(), jump.run, path, frames=48, overwrite=True)
     _leg_in_space()
 
 
 def _leg_in_space() -> None:
-    """Pictures of the leg in space: its best landing with a valve, and the stiffness of its foot."""
+    """Picture of the leg in space: the stiffness of its foot."""
     leg = mk.leg.LegScenario.read(ROOT / "examples" / "leg" / "lei-leg-in-space.yaml")
     assert leg.stiffness is not None
     posture = leg.leg.posture_angles(leg.stiffness.posture)
     figure = mk.report.foot_ellipses(leg.leg, posture, found=solve_foot_stiffness(leg))
     _, svg = save(figure, IMAGES, "leg-space-foot-stiffness")
     svg.unlink()
-    plant, run = list(mk.leg.study_landing(leg).compared_runs().values())[-1]
-    mk.report.render_leg(plant, run, IMAGES / "leg-space-landing.webp", overwrite=True)
 
 
 if __name__ == "__main__":

@@ -374,5 +374,5 @@ def invented(suite, runs, controller, sets=1, metrics=Metrics._fields, engine="n
 def simulating_nothing():
     """Comparisons go through `invented` in place of a simulation."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mckibben.study.benchmark.benchmark._simulated", invented)
+        patch.setattr("mckibben.study.compare.compare._simulated", invented)
         yield

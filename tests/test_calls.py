@@ -9,9 +9,9 @@ import pytest
 import mckibben as mk
 from mckibben.control import PolePlacement
 from mckibben.dataset import Recording
-from mckibben.errors import CallError, DomainWarning, FileError, McKibbenError, McKibbenWarning, ScenarioError, closest
+from mckibben.errors import DomainWarning, FileError, McKibbenError, McKibbenWarning, ScenarioError, closest
 from mckibben.report.style import NotebookFigure
-from mckibben.study.benchmark import Suite
+from mckibben.study.compare import Suite
 from mckibben.study.tune import Method
 from mckibben.study.tune.tune import DEFAULT_COST
 from mckibben.units import bar, deg
@@ -283,10 +283,3 @@ def test_a_scenario_runs_with_changes_and_is_shown_in_a_line():
     assert 2 * SCENARIO.simulate(duration=0.1).times.size == SCENARIO.simulate().times.size
     parts = "KneeGeometry, KneeLoad, PositionStiffnessControl"
     assert repr(SCENARIO) == f"<Scenario {SCENARIO.name!r}: {parts}, 0.2 s>"
-
-
-@pytest.mark.parametrize("function", [mk.identify, mk.rank, mk.identify_with_friction])
-def test_an_option_of_the_command_line_is_given_its_name_in_python(function):
-    with pytest.raises(CallError) as caught:
-        function(keep_outliers=True)
-    assert caught.value.field == "keep_outliers" and "robust=False" in caught.value.remedy

@@ -21,7 +21,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
 from mckibben.export.gym import JointVectorEnv, RewardTerms
-from mckibben.study.benchmark.suite import Suite
+from mckibben.study.compare.suite import Suite
 from mckibben.units import deg
 
 SUITE = Suite.read("examples/comparison/knee.yaml")

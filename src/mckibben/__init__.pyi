@@ -6,7 +6,6 @@ from .control import (
     DecouplingControl as DecouplingControl,
     DelayCompensation as DelayCompensation,
     ExtendedStateObserver as ExtendedStateObserver,
-    FrictionCompensation as FrictionCompensation,
     InverseModelControl as InverseModelControl,
     Jacobian as Jacobian,
     Multisine as Multisine,

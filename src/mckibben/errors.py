@@ -61,24 +61,30 @@ def closest(name: str, known: Sequence[str]) -> str:
     >>> closest("encoder_resolution", ["encoder", "encoder_offset"])
     'encoder'
     """
-    close = [difflib.get_close_matches(name[:LONGEST_VALUE], known, 1, cutoff=least) for least in (0.8, 0.6)]
-    plain, words = _plain(name), {one: _plain(one) for one in known}
-    same = [one for one, word in words.items() if word == plain]
-    begun = sorted((one for one, word in words.items() if len(plain) > 2 and word.startswith(plain)), key=len)
-    stems = sorted((one for one, word in words.items() if len(word) > 3 and plain.startswith(word)), key=len)
-    ended = [one for one, word in words.items() if len(plain) > 2 and word.endswith(plain)]
-    return next(iter([*same, *begun, *close[0], *stems[::-1], *close[1], *ended]), "")
+    word = _plain(name)[:LONGEST_VALUE]
+    likeness, nearest = max(((_likeness(word, _plain(other)), other) for other in known), default=(0.0, ""))
+    return nearest if likeness >= 0.5 else ""
+
+
+def _likeness(word: str, other: str) -> float:
+    """Likeness of two names, 0 to 1; a beginning in common counts more than an ending."""
+    if len(word) > 2 and other.startswith(word):
+        return 1.0 - 1e-3 * (len(other) - len(word))
+    ratio = difflib.SequenceMatcher(None, word, other).ratio()
+    if ratio < 0.8 and len(other) > 3 and word.startswith(other):
+        return 0.7 + 1e-3 * len(other)
+    if ratio < 0.6:
+        return 0.5 if len(word) > 2 and other.endswith(word) else 0.0
+    return ratio if ratio >= 0.8 else ratio - 0.05
 
 
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:
     """An error for an unknown attribute, with the call that is meant by it, or the closest public name."""
     private = name.startswith("_")  # asked for by copy, JAX and others, often
-    known: list[str] = [] if private else [*meant, *(one for one in dir(owner) if not one.startswith("_"))]
-    found = name if name in meant else closest(name, known) if known else ""
-    hint = f"; did you mean {meant.get(found, found)}?" if found else ""
-    kind = type(owner).__name__
-    article = "an" if kind[0] in "AEIOU" else "a"
-    return AttributeError(f"{article} {kind} has no {name!r}{hint}", name=name, obj=owner)
+    known: list[str] = [] if private else [*meant, *(other for other in dir(owner) if not other.startswith("_"))]
+    nearest = name if name in meant else closest(name, known)
+    hint = f"; did you mean {meant.get(nearest, nearest)}?" if nearest else ""
+    return AttributeError(f"{with_article(type(owner).__name__)} has no {name!r}{hint}", name=name, obj=owner)
 
 
 def _plain(name: str) -> str:

@@ -244,9 +244,11 @@ def _blocks(columns: Sequence[_TextColumn], width: int) -> Iterator[list[_TextCo
 
 def _lines(block: Sequence[_TextColumn], width: int) -> list[str]:
     """Lines of columns side by side; what is left of the width goes to headings and sentences that need it."""
-    for column in block:
-        needed = max(map(len, (column.title, *column.cells)))
-        column.width += max(min(needed - column.width, width - sum(c.width + 2 for c in block) + 2), 0)
+    needs = {c: max(map(len, (c.title, *c.cells))) - c.width for c in block}
+    spare = width - sum(c.width + 2 for c in block) + 2
+    for rest, (column, need) in enumerate(sorted(needs.items(), key=lambda item: item[1]), start=-len(block)):
+        share = max(min(need, spare // -rest), 0)
+        column.width, spare = column.width + share, spare - share
     headings = [column.wrapped(column.title) for column in block]
     deepest = max(map(len, headings))
     rows = [[[""] * (deepest - len(heading)) + heading for heading in headings]]

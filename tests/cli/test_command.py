@@ -46,32 +46,9 @@ def test_help_is_had_without_heavy_imports(arguments):
 
 
 @pytest.mark.slow
-def test_a_listing_is_the_same_from_the_cache_and_needs_no_jax(tmp_path):
-    code = (
-        "import sys; sys.argv = ['mckibben', 'laws', '--json']\n"
-        "from mckibben.cli import main\n"
-        "try: main()\n"
-        "except SystemExit as end: assert not end.code, end.code\n"
-        "print([m for m in ('jax', 'equinox', 'numpy') if m in sys.modules], file=sys.stderr)\n"
-    )
-    kept = {**os.environ, "MCKIBBEN_PROGRAMS_DIR": str(tmp_path)}
-
-    def listed():
-        return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, env=kept)
-
-    first, again = listed(), listed()
-    assert json.loads(first.stdout) == json.loads(again.stdout) and len(first.stdout) > 500
-    assert "jax" in first.stderr
-    assert again.stderr.strip() == "[]"
-    for file in tmp_path.glob("*.program"):
-        file.write_bytes(b"damaged" * 10)
-    assert listed().stdout == first.stdout
-
-
-@pytest.mark.slow
 def test_help_names_every_command_and_the_exit_codes(cli):
     text = cli("--help").out
-    for command in ("reproduce", "identify", "validate", "simulate", "laws", "specimens"):
+    for command in ("reproduce", "identify", "validate", "simulate", "catalog"):
         assert re.search(rf"\b{command}\b", text), command
         assert cli(command, "--help").code == 0
     assert "0 done, 1 failed, 2 bad input" in text
@@ -138,38 +115,20 @@ def test_version(cli):
     assert cli("--version") == (0, f"mckibben {mckibben.__version__}\n", "")
 
 
-def test_laws(cli):
-    found = cli("laws")
-    assert (found.code, found.err) == (0, "")
-    for name, law in LAWS.items():
-        assert name in found.out
-        assert law.equation in found.out
-    assert "contraction -3..25 %, pressure 0..6 bar" in found.out
-    numbers = json.loads(cli("laws", "--json").out)
-    assert set(numbers["laws"]) == set(LAWS)
-    assert numbers["published"]["lei-mas-10-180n"]["law"] == "ExponentialLaw"
-
-
-def test_specimens(cli):
-    found = cli("specimens")
-    assert (found.code, found.err) == (0, "")
-    numbers = json.loads(cli("specimens", "--json").out)
-    assert set(numbers["specimens"]) == set(catalog.names("specimens"))
-    assert set(numbers["datasets"]) == set(catalog.names("datasets"))
-    for name in (*numbers["specimens"], *numbers["datasets"]):
-        assert name in found.out
-    paper = numbers["specimens"]["MAS-10-180N-AA-MC-O"]
-    assert (paper["initial_length_mm"], paper["initial_diameter_mm"], paper["rated_force_N"]) == pytest.approx(
-        (180, 10, 630)
-    )
-
-
-def test_names_survive_the_width_of_a_pipe(cli, monkeypatch):
+def test_the_catalog_lists_laws_and_entries_at_any_width(cli, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
-    found = cli("specimens").out
-    for kind in ("specimens", "datasets"):
-        for name in catalog.names(kind):
-            assert name in found
+    found = cli("catalog")
+    assert (found.code, found.err) == (0, "")
+    for name in (
+        *LAWS,
+        *(name for kind in ("laws", "specimens", "datasets", "valves") for name in catalog.names(kind)),
+    ):
+        assert name in found.out
+    tables = {table["title"]: table["columns"] for table in json.loads(cli("catalog", "--json").out)["tables"]}
+    assert tables["Force laws"]["law"]["values"] == list(LAWS)
+    row = tables["Specimens"]["name"]["values"].index("MAS-10-180N-AA-MC-O")
+    size = [tables["Specimens"][name]["values"][row] for name in ("initial_length", "initial_diameter", "rated_force")]
+    assert size == pytest.approx([0.18, 0.01, 630])
 
 
 def test_a_log_gets_lines_of_progress_with_the_time_left(monkeypatch, capsys):
@@ -192,7 +151,7 @@ def test_a_full_disk_while_printing_is_one_line_and_exit_1():
     assert found.stderr == f"failed: the output is incomplete: {os.strerror(errno.ENOSPC)}\n"
 
 
-@pytest.mark.parametrize("argument", ["--version", "laws"])
+@pytest.mark.parametrize("argument", ["--version", "catalog"])
 def test_a_closed_pipe_is_not_a_failure(argument):
     reading, writing = os.pipe()
     os.close(reading)
@@ -224,7 +183,7 @@ def test_an_interrupt_during_an_import_ends_the_command_without_a_word(tmp_path)
     (tmp_path / "slow.py").write_text(
         "import os, signal\ntry: os.kill(os.getpid(), signal.SIGINT)\nexcept BaseException: pass\n"
     )
-    found = run("--extension", "slow.py", "laws", cwd=tmp_path)
+    found = run("--extension", "slow.py", "catalog", cwd=tmp_path)
     assert (found.returncode, found.stdout, found.stderr) == (130, "", "")
 
 

@@ -12,8 +12,8 @@ from mckibben import report
 from mckibben.cli.options import metric
 from mckibben.scenario import Scenario
 from mckibben.storage.files import json_ready
-from mckibben.study.benchmark import Suite
-from mckibben.study.benchmark.statistics import statistics
+from mckibben.study.compare import Suite
+from mckibben.study.compare.statistics import statistics
 from mckibben.study.tune import read_trials
 from mckibben.study.tune.tune import TuningHistory
 

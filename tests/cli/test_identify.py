@@ -236,18 +236,16 @@ def test_a_law_is_named_with_or_without_hyphens(cli):
 
 @pytest.mark.slow
 def test_how_sure_a_fit_is(cli, tmp_path):
-    options = ("--level", "0.9", "--profile", "--bootstrap", "20")
+    options = ("--level", "0.9", "--profile")
     found = cli("identify", FESTO, *options, "--out", "kept")
     assert found.code == 0
     assert "90 % interval" in found.out
     assert re.search(r"^profile of decay: 90 % interval 0\.327\d* \.\. 0\.353\d* 1/percent$", found.out, re.MULTILINE)
-    assert "bootstrap: 20 refits to 10 pressures" in found.out
     assert {"bands.png", "profile-decay.svg"} <= {path.name for path in Path("kept").iterdir()}
     uncertainty = json.loads(Path("kept/results.json").read_text())["uncertainty"]
     assert (uncertainty["errors_by"], uncertainty["groups"], uncertainty["level"]) == ("pressure", 10, 0.9)
     low, high = uncertainty["profiles"]["decay"]["interval"]
     assert low < 0.3398 < high
-    assert uncertainty["bootstrap"]["intervals"]["decay"] != uncertainty["intervals"]["decay"]
     for wrong, said in (
         (("--level", "90"), r"a level of 90 is not a probability; write 0\.95 for 95 %"),
         (("--law", "all", "--profile"), "apply to a single law"),

@@ -13,7 +13,7 @@ from mckibben.errors import DatasetError, ParameterError, ScenarioError
 from mckibben.identification import Fit, read_law
 from mckibben.realtime.config import JointRig
 from mckibben.scenario import Scenario
-from mckibben.study.benchmark.suite import Suite
+from mckibben.study.compare.suite import Suite
 from mckibben.study.rig.document import MuscleCardSettings, RigTest
 
 READERS = [Scenario.read, Suite.read, RigTest.read, JointRig.read, read_law, Fit.from_yaml]

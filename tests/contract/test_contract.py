@@ -122,7 +122,6 @@ EXAMPLES = [
     LOOPS,
     DECOUPLING,
     control.InverseModelControl(LOOPS, LOAD),
-    control.FrictionCompensation(LOOPS, model=joint.AntagonisticJoint(KNEE.geometry, ROUGH, ROUGH)),
     control.SupplyLimit(LOOPS),
     control.OpenLoopControl(control.Step(2e5, 3e5, 1e-3), 2.5e5, KNEE),
     control.DelayCompensation(KNEE, LOAD, controller=LOOPS, command_delay=2.5e-3),

@@ -9,7 +9,6 @@ import pytest
 from mckibben.control import (
     PID,
     BackpropPID,
-    FrictionCompensation,
     Jacobian,
     Loop,
     Measurement,
@@ -18,9 +17,7 @@ from mckibben.control import (
 )
 from mckibben.control.position_stiffness import Feedforward
 from mckibben.errors import RangeError
-from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.compiled import numeric
-from mckibben.units import mm
 
 PERIOD = 1e-3
 POSITION, STIFFNESS = PID(1.5e5, 6e5, 1e4), PID(2e3, 2e5, 0.0)
@@ -210,17 +207,3 @@ def test_the_differential_pressure_goes_before_the_cocontraction(knee):
     assert taut[0] == pytest.approx(8.0, rel=1e-6) and taut[1] <= knee.muscle2.specimen.rated_force * (1 + 1e-9)
     with pytest.raises(RangeError, match="minimum_tension is 0 N"):
         PositionStiffnessControl(POSITION, STIFFNESS, model=knee, minimum_tension=0.0)
-
-
-@pytest.mark.slow
-def test_friction_compensation_keeps_the_tension_too(knee):
-    rubbing = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(12.0, 0.5 * mm, elements=1))
-    model = dataclasses.replace(knee, muscle1=rubbing, muscle2=rubbing)
-    inner = PositionStiffnessControl(Spy(0.0), Spy(0.0), model=knee, minimum_tension=8.0)
-    control = FrictionCompensation(inner, model=model)
-    least = []
-    for towards in (0.2, 0.0):
-        state, commands = control.step(control.init(seen(0.1)), setpoint(towards), seen(0.1), PERIOD)
-        assert abs(float(state.torque)) > 0.5
-        least.append(min(float(t) for t in knee.tensions(0.1, commands)))
-    assert min(least) == pytest.approx(8.0, rel=1e-6)

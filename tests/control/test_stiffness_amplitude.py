@@ -11,13 +11,13 @@ from mckibben.control import (
     PID,
     DecouplingControl,
     ExtendedStateObserver,
-    FrictionCompensation,
     InverseModelControl,
     PolePlacement,
     PositionStiffnessControl,
     PredictiveControl,
     Reference,
     Setpoint,
+    SupplyLimit,
 )
 from mckibben.errors import RangeError, ReachabilityWarning
 from mckibben.muscle import MaxwellSlip
@@ -111,7 +111,7 @@ def test_what_friction_adds_shifts_the_attainable_stiffness_up(joint, knee, load
 
 
 def test_the_wrapper_controls_what_the_controller_in_it_does(joint, load):
-    assert FrictionCompensation(controllers(joint, load)["PID"], model=joint).stiffness_amplitude == SIZE
+    assert SupplyLimit(controllers(joint, load)["PID"]).stiffness_amplitude == SIZE
 
 
 @pytest.mark.parametrize("name", ["PID", "decoupling"])

@@ -1,7 +1,5 @@
 """A supply below the rated pressure: found from the commands, and torque kept at less co-contraction."""
 
-import dataclasses
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -9,7 +7,6 @@ import pytest
 from mckibben.control import (
     PID,
     DecouplingControl,
-    FrictionCompensation,
     PolePlacement,
     PositionStiffnessControl,
     Reference,
@@ -18,8 +15,6 @@ from mckibben.control import (
 )
 from mckibben.control.base import Measurement
 from mckibben.errors import RangeError
-from mckibben.joint import AntagonisticJoint
-from mckibben.muscle import MaxwellSlip
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant, PressureRegulator
@@ -78,10 +73,8 @@ def test_the_lag_is_that_of_the_model_of_the_valves_in_the_joint(run, inner, kne
 
 
 def test_the_delay_is_that_of_the_controller_within_another_wrapper(knee, load):
-    rough = dataclasses.replace(knee.muscle1, friction=MaxwellSlip(10.0, 5e-4))
-    model = AntagonisticJoint(knee.geometry, rough, rough)
-    late = DecouplingControl(model, load, PolePlacement(30.0), command_delay=3e-3)
-    for control in (late, FrictionCompensation(late, model=model)):
+    late = DecouplingControl(knee, load, PolePlacement(30.0), command_delay=3e-3)
+    for control in (late, SupplyLimit(late)):
         limited = SupplyLimit(control).with_period(PERIOD)
         state = limited.init(Measurement(jnp.asarray(0.0), (jnp.asarray(3e5),) * 2))
         assert len(state.sent) == 4

@@ -1,10 +1,9 @@
-"""The labs of the course: solutions earn all points, empty and wrong answers none, pages load nothing."""
+"""The labs of the course: solutions earn all points, empty and wrong answers none."""
 
 import contextlib
 import importlib.util
 import json
 import pickle
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -264,16 +263,3 @@ def test_wrong_arguments_of_grade_are_one_line(arguments, named):
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
     assert named in line
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("lab", LABS)
-def test_a_page_has_text_formulas_and_its_explorer_and_loads_nothing(lab, tmp_path):
-    pytest.importorskip("docutils")
-    text = notebooks.page(lab, tmp_path / "pages" / "page.html").read_text(encoding="utf-8")
-    assert text.count("<h1>") == 1
-    assert text.count('class="explorer"') == 1
-    assert "<math" in text
-    assert "FORMULA" not in text
-    assert not re.search(r"\$[^{]", text.partition("<body>")[2].partition("<script>")[0])
-    assert not re.search(r"(src|href)=|https?:|@import", re.sub(r"http://www\.w3\.org/\S+?\"", "", text))

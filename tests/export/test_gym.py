@@ -9,7 +9,7 @@ import pytest
 import mckibben as mk
 from mckibben.errors import ExportError, ParameterError
 from mckibben.scenario import with_values
-from mckibben.study.benchmark.suite import Suite
+from mckibben.study.compare.suite import Suite
 from mckibben.units import bar
 
 gymnasium = pytest.importorskip("gymnasium", reason="the extra gym is not installed")

@@ -1,4 +1,4 @@
-"""Errors grouped by stroke or pressure, bands, profiles and bootstraps, each against something written anew."""
+"""Errors grouped by stroke or pressure, bands and profiles, each against something written anew."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, ParameterError, RangeError
-from mckibben.identification import Bootstrap, Fit, Grouping, bootstrap, identify, profile
+from mckibben.identification import Fit, Grouping, identify, profile
 from mckibben.identification.uncertainty import ClusterRobustErrors, group_labels, scatter_growth
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, Parameter, PressureAffineLaw, ReynoldsLaw, forces
 from mckibben.units import bar, deg, mm, percent
@@ -159,9 +159,8 @@ def test_errors_that_do_not_see_that_the_law_is_wrong_are_doubted(strokes):
     truth = 20 + 360 * (2 / 3) ** 2
     grouped = wrong.force_intervals(0.1, 3 * bar, by=wrong.robust.by).confidence
     assert not grouped.lower < truth < grouped.upper
-    with_misfit = wrong.force_intervals(0.1, 3 * bar).confidence
+    with_misfit = wrong.force_intervals(0.1, 3 * bar).prediction
     assert with_misfit.lower < truth < with_misfit.upper
-    assert right.calibration.misfit[0] == 0.0
     by = "stroke" if strokes == 2 else "pressure"
     (doubt,) = wrong.regression.warnings
     assert doubt.startswith(f"by {by}, ")
@@ -248,7 +247,7 @@ def test_a_fit_from_a_file_without_points_keeps_its_intervals_and_says_what_it_l
     again = Fit.from_yaml(tmp_path / "fit.yaml")
     assert again.intervals(0.9) == fit.intervals(0.9)
     assert again.intervals(by=Grouping.POINT) == fit.intervals(by=Grouping.POINT)
-    for ask in (lambda: again.force_intervals(0.1, 3 * bar), lambda: profile(again, "decay"), lambda: bootstrap(again)):
+    for ask in (lambda: again.force_intervals(0.1, 3 * bar), lambda: profile(again, "decay")):
         with pytest.raises(IdentificationError, match="read from a file"):
             ask()
 
@@ -374,113 +373,7 @@ def test_a_linear_parameter_has_no_profile(fit):
         profile(fit, "a1")
 
 
-# --- bootstrap ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_bootstrap_agrees_with_the_sandwich_and_with_refits_to_repeated_points(map_of_martens):
-    fit = identify(ExponentialLaw, map_of_martens)
-    found = bootstrap(fit, 300, seed=1)
-    assert (found.by, found.blocks, found.draws.shape) == (Grouping.PRESSURE, 16, (300, 7))
-    again = bootstrap(fit, 2, seed=1)
-    np.testing.assert_array_equal(again.draws, found.draws[:2])
-    ratio = found.standard_errors["decay"] / fit.robust.standard_errors["decay"]
-    assert 0.7 < ratio < 1.4
-    low, high = found.intervals()["decay"]
-    assert low < fit.law.decay < high
-    assert (high - low) > 2 * 1.96 * np.std(found.draws[:, 6]) * 0.9  # wider than plain percentiles, about
-
-
-def test_a_weight_is_a_repeated_point(chart):
-    fit = identify(ExponentialLaw, chart)
-    counts = np.random.default_rng(0).integers(0, 3, 119)
-    problem = fit.regression.problem.weighted(counts.astype(float))
-    from mckibben.identification.least_squares import solve
-
-    rows = np.repeat(np.flatnonzero(chart.force > 0), counts)
-    repeated = IsobaricDataset.of(
-        pressure=chart.pressure[rows], contraction=chart.contraction[rows], force=chart.force[rows]
-    )
-    values = solve(problem, fit.regression.solution.position).values
-    np.testing.assert_allclose(values, list(identify(ExponentialLaw, repeated).estimates.values()), rtol=1e-6)
-
-
-def test_what_a_bootstrap_draws(fit, chart):
-    def with_repeats(count):
-        repeat = np.arange(len(chart)) % count
-        return identify(
-            ExponentialLaw,
-            IsobaricDataset.of(
-                pressure=chart.pressure, contraction=chart.contraction, force=chart.force, repeat=repeat
-            ),
-        )
-
-    assert bootstrap(with_repeats(8), 3).by is Grouping.REPEAT
-    few = with_repeats(3)
-    assert bootstrap(few, 3).by is Grouping.STROKE
-    with pytest.raises(IdentificationError, match="3 repeats are too few to draw from; repeat the test"):
-        bootstrap(few, by=Grouping.REPEAT)
-    with pytest.raises(RangeError, match="1 refits"):
-        bootstrap(fit, 1)
-
-
-def test_a_parameter_at_its_bound_has_no_error_in_a_bootstrap():
-    law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=0.6)
-    fit = identify(ExponentialLaw, measured(law, np.arange(1, 9) * bar, np.linspace(0, 0.2, 9), 0.5))
-    found = bootstrap(fit, 50)
-    assert np.isnan(found.standard_errors["decay"])
-    assert np.all(np.isnan(found.intervals()["decay"]))
-    assert all(np.isfinite(e) and e > 0 for n, e in found.standard_errors.items() if n != "decay")
-    assert not any("decay" in doubt for doubt in found.warnings)
-
-
-@pytest.mark.slow
-def test_a_refit_is_the_best_of_all_minima():
-    """At steps of 5 % two frequencies are the same; the steps are a little off, by repeat, so that draws differ."""
-    generator, repeats = np.random.default_rng(2), np.repeat(np.arange(10), 6)
-    contraction = np.tile(np.arange(6) * 5 * percent, 10) + generator.normal(0, 0.002, 10)[repeats] * (repeats % 2)
-    contraction = np.abs(contraction)
-    pressure = np.full(60, 4 * bar)
-    force = np.asarray(WaveLaw(1e-4, 30.0).force(contraction, pressure)) + generator.normal(0, 15.0, 60)
-    data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, repeat=repeats, slack_force=-1e3)
-    fit = identify(WaveLaw, data)
-    found = bootstrap(fit, 40, seed=3)
-    assert found.by is Grouping.REPEAT
-    far = np.abs(found.draws[:, 1] - fit.law.w) > 30
-    assert 2 < np.count_nonzero(far) < 38  # in the other minimum
-    draws = np.random.default_rng(3)
-    waves = np.linspace(10, 120, 4001)
-    for values in found.draws:
-        counts = draws.multinomial(10, np.full(10, 0.1))[repeats]
-        columns = pressure * np.cos(waves[:, None] * contraction)
-        a = (columns * force) @ counts / (columns**2 @ counts)
-        brute = ((force - a[:, None] * columns) ** 2 @ counts).min()
-        mine = (force - values[0] * pressure * np.cos(values[1] * contraction)) ** 2 @ counts
-        assert mine <= brute * (1 + 1e-9)
-
-
-def test_a_few_draws_far_off_do_not_rule_the_standard_errors(fit):
-    draws = np.random.default_rng(0).normal(list(fit.estimates.values()), 1.0, (400, 7))
-    clean = Bootstrap(fit.law, Grouping.PRESSURE, 10, draws, 0, np.zeros(7, bool))
-    assert list(clean.standard_errors.values()) == pytest.approx([np.sqrt(10 / 9)] * 7, rel=0.15)
-    assert clean.warnings == ()
-    stray = draws.copy()
-    stray[:8, 2] += 100
-    found = Bootstrap(fit.law, Grouping.PRESSURE, 10, stray, 0, np.zeros(7, bool))
-    assert found.standard_errors["b1"] == pytest.approx(clean.standard_errors["b1"], rel=0.1)
-    (doubt,) = found.warnings
-    assert "b1 (13 times)" in doubt
-
-
-def test_draws_that_determine_nothing_are_refused():
-    """Eight pressures, but all contractions at two of them only."""
-    levels = np.arange(1, 9) * bar
-    rows = [(p, eps) for p in levels for eps in (np.linspace(0, 0.2, 9) if p in levels[[3, 7]] else [0.0, 0.02])]
-    pressure, contraction = np.array(rows).T
-    force = np.asarray(EQ_3.force(contraction, pressure)) + 300 + np.random.default_rng(0).normal(size=len(rows))
-    fit = identify(ExponentialLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force))
-    with pytest.raises(IdentificationError, match="draws of 8 pressures do not determine ExponentialLaw"):
-        bootstrap(fit, 50)
+# --- scatter ---
 
 
 def test_a_fit_stays_a_value(fit):

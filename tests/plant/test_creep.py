@@ -217,7 +217,7 @@ def test_a_result_tells_creep_and_friction_apart(both):
 
 
 def test_the_friction_torque_of_relaxed_muscles_is_without_creep(both, knee):
-    """What `FrictionCompensation` asks of its model's joint."""
+    """What `friction_compensation` asks of the model's joint."""
     with_slip = with_creep(knee, NoCreep(), SLIP)
     joint = both.joint
     states = joint.update_state(joint.init_state(0.0, (P1, P2)), 0.05, (P1, P2))

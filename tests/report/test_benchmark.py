@@ -23,8 +23,8 @@ from mckibben.report.style import plain_numbers
 from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
-from mckibben.study.benchmark import BenchmarkResult, Suite, draw
-from mckibben.study.benchmark.statistics import failed_runs, statistics
+from mckibben.study.compare import BenchmarkResult, Suite, draw
+from mckibben.study.compare.statistics import failed_runs, statistics
 from mckibben.study.tune.tune import Trial
 from mckibben.units import deg
 

@@ -23,7 +23,7 @@ from mckibben.joint import (
 from mckibben.joint.mechanism import Mechanism, muscle_sizes
 from mckibben.muscle import Muscle, Specimen, return_spring
 from mckibben.plant import IdealValve, JointPlant
-from mckibben.report import animate, draw_control_loop, draw_joint
+from mckibben.report import animate, draw_joint
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Result
 from mckibben.units import bar, deg, mm

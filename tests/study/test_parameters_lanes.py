@@ -13,7 +13,7 @@ from mckibben.component.schema import parse_component, replaced
 from mckibben.control import Controller
 from mckibben.errors import ParameterError, RangeError, ScenarioError
 from mckibben.scenario import Scenario, batched, find_parameter, known_names, list_parameters, valid_rows, with_values
-from mckibben.study.benchmark import Suite
+from mckibben.study.compare import Suite
 from mckibben.study.parameters import parse_sweeps, sample
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -82,8 +82,8 @@ def read_section(text):
 
 CONTROLLERS = KNEE.controllers | {
     "inverse learned without a model": replaced(LEARNING, {"load": None}),
-    "PID, friction fed forward": read_section(
-        "{class: friction_compensation, controller: {position: {kp: 1 bar/rad, "
+    "PID, supply estimated": read_section(
+        "{class: supply_limit, controller: {position: {kp: 1 bar/rad, "
         "ki: 1 bar/(rad*s), kd: 0 bar*s/rad}, stiffness: {kp: 1 bar/(N*m/rad), ki: 0 bar/(N*m*s/rad), "
         "kd: 0 bar*s/(N*m/rad)}}}"
     ),

@@ -129,8 +129,6 @@ def test_bandwidths_count_as_gains():
 def test_what_does_not_go_together_is_said():
     missing = problem("  class: decoupling\n  minimum_tension: 5 N\n")
     assert (missing.field, missing.message) == ("controller.feedback", "is missing")
-    former = problem("  class: decoupling\n  poles: {bandwidth: 50 rad/s}\n")
-    assert former.field == "controller.poles" and "`feedback`" in former.remedy
     found = problem("  decoupling: {poles: {bandwidth: 50 rad/s}}\n")
     assert found.field == "controller" and "`class: decoupling`" in found.remedy
     assert "unit" in problem(SHORT.replace("50 rad/s", "50 Hz*m")).message

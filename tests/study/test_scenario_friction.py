@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from mckibben.control import FrictionCompensation, PositionStiffnessControl
+from mckibben.control import DecouplingControl, PositionStiffnessControl
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.muscle import MaxwellSlip, NoFriction
 from mckibben.reachability.envelope import envelope
@@ -34,9 +34,9 @@ def with_friction(*changes):
 
 def compensated(text):
     plant, rest = text.split("controller:\n")
-    loops, others = rest.split("\nreference:")
-    inner = "".join(f"  {line}\n" for line in loops.splitlines())
-    return f"{plant}controller:\n  class: friction_compensation\n  controller:\n{inner}\nreference:{others}"
+    _, others = rest.split("\nreference:")
+    control = "class: decoupling\n  friction_compensation: true\n  feedback: {bandwidth: 80 rad/s}"
+    return f"{plant}controller:\n  {control}\n\nreference:{others}"
 
 
 COMPENSATED = compensated(with_friction())
@@ -55,9 +55,8 @@ def test_it_builds_what_it_says():
     joint = scenario.plant().joint
     assert joint.muscle1.friction == joint.muscle2.friction == expected
     control = scenario.control()
-    assert isinstance(control, FrictionCompensation)
+    assert isinstance(control, DecouplingControl) and control.friction_compensation
     assert control.model.muscle1.friction == expected
-    assert isinstance(control.controller, PositionStiffnessControl)
     assert len(scenario.initial(scenario.plant()).muscles[0].friction) == 6
 
 
@@ -99,8 +98,6 @@ def test_the_model_may_have_another_friction_or_none():
 def test_what_does_not_go_together_is_said():
     found = problem(compensated(BASE))
     assert found.field == "controller" and "no muscle of its model has friction" in found.message
-    former = problem(BASE.replace(LOOP, f"  friction_compensation: true\n{LOOP}"))
-    assert former.field == "controller" and "class: friction_compensation" in former.remedy
     spring = with_friction(
         (
             "connector_length: 208 mm}",

@@ -103,13 +103,6 @@ def test_what_does_not_go_together_is_said():
     former = problem("  valve_time_constant: 15 ms\n")
     assert former.field == "controller.valve_time_constant" and "valve: {time_constant" in former.remedy
     assert "outside" in problem("", "    minimum_tension: 0 N\n").message
-    plant, rest = text_of(ALONE).replace(MUSCLE, RUBBING).split("controller:\n")
-    inner, others = rest.split("reference:")
-    inner = "".join(f"  {line}\n" for line in inner.splitlines())
-    with pytest.raises(ScenarioError, match="learned inverse"):
-        Scenario.parse(
-            f"{plant}controller:\n  class: friction_compensation\n  controller:\n{inner}\nreference:{others}"
-        )
     found = Scenario.parse(f"{BEFORE.rstrip()}\n  minimum_tension: 5 N\nreference:{AFTER}")
     assert isinstance(found.control(), PositionStiffnessControl)
     with pytest.raises(ScenarioError, match="class: inverse_model"):

@@ -10,7 +10,7 @@ import signal
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -20,8 +20,8 @@ import typer
 from typer import Argument, Option
 
 import mckibben
-from mckibben.cli.bench import bench
 from mckibben.cli.calibrate import calibrate
+from mckibben.cli.catalog import catalog
 from mckibben.cli.check import check
 from mckibben.cli.compare import compare
 from mckibben.cli.export import export
@@ -45,15 +45,14 @@ from mckibben.cli.options import (
     table,
     with_accuracy,
 )
-from mckibben.cli.plan import envelope, margins, oracle, plan, stiffness
+from mckibben.cli.plan import envelope, margins, plan, stiffness
 from mckibben.cli.points import points
 from mckibben.cli.recordings import identify_air, identify_creep
 from mckibben.cli.rig import rig
 from mckibben.cli.size import size
-from mckibben.cli.sweep import merge, sweep, tune
+from mckibben.cli.sweep import sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder, to_json, write_json
-from mckibben.units import mm
 
 if TYPE_CHECKING:
     from mckibben.scenario import Scenario
@@ -96,7 +95,7 @@ def reproduce(
         echo(to_json(done.results()))
         return
     for title, claims in (("The paper's claims", done.paper_claims), ("Our own questions", done.questions)):
-        verdicts = [("holds" if claim.holds else "does not hold", claim.claim, claim.source) for claim in claims]
+        verdicts = [(claim.verdict, claim.claim, claim.source) for claim in claims]
         table(title, ("verdict", "statement", "source"), verdicts)
     echo(done.verdict)
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
@@ -185,68 +184,6 @@ def web(
     start(port, show=not no_browser, ready=lambda address: echo(f"{address} (Ctrl-C ends it)"))
 
 
-def laws(json: Json = False) -> None:
-    """List the force laws and the published parameter sets."""
-
-    def build() -> dict[str, Any]:
-        from mckibben import catalog
-        from mckibben.muscle import LAWS
-
-        published = {name: catalog.law(name) for name in catalog.names("laws")}
-        sets = {name: {"law": type(law).__name__, "domain": str(law.domain)} for name, law in published.items()}
-        known = {name: {"equation": law.equation, "source": law.source} for name, law in LAWS.items()}
-        return {"laws": known, "published": sets}
-
-    found = _listing("laws", build)
-    if json:
-        echo(to_json(found))
-        return
-    rows = [(name, law["equation"], law["source"]) for name, law in found["laws"].items()]
-    table("Laws", ("law", "equation", "source"), rows)
-    sets = [(name, law["law"], law["domain"]) for name, law in found["published"].items()]
-    table("Published parameter sets", ("name", "law", "domain"), sets)
-
-
-def specimens(json: Json = False) -> None:
-    """List the specimens and measured datasets of the catalog."""
-
-    def build() -> dict[str, Any]:
-        from mckibben import catalog
-
-        known = {name: catalog.specimen(name) for name in catalog.names("specimens")}
-        data = {name: catalog.cite(name).splitlines()[0] for name in catalog.names("datasets")}
-        numbers = {
-            name: {
-                "initial_length_mm": s.initial_length / mm,
-                "initial_diameter_mm": (s.initial_diameter or math.nan) / mm,
-                "rated_force_N": s.rated_force,
-                "domain": str(s.domain),
-                "source": catalog.cite(name),
-            }
-            for name, s in known.items()
-        }
-        return {"specimens": numbers, "datasets": data}
-
-    found = _listing("specimens", build)
-    if json:
-        echo(to_json(found))
-        return
-    rows = []
-    for name, s in found["specimens"].items():
-        size = f"{s['initial_length_mm']:g} x {s['initial_diameter_mm']:g} mm"
-        rows.append((name, size, f"{s['rated_force_N']:g} N", s["domain"]))
-    table("Specimens", ("name", "length x diameter", "rated", "domain"), rows)
-    table("Datasets", ("name", "source"), list(found["datasets"].items()))
-
-
-def _listing(name: str, build: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Listing from the user's cache folder: building it needs JAX."""
-    from mckibben.numerics.runtime import programs_folder
-    from mckibben.storage.private import listing
-
-    return listing(programs_folder(), name, build)
-
-
 _PANELS = {
     "The paper": (reproduce,),
     "Muscles, data and test rig": (
@@ -256,12 +193,11 @@ _PANELS = {
         identify_air,
         validate,
         plan,
-        laws,
-        specimens,
+        catalog,
         rig,
     ),
-    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, oracle, calibrate, leg),
-    "Studies": (tune, compare, sweep, merge, bench),
+    "Joint, leg and control": (size, simulate, envelope, stiffness, margins, calibrate, leg),
+    "Studies": (tune, compare, sweep),
     "Other programs": (web, export, check),
 }
 for _panel, _commands in _PANELS.items():

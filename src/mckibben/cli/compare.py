@@ -12,7 +12,7 @@ from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.storage.files import check_free, make_folder, make_subfolder, to_json, write_json
 
 if TYPE_CHECKING:
-    from mckibben.study.benchmark import BenchmarkResult, Suite
+    from mckibben.study.compare import BenchmarkResult, Suite
 
 # title, metric, statistic
 _COLUMNS = (
@@ -57,9 +57,9 @@ def compare(
     if repeat is not None:
         echo(_alone(out, repeat), nl=False)
         return
-    from mckibben.study.benchmark import compare as run
-    from mckibben.study.benchmark.statistics import pooled
-    from mckibben.study.benchmark.suite import filename
+    from mckibben.study.compare import compare as run
+    from mckibben.study.compare.statistics import pooled
+    from mckibben.study.compare.suite import filename
 
     suites = {name: read.of_setup(name) for name in read.setups} or {"": read}
     folders = {name: out / filename(name) if name else out for name in suites}
@@ -88,7 +88,7 @@ def _read(file: Path) -> Suite:
     from mckibben.config.document import read_document
     from mckibben.config.model import read_text
     from mckibben.scenario import Scenario
-    from mckibben.study.benchmark import Suite
+    from mckibben.study.compare import Suite
 
     if "controller" not in (read_document(read_text(file)).data or ()):
         return Suite.read(file)
@@ -136,8 +136,8 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
 
 def _alone(out: Path, repeat: str) -> str:
     """Return one run of a finished comparison as the text of a scenario."""
-    from mckibben.study.benchmark import draw
-    from mckibben.study.benchmark.table import read_runs
+    from mckibben.study.compare import draw
+    from mckibben.study.compare.table import read_runs
 
     kept = out / "runs.nc"  # verified by its checksum
     if not kept.is_file():
@@ -155,8 +155,8 @@ def _alone(out: Path, repeat: str) -> str:
 def _show(result: BenchmarkResult, out: Path, json: bool) -> dict[str, Any]:
     """Write a comparison to its folder, print its tables, and return its statistics."""
     from mckibben import report
-    from mckibben.study.benchmark.statistics import statistics
-    from mckibben.study.benchmark.table import write_table
+    from mckibben.study.compare.statistics import statistics
+    from mckibben.study.compare.table import write_table
 
     numbers = statistics(result)
     with keeping(out, "make room, and continue with --resume"):
@@ -176,7 +176,7 @@ def _show(result: BenchmarkResult, out: Path, json: bool) -> dict[str, Any]:
 
 def _show_pooled(numbers: dict[str, Any], out: Path, json: bool) -> None:
     """Write and print the errors over the runs of all setups."""
-    from mckibben.study.benchmark.statistics import FAILED, failed_runs
+    from mckibben.study.compare.statistics import FAILED, failed_runs
 
     write_json(out / "results.json", numbers)
     if json:
@@ -204,7 +204,7 @@ def _show_pooled(numbers: dict[str, Any], out: Path, json: bool) -> None:
 
 
 def _tables(numbers: dict[str, Any]) -> None:
-    from mckibben.study.benchmark.statistics import FAILED, failed_runs, left_out_at_air
+    from mckibben.study.compare.statistics import FAILED, failed_runs, left_out_at_air
 
     found = numbers["controllers"]
 
@@ -261,7 +261,7 @@ def _ratios(against: dict[str, dict[str, float]]) -> list[str]:
 def _tuned_scenarios(result: BenchmarkResult, out: Path) -> int:
     """Write each tuned controller as a scenario with the plant of its model, also at equal air."""
     from mckibben.scenario import with_values
-    from mckibben.study.benchmark.benchmark import filename
+    from mckibben.study.compare.compare import filename
 
     kept = make_subfolder(out, "controllers")
     reference = next(iter(result.suite.references))

@@ -44,11 +44,10 @@ _EFFECTIVE = "fit-effective.yaml"  # of a law at the pressures above its thresho
 def identify(
     data: Data,
     law: Annotated[
-        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben laws' lists them; 'all' ranks them.")
+        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben catalog' lists them; 'all' ranks them.")
     ] = "exponential",
     level: Annotated[float, Option(help="Confidence level of the intervals.")] = _LEVEL,
     profile: Annotated[bool, Option("--profile", help="Profile likelihood of the shape parameters.")] = False,
-    bootstrap: Annotated[int, Option(metavar="N", help="Block bootstrap with N resamples.")] = 0,
     hysteresis: Annotated[
         bool | None, Option(help="Identify friction and drift with the law (default: if loading and unloading differ).")
     ] = None,
@@ -96,9 +95,9 @@ def identify(
         if hysteresis is False:
             raise ParameterError("--friction and --no-drift need friction", remedy="leave out --no-hysteresis")
         hysteresis = True
-    if law_type is None and (profile or bootstrap or hysteresis is not None or threshold or level != _LEVEL):
+    if law_type is None and (profile or hysteresis is not None or threshold or level != _LEVEL):
         raise ParameterError(
-            "--level, --profile, --bootstrap, --hysteresis and --threshold apply to a single law",
+            "--level, --profile, --hysteresis and --threshold apply to a single law",
             remedy="choose one, such as --law exponential",
         )
     form = _friction_form(friction_form) if friction_form else None
@@ -109,7 +108,7 @@ def identify(
     if any(inner) and not out:
         raise ParameterError("--diameter and --fill apply to muscle.yaml", remedy="add --out DIR")
     if pool or for_length:
-        others = (profile, bootstrap, hysteresis, threshold, *inner, law_type is None or not pool)
+        others = (profile, hysteresis, threshold, *inner, law_type is None or not pool)
         if any(other is not None and other is not False and other != 0 for other in others):
             raise ParameterError(
                 "--pool fits a single law, and applies to no other option of the fit",
@@ -134,7 +133,7 @@ def identify(
     fit, static, loops = found.fit, found.points, found.hysteresis
     threshold_fit = identify_threshold(law_type, static, robust=robust) if threshold else None
     fit, static = (threshold_fit.fit, threshold_fit.effective(static)) if threshold_fit else (fit, static)
-    uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile, refits=bootstrap)
+    uncertainty = UncertaintyReport.of(fit, level=level, profiles=profile)
     notes = points.table.attrs.get("preprocessing", "").splitlines()
     numbers = {**fit_numbers(fit), "preprocessing": notes, "uncertainty": uncertainty.records()}
     if loops:

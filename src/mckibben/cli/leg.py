@@ -26,16 +26,12 @@ from mckibben.cli.options import (
 from mckibben.storage.files import to_json, write_json
 
 if TYPE_CHECKING:
-    from mckibben.leg import LegPlant, LegResult
     from mckibben.leg.scenario import LegScenario
 
 leg = typer.Typer(
     cls=Commands, name="leg", help="Landing and jumping of a leg, and stiffness of its foot.", no_args_is_help=True
 )
 
-Animate = Annotated[
-    Path | None, Option("--animate", metavar="FILE", help="Animation, .webp or .gif; needs the package mujoco.")
-]
 Resume = Annotated[bool, Option("--resume", help="Continue the study in DIR.")]
 _FIGURE = "foot_stiffness"
 LegFile = Annotated[Path, Argument(metavar="LEG.yaml", help="Leg; see examples/leg/.")]
@@ -47,7 +43,6 @@ def land(
     json: Json = False,
     out: Out = None,
     force: Force = False,
-    animate: Animate = None,
     resume: Resume = False,
     accuracy: Accuracy = "",
 ) -> None:
@@ -59,7 +54,6 @@ def land(
     from mckibben.leg.landing import study_landing
 
     read = _read(file, accuracy)
-    _check_animation(animate, force)
     if journal and not resume:
         journal.unlink(missing_ok=True)  # of the study that --force replaces
     with long_job(quiet=json, kept="finished landings are kept; continue with --resume" if out else "") as report:
@@ -75,8 +69,6 @@ def land(
             read.to_yaml(out / "leg.yaml")
             write_landing(study, out)
     _show(read.name, study, numbers, json)
-    if animate:
-        _animate(*list(study.compared_runs().values())[-1], animate, json)
     if out:
         notify(f"wrote landing.html, results.json, landing.nc and leg.yaml to {out}", json)
 
@@ -87,17 +79,13 @@ def jump(
     json: Json = False,
     out: Out = None,
     force: Force = False,
-    animate: Animate = None,
     resume: Resume = False,
     accuracy: Accuracy = "",
     limit: Annotated[
         bool, Option("--limit", help="Find the greatest height of the planned jump as well, and what limits it.")
     ] = False,
 ) -> None:
-    """Find the highest jumps with constant and timed pressures, and simulate a planned one; can be resumed.
-
-    --animate writes one file per jump, with the name of the jump appended to that of FILE.
-    """
+    """Find the highest jumps with constant and timed pressures, and simulate a planned one; can be resumed."""
     if resume:
         required_folder(out, "study to be continued")
     journal = out / "jump.journal" if out else None
@@ -107,9 +95,6 @@ def jump(
 
     read = _read(file, accuracy)
     names = ["constant", "timed", *(["planned"] if read.jump and read.jump.plan else [])]
-    films = {name: animate.with_stem(f"{animate.stem}-{name}") for name in names} if animate else {}
-    for film in films.values():
-        _check_animation(film, force)
     if journal and not resume:
         journal.unlink(missing_ok=True)  # of the study that --force replaces
     with long_job(quiet=json, kept="the search is kept; continue with --resume" if out else "") as report:
@@ -127,8 +112,6 @@ def jump(
             read.to_yaml(out / "leg.yaml")
             write_jump(study, out)
     _show(read.name, study, numbers, json)
-    for name, film in films.items():
-        _animate(read.plant(), study.jumps[name].run, film, json)
     if out:
         results = ", ".join(f"{name}.nc" for name in names)
         notify(f"wrote jump.html, results.json, {results} and leg.yaml to {out}", json)
@@ -173,19 +156,3 @@ def _show(name: str, study: Any, numbers: dict[str, Any], json: bool) -> None:
     else:
         table(f"{name}; intervals are 5 to 95 % of the draws", *study.rows())
         echo(study.describe())
-
-
-def _check_animation(path: Path | None, force: bool) -> None:
-    """Raise an error before the computation if an animation cannot be written."""
-    if path is not None:
-        from mckibben.report.animation import animation_format
-
-        animation_format(path)
-        results_folder(path.parent, [path.name], force)
-
-
-def _animate(plant: LegPlant, run: LegResult, path: Path, json: bool) -> None:
-    from mckibben.report.leg_animation import render_leg
-
-    with keeping(path.parent):
-        notify(f"wrote {render_leg(plant, run, path, overwrite=True)}", json)

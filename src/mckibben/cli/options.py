@@ -66,7 +66,14 @@ Extrapolate = Annotated[
 ]
 
 
-_MEANT = {"run": "simulate", "fit": "identify", "plot": "identify DATA --out DIR", "catalog": "specimens", "help": "-h"}
+_MEANT = {
+    "run": "simulate",
+    "fit": "identify",
+    "plot": "identify DATA --out DIR",
+    "laws": "catalog",
+    "specimens": "catalog",
+    "help": "-h",
+}
 
 
 class Commands(TyperGroup):

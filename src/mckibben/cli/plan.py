@@ -1,4 +1,4 @@
-"""`mckibben plan`, `mckibben stiffness`, `mckibben margins`, `mckibben oracle` and `mckibben envelope`."""
+"""`mckibben plan`, `mckibben stiffness`, `mckibben margins` and `mckibben envelope`."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloa
 @reads_files("contraction", "sample_rate", "specimen")
 def plan(
     data: Data,
-    law: Annotated[str, Option(help="Kind of law; 'mckibben laws' lists them.")] = "exponential",
+    law: Annotated[str, Option(help="Kind of law; 'mckibben catalog' lists them.")] = "exponential",
     of: Annotated[
         str,
         Option(
@@ -275,66 +275,6 @@ def margins(
     _present(numbers, "margins", found.plot, show, out, json)
     if not found.stable:
         raise Exit(1)
-
-
-def oracle(
-    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, valve and controller.")],
-    angle_scale: Annotated[
-        str, Option(metavar="ANGLE", help="Angle error that costs as much as the next.")
-    ] = "0.02 deg",
-    stiffness_scale: Annotated[
-        str, Option(metavar="STIFFNESS", help="Stiffness error that costs as much as the angle error of --angle-scale.")
-    ] = "0.5 N*m/rad",
-    iterations: Annotated[int, Option(min=1, max=10_000, help="Most iterations of each search.")] = 100,
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
-    """Optimise the commands of a run off line for its plant: how small the controller's errors could be."""
-    results_folder(out, ("results.json", "oracle.png", "oracle.svg"), force)
-    from mckibben.scenario import Scenario
-    from mckibben.study.oracle import oracle as compute
-
-    read = Scenario.read(scenario)
-    found = compute(
-        read,
-        angle_scale=parse_quantity("--angle-scale", angle_scale, "rad"),
-        stiffness_scale=parse_quantity("--stiffness-scale", stiffness_scale, "N*m/rad"),
-        iterations=iterations,
-    )
-    runs = {"controller": found.controlled, "optimal commands": found.optimal}
-    starts = found.starts
-    numbers = {
-        "scenario": read.name,
-        "runs": {
-            name: {
-                "angle_rmse_deg": run.metrics["angle_rmse"] / deg,
-                "stiffness_rmse": run.metrics["stiffness_rmse"],
-                "outcome": run.outcome.name,
-            }
-            for name, run in runs.items()
-        },
-        "ratio": found.ratio,
-        "starts": [{"cost": one.cost, "iterations": one.iterations, "converged": one.converged} for one in starts],
-    }
-
-    def show() -> None:
-        rows = [
-            (name, f"{each['angle_rmse_deg']:.3g}", f"{each['stiffness_rmse']:.3g}", str(run.outcome.value))
-            for (name, each), run in zip(numbers["runs"].items(), runs.values(), strict=True)
-        ]
-        table(read.name, ("commands", "angle rmse, deg", "stiffness rmse, N*m/rad", "outcome"), rows)
-        echo(f"the controller's angle error is {found.ratio:.3g} times that of the optimal commands")
-        echo(f"costs of the optima from two starts: {starts[0].cost:.4g} and {starts[1].cost:.4g}")
-        if not all(one.converged for one in starts):
-            echo(f"a search had not converged after {iterations} iterations; give more with --iterations")
-
-    def draw() -> Figure:
-        from mckibben.report.tracking import tracking
-
-        return tracking(runs)
-
-    _present(numbers, "oracle", draw, show, out, json)
 
 
 def envelope(

@@ -104,28 +104,6 @@ def sweep(
     _show(swept, out, json)
 
 
-def merge(
-    parts: Annotated[list[Path], Argument(metavar="DIR...", help="Folders of all parts of a sweep, in any order.")],
-    out: Annotated[
-        Path | None, Option(metavar="DIR", help="Output folder: the table and statistics of the sweep.")
-    ] = None,
-    json: Json = False,
-) -> None:
-    """Join the parts of a sweep that `mckibben sweep --part` computed."""
-    out = required_folder(out, "sweep")
-    from mckibben.study.sweep import merge as run
-
-    check_free(out, ("results.json",))
-    swept = run(parts, out)
-    with keeping(out, "make room, and merge again"):
-        numbers = _write_statistics(swept, out)
-    if json:
-        echo(to_json(numbers))
-    else:
-        _print(swept.count, numbers)
-    echo(f"wrote sweep.nc and results.json to {out}", err=json)
-
-
 def _write_statistics(swept: SweepResult, out: Path) -> dict[str, Any]:
     from mckibben.study.sweep import summary
 

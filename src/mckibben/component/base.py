@@ -76,12 +76,8 @@ class Described:
     """Keys in files that give several fields one value."""
     together: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Groups of optional fields of which all are given or none; a study varies them where they are given."""
-    renamed: ClassVar[Mapping[str, str]] = {}
-    """Replacements of former keys of files, by key, for error messages."""
-    made_by: ClassVar[str] = ""
-    """Another call that makes an object, with {} for the class: part of the error of a construction without values."""
     suggestions: ClassVar[Mapping[str, str]] = {}
-    """Suggestions for unknown attributes, by name."""
+    """Meaning of names that users try on objects of the class; that of ``()`` is a construction without arguments."""
 
     @classmethod
     def from_file(cls, value: Any) -> Any:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -49,6 +49,12 @@ class Document:
             place = place[:-1]
         return self.lines.get(place)
 
+    def known(self, place: Place, outer: Place = ()) -> Place:
+        """The innermost place of the text at or above a place, not above an outer one; of no text, the place itself."""
+        while self.lines and place and place not in self.lines and place != outer:
+            place = place[:-1]
+        return place
+
     def below(self, key: str) -> Document:
         """The document below a key, with the lines of the whole document."""
         size = 1
@@ -90,105 +96,78 @@ def read_document(text: str) -> Document:
         )
     yaml = YAML(typ="safe", pure=True)
     try:
-        _Reader(yaml.parse(text), document).read_stream()
+        node = yaml.compose(text)
+        if node is None or node.value == "":
+            return document.fail("is empty", remedy="see examples/ for files to start from")
+        document.lines[()] = node.start_mark.line + 1
+        document.data = _Reader(document).read(node, ())[0]
     except YAMLError as error:
         _explain(error, text, document)
-    except _TooDeepError as error:
-        document.fail(f"is nested more than {_DEEPEST} deep", line=error.line)
+    except RecursionError:
+        document.fail(f"is nested more than {_DEEPEST} deep", line=yaml.reader.line + 1)
     except (ValueError, ArithmeticError, AssertionError, LookupError) as error:  # malformed directives and escapes
         document.fail(f"not YAML: {error}", line=yaml.reader.line + 1)
     return document
 
 
-class _TooDeepError(Exception):
-    def __init__(self, line: int) -> None:
-        super().__init__()
-        self.line = line
+_TAGS = {f"tag:yaml.org,2002:{name}" for name in "str int float bool null map seq timestamp merge value".split()}
 
 
+@dataclass
 class _Reader:
-    """From YAML events to a document."""
+    """From YAML nodes to a document: each `read` returns the value of a node, and where it ends in the text."""
 
-    def __init__(self, events: Iterator[Any], document: Document) -> None:
-        from ruamel.yaml import events as kinds
+    document: Document
 
-        self.events, self.document, self.kinds = events, document, kinds
-
-    def read_stream(self) -> None:
-        document, documents = self.document, 0
-        for event in self.events:
-            if not isinstance(event, self.kinds.DocumentStartEvent):
-                continue
-            documents += 1
-            if documents > 1:
-                document.fail(
-                    "a second document starts here", line=event.start_mark.line + 1, remedy="keep one document per file"
-                )
-                return
-            first = next(self.events)
-            document.lines[()] = first.start_mark.line + 1
-            document.data = self.read_node(first, (), flow=False)[0]
-        if document.data in (None, "") and not document.problems:
-            document.fail("is empty", remedy="see examples/ for files to start from")
-
-    def read_node(self, event: Any, place: Place, *, flow: bool) -> tuple[Any, int]:
-        """The value that begins with an event, and where it ends in the text."""
-        line = event.start_mark.line + 1
+    def read(self, node: Any, place: Place, *, flow: bool = False) -> tuple[Any, int]:
+        line = self.document.line(place) or node.start_mark.line + 1
         if len(place) > _DEEPEST:
-            raise _TooDeepError(line)
-        if isinstance(event, self.kinds.AliasEvent):
-            self.document.reject(place, line, f"*{_short(event.anchor)} is an alias", "write the value out")
-            return None, event.end_mark.index
-        if event.tag is not None:
-            self.document.reject(place, line, f"{_short(str(event.tag))} is a tag", "leave it out")
-        if isinstance(event, self.kinds.MappingStartEvent):
-            return self.read_mapping(event, place)
-        if isinstance(event, self.kinds.SequenceStartEvent):
-            return self.read_list(event, place, flow=flow)
-        if not event.value.isascii() and any("\ud800" <= char <= "\udfff" for char in event.value):
+            self.document.reject(place, line, f"is nested more than {_DEEPEST} deep", "use fewer levels")
+            return None, node.end_mark.index
+        if node.anchor is not None:  # of this node, or of the one that an alias repeats
+            self.document.reject(place, line, f"{_short(node.anchor)} is an anchor", "write the value out where it is")
+            return None, node.end_mark.index
+        if node.tag not in _TAGS:
+            self.document.reject(place, line, f"{_short(str(node.tag))} is a tag", "leave it out")
+        if node.id == "mapping":
+            return self.read_mapping(node, place)
+        if node.id == "sequence":
+            return self.read_list(node, place, flow=flow)
+        if not node.value.isascii() and any("\ud800" <= char <= "\udfff" for char in node.value):
             self.document.reject(place, line, "has an escape of half a character", "write the character itself")
-        if event.implicit[0] and event.value.lower() in _NULL:
+        if not node.style and node.value.lower() in _NULL:
             self.document.reject(place, line, "has no value", "write one, or leave the key out")
-        self.document.spans[place] = Span(event.start_mark.index, event.end_mark.index, mapping=False, flow=flow)
-        return event.value, event.end_mark.index
+        self.document.spans[place] = Span(node.start_mark.index, node.end_mark.index, mapping=False, flow=flow)
+        return node.value, node.end_mark.index
 
-    def read_list(self, event: Any, place: Place, *, flow: bool) -> tuple[tuple[Any, ...], int]:
+    def read_list(self, node: Any, place: Place, *, flow: bool) -> tuple[tuple[Any, ...], int]:
         items: list[Any] = []
-        end = event.end_mark.index
-        while not isinstance(item := next(self.events), self.kinds.SequenceEndEvent):
+        end = node.end_mark.index
+        for item in node.value:
             here = (*place, len(items))
             self.document.lines[here] = item.start_mark.line + 1
-            value, end = self.read_node(item, here, flow=flow)
+            value, end = self.read(item, here, flow=flow)
             items.append(value)
-        return tuple(items), item.end_mark.index if event.flow_style else end
+        return tuple(items), node.end_mark.index if node.flow_style else end
 
-    def read_mapping(self, event: Any, place: Place) -> tuple[dict[str, Any], int]:
+    def read_mapping(self, node: Any, place: Place) -> tuple[dict[str, Any], int]:
         items: dict[str, Any] = {}
-        flow = bool(event.flow_style)
-        start = end = event.start_mark.index + 1 if flow else event.start_mark.index
-        while not isinstance(key := next(self.events), self.kinds.MappingEndEvent):
-            line = key.start_mark.line + 1
-            if not isinstance(key, self.kinds.ScalarEvent):
-                self.skip(key, (*place, "?"))
-                end = self.skip(next(self.events), (*place, "?"))
-                self.document.reject((*place, "?"), line, "a key is not text", "write `key: value`")
-            elif (here := (*place, key.value)) and key.value in items:
-                end = self.skip(next(self.events), here)
-                first = self.document.lines[here]
-                self.document.problems.append(
-                    Problem(f"is given twice, first in line {first}", line, dotted(here), "keep one of them")
-                )
+        flow = bool(node.flow_style)
+        start = end = node.start_mark.index + 1 if flow else node.start_mark.index
+        for key, item in node.value:
+            line, here = key.start_mark.line + 1, (*place, key.value if key.id == "scalar" else "?")
+            if key.id != "scalar":
+                self.document.reject(here, line, "a key is not text", "write `key: value`")
+            elif key.value in items:
+                message = f"is given twice, first in line {self.document.lines[here]}"
+                self.document.problems.append(Problem(message, line, dotted(here), "keep one of them"))
             else:
                 self.document.lines[here] = line
-                value, end = self.read_node(next(self.events), here, flow=flow)
+                value, end = self.read(item, here, flow=flow)
                 if here not in self.document.rejected:
                     items[key.value] = value
-        self.document.spans[place] = Span(start, end, mapping=True, flow=flow, column=event.start_mark.column)
-        return items, key.end_mark.index if flow else end
-
-    def skip(self, event: Any, place: Place) -> int:
-        """Read past a value; where it ends."""
-        return _Reader(self.events, Document()).read_node(event, place, flow=False)[1]
+        self.document.spans[place] = Span(start, end, mapping=True, flow=flow, column=node.start_mark.column)
+        return items, node.end_mark.index if flow else end
 
 
 def _explain(error: Any, text: str, document: Document) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, NoReturn, Self, TypeVar, get_args, get_origin
 
@@ -30,14 +30,6 @@ class ConfigModel(BaseModel):
     """A section of a configuration file: frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
-
-    renamed: ClassVar[Mapping[str, str]] = {}
-    """Replacements of former keys, by key, for error messages."""
-
-    @classmethod
-    def former(cls, key: str) -> str:
-        """Return the replacement of a former key; an empty text if there is none."""
-        return cls.renamed.get(key, "")
 
 
 class DocumentModel(ConfigModel):
@@ -249,7 +241,6 @@ def parse_text(
 
 
 _KINDS = (
-    ({"task", "train", "test"}, "a task, which `mckibben bench` reads"),
     ({"leg"}, "a leg, which `mckibben leg` reads"),
     ({"controllers", "references"}, "a suite, which `mckibben compare` reads"),
     ({"joint", "controller", "reference"}, "a scenario of a joint, which `mckibben simulate` reads"),
@@ -269,139 +260,125 @@ def kind_of(data: Any, known: Collection[str] = ()) -> str:
 
 def problems_of(error: ValidationError, document: Document, model: type[BaseModel]) -> list[Problem]:
     """The errors of a validation in the order of the file, without those that follow from another one."""
-    return _Diagnosis(document, model).problems(error)
+    details = error.errors(include_url=False)
+    unknown = (detail["loc"] for detail in details if detail["type"] == "extra_forbidden")
+    misspelt = {(*place[:-1], key) for place in unknown if (key := _closest_key(place, document, model))}
+    causes = [detail.get("ctx", {}).get("error") for detail in details]
+    all_follow = all(getattr(cause, "follows", False) for cause in causes)  # from errors that are not reported here
+    problems = []
+    for detail, cause in zip(details, causes, strict=True):
+        place = detail["loc"]
+        section = getattr(cause, "parent", False) and any(key[:-1] == place[:-1] for key in misspelt)
+        follows = (
+            section  # it probably lacks only the key that is misspelt
+            or (detail["type"] == "missing" and place in misspelt)
+            or (detail["type"] == "too_short" and any(other["loc"][:-1] == place for other in details))
+            or (getattr(cause, "follows", False) and not all_follow)
+            or any(place[: len(rejected)] == rejected for rejected in document.rejected)
+        )
+        if not follows:
+            problems.append(_problem(detail, document, model))
+    return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
 
 
 _BEGINNING = 40  # characters of a file that are shown
-# what is expected, and the remedy, by pydantic's kind of error
-_EXPECTED = {
-    "model_type": ("keys and values are expected", ""),
-    "dict_type": ("names and sections are expected", "give a mapping with one name per section"),
-    "tuple_type": ("a list is expected", "write [first, second, ...]"),
-    "string_type": ("text is expected", "write one line of text"),
+# message and remedy by pydantic's kind of error
+_MESSAGES = {
+    "dict_type": ("{value} is given where names and sections are expected", "give a mapping with one name per section"),
+    "tuple_type": ("{value} is given where a list is expected", "write [first, second, ...]"),
+    "string_type": ("{value} is given where text is expected", "write one line of text"),
+    "too_long": (
+        "has {actual_length} items, more than {max_length}",
+        "put them in a CSV file (samples: {{file: reference.csv}})",
+    ),
+    "too_short": ("has {actual_length} items, fewer than {min_length}", "give at least {min_length}"),
 }
 
 
-class _Diagnosis:
-    """From the errors of a validation to problems with line, field and remedy."""
+def _problem(detail: ErrorDetails, document: Document, model: type[BaseModel]) -> Problem:
+    """Problem of one error of a validation."""
+    kind, value, context, place = detail["type"], detail["input"], detail.get("ctx", {}), detail["loc"]
+    if isinstance(error := context.get("error"), McKibbenError):
+        return _raised(error, place, document, value)
+    message, remedy = detail["msg"], ""
+    if kind == "missing":
+        message, remedy = "is missing", f"add it{_example(place, document, model)}"
+    elif kind == "extra_forbidden":
+        message, remedy = "is not a known key here", _remedy_of_key(place, document, model)
+        if str(place[-1])[:1].isdigit() and value == "":
+            message, remedy = "follows a comma", "write decimals with a point"
+    elif value in ("", None):
+        message, remedy = "has no value", "write one, or leave the key out"
+    elif kind == "model_type" and not place and isinstance(value, str):  # of the whole file
+        message = f"has no keys, and begins with {value[:_BEGINNING]!r}: it is another kind of file"
+        remedy = f"give a mapping of {', '.join(_keys_of(model))}"
+    elif kind == "model_type":
+        message = f"{described(value, of_file=True)} is given where keys and values are expected"
+        remedy = f"give a mapping of {', '.join(_keys_of(_model_at(place, document, model))) or 'the key `class`'}"
+    elif kind in _MESSAGES:
+        shown = {**context, "value": described(value, of_file=True)}
+        message, remedy = (text.format(**shown) for text in _MESSAGES[kind])
+    return Problem(message, document.line(place), dotted(place), remedy, value)
 
-    def __init__(self, document: Document, model: type[BaseModel]) -> None:
-        self.document, self.model = document, model
 
-    def problems(self, error: ValidationError) -> list[Problem]:
-        document, details = self.document, error.errors(include_url=False)
-        unknown = (found["loc"] for found in details if found["type"] == "extra_forbidden")
-        misspelt = {(*place[:-1], key) for place in unknown if (key := self.other_key(place)[0])}
-        problems = []
-        causes = [found.get("ctx", {}).get("error") for found in details]
-        all_follow = all(getattr(cause, "follows", False) for cause in causes)  # from errors that are not reported here
-        for found, cause in zip(details, causes, strict=True):
-            place = tuple(found["loc"])
-            if any(place[: len(rejected)] == rejected for rejected in document.rejected):
-                continue
-            if found["type"] == "missing" and place in misspelt:
-                continue
-            if found["type"] == "too_short" and any(one["loc"][:-1] == place for one in details):
-                continue  # the missing items are the wrong ones
-            if getattr(cause, "follows", False) and not all_follow:
-                continue
-            parent = getattr(cause, "parent", False)
-            if parent and any(key[:-1] == place[:-1] for key in misspelt):
-                continue  # the section probably lacks only the key that is misspelt
-            problems.append(self.problem(found, place))
-        return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
+def _raised(error: McKibbenError, place: Place, document: Document, value: object) -> Problem:
+    """Problem of an error that a validator raised, at the innermost place that the file has."""
+    if isinstance(error, FileError):  # from a file that the text names
+        first, *others = error.problems
+        more = f" (and {len(others)} more)" if others else ""
+        name = Path(error.source).name
+        return Problem(f"{name}: {first}{more}", document.line(place), dotted(place), f"correct {name}", value)
+    place = document.known(place[:-1] if isinstance(error, _ValidationError) and error.parent else place)
+    keys = error.field.split(".") if error.field else ()
+    place = document.known((*place, *(int(key) if key.isdigit() else key for key in keys)), place)
+    return Problem.of(error, document.line(place), dotted(place))
 
-    def problem(self, found: ErrorDetails, place: Place) -> Problem:
-        kind, value, context = found["type"], found["input"], found.get("ctx", {})
-        message, remedy, error = found["msg"], "", context.get("error")
-        if isinstance(error, FileError):  # from a file that the text names
-            first, *others = error.problems
-            more = f" (and {len(others)} more)" if others else ""
-            text = f"{Path(error.source).name}: {first}{more}"
-            return Problem(text, self.document.line(place), dotted(place), f"correct {Path(error.source).name}", value)
-        if isinstance(error, McKibbenError):
-            place = place[:-1] if isinstance(error, _ValidationError) and error.parent else place
-            lines = self.document.lines  # none of arguments in Python
-            while lines and place not in lines and place:  # a name is short for `from`, a number for `constant`
-                place = place[:-1]
-            keys = error.field.split(".") if error.field else ()
-            inner = (*place, *(int(key) if key.isdigit() else key for key in keys))
-            while lines and inner not in lines and inner != place:
-                inner = inner[:-1]
-            place = inner
-            return Problem.of(error, self.document.line(place), dotted(place))
-        if kind == "missing":
-            message, remedy = "is missing", f"add it{self.example(place)}"
-        elif kind == "extra_forbidden":
-            message, (_, remedy) = "is not a known key here", self.other_key(place)
-            if str(place[-1])[:1].isdigit() and value == "":
-                message, remedy = "follows a comma", "write decimals with a point"
-        elif value in ("", None):
-            message, remedy = "has no value", "write one, or leave the key out"
-        elif kind in _EXPECTED:
-            expected, remedy = _EXPECTED[kind]
-            message = f"{described(value, of_file=True)} is given where {expected}"
-            keys = ", ".join(_keys_of(self.model_at(place)))
-            if not place and isinstance(value, str):  # of the whole file
-                message = f"has no keys, and begins with {value[:_BEGINNING]!r}: it is another kind of file"
-            remedy = remedy or (f"give a mapping of {keys}" if keys else "give a mapping with the key `class`")
-        elif kind == "too_long":
-            message = f"has {context['actual_length']} items, more than {context['max_length']}"
-            remedy = "put them in a CSV file (samples: {file: reference.csv})"
-        elif kind == "too_short":
-            least, count = context["min_length"], context["actual_length"]
-            message, remedy = (
-                "is empty" if not count else f"has {count} items, fewer than {least}",
-                f"give at least {least}",
-            )
-        return Problem(message, self.document.line(place), dotted(place), remedy, value)
 
-    def example(self, place: Place) -> str:
-        parent = self.model_at(place[:-1])
-        if parent is None:
-            return ""
-        for name, info in parent.model_fields.items():
-            if (info.alias or name) == place[-1]:
-                if info.examples:
-                    return f", such as `{place[-1]}: {info.examples[0]}`"
-                for mark in info.metadata:
-                    if example := getattr(mark, "example", ""):
-                        return f", such as `{place[-1]}: {example.strip(chr(39))}`"
-                inner = model_in(info.annotation)
-                return f", a mapping of {', '.join(_keys_of(inner))}" if inner else ""
+def _example(place: Place, document: Document, model: type[BaseModel]) -> str:
+    """Example of a missing key; empty without one."""
+    parent = _model_at(place[:-1], document, model)
+    names = {info.alias or name: info for name, info in parent.model_fields.items()} if parent else {}
+    if (info := names.get(str(place[-1]))) is None:
         return ""
+    examples = [*(info.examples or ()), *(getattr(mark, "example", "").strip("'") for mark in info.metadata)]
+    if example := next(filter(None, examples), ""):
+        return f", such as `{place[-1]}: {example}`"
+    inner = model_in(info.annotation)
+    return f", a mapping of {', '.join(_keys_of(inner))}" if inner else ""
 
-    def other_key(self, place: Place) -> tuple[str, str]:
-        """The key that an unknown one may stand for, of those not given yet, or else an empty text; and a remedy."""
-        around, key = self.model_at(place[:-1]), str(place[-1])
-        if around is not None and issubclass(around, ConfigModel) and (present := around.former(key)):
-            return present.partition(":")[0], f"write `{present}`"
-        keys = _keys_of(around)
-        free = [key for key in keys if (*place[:-1], key) not in self.document.lines] or keys
-        found = closest(key, free)
-        inside = [name for name in keys if not found and key in _keys_of(self.model_at((*place[:-1], name)))]
-        return found, f"it is a key of {inside[0]}" if inside else suggest(key, [found] if found else keys)
 
-    def model_at(self, place: Place) -> type[BaseModel] | None:
-        """The model that validates a place."""
-        annotation: Any = self.model
-        value = self.document.data
-        for key in place:
-            value = _item(value, key)
-            if isinstance(key, int):  # an item of a list
-                marks = ()
-            elif get_origin(annotation) is dict:  # of sections, by names that people choose
-                annotation, marks = get_args(annotation)[1], ()
-            else:
-                found = model_in(annotation)
-                fields = {info.alias or name: info for name, info in found.model_fields.items()} if found else {}
-                if key not in fields:
-                    return None
-                annotation, marks = fields[str(key)].annotation, fields[str(key)].metadata
-            for mark in (*marks, *_marks_in(annotation)):
-                if hasattr(mark, "model_for"):
-                    annotation = mark.model_for(value) or annotation
-        return None if get_origin(annotation) is dict else model_in(annotation)
+def _closest_key(place: Place, document: Document, model: type[BaseModel]) -> str:
+    """The key that an unknown one may stand for, one that is not given yet if there is one; else empty."""
+    keys = _keys_of(_model_at(place[:-1], document, model))
+    return closest(str(place[-1]), [key for key in keys if (*place[:-1], key) not in document.lines] or keys)
+
+
+def _remedy_of_key(place: Place, document: Document, model: type[BaseModel]) -> str:
+    """Remedy for an unknown key: the closest one, the section to which it belongs, or all keys."""
+    key, keys = str(place[-1]), _keys_of(_model_at(place[:-1], document, model))
+    nearest = _closest_key(place, document, model)
+    owners = [name for name in keys if key in _keys_of(_model_at((*place[:-1], name), document, model))]
+    return f"it is a key of {owners[0]}" if owners and not nearest else suggest(key, [nearest] if nearest else keys)
+
+
+def _model_at(place: Place, document: Document, model: type[BaseModel]) -> type[BaseModel] | None:
+    """The model that validates a place."""
+    annotation, value = model, document.data
+    for key in place:
+        value = _item(value, key)
+        marks: Sequence[object] = ()
+        if get_origin(annotation) is dict:  # of sections, by names that people choose
+            annotation = get_args(annotation)[1]
+        elif not isinstance(key, int):
+            section = model_in(annotation)
+            fields = {info.alias or name: info for name, info in section.model_fields.items()} if section else {}
+            if key not in fields:
+                return None
+            annotation, marks = fields[key].annotation, fields[key].metadata
+        for mark in (*marks, *_marks_in(annotation)):
+            if hasattr(mark, "model_for"):
+                annotation = mark.model_for(value) or annotation
+    return None if get_origin(annotation) is dict else model_in(annotation)
 
 
 def _item(value: Any, key: str | int) -> Any:
@@ -415,13 +392,13 @@ def _keys_of(model: type[BaseModel] | None) -> list[str]:
     return list(fields_by_key(model)) if model else []
 
 
-def _marks_in(annotation: Any) -> tuple[Any, ...]:
+def _marks_in(annotation: object) -> tuple[object, ...]:
     """The marks of ``Annotated[Model, mark]`` in an annotation such as ``Annotated[Model, mark] | None``."""
     own = getattr(annotation, "__metadata__", ())
-    return (*own, *(mark for one in get_args(annotation) for mark in getattr(one, "__metadata__", ())))
+    return (*own, *(mark for part in get_args(annotation) for mark in getattr(part, "__metadata__", ())))
 
 
-def model_in(annotation: Any) -> type[BaseModel] | None:
+def model_in(annotation: object) -> type[BaseModel] | None:
     """The model in an annotation such as ``Model | None`` or ``tuple[Model, ...]``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation

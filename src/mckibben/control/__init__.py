@@ -7,7 +7,6 @@ from mckibben.control.base import Controller, JointModel, LoadModel, Loop, Measu
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.delay import DelayCompensation
 from mckibben.control.feedback import Feedback, PolePlacement, SlidingMode
-from mckibben.control.friction_compensation import FrictionCompensation
 from mckibben.control.inverse_model import InverseModelControl
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver, VelocityObserver
 from mckibben.control.open_loop import OpenLoopControl
@@ -38,7 +37,6 @@ __all__ = [
     "DelayCompensation",
     "ExtendedStateObserver",
     "Feedback",
-    "FrictionCompensation",
     "InverseModelControl",
     "Jacobian",
     "JointModel",

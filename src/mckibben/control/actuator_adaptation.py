@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -78,8 +78,6 @@ class ActuatorAdaptation(Component):
     ----------
     L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, sec. 11.4 (recursive prediction-error methods).
     """
-
-    renamed: ClassVar = {"time_constant_spread": "speed_spread"}
 
     speed_spread: SpeedSpread = 0.3
     delay_spread: ValveTime = 2e-3

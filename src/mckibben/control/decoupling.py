@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -74,8 +74,7 @@ class DecouplingControl(ModelBasedControl):
     minimum_tension
         Lower limit of each muscle's tension [N].
     friction_compensation
-        Whether to compensate the friction of the model's muscles along the reference, in place of a
-        `FrictionCompensation`.
+        Whether to compensate the friction of the model's muscles along the reference.
     friction_in_observer
         Share of the friction, 0 to 1, that the observer predicts along the estimated motion, the rest along the
         reference. The stiffness of presliding is then not a disturbance that it has to follow. A joint that sticks
@@ -99,7 +98,6 @@ class DecouplingControl(ModelBasedControl):
     """
 
     short_name = "decoupling"
-    renamed: ClassVar = {**ModelBasedControl.renamed, "poles": "feedback", "sliding": "feedback"}
 
     feedback: Feedback
     observer: Observer = ExtendedStateObserver()

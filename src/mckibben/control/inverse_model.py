@@ -120,7 +120,6 @@ class InverseModelControl(Controller):
     """
 
     short_name = "inverse_model"
-    renamed: ClassVar = {"alone": "load: none", "valve_time_constant": "valve: {time_constant: ...}"}
     telemetry_labels: ClassVar = {
         "feedforward_differential": Label("Pa", "feedforward differential pressure"),
         "feedforward_cocontraction": Label("Pa", "feedforward co-contraction"),

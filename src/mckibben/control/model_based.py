@@ -126,12 +126,6 @@ class ModelBasedControl(Controller):
     systems with delays, IEEE Trans. Automatic Control 24, 1979.
     """
 
-    renamed: ClassVar = {
-        "velocity_observer": "observer",
-        "disturbance_observer": "observer",
-        "valve_time_constant": "valve: {time_constant: ...}",
-        "valve_adaptation": "actuator_adaptation",
-    }
     telemetry_labels: ClassVar = {
         "velocity_estimate": Label("rad/s", "controller's estimate of the angular velocity"),
         "disturbance_estimate": Label("N*m", "controller's estimate of the disturbance torque"),

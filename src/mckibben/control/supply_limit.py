@@ -65,7 +65,6 @@ class SupplyLimit(Controller):
     """
 
     short_name = "supply_limit"
-    renamed: ClassVar = {"valve_time_constant": "valve: {time_constant: ...}"}
     telemetry_labels: ClassVar = {"supply_estimate": Label("Pa", "controller's estimate of the supply pressure")}
 
     controller: Controller
@@ -77,6 +76,11 @@ class SupplyLimit(Controller):
         super().__check_init__()
         check_kind("SupplyLimit", "model", self._model, AntagonisticJoint)
         check_valve_model("SupplyLimit", self.valve, self._model)
+
+    @property
+    def stiffness_amplitude(self) -> float | None:  # pyrefly: ignore[bad-override]
+        """That of the inner controller."""
+        return self.controller.stiffness_amplitude
 
     def init(self, measurement: Measurement) -> SupplyLimitState:
         pressures = measurement.pressures

@@ -26,7 +26,7 @@ from mckibben.scenario import Scenario, batched, initial_state, valid_rows
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import SimulationProblem
-from mckibben.study.benchmark.suite import Suite
+from mckibben.study.compare.suite import Suite
 from mckibben.study.parameters import parse_sweeps, sample
 from mckibben.units import atm, bar, deg, litre
 

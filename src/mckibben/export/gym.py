@@ -30,7 +30,7 @@ from mckibben.export.episodes import (
 )
 from mckibben.numerics.compiled import numeric
 from mckibben.scenario import Scenario
-from mckibben.study.benchmark.suite import Suite
+from mckibben.study.compare.suite import Suite
 from mckibben.units import bar
 
 Floats = NDArray[np.float32]

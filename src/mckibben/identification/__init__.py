@@ -1,6 +1,5 @@
 """Identification of force laws and friction from measured points: least squares, uncertainty, cross-validation."""
 
-from mckibben.identification.bootstrap import Bootstrap, bootstrap
 from mckibben.identification.creep import CreepFit, identify_creep
 from mckibben.identification.delayed_share import CreepStructure
 from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
@@ -11,7 +10,6 @@ from mckibben.identification.intervals import ForceIntervals, Interval, Interval
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled
-from mckibben.identification.posterior import Noise, Posterior, posterior
 from mckibben.identification.pressure_creep import PressureCreepFit, identify_pressure_creep
 from mckibben.identification.profile import Profile, profile
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
@@ -22,7 +20,6 @@ from mckibben.identification.validation import ErrorStatistics, Validation, vali
 from mckibben.identification.with_friction import FitWithFriction, identify_with_friction, shows_hysteresis
 
 __all__ = [
-    "Bootstrap",
     "CreepFit",
     "CreepStructure",
     "DatasetSummary",
@@ -39,11 +36,9 @@ __all__ = [
     "LackOfFit",
     "LeaveOnePressureOut",
     "LeftOutSpecimen",
-    "Noise",
     "Outlier",
     "PoolForm",
     "PooledFit",
-    "Posterior",
     "PressureCreepFit",
     "Profile",
     "RankedLaw",
@@ -52,7 +47,6 @@ __all__ = [
     "SensorDrift",
     "ThresholdFit",
     "Validation",
-    "bootstrap",
     "design_matrix",
     "find_outliers",
     "identify",
@@ -62,7 +56,6 @@ __all__ = [
     "identify_pressure_creep",
     "identify_threshold",
     "identify_with_friction",
-    "posterior",
     "profile",
     "rank",
     "read_law",

@@ -5,8 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -21,12 +20,10 @@ from mckibben.identification.intervals import (
     ForceIntervals,
     Interval,
     RobustErrors,
-    calibrated_interval,
     check_level,
     force_gradients,
     parameter_interval,
     t_interval,
-    t_quantile,
 )
 from mckibben.identification.regression import Regression
 from mckibben.identification.uncertainty import Bools, Floats, Grouping, correlated_pairs
@@ -34,9 +31,6 @@ from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.muscle.base import check_point
 from mckibben.notebook import draw, html_table
 from mckibben.units import bar, factor, percent, show
-
-if TYPE_CHECKING:
-    from mckibben.identification.calibration import IntervalCalibration
 
 
 @dataclass(frozen=True)
@@ -290,8 +284,8 @@ class Fit(metaclass=CheckedCalls):
     ) -> ForceIntervals:
         """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
-        The prediction interval is calibrated on left-out pressures and inner contractions, and the confidence interval
-        contains the misfit of the law (docs/uncertainty.md).
+        The prediction interval has the scatter of the points or, if it is larger, that of the errors at left-out
+        pressures (docs/uncertainty.md).
 
         Parameters
         ----------
@@ -300,8 +294,8 @@ class Fit(metaclass=CheckedCalls):
         level
             As for `intervals`.
         by
-            Groups of points that may share an error; then both are t intervals for a law without misfit. Default:
-            strokes or pressures, misfit and calibration.
+            Groups of points that may share an error; then without the errors at left-out pressures. Default: strokes
+            or pressures.
 
         Raises
         ------
@@ -317,30 +311,10 @@ class Fit(metaclass=CheckedCalls):
         model = regression.error_model(by)
         of_law = _, freedom = model.variance(gradients)
         square, residual_freedom = model.residual_variance
-        relative = regression.relative_variance(value.ravel())
-        scatter = square * relative, np.full_like(freedom, residual_freedom)
-        if by is not None:
-            return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
-        variance, blocks = self.calibration.misfit
-        misfit = np.full_like(freedom, variance), np.full_like(freedom, blocks)
-        confidence = t_interval(level, value, [of_law, misfit])
-        students = float(t_quantile(level, residual_freedom))
-        at = (np.broadcast_to(one, value.shape).ravel() for one in (contraction, pressure))
-        quantile = self.calibration.quantile(level, *at, students=students)
-        if quantile is None:
-            return ForceIntervals(confidence, t_interval(level, value, [of_law, scatter, misfit]))
-        model = regression.error_model(Grouping.POINT)
-        error = np.sqrt(model.variance(gradients)[0] + model.residual_variance[0] * relative)
-        prediction = calibrated_interval(level, value, error, quantile)
-        lower, upper = np.maximum(confidence.lower, prediction.lower), np.minimum(confidence.upper, prediction.upper)
-        return ForceIntervals(replace(confidence, lower=lower, upper=upper), prediction)
-
-    @cached_property
-    def calibration(self) -> IntervalCalibration:
-        """Errors at left-out pressures and contractions, by which the intervals of the force are calibrated."""
-        from mckibben.identification.calibration import IntervalCalibration
-
-        return IntervalCalibration.of(self.require_regression())
+        if by is None and self.leave_one_pressure_out:  # of a law that misfits, larger than the residuals
+            square = max(square, self.leave_one_pressure_out.rmse**2)
+        scatter = square * regression.relative_variance(value.ravel()), np.full_like(freedom, residual_freedom)
+        return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
 
     def require_regression(self) -> Regression:
         """Return the regression, or raise an `IdentificationError` if the fit was read from a file."""
@@ -390,12 +364,6 @@ class Fit(metaclass=CheckedCalls):
             )
         if lopo := self.leave_one_pressure_out:
             lines.append(f"leave-one-pressure-out: RMSE {lopo.rmse:.3g} N, maximum {lopo.max_error:.3g} N")
-            needed = np.ceil(level / (1 - level) - _ROUNDING)  # fewer have no conformal quantile at this level
-            if len(lopo.by_pressure) < needed:
-                lines.append(
-                    f"{100 * level:g} % prediction intervals at new pressures assume errors like those at the "
-                    f"{len(lopo.by_pressure)} measured pressures; verifying this level takes at least {needed:.0f}"
-                )
         if pairs := self.strongest_correlations():
             lines.append("strongest correlations: " + ", ".join(f"{a}, {b} {r:+.4f}" for a, b, r in pairs))
         lines += [f"warning: {warning}" for warning in self.warnings]

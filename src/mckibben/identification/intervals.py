@@ -107,14 +107,6 @@ def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats,
     return IntervalEstimate(level, value, error, freedom, value - half_width, value + half_width)
 
 
-def calibrated_interval(level: float, value: ArrayLike, error: Floats, quantile: Floats) -> IntervalEstimate:
-    """Interval of a calibrated half width in standard errors; its degrees of freedom are infinite."""
-    value = np.asarray(value, np.float64)
-    error, quantile = error.reshape(value.shape), quantile.reshape(value.shape)
-    half_width = quantile * error
-    return IntervalEstimate(level, value, error, np.full_like(value, np.inf), value - half_width, value + half_width)
-
-
 def parameter_interval(estimate: float, error: float, freedom: float, level: float) -> Interval:
     """T interval of one parameter."""
     if math.isnan(error):

@@ -61,12 +61,6 @@ class MixedModel:
         part = np.sum(inverse**2, axis=1) + free * (fitted / sizes[-1]) ** 2
         return float(np.sum(np.log(sizes[:-1])) + free * np.log(sizes[-1])), (1 - part) @ derivative
 
-    def conditional(self, hyperparameters: Floats) -> tuple[Floats, float]:
-        """Residuals [N] of the fit, shape (n,), and its effective number of parameters."""
-        count = len(self.residuals)
-        q, target = self._orthonormal(hyperparameters)
-        return (target - q @ (q.T @ target))[:count], float(np.sum(q[:count] ** 2))
-
     def deleted_residuals(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
         """Errors [N] at each point as the fit to all others predicts it, and externally studentised residuals."""
         # R. Cook and S. Weisberg, "Residuals and Influence in Regression", Chapman and Hall 1982, section 2.2.

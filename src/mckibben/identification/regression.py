@@ -37,16 +37,10 @@ _IN_BLOCK = 5  # points at least, on average
 
 @dataclass(frozen=True, eq=False)
 class CrossValidation:
-    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points outside all blocks.
-
-    `law_variance` and `scatter_variance` [N^2] are those of the law's force and of a further point about it, which each
-    fit predicts at its block for independent errors.
-    """
+    """Errors [N] at blocks of points, each predicted by the fit to all others; NaN for points outside all blocks."""
 
     residuals: Floats = field(repr=False)
     by_block: Mapping[float | str, float]
-    law_variance: Floats = field(repr=False)
-    scatter_variance: Floats = field(repr=False)
 
     @property
     def rmse(self) -> float:
@@ -118,7 +112,7 @@ def cross_validate(
 ) -> CrossValidation:
     """Predict each block from a fit of the law, shape included, to all other blocks."""
     blocks = np.asarray(blocks)
-    residuals, of_law, scatter = np.full((3, len(blocks)), np.nan)
+    residuals = np.full(len(blocks), np.nan)
     by_block: dict[float | str, float] = {}
     for block in np.unique(blocks).tolist():
         if block == "":
@@ -135,17 +129,7 @@ def cross_validate(
         if not np.isfinite(residuals[out]).all():
             raise NotIdentifiableError(block, "the law's force is undefined there")
         by_block[block] = float(np.sqrt(np.mean(residuals[out] ** 2)))
-        of_law[out], scatter[out] = _variances(solution, rows[:-1, out].T)
-    return CrossValidation(residuals, by_block, of_law, scatter)
-
-
-def _variances(solution: Solution, gradients: Floats) -> tuple[Floats, float]:
-    """Variance [N^2] of the law's force for gradients of shape (m, parameters), and of a point about it."""
-    free = np.flatnonzero(~solution.at_bound)
-    errors, jacobian = solution.augmented
-    with np.errstate(divide="ignore", invalid="ignore"):  # as many parameters as points: unknown
-        model = IndependentErrors.of(jacobian[:, free], errors)
-    return model.variance(gradients[:, free])[0], model.residual_variance[0]
+    return CrossValidation(residuals, by_block)
 
 
 _SENSITIVITY_POINTS = 100  # at which the uncertainty of the force is compared

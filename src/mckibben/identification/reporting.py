@@ -8,9 +8,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from mckibben.identification.bootstrap import Bootstrap, bootstrap
 from mckibben.identification.fit import Fit
 from mckibben.identification.hysteresis import HysteresisFit
 from mckibben.identification.intervals import Interval, check_level
@@ -83,41 +80,28 @@ def hysteresis_numbers(found: HysteresisFit) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class UncertaintyReport:
-    """Profile likelihoods and bootstrap of a fit."""
+    """Profile likelihoods of a fit."""
 
     fit: Fit
     level: float
     profiles: tuple[Profile, ...]
-    bootstrap: Bootstrap | None
 
     @classmethod
-    def of(
-        cls, fit: Fit, *, level: float = 0.95, profiles: bool = False, refits: int = 0, seed: int = 0
-    ) -> UncertaintyReport:
-        """Compute profiles, and a bootstrap of the given number of refits (none at 0)."""
+    def of(cls, fit: Fit, *, level: float = 0.95, profiles: bool = False) -> UncertaintyReport:
+        """Compute profiles."""
         check_level(level)
         shape = type(fit.law).shape_parameters if profiles else ()
         found = tuple(profile(fit, p.name, level=level) for p in shape)
-        return cls(fit, level, found, bootstrap(fit, refits, seed=seed) if refits else None)
+        return cls(fit, level, found)
 
     def describe(self) -> str:
-        """The report as text; empty without profiles and bootstrap."""
+        """The report as text; empty without profiles."""
         share = f"{100 * self.level:g} %"
         lines: list[str] = []
         for one in self.profiles:
             low, high = (_end(end) for end in _interval(self.fit, one.name, one.interval))
             lines.append(f"profile of {one.name}: {share} interval {low} .. {high} {_unit(self.fit, one.name)}")
             lines += [f"warning: {reason}" for reason in one.reasons]
-        if refits := self.bootstrap:
-            failed = f"; {refits.failed} draws did not determine the law and were repeated" if refits.failed else ""
-            blocks = refits.by.counted(refits.blocks)
-            lines.append(f"bootstrap: {len(refits.draws)} refits to {blocks} drawn with replacement{failed}")
-            for name, interval in refits.intervals(self.level).items():
-                (low, high), unit = _interval(self.fit, name, interval), _unit(self.fit, name)
-                error = refits.standard_errors[name] / factor(unit)
-                values = f"standard error {error:.2g}, {share} {low:.5g} .. {high:.5g} {unit}"
-                lines.append(f"  {name}: {'at its bound' if np.isnan(error) else values}")
-            lines += [f"warning: {doubt}" for doubt in refits.warnings]
         return "\n".join(lines)
 
     def records(self) -> dict[str, Any]:
@@ -140,16 +124,6 @@ class UncertaintyReport:
                     "reasons": list(one.reasons),
                 }
                 for one in self.profiles
-            }
-        if refits := self.bootstrap:
-            numbers["bootstrap"] = {
-                "by": refits.by.value,
-                "blocks": refits.blocks,
-                "refits": len(refits.draws),
-                "drawn_again": refits.failed,
-                "doubts": list(refits.warnings),
-                "standard_errors": _scaled(fit, refits.standard_errors),
-                "intervals": _intervals(fit, refits.intervals(self.level)),
             }
         return numbers
 

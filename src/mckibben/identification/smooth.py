@@ -34,7 +34,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import group_pressures
 from mckibben.errors import IdentificationError
 from mckibben.identification.fit import domain_of, unphysical
-from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
+from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.monotone import monotone
 from mckibben.identification.regression import RESOLUTION, contraction_blocks, pressure_blocks
@@ -223,22 +223,6 @@ class Deviations:
             if refit is not None and refit[0].converged:
                 errors[out] = replace(refit[0], problem=self.problem).residuals[out]
         return errors
-
-
-_SURE = 5.7  # in the logarithm of the likelihood: 1 % of a chi-square of three degrees of freedom
-
-
-def surface(points: IsobaricDataset) -> tuple[MixedModel, Floats] | None:
-    """Eq. 2 with a Gaussian process, negligible if it is not significant, and its hyperparameters; None if too few."""
-    enough = len(points) >= _LEAST * len(ExponentialLaw.parameters())
-    if not (enough and np.ptp(points.contraction) and np.ptp(points.pressure)):
-        return None
-    eq2 = FitProblem.of(ExponentialLaw, points)
-    deviations = Deviations.of(GaussianProcessLaw, points, solve(eq2, grid_search(eq2)))
-    model = deviations.prior.model(*deviations.columns(deviations.base))
-    found, cost = model.estimate(deviations.prior.starts, deviations.prior.bounds)
-    negligible = np.array([deviations.prior.bounds[0][0], 0.0, 0.0])
-    return model, found if model.cost(negligible)[0] - cost >= _SURE else negligible
 
 
 def _window(values: Floats) -> tuple[float, float]:

@@ -113,13 +113,6 @@ class AntagonisticJoint(Component):
     tendon: Tendon = RigidTendon()
 
     aliases: ClassVar = {"muscle": ("muscle1", "muscle2")}
-    renamed: ClassVar = {
-        "spring": "tendon",
-        "connector_length": "geometry: {from: ..., connector_length: ...}",
-        "arm_scale": "geometry: {class: scaled_arms, geometry: ..., scale: ...}",
-        "return_spring1": "muscle1: {class: return_spring, ...}",
-        "return_spring2": "muscle2: {class: return_spring, ...}",
-    }
 
     def __check_init__(self) -> None:
         super().__check_init__()

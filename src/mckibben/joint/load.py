@@ -213,7 +213,6 @@ class GeneralLoad(Load):
     """
 
     short_name = "general"
-    renamed: ClassVar = {"gravity_torque": "greatest_gravity_torque"}
 
     inertia: PositiveInertia
     greatest_gravity_torque: Torque

@@ -17,7 +17,7 @@ from mckibben.leg.control import PressureSchedule
 from mckibben.leg.metrics import LegMetrics
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
-from mckibben.leg.simulate import LegResult, simulate_leg, simulate_legs
+from mckibben.leg.simulate import simulate_legs
 from mckibben.leg.study_journal import StudyJournal, StudyKind, check_continued
 from mckibben.leg.uncertainty import drawn_air, drawn_plant, take
 from mckibben.notebook import Progress, silent
@@ -92,28 +92,6 @@ class LandingStudy:
         """
         forces = np.moveaxis(self.table["peak_trunk_force"].to_numpy(), 2, -1)
         return np.argmax(forces <= forces.min(axis=-1, keepdims=True) * (1 + BEST_WITHIN), axis=-1)
-
-    def compared_runs(self) -> dict[str, tuple[LegPlant, LegResult]]:
-        """Plant and time traces of two nominal landings by title: softest and best commanded stiffness.
-
-        From the middle drop, with the valve of a time constant if there is one.
-        """
-        stiffness, drops = self.table["stiffness"].to_numpy(), self.table["drop"].to_numpy()
-        plant = self.scenario.plant()
-        valves = list(_valves(plant, self._landing.time_constants).items())
-        place, d = min(1, len(valves) - 1), drops.size // 2
-        name, valve = valves[place]
-        plant = eqx.tree_at(lambda x: x.valve, plant, valve)
-        best = int(self.best()[place, d, 0])
-        found = {}
-        for title, k in (("softest", 0), ("best", best)):
-            commands = tuple(map(float, self.pressures[k]))
-            start = LegStart(self.angles, commands, 0.0, -float(np.sqrt(2 * plant.gravity * drops[d])))
-            schedule = PressureSchedule(tuple((one,) for one in commands))
-            duration = self.scenario.whole_steps(self._landing.duration)
-            run = simulate_leg(plant, schedule, start, duration=duration, **self.scenario.steps)
-            found[f"{title}: {stiffness[k]:.3g} N*m/rad, {name}, drop of {drops[d] / mm:g} mm"] = plant, run
-        return found
 
     def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
         """Headers and rows of a table: one for each valve and drop, at its best stiffness."""

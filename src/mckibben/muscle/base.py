@@ -55,8 +55,10 @@ class ForceLaw(Component):
 
     domain: eqx.AbstractVar[Domain]
 
-    suggestions: ClassVar = {"stiffness": "slope(contraction, pressure), or joint.stiffness(angle, pressures)"}
-    made_by: ClassVar = "to identify it from data, write identify({}, data)"
+    suggestions: ClassVar = {
+        "stiffness": "slope(contraction, pressure), or joint.stiffness(angle, pressures)",
+        "()": "to identify it from data, write identify({}, data)",
+    }
     equation: ClassVar[str] = ""
     """Formula in the symbols of the source."""
     source: ClassVar[str]

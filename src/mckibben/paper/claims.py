@@ -43,8 +43,10 @@ _SHORT_ADJUSTMENT = "The joint stiffness adjustment time by PID is relatively lo
 class Claim:
     """A claim of the paper, or a question of ours, with its verdict and evidence.
 
-    `words` quotes the paper; None marks a question of ours. `source` is the section or figure that claims it,
-    or that raises the question.
+    `words` quotes the paper; None marks a question of ours. `source` is the section or figure that claims it, or that
+    raises the question. `needs_muscle` marks a claim that only the paper's own muscle can test: here that muscle is
+    simulated with the law that the paper fitted to it, and with a friction from the literature, so that the evidence
+    shows consistency and no more.
     """
 
     claim: str
@@ -52,6 +54,14 @@ class Claim:
     words: str | None
     holds: bool
     evidence: str
+    needs_muscle: bool = False
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in words; of a claim that needs the paper's muscle there is none."""
+        if self.needs_muscle:
+            return "needs the paper's muscle"
+        return "holds" if self.holds else "does not hold"
 
     @property
     def of_paper(self) -> bool:
@@ -90,6 +100,7 @@ def _closer_than_chou(identification: Identification) -> Claim:
         "RMSE on a second test, Eq. 2 / Chou: "
         + ", ".join(f"{law:.1f} / {chou:.1f} N at {p / bar:g} bar" for p, (law, chou) in found.items())
         + " (simulated rig, muscle of Eq. 3 with friction; our own questions include measured muscles)",
+        needs_muscle=True,
     )
 
 
@@ -124,6 +135,7 @@ def _directions_similar(identification: Identification) -> Claim:
         abs(gap) < _SIMILAR * largest,
         f"mean difference {gap:.1f} N, {gap / largest:.1%} of the largest force; the simulated friction of "
         f"+-{band:g} N is taken from the literature, so this checks the order of magnitude, not the paper's muscle",
+        needs_muscle=True,
     )
 
 

@@ -45,9 +45,13 @@ class Reproduction:
 
     @property
     def verdict(self) -> str:
-        """How many of the paper's own claims hold."""
-        papers = self.paper_claims
-        return f"Of the paper's own claims, {sum(claim.holds for claim in papers)} of {len(papers)} hold."
+        """How many of the paper's own claims that can be tested here hold, and how many need the paper's muscle."""
+        testable = [claim for claim in self.paper_claims if not claim.needs_muscle]
+        others = len(self.paper_claims) - len(testable)
+        return (
+            f"Of the paper's own claims, {sum(claim.holds for claim in testable)} of {len(testable)} that can be "
+            f"tested here hold; {others} need the paper's muscle."
+        )
 
     def results(self) -> dict[str, Any]:
         """All numbers as plain data for JSON; NaN as None."""

@@ -116,11 +116,6 @@ class JointRig(DocumentModel):
 
     kind: ClassVar[str] = "joint rig"
     examples: ClassVar[str] = "examples/rig/joint-rig.yaml"
-    renamed: ClassVar = {
-        "virtual": "rig: {simulated: ...}",
-        "simulated": "rig: {simulated: ...}",
-        "nidaqmx": "rig: {nidaqmx: ...}",
-    }
 
     name: Title = Field("simulated joint", examples=["knee on the bench"])
     rig: Annotated[JointHardware, Part(JointHardware)] = Field(examples=["simulated"])

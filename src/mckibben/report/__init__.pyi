@@ -3,7 +3,6 @@ from .benchmark import benchmark_air as benchmark_air
 from .benchmark import benchmark_errors as benchmark_errors
 from .benchmark import benchmark_references as benchmark_references
 from .benchmark import write_benchmark as write_benchmark
-from .diagram import draw_control_loop as draw_control_loop
 from .drawing import draw_joint as draw_joint
 from .figures import ReportFigure as ReportFigure
 from .figures import figures as figures
@@ -25,8 +24,6 @@ from .leg import landing_forces as landing_forces
 from .leg import plan_stiffness as plan_stiffness
 from .leg import write_jump as write_jump
 from .leg import write_landing as write_landing
-from .leg_animation import render_leg as render_leg
-from .leg_player import leg_player as leg_player
 from .muscle import isobaric as isobaric
 from .muscle import isobaric_curves as isobaric_curves
 from .muscle import law_comparison as law_comparison

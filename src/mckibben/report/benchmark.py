@@ -17,11 +17,11 @@ from mckibben.report.page import embedded, style_sheet, template_of, write_page
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.report.tables import Table, number
 from mckibben.report.tracking import tracking
-from mckibben.study.benchmark.statistics import FAILED, failed_runs
+from mckibben.study.compare.statistics import FAILED, failed_runs
 from mckibben.units import deg
 
 if TYPE_CHECKING:
-    from mckibben.study.benchmark import BenchmarkResult
+    from mckibben.study.compare import BenchmarkResult
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
 _PAGE = "comparison.html"

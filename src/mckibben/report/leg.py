@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import markupsafe
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -19,7 +18,6 @@ from mckibben.leg.dynamics import at_rest, frames, posture_of
 from mckibben.leg.foot import stiffness_of
 from mckibben.leg.landing import EDGES, LandingStudy
 from mckibben.report.figures import ReportFigure
-from mckibben.report.leg_player import leg_player
 from mckibben.report.page import embedded, style_sheet, template_of, write_page
 from mckibben.report.style import (
     BAND,
@@ -256,15 +254,7 @@ def write_landing(study: LandingStudy, folder: str | os.PathLike[str]) -> Path:
         name = "Ellipses of the foot's displacement"
         figures.append(ReportFigure("foot", "", "Stiffness of the foot", what, name, ellipses))
     tables = [Table("Landings at the best stiffness", *study.rows())]
-    return _page(
-        Path(folder),
-        "landing.html",
-        study.scenario,
-        text,
-        tables,
-        figures,
-        leg_player(study.compared_runs()),
-    )
+    return _page(Path(folder), "landing.html", study.scenario, text, tables, figures)
 
 
 def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
@@ -293,9 +283,7 @@ def write_jump(study: JumpStudy, folder: str | os.PathLike[str]) -> Path:
         )
         figures.append(ReportFigure("plan", "", "Plan", what, "Pressures and errors over time", plan_stiffness(study)))
     tables = [Table("Jumps; intervals are 5 to 95 % of the draws", *study.rows()), _energies(study), _published(study)]
-    plant = study.scenario.plant()
-    runs = {name: (plant, jump.run) for name, jump in study.jumps.items()}
-    return _page(Path(folder), "jump.html", study.scenario, text, tables, figures, leg_player(runs))
+    return _page(Path(folder), "jump.html", study.scenario, text, tables, figures)
 
 
 def _energies(study: JumpStudy) -> Table:
@@ -341,7 +329,6 @@ def _page(
     text: str,
     tables: Sequence[Table],
     figures: Sequence[ReportFigure],
-    player: markupsafe.Markup,
 ) -> Path:
     page = template_of("leg.html.jinja").render(
         style=style_sheet(),
@@ -349,7 +336,6 @@ def _page(
         text=text,
         tables=tables,
         figures=[embedded(figure, folder) for figure in figures],
-        player=player,
         scenario=scenario.dumps(folder=folder),
     )
     return write_page(folder / name, page)

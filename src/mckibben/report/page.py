@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import os
 import re
-from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from mckibben.paper import Reproduction, file_stem
 from mckibben.paper.settings import PRE_CONTRACTED, SETTINGS, StiffnessReference
 from mckibben.paper.tracking import PID
 from mckibben.report import tables
-from mckibben.report.explorers import Explorer, explorers
 from mckibben.report.figures import ReportFigure, figures
 from mckibben.report.style import save
 from mckibben.report.tables import SECTIONS, name_of
@@ -95,24 +93,6 @@ def write_page(path: Path, text: str) -> Path:
     return path
 
 
-def write_explorers(
-    explorers: Iterable[Explorer],
-    path: Path,
-    *,
-    title: str = "Force law, attainable stiffness and a run of the knee, with sliders",
-    lead: str = "",
-    body: str = "",
-) -> Path:
-    """Write a self-contained page with explorers, between two parts of a text in trusted HTML.
-
-    With a text the page has its title as heading.
-    """
-    parts = {"style": style_sheet(), "script": markupsafe.Markup(_resource("explorers.js"))}
-    text = {"title": title, "lead": markupsafe.Markup(lead), "body": markupsafe.Markup(body)}
-    template = template_of("explorers.html.jinja")
-    return write_page(path, template.render(explorers=list(explorers), **parts, **text))
-
-
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
     """HTML text of the report; figures by section."""
     results = reproduction.results()
@@ -120,8 +100,6 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
     example = reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID].scenario
     return template.render(
         style=style_sheet(),
-        script=markupsafe.Markup(_resource("explorers.js")),
-        explorers=explorers(example),
         results=results,
         seconds=reproduction.seconds,
         claims=reproduction.paper_claims,

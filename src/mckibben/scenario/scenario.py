@@ -275,11 +275,11 @@ class Scenario(RunSettings):
     ) -> Any:
         """Tune and compare controllers by name with that of the scenario, on its reference and in `conditions`.
 
-        Defaults: as for `mckibben.study.benchmark.Suite.of`. `settings` are attributes of a `Suite`; see
-        `mckibben.study.benchmark.compare`.
+        Defaults: as for `mckibben.study.compare.Suite.of`. `settings` are attributes of a `Suite`; see
+        `mckibben.study.compare.compare`.
         """
-        benchmark = _above("study.benchmark")
-        return benchmark.compare(benchmark.Suite.of(self, controllers, **settings), folder=folder)
+        comparison = _above("study.compare")
+        return comparison.compare(comparison.Suite.of(self, controllers, **settings), folder=folder)
 
     @checked_call
     def margins(self, points: int = 20) -> Margins:

@@ -6,7 +6,6 @@ from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
 from mckibben.simulation.dynamic_stiffness import DynamicStiffness, closed_valves, dynamic_stiffness
 from mckibben.simulation.loop import compiled_episode, episode
 from mckibben.simulation.metrics import SETTLING_PART, Metrics, Trajectory, measure, rms, settling_band, trajectory
-from mckibben.simulation.optimal import OptimalCommands, optimal_commands
 from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, sampled_signal, without_last_change
 from mckibben.simulation.result import Result, compute_metrics, compute_trajectory
@@ -34,7 +33,6 @@ __all__ = [
     "Margins",
     "Metrics",
     "Mode",
-    "OptimalCommands",
     "Outcome",
     "Resolution",
     "Result",
@@ -54,7 +52,6 @@ __all__ = [
     "margins",
     "measure",
     "needed_substeps",
-    "optimal_commands",
     "rms",
     "run_episode",
     "sampled",

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import contextvars
-import ctypes
 import gc
 import secrets
 import socket
@@ -19,30 +17,23 @@ from starlette.middleware.trustedhost import TrustedHostMiddleware
 
 from mckibben.errors import ParameterError
 from mckibben.storage.files import handle_signals
-from mckibben.web import identify, joint, leg, rig, run, tune
+from mckibben.web import identify, joint, rig, run, tune
 from mckibben.web.security import LOCAL, Access, Guard
 from mckibben.web.session import collect_warnings, end_sessions
 
 HOST = LOCAL[0]
 _SHUTDOWN = 2  # s for open requests
-_M_ARENA_MAX, _M_MMAP_THRESHOLD = -8, -3  # of malloc.h
-_MAPPED = 2**17  # bytes of an array with a mapping of its own
-_COLLECTED_AFTER = 1.0  # s after a page was left; those left in the meantime are freed with it
-_TAB_STORAGE = 60.0  # s that NiceGUI keeps its storage of a tab, which is empty; its default is 30 days
 
 
 def pages() -> None:
     """Register the pages."""
     collect_warnings()
     app.on_delete(forget_routes)
-    app.on_delete(_Collector())
-    app.storage.max_tab_storage_age = _TAB_STORAGE
     ui.page("/")(joint.page)
     ui.page("/identify")(identify.page)
     ui.page("/run")(run.page)
     ui.page("/tune")(tune.page)
     ui.page("/rig")(rig.page)
-    ui.page("/leg")(leg.page)
 
 
 def forget_routes() -> None:
@@ -50,42 +41,6 @@ def forget_routes() -> None:
     for cache in vars(models).values():
         if callable(clear := getattr(cache, "cache_clear", None)):
             clear()
-
-
-class _Collector:
-    """Frees pages that were left, and returns their memory to the system.
-
-    They are cycles, and Python collects old ones only when a quarter of all objects are new.
-    """
-
-    def __init__(self) -> None:
-        self._waiting = False
-
-    def __call__(self) -> None:
-        if not self._waiting:
-            self._waiting = True
-            asyncio.get_running_loop().call_later(_COLLECTED_AFTER, self._collect, context=contextvars.Context())
-
-    def _collect(self) -> None:
-        self._waiting = False
-        gc.collect()
-        if trim := _libc("malloc_trim"):
-            trim(0)
-
-
-def _use_one_arena() -> None:
-    """Have glibc allocate in one arena: with one per thread, memory that closed pages freed is reused less.
-
-    Arrays keep mappings of their own, which are returned when freed: by default, glibc stops that after the first.
-    """
-    if mallopt := _libc("mallopt"):
-        mallopt(_M_ARENA_MAX, 1)
-        mallopt(_M_MMAP_THRESHOLD, _MAPPED)
-
-
-def _libc(name: str) -> Callable[..., int] | None:
-    """A function of glibc; None with another C library."""
-    return getattr(ctypes.CDLL(None), name, None) if sys.platform == "linux" else None
 
 
 def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
@@ -107,7 +62,6 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
     """
     _check_free(port)
     pages()
-    _use_one_arena()
     gc.set_threshold(700, 10, 10)  # Python's own: a page that was left is a cycle, and the command line collects rarely
     access, secret, signals = Access(port), secrets.token_urlsafe(32), []
     # the last one is called first; NiceGUI adds its own behind these

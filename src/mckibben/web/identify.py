@@ -59,7 +59,7 @@ _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
 _MOST_FILES = 64
 _LEFT_OUT = "left out"
-NEEDS_MUSCLE = "It needs muscle.yaml and fit.yaml in its folder: “Download project” on the page Run gives all files."
+NEEDS_MUSCLE = "It needs muscle.yaml and fit.yaml in its folder: “Download muscle” on the page Muscle gives both."
 _FRICTION = {"where the data show it": None, "with": True, "without": False}
 
 

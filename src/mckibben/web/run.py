@@ -14,7 +14,7 @@ from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import printable
 from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
 from mckibben.units import bar, deg, factor
-from mckibben.web.identify import NEEDS_MUSCLE, IdentificationState
+from mckibben.web.identify import NEEDS_MUSCLE
 from mckibben.web.layout import (
     BLACK,
     BLUE,
@@ -39,9 +39,6 @@ from mckibben.web.layout import (
     upload,
 )
 from mckibben.web.parts import CHOICES
-from mckibben.web.project import MUSCLE, Project, adopt, pack, unpack
-from mckibben.web.scene import JointScene
-from mckibben.web.security import LARGEST
 from mckibben.web.session import session
 from mckibben.web.workbench import (
     ANGLES,
@@ -111,10 +108,6 @@ class _Page(JobPage[Workbench]):
                     button("Run", self.apply, "run", main=True)
                     button("Download", self.download)
                 upload("or a scenario.yaml", 4 * LONGEST_TEXT, self.uploaded).props("accept=.yaml,.yml")
-            with panel("Project"):
-                quiet("Points, muscle and scenario as one zip file, to continue elsewhere or on the command line.")
-                button("Download project", self.pack, "pack")
-                upload("or a project.zip", LARGEST, self.unpack).props("accept=.zip").mark("unpack")
         with results_side():
             with ui.row().classes("w-full items-center").style("gap: 12px"):
                 button("Keep this run", self.keep, "keep", main=True)
@@ -131,11 +124,8 @@ class _Page(JobPage[Workbench]):
                     self.stiffness = chart("time [s]", "stiffness [N·m/rad]", height=270)
                 with panel("Stiffness of small motion, with friction") as self.small_panel:
                     self.small = chart("time [s]", "stiffness [N·m/rad]", height=200)
-                with ui.element("div").classes("pair"):
-                    with panel("Pressures"):
-                        self.pressure = chart("time [s]", "pressure [bar]", height=290)
-                    with panel("Joint"):
-                        self.scene = JointScene()
+                with panel("Pressures"):
+                    self.pressure = chart("time [s]", "pressure [bar]", height=230)
                 with panel("Numbers"):
                     self.numbers = ui.column().classes("w-full")
         ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
@@ -222,27 +212,8 @@ class _Page(JobPage[Workbench]):
     def download(self) -> None:
         """Offer the shown scenario for download."""
         ui.download.content(self.state.text, "scenario.yaml")
-        if MUSCLE in self.state.text:
+        if "muscle.yaml" in self.state.text:
             ui.notify(NEEDS_MUSCLE, multi_line=True)
-
-    def pack(self) -> None:
-        """Offer the project for download."""
-        text = self.state.text if self.state.current is None else self.state.current.text
-        content = pack(self.folder, text, session().state(IdentificationState).data)
-        ui.download.content(content, "project.zip")
-
-    async def unpack(self, event: events.UploadEventArguments) -> None:
-        """Read an uploaded project, and run its scenario."""
-        content, state, identification = await event.file.read(), self.state, session().state(IdentificationState)
-
-        def done(project: Project, _: list[str]) -> None:
-            adopt(project, self.folder, state, identification)
-            state.error = None
-            if project.scenario is None:
-                state.notes = ["the project has no scenario; its points and muscle are on the pages Muscle and Joint"]
-            self.begin()
-
-        self.start_job(lambda _: unpack(content, self.folder), done)
 
     def chosen(
         self, label: str, choose: Callable[[events.ValueChangeEventArguments], None]
@@ -353,7 +324,6 @@ class _Page(JobPage[Workbench]):
             draw(self.small, [*older, line("now", time, small, BLUE)])
         colors = (("antagonist", "pressure1", GREEN), ("agonist", "pressure2", VERMILLION))
         draw(self.pressure, [line(name, time, columns[key] / bar, color) for name, key, color in colors])
-        self.scene.show(now)
         self.numbers.clear()
         with self.numbers:
             rows = [_row(one) for one in (dataclasses.replace(now, name="now"), *overlays)]

@@ -11,9 +11,9 @@ import numpy as np
 
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, list_parameters, with_values
-from mckibben.study.benchmark import Suite, compare
-from mckibben.study.benchmark.statistics import FAILED, failed_runs, left_out_at_air, statistics
-from mckibben.study.benchmark.suite import EvaluationSettings, TuningSettings
+from mckibben.study.compare import Suite, compare
+from mckibben.study.compare.statistics import FAILED, failed_runs, left_out_at_air, statistics
+from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import Method, parse_cost, parse_ranges, tune
 from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins
 from mckibben.study.tune.objective import UNSTABLE_COST

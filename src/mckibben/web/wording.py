@@ -28,7 +28,6 @@ _INSTEAD = {
 """Parts of texts that name calls and options, with those for the page."""
 _READERS = {
     "which `mckibben simulate` reads": "which the page Run reads",
-    "which `mckibben leg` reads": "which the page Leg reads",
 }
 
 

@@ -13,8 +13,6 @@ import numpy as np
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
-from mckibben.joint import AntagonisticJoint
-from mckibben.joint.mechanism import muscle_sizes
 from mckibben.scenario import Scenario, run_scenario, unknown_air
 from mckibben.simulation import Result
 from mckibben.simulation.metrics import in_shown_units
@@ -61,13 +59,10 @@ _COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", 
 
 @dataclass(frozen=True)
 class Kept:
-    """Joint, curves, metrics and file of a run; sizes [m] of muscles 1 and 2 over time, None for unknown diameters."""
+    """Curves, metrics and file of a run."""
 
     name: str
-    joint: AntagonisticJoint
     columns: dict[str, np.ndarray]
-    lengths: list[np.ndarray]
-    diameters: list[np.ndarray | None]
     band: tuple[np.ndarray, np.ndarray]
     metrics: dict[str, float]
     outcome: str
@@ -151,14 +146,10 @@ def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
 
     columns = {name: shown(name) for name in names}
     bounds = shown("lowest_stiffness"), shown("highest_stiffness")
-    joint = scenario.plant().joint
-    sizes = muscle_sizes(joint, [shown(f"contraction{number}") for number in (1, 2)])
     text = scenario.dumps(folder=folder)
     return Kept(
         scenario.name,
-        joint,
         columns,
-        *sizes,
         bounds,
         in_shown_units(result.metrics),
         result.outcome.name.lower().replace("_", " "),

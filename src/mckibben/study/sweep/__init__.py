@@ -1,7 +1,6 @@
 """Sweeps: many runs of a scenario over ranges of its parameters."""
 
-from mckibben.study.sweep.merging import merge
 from mckibben.study.sweep.result import SweepResult, summary
 from mckibben.study.sweep.sweep import InterruptedSweep, sweep
 
-__all__ = ["InterruptedSweep", "SweepResult", "merge", "summary", "sweep"]
+__all__ = ["InterruptedSweep", "SweepResult", "summary", "sweep"]

@@ -1,0 +1,7 @@
+"""Comparison of controllers with equal tuning budgets, ranked on unseen runs."""
+
+from mckibben.study.compare.compare import BenchmarkResult, compare, evaluate
+from mckibben.study.compare.runs import Runs, draw
+from mckibben.study.compare.suite import NOMINAL_JOINT, Suite
+
+__all__ = ["NOMINAL_JOINT", "BenchmarkResult", "Runs", "Suite", "compare", "draw", "evaluate"]

@@ -1,0 +1,461 @@
+"""Controllers are tuned alike and evaluate on the same runs: each of which is, alone, what `simulate` gives."""
+
+import dataclasses
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+
+from mckibben.errors import FileError, ParameterError
+from mckibben.scenario import Scenario, run_scenario
+from mckibben.simulation import Metrics
+from mckibben.study.compare import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
+from mckibben.study.compare.compare import ControllerTuning, _controller, _error_at_air
+from mckibben.study.compare.statistics import front, statistics
+from mckibben.study.tune import read_trials
+from mckibben.study.tune.objective import FAILED_COST
+from mckibben.study.tune.search import SearchSpace
+from mckibben.study.tune.tune import Trial
+from mckibben.units import deg
+
+TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
+KP = "controller.position.kp"
+
+
+def changed(*pairs):
+    text = TEXT
+    for old, new in pairs:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    return Suite.parse(text)
+
+
+@pytest.fixture(scope="module")
+def suite():
+    return changed()
+
+
+@pytest.fixture(scope="module")
+def simulated(suite):
+    """The evaluation runs of one controller, simulated."""
+    runs, values = draw(suite, 16, 1), {KP: 2e5}
+    return BenchmarkResult(
+        suite, runs, {"PID 3": values}, {}, {"PID 3": ()}, {"PID 3": evaluate(runs, "PID 3", values)}
+    )
+
+
+class TestRuns:
+    @pytest.mark.slow
+    def test_a_run_of_the_batch_is_that_run_alone(self, simulated):
+        """With both joints, with its noise and delay: as `mckibben simulate` runs its scenario.
+
+        Every reference has a program of its own to compile; that the draws are used is seen without running them.
+        """
+        batch, runs = simulated.batches["PID 3"], simulated.runs
+        kinds = {
+            (runs.reference_name[i], runs.joint[i]): i
+            for i in range(runs.count)
+            if runs.reference_name[i] != "angle step"
+        }
+        assert len(kinds) == 4
+        delays = runs.conditions["sensors.delay"][list(kinds.values())]
+        assert set(delays.tolist()) == {0.0, 1.0}
+        for run in kinds.values():
+            scenario = Scenario.parse(simulated.scenario("PID 3", run).dumps())
+            alone = run_scenario(scenario).result.metrics
+            for name in Metrics._fields:
+                value = batch.metrics[name][run]
+                assert value == pytest.approx(alone[name], rel=1e-7, abs=1e-12, nan_ok=True), (run, name)
+            assert scenario.control().position.kp == simulated.tuned["PID 3"][KP]
+
+    @pytest.mark.slow
+    def test_runs_of_plants_of_several_kinds_come_back_in_their_order(self):
+        """With valves that let air in, in a group of their own; and a true model is that of either plant."""
+        start, end = TEXT.index("other_joints:"), TEXT.index("load: knee")
+        valves = "other_joints: {air: {valve: {class: FlowValve, conductance: 0.4 L/(s*bar), supply: 5 bar}}}\n"
+        text = (TEXT[:start] + valves + TEXT[end:]).replace("substeps: 1", "substeps: 8")
+        mixed = Suite.parse(text.replace("tuning: {", "true_model: [decoupling]\ntuning: {"))
+        runs = draw(mixed, 8, 1)
+        batch = evaluate(runs, "PID 3", {KP: 2e5})
+        assert batch.count == 8
+        for run in (runs.joint.index("nominal"), runs.joint.index("air")):
+            alone = run_scenario(runs.scenario("PID 3", run, {KP: 2e5})).result.metrics
+            for name in ("angle_rmse", "stiffness_rmse", "air"):
+                assert batch.metrics[name][run] == pytest.approx(alone[name], rel=1e-7), (run, name)
+        for group in runs.groups:
+            control = _controller(runs, group, "decoupling", {}, 1)
+            models = [runs.scenario("decoupling", int(row)).control().valve for row in group.rows]
+            assert {type(model) for model in models} == {type(control.valve)}
+            leaves = np.broadcast_arrays(*jax.tree.leaves(control.valve), np.zeros(group.count))[:-1]
+            expected = np.array([jax.tree.leaves(model) for model in models], float)
+            np.testing.assert_allclose(np.array(leaves, float).T, expected)
+
+    @pytest.mark.slow
+    def test_the_noise_is_that_of_the_run(self, simulated):
+        run = simulated.runs.reference_name.index("sine and step")
+        scenario = simulated.scenario("PID 3", run)
+        other = scenario.model_copy(update={"sensors": dataclasses.replace(scenario.sensors, seed=1)})
+        assert scenario.sensors.seed == simulated.runs.conditions["sensors.seed"][run]
+        own, others = (run_scenario(each).result.metrics["angle_rmse"] for each in (scenario, other))
+        assert abs(own - others) > 1e-6 * own
+
+    @pytest.mark.slow
+    def test_its_cost_is_that_of_the_suite(self, simulated):
+        metrics = simulated.batches["PID 3"].metrics
+        assert not simulated.diverged("PID 3").any()
+        assert simulated.cost("PID 3") == pytest.approx(
+            metrics["angle_rmse"] / (0.1 * deg) + metrics["stiffness_rmse"] / 0.5
+        )
+
+
+def mean_cost(runs, kp):
+    """Of `invented`, by hand, run by run: those that cannot begin do not count, a lost one costs 1e6."""
+    lags, heights = runs.conditions["valve.time_constant"], runs.conditions["disturbance.height"]
+    costs = []
+    for mass, lag, height in zip(runs.conditions["load.mass2"], lags, heights, strict=True):
+        if lag <= 0.048:
+            lost = height > 0 and kp > 8e5
+            costs.append(FAILED_COST if lost else (1 + abs(np.log10(kp / 3e5))) * mass / 0.5 / 0.1 + lag / 0.02 / 0.5)
+    return np.mean(costs)
+
+
+def trials(folder, name="pid-3"):
+    return read_trials(folder / f"{name}.journal")
+
+
+OTHERS = TEXT[TEXT.index("  decoupling:\n") : TEXT.index("tuning:")]
+ALONE = (OTHERS, ""), ("untuned: [as it is]", "over: {PID 3: [controller.position.kp=0.1..20 bar/rad log]}")
+"""One controller, and one number to tune."""
+
+
+@pytest.fixture(scope="class")
+def kept(simulating_nothing, tmp_path_factory):
+    return tmp_path_factory.mktemp("kept")
+
+
+@pytest.fixture(scope="class")
+def told():
+    return []
+
+
+@pytest.fixture(scope="class")
+def contest(suite, kept, told):
+    """All three controllers, compared without a simulation."""
+    return compare(suite, folder=kept, progress=lambda what, part: told.append((what, part)))
+
+
+@pytest.mark.usefixtures("simulating_nothing")
+class TestTuning:
+    @pytest.mark.slow
+    def test_costs_are_means_over_the_runs_that_begin(self, tmp_path):
+        one = changed(*ALONE, ("generations: 2", "generations: 6"))
+        contest = compare(one, folder=tmp_path)
+        training = draw(one, 8, 99)
+        assert (training.conditions["valve.time_constant"] > 0.048).any(), "one cannot begin"
+        assert (training.conditions["disturbance.height"] > 0).any(), "and some can be lost"
+        tried = trials(tmp_path)
+        kps = 1e4 * 200 ** np.array([trial.point[0] for trial in tried])
+        assert [trial.cost for trial in tried] == pytest.approx([mean_cost(training, kp) for kp in kps], rel=1e-9)
+        assert (kps > 8e5).any()
+        assert contest.training_cost["PID 3"][1] == pytest.approx(mean_cost(training, 1.2e5))
+        kp = contest.tuned["PID 3"][KP]
+        assert contest.training_cost["PID 3"][0] == pytest.approx(mean_cost(training, kp), rel=1e-9)
+        assert abs(np.log10(kp / 3e5)) < 0.1, "the search finds what is best"
+        assert kp == float(f"{kp:.5e}"), "six digits, as it is written down"
+        assert contest.at_bound["PID 3"] == ()
+
+    @pytest.mark.slow
+    def test_trials_keep_the_medians_of_the_runs_where_none_diverged(self, tmp_path):
+        one = changed(*ALONE, ("generations: 2", "generations: 6"))
+        contest = compare(one, folder=tmp_path)
+        training = draw(one, 8, 99)
+        begins = training.conditions["valve.time_constant"] <= 0.048
+        mass, lag = training.conditions["load.mass2"][begins], training.conditions["valve.time_constant"][begins]
+        assert list(contest.trials["PID 3"]) == trials(tmp_path)
+        for trial in contest.trials["PID 3"]:
+            kp = 1e4 * 200 ** trial.point[0]
+            failed = 0 if trial.metrics is None else trial.metrics["failed"]
+            assert (trial.metrics is None or failed > 0) == (kp > 8e5)
+            if trial.metrics is not None and not failed:
+                error = (1 + abs(np.log10(kp / 3e5))) * np.median(mass) / 0.5 * deg
+                assert trial.metrics == pytest.approx(
+                    {
+                        "angle_rmse": error,
+                        "stiffness_rmse": np.median(lag) / 0.02,
+                        "air": kp / 3e5 * 1e-4,
+                        "failed": 0.0,
+                    }
+                )
+
+    @pytest.mark.slow
+    def test_the_gains_are_those_that_are_best_on_the_runs_of_the_finalists(self, tmp_path):
+        one = changed(*ALONE, ("starts: 2", "starts: 2, finalists: 5, finalist_runs: 40"))
+        contest = compare(one, folder=tmp_path)
+        runs, finalists = draw(one, 40, 100), contest.finalists["PID 3"]
+        *searched, _ = trials(tmp_path)  # the last are the gains with six digits
+        tried = sorted(searched, key=lambda trial: trial.cost)
+        points = {trial.point for trial in finalists}
+        assert {trial.point for trial in tried[:5]} <= points <= {trial.point for trial in tried}
+        assert len(points) == len(finalists) <= 10
+        kps = 1e4 * 200 ** np.array([trial.point[0] for trial in finalists])
+        assert [trial.cost for trial in finalists] == pytest.approx([mean_cost(runs, kp) for kp in kps], rel=1e-4)
+        best = min(finalists, key=lambda trial: trial.cost)
+        assert contest.tuned["PID 3"][KP] == pytest.approx(1e4 * 200 ** best.point[0], rel=1e-5)
+        training = draw(one, 8, 99)
+        assert contest.training_cost["PID 3"][0] == pytest.approx(mean_cost(training, contest.tuned["PID 3"][KP]))
+        air = next(trial.metrics["air"] for trial in tried if trial.point == best.point)
+        assert contest.training_air("PID 3") == air
+        again = compare(one, folder=tmp_path, resume=True)
+        assert again.finalists == contest.finalists and again.tuned == contest.tuned
+        assert statistics(contest)["at_air_of_first"]["air_L"] == pytest.approx(contest.training_air("PID 3") * 1e3)
+
+    @pytest.mark.slow
+    def test_the_training_runs_do_not_choose_among_finalists(self, monkeypatch):
+        evaluate = ControllerTuning.evaluate
+
+        def largest_is_best(self, values, engine="auto"):
+            found = evaluate(self, values, engine)
+            return found._replace(costs=-values[:, 0]) if self.runs.count == 40 else found
+
+        monkeypatch.setattr(ControllerTuning, "evaluate", largest_is_best)
+        contest = compare(changed(*ALONE, ("starts: 2", "starts: 2, finalists: 5, finalist_runs: 40")))
+        gains = [1e4 * 200 ** trial.point[0] for trial in contest.finalists["PID 3"]]
+        assert contest.tuned["PID 3"][KP] == pytest.approx(max(gains), rel=1e-5)
+
+    @pytest.mark.slow
+    def test_a_number_at_an_end_of_its_range_is_named(self):
+        narrow = ALONE[1][0], ALONE[1][1].replace("0.1..20", "1..1.3")
+        contest = compare(changed(ALONE[0], narrow, ("generations: 2", "generations: 6")))
+        assert contest.at_bound["PID 3"] == (KP,)
+        assert contest.tuned["PID 3"][KP] == pytest.approx(1.3e5, rel=0.01)
+
+    @pytest.mark.slow
+    def test_at_equal_air_each_has_its_trial_of_least_error(self, suite, contest, kept):
+        """By the medians of the training runs, of trials in which no run diverged, on the evaluation runs."""
+        tried = {name: trials(kept, path) for name, path in (("PID 3", "pid-3"), ("decoupling", "decoupling"))}
+        limit = min(tried["PID 3"], key=lambda trial: trial.cost).metrics["air"]
+        for name, each in tried.items():
+            best = min(each, key=lambda trial: trial.cost).metrics
+            known = [t.metrics for t in each if t.metrics and t.metrics["air"] <= limit]
+            known = [at for at in known if at["stiffness_rmse"] <= 1.1 * best["stiffness_rmse"]]
+            assert (name in contest.at_air.batches) == (len(known) > 0)
+            if known:
+                alone = evaluate(contest.runs, name, contest.at_air.tuned[name])
+                assert np.array_equal(contest.at_air.metric(name, "air"), alone.metrics["air"][contest.started])
+        chosen = min(
+            (t.metrics for t in tried["PID 3"] if t.metrics), key=lambda at: (at["air"] > limit, at["angle_rmse"])
+        )
+        assert contest.at_air.tuned["PID 3"][KP] == pytest.approx(chosen["air"] / 1e-4 * 3e5, rel=1e-5)
+        assert "as it is" not in contest.at_air.tuned
+        numbers = statistics(contest)["at_air_of_first"]
+        assert numbers["air_L"] == pytest.approx(limit * 1e3)
+        assert list(numbers["controllers"]) == list(contest.at_air.batches)
+        assert numbers["controllers"]["PID 3"]["ratio_to_first"]["angle_rmse_deg"]["ratio"] == 1.0
+
+    @pytest.mark.slow
+    def test_all_have_the_same_budget_and_untuned_ones_none(self, contest, kept):
+        counts = {path.stem: len(trials(kept, path.stem)) for path in kept.glob("*.journal")}
+        assert set(counts) == {"pid-3", "decoupling"}
+        assert all(24 <= count <= 26 for count in counts.values()), counts  # two searches and that at equal air
+        assert contest.tuned["as it is"] == {}
+        assert "as it is" not in contest.training_cost
+        batch = contest.batches["as it is"]
+        assert batch.metrics["air"][~batch.failed] == pytest.approx(2 / 3 * 1e-4), "2 bar/rad, as in the file"
+
+    @pytest.mark.slow
+    def test_a_controller_may_have_a_budget_of_its_own(self, tmp_path):
+        for name, starts in (("all", "starts: 3"), ("own", "starts: 1, starts_of: {PID 3: 3}")):
+            compare(changed(*ALONE, ("starts: 2", starts)), folder=tmp_path / name)
+        points = [[trial.point for trial in trials(tmp_path / name)] for name in ("all", "own")]
+        assert points[0] == points[1]
+
+    @pytest.mark.slow
+    def test_a_search_starts_at_the_best_of_its_candidates(self, tmp_path):
+        compare(changed(*ALONE, ("starts: 2", "starts: 1, candidates: 40")), folder=tmp_path)
+        found = trials(tmp_path)
+        best = min(found[:40], key=lambda trial: trial.cost)
+        assert best.cost < found[0].cost, "better than the gains of the file"
+        assert len({trial.point for trial in found[:40]}) == 40
+        assert np.mean([trial.point for trial in found[40:44]]) == pytest.approx(best.point[0], abs=0.35)
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("candidates", [0, 6])
+    def test_a_controller_that_wraps_another_also_starts_at_the_tuned_numbers_of_that(self, candidates, tmp_path):
+        inner = TEXT[TEXT.index("    position: {kp: 1.2 bar") : TEXT.index("  decoupling:\n")]
+        wrapper = "  wrapped:\n    class: delay_compensation\n    command_delay: 1 ms\n    controller:\n"
+        wrapper += "".join(f"  {line}\n" for line in inner.splitlines())
+        gains = "controller.controller.position.kp=0.1..20 bar/rad log, controller.observer.bandwidth=9..900 rad/s log"
+        over = f"over: {{PID 3: [controller.position.kp=0.1..20 bar/rad log], wrapped: [{gains}]}}"
+        rest = ("starts: 2", f"starts: 1, candidates: {candidates}"), ("population: 4", "population: 5")
+        suite = changed((OTHERS, wrapper), ("untuned: [as it is]", over), *rest)
+        found = compare(suite, folder=tmp_path)
+        space = SearchSpace(suite.tuned_over("wrapped"))
+        points = [np.array(trial.point) for trial in trials(tmp_path, "wrapped")]
+        assert points[0] == pytest.approx(space.point(space.nominal))
+        best = space.point(np.array([found.tuned["PID 3"][KP], space.nominal[1]]))
+        assert abs(best[0] - points[0][0]) > 0.05
+        assert points[1] == pytest.approx(best, abs=1e-6)
+        shared = [abs(point[0] - best[0]) < 1e-6 for point in points[: max(candidates, 2)]]
+        assert shared == [bool(i % 2) for i in range(max(candidates, 2))]
+
+    def test_progress_goes_from_controller_to_controller(self, suite, contest, told):
+        parts = [part for _, part in told]
+        assert parts == sorted(parts)
+        assert told[-1] == ("done", 1.0)
+        counted = [f"{name} ({number} of 3)" for number, name in enumerate(suite.controllers, start=1)]
+        assert {what.split(":")[0] for what, _ in told} == {*counted, "done"}
+
+    def test_runs_that_cannot_begin_are_no_fault_of_anyone(self, contest):
+        lags = contest.runs.conditions["valve.time_constant"]
+        assert np.array_equal(contest.started, lags <= 0.048)
+        assert not contest.started.all()
+        heavy = contest.runs.conditions["load.mass2"][contest.started]
+        assert contest.metric("as it is", "angle_rmse") / deg == pytest.approx((1 + np.log10(1.5)) * heavy / 0.5)
+        assert not contest.diverged("as it is").any()
+
+    @pytest.mark.slow
+    def test_a_search_repeats_itself_and_is_taken_up(self, suite, contest, kept, tmp_path):
+        whole = {path.name: path.read_bytes() for path in kept.glob("*.journal")}
+        content = whole["pid-3.journal"]
+        for share in (0.5, 0.9, 1.0):  # 0.9: in the search at equal air
+            (tmp_path / "pid-3.journal").write_bytes(content[: int(share * len(content))])
+            again = compare(suite, folder=tmp_path, resume=True)
+            assert {path.name: path.read_bytes() for path in tmp_path.glob("*.journal")} == whole
+            assert again.tuned == contest.tuned
+            assert again.training_cost == contest.training_cost
+
+    @pytest.mark.slow
+    def test_nothing_is_overwritten_or_taken_for_another(self, tmp_path):
+        compare(changed(*ALONE), folder=tmp_path)
+        with pytest.raises(FileError, match="search history already exists"):
+            compare(changed(*ALONE), folder=tmp_path)
+        for other in (
+            changed(*ALONE, ("load.mass2=+-50 %", "load.mass2=+-40 %")),
+            changed(*ALONE, ("kd: 0.2 bar*s/rad", "kd: 0.3 bar*s/rad")),
+            changed(*ALONE, ("duration: 120 ms", "duration: 140 ms")),
+        ):
+            with pytest.raises(FileError):
+                compare(other, folder=tmp_path, resume=True)
+        more = changed(*ALONE, ("evaluation: {runs: 16", "evaluation: {runs: 20"))
+        assert compare(more, folder=tmp_path, resume=True).runs.count == 20
+
+    def test_lost_runs_cost_a_million(self):
+        alone = TEXT[: TEXT.index("  PID 3:")] + TEXT[TEXT.index("  as it is:") :]
+        wild = compare(Suite.parse(alone.replace("{kp: 2 bar/rad", "{kp: 9 bar/rad")))
+        lost = wild.runs.conditions["disturbance.height"][wild.started] > 0
+        assert np.array_equal(wild.diverged("as it is"), lost)
+        assert lost.any()
+        assert np.array_equal(np.isnan(wild.metric("as it is", "angle_rmse")), lost)
+        assert set(wild.cost("as it is")[lost]) == {FAILED_COST}
+        assert (wild.cost("as it is")[~lost] < 100).all()
+
+    @pytest.mark.slow
+    def test_when_no_run_can_begin_it_is_said(self):
+        slow = ("valve.time_constant=10..50 ms", "valve.time_constant=49..50 ms")
+        with pytest.raises(ParameterError, match="none of the training runs can start"):
+            compare(changed(slow, *ALONE))
+        with pytest.raises(ParameterError, match="none of the evaluation runs can start"):
+            compare(changed(slow, ALONE[0], ("untuned: [as it is]", "untuned: [PID 3]")))
+
+
+@pytest.mark.parametrize("controller", ["PID 3", "decoupling"])
+@pytest.mark.slow
+def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
+    """Whatever the conditions: it has no leaf that is an array over runs but of its own tuned numbers, all equal."""
+    heavier = changed(("load.mass2=+-50 %", "load.mass2=1..2 kg"))
+    several = [draw(suite, 16, 1), draw(suite, 16, 7), draw(heavier, 16, 1)]
+    plants = [jax.tree.leaves(runs.groups[0].plant) for runs in several]
+    assert any(not np.array_equal(a, b) for a, b in zip(plants[0], plants[1], strict=True))
+    for table in ({}, {each.name: [float(each.parameter.nominal)] for each in suite.tuned_over(controller)[:1]}):
+        first, *others = (jax.tree.leaves(_controller(runs, runs.groups[0], controller, table, 1)) for runs in several)
+        varying = [leaf for leaf in first if np.ndim(leaf)]
+        assert len(varying) == len(table)
+        assert all(np.ptp(leaf) == 0 for leaf in varying)
+        for leaves in others:
+            assert all(np.array_equal(a, b) for a, b in zip(first, leaves, strict=True))
+
+
+@pytest.mark.parametrize("friction", ["", ", friction: {half_width: 6 N, presliding_length: 0.5 mm}"])
+def test_a_true_model_is_the_plant_of_each_run(friction):
+    compensated = "feedback: {bandwidth: 40 rad/s}" + ("\n    friction_compensation: true" if friction else "")
+    suite = changed(
+        ("tuning: {", "true_model: [decoupling]\ntuning: {"),
+        ("strength: 1}", f"strength: 1{friction}}}"),
+        ("strength: 1.05}", f"strength: 1.05{friction}}}"),
+        ("feedback: {bandwidth: 40 rad/s}", compensated),
+    )
+    runs = draw(suite, 8, 1)
+    assert len(set(runs.joint)) == 2
+    bandwidths = {"controller.feedback.bandwidth": [30.0, 50.0]}
+    (group,) = runs.groups
+    control = _controller(runs, group, "decoupling", bandwidths, 2)
+    for row in range(2 * runs.count):
+        values = {name: column[row // runs.count] for name, column in bandwidths.items()}
+        alone = runs.scenario("decoupling", row % runs.count, values).control()
+        for own, single in zip(jax.tree.leaves(control), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(np.asarray(own)[row] if np.ndim(own) else own, single, rtol=1e-12)
+
+
+def test_a_front_has_the_trials_with_the_least_error_for_their_air():
+    def trial(cost, air, angle, stiffness=1.0):
+        return Trial((cost,), cost, metrics={"air": air * 1e-3, "angle_rmse": angle * deg, "stiffness_rmse": stiffness})
+
+    best = trial(1.0, 0.3, 0.2)
+    beside = [trial(2.0, 0.2, 0.4), trial(3.0, 0.1, 0.9), trial(4.0, 0.4, 0.3), trial(5.0, 0.25, 0.5)]
+    stiff, diverged = trial(6.0, 0.05, 0.1, stiffness=1.2), Trial((7.0,), FAILED_COST)
+    found = front([diverged, *beside, best, stiff])
+    assert [trial for trial, _ in found] == [beside[1], beside[0], best]
+    assert [at["air"] for _, at in found] == pytest.approx([1e-4, 2e-4, 3e-4])
+    assert front([diverged]) == []
+
+
+def test_too_much_air_or_stiffness_error_raises_the_error_that_is_searched():
+    def error(air, stiffness, failed=0.0):
+        metrics = {"air": air, "angle_rmse": 0.01, "stiffness_rmse": stiffness, "failed": failed}
+        return _error_at_air(Trial((0.5,), 1.0, metrics=metrics), 2e-4, 0.5, 1.0)
+
+    assert error(2e-4, 0.5) == error(1e-4, 0.1) == 0.01
+    assert error(2.2e-4, 0.5) == error(2e-4, 0.55) == pytest.approx(0.02)
+    assert error(2e-4, 0.5, failed=1.0) == 0.01
+    assert error(2e-4, 0.5, failed=2.0) == FAILED_COST
+    assert _error_at_air(Trial((0.5,), FAILED_COST), 2e-4, 0.5, 1.0) == FAILED_COST
+
+
+@pytest.mark.slow
+def test_the_cost_covers_a_longer_delay():
+    def evaluated(*pairs):
+        one = changed(*ALONE, *pairs)
+        task = ControllerTuning(one, "PID 3", SearchSpace(one.tuned_over("PID 3")), draw(one, 8, 99))
+        return task.evaluate(np.array([[1e5], [5e5]]))
+
+    late = "conditions:\n", "command_delay: 6 ms\nconditions:\n"
+    covered = evaluated(("tuning: {", "tuning: {delay_margin: 6 ms, "))
+    each = evaluated().costs, evaluated(late).costs
+    assert covered.costs == pytest.approx(np.maximum(*each), rel=1e-9)
+    assert (covered.costs > each[0]).any()
+    assert covered.metrics == evaluated().metrics, "without the margin"
+
+
+def test_sets_of_numbers_lie_one_after_the_other(suite):
+    runs = draw(suite, 4, 1)
+    control = _controller(runs, runs.groups[0], "PID 3", {KP: np.array([1e5, 2e5, 3e5])}, 3)
+    assert np.array_equal(control.position.kp, np.repeat([1e5, 2e5, 3e5], 4))
+
+
+def test_every_set_meets_every_run(suite, monkeypatch):
+    """What `simulate_many` is given: all runs for the first set, then all for the second."""
+    given = {}
+    monkeypatch.setattr(benchmark, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
+    runs = draw(suite, 4, 1)
+    control = _controller(runs, runs.groups[0], "PID 3", {KP: np.array([1e5, 2e5, 3e5])}, 3)
+    benchmark._simulated(suite, runs.groups[0], control, 3, ("air",), "xla")
+    plant, controller, reference = given["parts"]
+    mass = runs.conditions["load.mass2"]
+    assert np.array_equal(plant.load.mass2, [*mass, *mass, *mass])
+    assert np.array_equal(controller.position.kp, np.repeat([1e5, 2e5, 3e5], 4))
+    wanted = runs.groups[0].reference.angle.values
+    assert wanted.shape == (4, 60)
+    assert np.array_equal(reference.angle.values, [*wanted, *wanted, *wanted])
+    assert (given["duration"], given["control_period"], given["substeps"]) == (0.12, 0.002, 1)
+    assert (given["metrics"], given["engine"]) == (("air",), "xla")
