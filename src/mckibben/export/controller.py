@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -28,17 +29,14 @@ from mckibben.simulation.problem import sampled
 from mckibben.units import SYMBOLS
 
 _MOST_PERIODS = 10_000  # of a recording
-UNITS = {
-    "parameters.control_period": "s",
-    "setpoint.angle": "rad",
-    "setpoint.stiffness": "N*m/rad",
-    "measurement.angle": "rad",
-    "measurement.pressures.0": "Pa, gauge",
-    "measurement.pressures.1": "Pa, gauge",
-    "commands.pressure1": "Pa, gauge",
-    "commands.pressure2": "Pa, gauge",
-    "telemetry.stiffness_estimate": "N*m/rad",
+_UNITS = {
+    **dict.fromkeys(("angle", "angles"), "rad"),
+    **dict.fromkeys(("stiffness", "stiffness_estimate"), "N*m/rad"),
+    **dict.fromkeys(("command", "pressure", "pressures", "reservoir"), "Pa"),
+    **dict.fromkeys(("force", "ground_force", "tension"), "N"),
+    **{"velocity": "rad/s", "torque": "N*m", "temperatures": "K", "contraction": "1"},
 }
+"""Units of arguments and results by the names of their quantities."""
 
 
 class ControllerModule(NamedTuple):
@@ -108,8 +106,7 @@ def controller_module(scenario: Scenario, name: str = "controller") -> Controlle
     recording = recorded(source.plant, source.controller, setpoints, source.initial, *timing, _setpoint_of)
     columns = ("setpoint.angle", "setpoint.stiffness", "measurement.angle", "measurement.pressures_0",
                "measurement.pressures_1", "commands.pressure1", "commands.pressure2")  # fmt: skip
-    units = UNITS | units_of(source.parameters, "parameters")
-    return ControllerModule(module, units, columns, recording, left_out)
+    return ControllerModule(module, units_of(module, "Pa, gauge"), columns, recording, left_out)
 
 
 def _setpoint_of(controller: Controller, state: PyTree, setpoint: Setpoint, *_: Any) -> Setpoint:
@@ -203,9 +200,16 @@ def _recorded(
         return measured, *lax.scan(next_period, (initial, controller.init(measured)), rows)[1]
 
 
-def units_of(tree: PyTree, prefix: str) -> dict[str, str]:
-    """Units of the leaves of a tree by path, from the metadata of the fields."""
-    return {f"{prefix}.{path}": unit for path, unit in _units(tree, "") if unit}
+def units_of(module: SourceModule, pressure: str = "Pa") -> dict[str, str]:
+    """Units of a module by structure and path: of parameters from the metadata of the fields, else by quantity."""
+    units = {f"parameters.{path}": unit for path, unit in _units(module.parameters, "") if unit}
+    for structure, members in (module.structures() | {"state": module.state}).items():
+        for member in members:
+            quantity = re.sub(r"[\d._]+$", "", member.path).rpartition(".")[2]
+            if quantity in _UNITS:
+                unit = _UNITS[quantity]
+                units[f"{structure}.{member.path}"] = pressure if unit == "Pa" else unit
+    return units | {"parameters.control_period": "s"}
 
 
 def _units(tree: PyTree, path: str, symbols: Units = Units()) -> Iterator[tuple[str, str]]:  # noqa: B008

@@ -31,32 +31,6 @@ _STATE_NAMES = {
     "air.temperatures.0": "temperature1",
     "air.temperatures.1": "temperature2",
 }
-_PLANT_UNITS = {
-    "inputs.command1": "Pa",
-    "inputs.command2": "Pa",
-    "inputs.torque": "N*m",
-    "state.angle": "rad",
-    "state.velocity": "rad/s",
-    "state.pressures.0": "Pa",
-    "state.pressures.1": "Pa",
-    "state.air.reservoir": "Pa",
-    "state.air.temperatures.0": "K",
-    "state.air.temperatures.1": "K",
-    "results.pressure1": "Pa",
-    "results.pressure2": "Pa",
-    "results.tension1": "N",
-    "results.tension2": "N",
-    "results.stiffness": "N*m/rad",
-}
-
-
-_CONTROLLER_INPUTS = {
-    "setpoint.angle": "rad",
-    "setpoint.stiffness": "N*m/rad",
-    "measurement.angle": "rad",
-    "measurement.pressure1": "Pa",
-    "measurement.pressure2": "Pa",
-}
 
 
 def plant_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
@@ -144,7 +118,7 @@ def plant_unit(
         for i, muscle in enumerate(plant.muscles)
         for k, unit in enumerate(muscle.creep.state_units)
     }
-    units = _PLANT_UNITS | creep
+    units = units_of(module) | creep
     if valve.direct:
         units |= {"inputs.command1": "", "inputs.command2": ""}
     unit = FunctionalUnit(
@@ -152,7 +126,7 @@ def plant_unit(
         "Joint of two pneumatic muscles with load and valves",
         period,
         {path: float(value) for path, value in starts.items()},
-        units | units_of(plant, "parameters"),
+        units,
         _STATE_NAMES,
         model_exchange=not valve.switches,
     )
@@ -201,10 +175,9 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
         module.add("init", "state without stress of friction", init, {"inputs": inputs})
         module.add("advance", "state after a move", project, both)
         module.add("project", "state after a move", project, both)
-    units = {"inputs.contraction": "1", "inputs.pressure": "Pa", "results.force": "N"}
     start = {"contraction": 0.0, "pressure": 0.0}
     title = f"Force of the pneumatic muscle {muscle.specimen.name}"
-    return FunctionalUnit(module, title, period, start, units | units_of(muscle, "parameters"), model_exchange=True)
+    return FunctionalUnit(module, title, period, start, units_of(module), model_exchange=True)
 
 
 def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
@@ -240,16 +213,22 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     module.add("evaluate", "commands from now on", results, both)
     module.add("advance", "state after a control period", advance, both)
     setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)[1]
-    starts = *(column[0] for column in setpoints), source.measurement.angle, *source.measurement.pressures
-    results_of = next(f for f in module.functions if f.name == "evaluate").results["results"]
-    units = {f"inputs.{path}": unit for path, unit in _CONTROLLER_INPUTS.items()}
-    units |= {f"results.{member.path}": attributes(member.path).get("units", "") for member in results_of}
+    pressure1, pressure2 = source.measurement.pressures
+    starts = {
+        "setpoint.angle": setpoints.angle[0],
+        "setpoint.stiffness": setpoints.stiffness[0],
+        "measurement.angle": source.measurement.angle,
+        "measurement.pressure1": pressure1,
+        "measurement.pressure2": pressure2,
+    }
+    columns = next(f for f in module.functions if f.name == "evaluate").results["results"]
+    telemetry = {f"results.{member.path}": attributes(member.path).get("units", "") for member in columns}
     unit = FunctionalUnit(
         module,
         f"Controller of the scenario {scenario.name!r}",
         scenario.control_period,
-        {path: float(value) for path, value in zip(_CONTROLLER_INPUTS, starts, strict=True)},
-        units | units_of(source.parameters, "parameters"),
+        {path: float(value) for path, value in starts.items()},
+        units_of(module) | telemetry,
         fixed=("control_period",),
         sampled=True,
     )

@@ -113,18 +113,7 @@ def _module(
     times = sampling_times(duration, period)
     substeps = plant.needed_substeps(start.angles, None, period)
     recording = recorded(plant, controller, times, initial, period, substeps, _wanted)
-    units = {
-        **{f"setpoint.angles.{i}": "rad" for i in of_joints},
-        **{f"setpoint.stiffness.{i}": "N*m/rad" for i in of_joints},
-        **{f"measurement.angles.{i}": "rad" for i in of_joints},
-        **{f"measurement.pressures.{i - 1}": "Pa, gauge" for i in muscles},
-        **{f"commands.pressure{i}": "Pa, gauge" for i in muscles},
-        **{f"telemetry.stiffness_estimate_{i}": "N*m/rad" for i in of_joints},
-        "measurement.ground_force": "N",
-        "parameters.control_period": "s",
-    }
-    units |= units_of(parameters, "parameters")
-    return ControllerModule(module, units, columns, recording, ())
+    return ControllerModule(module, units_of(module, "Pa, gauge"), columns, recording, ())
 
 
 def _wanted(
