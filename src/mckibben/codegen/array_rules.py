@@ -39,27 +39,8 @@ class ArrayRules:
 
     # Elementwise, with parameters
 
-    def _square(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
-        return self._elementwise(lambda x: self._graph.power(x, 2), x)
-
-    def _one_minus_square(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
-        """Derivative of tanh by its value, in JAX 0.12 and newer."""
-        unit, operation = self._graph.constant(1.0, kind), self._graph.operation
-        sides = lambda x: (operation("sub", kind, unit, x), operation("add", kind, unit, x))  # noqa: E731
-        return self._elementwise(lambda x: operation("mul", kind, *sides(x)), x)
-
     def _integer_pow(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         return self._elementwise(lambda x: self._graph.power(x, parameters["y"]), x)
-
-    def _rsqrt(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
-        unit = self._graph.constant(1.0, kind)
-        root = lambda x: self._graph.operation("sqrt", kind, x)  # noqa: E731
-        return self._elementwise(lambda x: self._graph.operation("div", kind, unit, root(x)), x)
-
-    def _logistic(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
-        unit, operation = self._graph.constant(1.0, kind), self._graph.operation
-        power = lambda x: operation("exp", kind, operation("neg", kind, x))  # noqa: E731
-        return self._elementwise(lambda x: operation("div", kind, unit, operation("add", kind, unit, power(x))), x)
 
     def _round(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array | None:
         if parameters["rounding_method"] is not jax.lax.RoundingMethod.TO_NEAREST_EVEN:

@@ -38,10 +38,18 @@ def write_c(
     wide: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
 ) -> Sources:
-    """Write a module as C99; `units` of the members, by structure and path.
+    """Write a module as C99: a header with its structures, and a source without memory allocation or recursion.
 
-    In `single` precision numbers are `float`, except values that depend on the arguments `wide` alone, which are
-    `double`.
+    Parameters
+    ----------
+    comment
+        Text at the beginning of both files.
+    single
+        Whether numbers are `float`, except values that depend on the arguments `wide` alone, which are `double`.
+    wide
+        Names of such arguments.
+    units
+        Units of the members by structure and path, such as ``setpoint.angle``, for comments in the header.
     """
     return _Writing(module, comment, single, wide, units or {}).sources()
 

@@ -180,7 +180,11 @@ FOLDED: dict[str, Callable[..., Any]] = {
 
 
 class Graph:
-    """Statements in scopes; `scope` is the current one."""
+    """Statements in scopes; `scope` is the current one.
+
+    Equal operations on equal arguments are one value. Operations on known numbers, and neutral ones, are folded.
+    Raises `ExportError` for more than `most` operations.
+    """
 
     def __init__(
         self,
@@ -359,7 +363,10 @@ _LATENCIES = {"sqrt": 19, "div": 13, "exp": 40, "sin": 45, "cos": 45, "tanh": 90
 
 
 def interleave(scope: Scope) -> None:
-    """Order values by when their arguments are known, so that a processor overlaps independent chains of operations."""
+    """Order values by when their arguments are known, so that a processor overlaps independent chains of operations.
+
+    Loops, branches and arrays keep their places; values move only between two of them.
+    """
     ready: dict[int, int] = {}
     waiting: list[tuple[int, Value]] = []
     ordered: list[Any] = []

@@ -66,6 +66,13 @@ def kind_of(dtype: Any) -> Kind:
     return Kind.INTEGER if letter in "iu" else Kind.REAL
 
 
+_DECOMPOSED: dict[str, Callable[[Any], Any]] = {
+    "square": lambda x: x * x,
+    "one_minus_square": lambda x: (1 - x) * (1 + x),  # derivative of tanh by its value, in JAX 0.12 and newer
+    "rsqrt": lambda x: 1 / jnp.sqrt(x),
+    "logistic": lambda x: 1 / (1 + jnp.exp(-x)),
+}
+"""Primitives as functions of others."""
 _FOR_LANES = {"tanh": tanh, "exp": elementary.exp, "sin": elementary.sin, "cos": elementary.cos}
 """Polynomials in place of library calls, which are not vectorised."""
 
@@ -153,6 +160,8 @@ class Lowering(ArrayRules):
         name = _RENAMED.get(name, name)
         if name == "erf_inv" and aval.dtype == np.float32:
             return self._closed(_jaxpr_of(erf_inv, aval.shape, aval.dtype), arguments)
+        if name in _DECOMPOSED:
+            return self._closed(_jaxpr_of(_DECOMPOSED[name], aval.shape, aval.dtype), arguments)
         if name == "log1p" and aval.dtype == np.float32 and not self._graph.threads:
             if self._graph.single:
                 return self._closed(_jaxpr_of(log1p_single, aval.shape, aval.dtype), arguments)

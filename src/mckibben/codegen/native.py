@@ -106,7 +106,18 @@ def warn_of_fallback(error: ExportError) -> None:
 
 
 class NativeFunction:
-    """A pure function of a shared tree and, in a batch, one with the runs along the last axis, compiled as C."""
+    """A pure function of a shared tree and, in a batch, one with the runs along the last axis, compiled as C.
+
+    It is written and compiled once per structure, static leaves, shapes and types of its arguments, not per number of
+    runs, and kept in the program cache. Arrays are arguments; all other leaves are static.
+
+    Parameters
+    ----------
+    function
+        ``function(shared, lane)`` of JAX, for one run; `lane` is None for a function of the shared tree alone.
+    flags
+        Further options of the compiler.
+    """
 
     def __init__(self, function: Callable[..., Any], flags: Sequence[str] = ()) -> None:
         self._function, self._flags = function, tuple(flags)
@@ -256,7 +267,17 @@ EXACT = ("-ffp-contract=off",)
 
 
 def compile_native(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
-    """Compile a function of static arguments and float vectors for calls of microseconds; raises `ExportError`."""
+    """Compile a function of static arguments and float vectors for calls of microseconds.
+
+    Products and sums are not fused, so that results are the same in every program. Raises `ExportError`.
+
+    Parameters
+    ----------
+    sizes
+        Lengths of the vectors.
+    static
+        First arguments of the function.
+    """
 
     def written() -> Written:
         vectors = [np.zeros(size) for size in sizes]
@@ -281,7 +302,19 @@ def write_native(
     single: bool = False,
     threads: bool = False,
 ) -> Written:
-    """Write a function of arrays shared by all runs and arrays with an entry per run, as C or as a CUDA kernel."""
+    """Write a function of arrays shared by all runs and arrays with an entry per run, as C or as a CUDA kernel.
+
+    Raises `ExportError` for operations that cannot be written, and for programs that a compiler takes too long for.
+
+    Parameters
+    ----------
+    common, varying
+        Examples of the arrays, of a single run.
+    single
+        Whether values that differ between runs have 32 bits.
+    threads
+        Whether each run is a thread of a kernel, instead of an element of a vector.
+    """
     graph = Graph(lanes=bool(varying), single=single, threads=threads, most=_LARGEST)
     graph.scope = graph.root.inner()
     inputs = [_input_value(graph, f"in{n}", x, n < len(common)) for n, x in enumerate([*common, *varying])]

@@ -78,7 +78,21 @@ class SourceModule:
     def add(
         self, name: str, text: str, function: Callable[..., Mapping[str, PyTree]], arguments: Mapping[str, PyTree]
     ) -> None:
-        """Add a function of the parameters and of named trees, which returns named trees; raises `ExportError`."""
+        """Add a function of the parameters and of named trees, which returns named trees.
+
+        Raises `ExportError`, which names the operation and its place in the source, for one that cannot be written.
+
+        Parameters
+        ----------
+        name, text
+            Name of the function in the program, an identifier, and its description there.
+        function
+            Called once with `parameters` and the arguments by name, whose leaves are arrays; returns trees by name.
+            A result ``state`` updates the argument of that name.
+        arguments
+            Examples of the arguments by name: pytrees of numbers and arrays, whose shapes and types are those of the
+            program.
+        """
         scope = self.graph.scope = self.graph.root.inner()
         members_by_argument = {name: members_of(tree) for name, tree in arguments.items()}
         inputs = [*self._inputs]
@@ -144,7 +158,11 @@ def element(structure: str, member: Member, number: int) -> str:
 
 
 def members_of(tree: PyTree, prefix: str = "") -> list[Member]:
-    """Members of a structure for the leaves of a tree, with names from their paths without a prefix."""
+    """Members of a structure for the leaves of a tree, with names from their paths without a prefix.
+
+    >>> [member.name for member in members_of({"controller": {"kp": 1.0, "poles": (2.0, 3.0)}}, "controller.")]
+    ['kp', 'poles_0', 'poles_1']
+    """
     leaves = jax.tree_util.tree_leaves_with_path(tree)
     paths = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves]
     names: dict[str, str] = {}
@@ -160,6 +178,10 @@ def members_of(tree: PyTree, prefix: str = "") -> list[Member]:
 
 
 def identifier(text: str) -> str:
-    """An identifier of C and JavaScript from any text."""
+    """An identifier of C and JavaScript from any text.
+
+    >>> identifier("muscle1.law.a1"), identifier("double"), identifier("2 Hz")
+    ('muscle1_law_a1', '_double', '_2_Hz')
+    """
     name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
     return f"_{name}" if name in _RESERVED or name[:1].isdigit() else name

@@ -60,7 +60,11 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
 
 
 def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str] = ()) -> Any:
-    """A function of a module in CasADi, with a column vector per argument, the last one for symbolic parameters."""
+    """A function of a module in CasADi, with a column vector per argument, the last one for symbolic parameters.
+
+    Raises `ExportError` for an unknown function and for an operation without a counterpart; `ParameterError` for an
+    unknown parameter.
+    """
     casadi = _casadi()
     function = find_function(module.functions, name)
     symbols: dict[str, PyTree] = {}

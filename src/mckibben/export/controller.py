@@ -65,7 +65,11 @@ class ControllerFunctions(NamedTuple):
 
 
 def controller_functions(scenario: Scenario) -> ControllerFunctions:
-    """First and subsequent steps of a scenario's controller; all its real numbers are parameters."""
+    """First and subsequent steps of a scenario's controller; all its real numbers are parameters.
+
+    The functions are pure, and take the parameters first: ``init(parameters, measurement)`` returns the ``state``,
+    ``step(parameters, state, setpoint, measurement)`` the next ``state``, the ``commands`` [Pa] and the ``telemetry``.
+    """
     period = scenario.control_period
     plant, controller = scenario.plant().with_period(period), scenario.control().with_period(period)
     plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))

@@ -21,7 +21,15 @@ def evaluate(
 ) -> dict[str, list[Any]]:
     """Results of a function, element by element, for inputs and parameters by their names in the graph.
 
-    Parameters default to the module's values. Loops are unrolled.
+    Parameters default to the module's values. Loops are unrolled, and both sides of a branch are computed. Raises
+    `ExportError` for an operation that is missing, and for a loop that ends on a condition.
+
+    Parameters
+    ----------
+    operations
+        Functions of numbers, symbols or texts by the name of their operation, and ``select``.
+    inputs
+        Values by the names of inputs, such as ``angle`` or ``pressures[0]``.
     """
     results = [value for values in function.values.values() for value in values]
     evaluation = _Evaluation(operations, _defaults(module) | dict(inputs), needed(results))

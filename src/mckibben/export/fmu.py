@@ -34,7 +34,10 @@ _STATE_NAMES = {
 
 
 def plant_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
+    """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out.
+
+    Raises `ExportError` for parts that C cannot express, and without FMPy.
+    """
     real = scenario.plant()
     plant, initial = numeric((real.with_ideal_io(), scenario.initial(real)))
     unit, left_out = plant_unit(plant, initial, name, scenario.control_period, scenario.needed_substeps())

@@ -372,7 +372,11 @@ class MassPoint(NamedTuple):
 
 
 def mass_point(load: Load) -> MassPoint:
-    """A body with the inertia and the gravity torque of a load."""
+    """A body with the inertia and the gravity torque of a load; `ExportError` for one with another torque.
+
+    With the largest torque of gravity G = m g d, the body hangs at d = G / (m g) and has the inertia J - m d^2. If only
+    G and the inertia J are known, m = 2 G^2 / (J g^2), for which half of J is that of the point.
+    """
     inertia, moment, gravity = float(load.total_inertia), float(load.gravity_moment), gravity_of(load)
     angles = np.linspace(-1, 1, 5)
     hanging = moment * np.sin(float(load.hanging_angle) - angles)

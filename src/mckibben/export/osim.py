@@ -49,7 +49,10 @@ class OsimModel(NamedTuple):
 
 
 def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "joint") -> OsimModel:
-    """The joint and load of a plant at gauge pressures [Pa]; raises `ExportError`."""
+    """The joint and load of a plant for OpenSim 4.6, at constant gauge pressures [Pa] of both muscles.
+
+    Raises `ExportError` for a force without a closed form, paths of tables, and loads with a torque other than gravity.
+    """
     joint = plant.joint
     muscles = [
         dataclasses.replace(muscle, friction=NoFriction(), creep=NoCreep()) for muscle in (joint.muscle1, joint.muscle2)

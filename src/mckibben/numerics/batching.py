@@ -35,7 +35,12 @@ RANK = "rank"
 
 
 def lanes_of(tree: PyTree) -> tuple[int | None, Any]:
-    """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an extra axis."""
+    """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an extra axis.
+
+    A leaf is a number in a single run, unless its field has a `RANK`; in a batch it is a number, shared by all runs, or
+    an array of shape (lanes, ...). Raises `ParameterError` for other shapes, empty arrays and different numbers of
+    lanes; the message names the leaves.
+    """
     count, first, flags = None, "", []
     leaves, structure = jax.tree.flatten(tree)
     if not any(np.ndim(leaf) for leaf in leaves if eqx.is_array_like(leaf)):
@@ -64,7 +69,18 @@ def lanes_of(tree: PyTree) -> tuple[int | None, Any]:
 
 
 def with_leaves(trees: Mapping[str, PyTree], values: Mapping[str, ArrayLike]) -> dict[str, PyTree]:
-    """Trees with new, checked values at leaves by dotted names; ``joint.muscle.strength`` is that of both muscles."""
+    """Trees with new, checked values at leaves by dotted names; ``joint.muscle.strength`` is that of both muscles.
+
+    Raises `ParameterError` for names that do not exist and for values that are not numbers, or not integers where the
+    field is one; `RangeError` for values outside the range of a field.
+
+    Parameters
+    ----------
+    trees
+        Pytrees by name; the name ``plant`` is left out in the names of its leaves.
+    values
+        Numbers in SI, or arrays of shape (lanes,), by the names of leaves (`named_leaves`).
+    """
     if not values:
         return dict(trees)
     values = {address: value for name, value in values.items() for address in _aliased(trees, name)}
@@ -190,7 +206,7 @@ def cast(tree: Tree, kind: Any) -> Tree:
 
 
 def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
-    """Chunk of every leaf, padded to `size` with the last lane: programs are compiled for one size."""
+    """Chunk of every leaf along its first axis, padded to `size` with the last lane: programs have one size."""
 
     def piece(leaf: Any) -> Any:
         part = np.asarray(leaf[chunk])
@@ -202,7 +218,18 @@ def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
 def map_chunks(
     call: Callable[[slice], R], count: int, size: int, workers: int | None = None
 ) -> Iterator[tuple[slice, R]]:
-    """Call a function on chunks of lanes in threads (JAX releases the lock); yield chunks and results in order."""
+    """Call a function on chunks of lanes in threads (JAX releases the lock); yield chunks and results in order.
+
+    At most two chunks per thread are computed ahead of their reader. An error in a chunk is raised when its turn comes,
+    and ends the others, as closing the iterator does.
+
+    Parameters
+    ----------
+    count, size
+        Numbers of lanes, and of lanes in a chunk.
+    workers
+        Number of threads. Default: of processor cores.
+    """
     workers = workers or cores()
     chunks = iter([slice(start, min(start + size, count)) for start in range(0, count, size)])
     pending: deque[tuple[slice, Future[R]]] = deque()
@@ -268,7 +295,11 @@ def trace_mode() -> tuple[bool, bool]:
 
 
 def fusion_barrier(function: Callable[..., R], *args: object) -> R:
-    """`function(*args)`; in a batched program within a branch, so that XLA does not repeat it at each use."""
+    """`function(*args)`; in a batched program within a branch, so that XLA does not repeat it at each use.
+
+    XLA fuses an expensive value into each of its users, and computes it in each of them. It does not fuse across a
+    branch, whose condition it cannot know. Derivatives and results are those of the function.
+    """
     if not _BATCHED.get():
         return function(*args)
 

@@ -25,7 +25,10 @@ R = TypeVar("R")
 
 
 def numeric(tree: PyTree) -> Any:
-    """Tree with its Python and NumPy numbers as NumPy arrays (JAX's would be put on the device one by one)."""
+    """Tree with its Python and NumPy numbers as NumPy arrays (JAX's would be put on the device one by one).
+
+    Booleans, texts and other leaves stay as they are: they are static in programs.
+    """
 
     def convert(leaf: Any) -> Any:
         if isinstance(leaf, float):  # the common case, and the quicker check
@@ -40,7 +43,10 @@ def numeric(tree: PyTree) -> Any:
 
 
 def jit(function: Callable[P, R]) -> Callable[P, R]:
-    """`equinox.filter_jit` that traces Python numbers too: a new value does not recompile."""
+    """`equinox.filter_jit` that traces Python numbers too: a new value does not recompile.
+
+    The program is kept in the user's program cache, if that is in use (`numerics.program_cache`).
+    """
     program = Program(function)
 
     @functools.wraps(function)
@@ -80,7 +86,10 @@ def _is_traced(tree: PyTree) -> bool:
 
 
 def jit_arrays(function: Callable[P, R], options: Callable[[], dict[str, PyTree]] = dict) -> Callable[P, R]:
-    """`jit` with only arrays traced and numbers static; pass trees through `numeric` first."""
+    """`jit` with only arrays traced and numbers static; pass trees through `numeric` first.
+
+    `options` are compiler options of XLA, asked for when a program is compiled.
+    """
     return cast(Any, functools.update_wrapper(Program(function, options), function))
 
 
