@@ -196,7 +196,7 @@ class Device:
             self._call("cuCtxSynchronize")
             self._call("cuMemcpyDtoH_v2", c_void_p(results.ctypes.data), places[1], c_size_t(results.nbytes))
 
-    def _launch(self, function: c_void_p, blocks: int, threads: int, arguments: Sequence[PyTree]) -> None:
+    def _launch(self, function: c_void_p, blocks: int, threads: int, arguments: Sequence[Any]) -> None:
         pointers = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
         sizes = map(c_uint, (blocks, 1, 1, threads, 1, 1, 0))
         self._call("cuLaunchKernel", function, *sizes, None, pointers, None)
@@ -263,5 +263,5 @@ class CudaFunction(NativeFunction):
     def _built(self, source: str, many: bool) -> bytes:
         return nvrtc().compile(source, device().architecture).image
 
-    def _loaded(self, program: bytes, leaves: Sequence[PyTree], tree: PyTree) -> Compiled:
+    def _loaded(self, program: bytes, leaves: Sequence[tuple[tuple[int, ...], str]], tree: PyTree) -> Compiled:
         return _OnDevice(device().load(program), 1, list(leaves), tree)

@@ -26,7 +26,8 @@ from typing import Any, NamedTuple, TypeVar
 import jax
 import numpy as np
 from jax.tree_util import PyTreeDef
-from jaxtyping import Array, PyTree
+from jaxtyping import PyTree
+from numpy.typing import NDArray
 
 from mckibben.codegen import kernels
 from mckibben.codegen.functions import definitions, native_language
@@ -171,7 +172,7 @@ class NativeFunction:
     def written(self, shared: Split, lanes: Split, *, single: bool) -> Written:
         """Source for arguments."""
 
-        def function(common: Sequence[PyTree], varying: Sequence[PyTree]) -> Any:
+        def function(common: Sequence[NDArray], varying: Sequence[NDArray]) -> Any:
             return self._function(shared.filled(common), lanes.filled(varying))
 
         varying = [x[..., 0] for x in lanes.arrays]
@@ -218,7 +219,7 @@ class Split:
         kinds = "".join([x.dtype.char for x in self.arrays])
         return self.structure, self.static, tuple(map(type, self.static)), shapes, kinds
 
-    def filled(self, arrays: Sequence[PyTree]) -> Any:
+    def filled(self, arrays: Sequence[NDArray]) -> Any:
         """The tree with new arrays."""
         rest = iter(arrays)
         return jax.tree.unflatten(self.structure, [next(rest) if leaf is ARRAY else leaf for leaf in self.static])
@@ -233,7 +234,7 @@ class Compiled:
     leaves: list[tuple[tuple[int, ...], str]]
     tree: PyTree
 
-    def bound(self, common: Sequence[PyTree], varying: Sequence[PyTree] = ()) -> Callable[[], Any]:
+    def bound(self, common: Sequence[NDArray], varying: Sequence[NDArray] = ()) -> Callable[[], Any]:
         """Arguments packed in 64-bit words, as a callable that computes the results of all runs."""
         count = varying[0].shape[-1] if varying else 1
         size = -(-count // self.width) * self.width if varying else 1
@@ -297,8 +298,8 @@ class Written(NamedTuple):
 
 def write_native(
     function: Callable[..., Any],
-    common: Sequence[PyTree],
-    varying: Sequence[PyTree],
+    common: Sequence[NDArray],
+    varying: Sequence[NDArray],
     single: bool = False,
     threads: bool = False,
 ) -> Written:
@@ -347,7 +348,7 @@ def write_native(
 
 
 def _places(
-    common: Sequence[PyTree], varying: Sequence[PyTree], leaves: Sequence[tuple[tuple[int, ...], str]]
+    common: Sequence[NDArray], varying: Sequence[NDArray], leaves: Sequence[tuple[tuple[int, ...], str]]
 ) -> list[str]:
     """Declarations of the location of each argument and result: 64-bit words, as packed by `Compiled`."""
     lines = []
@@ -369,7 +370,7 @@ def _places(
     return lines
 
 
-def _input_value(graph: Graph, name: str, x: Array, uniform: bool) -> Any:
+def _input_value(graph: Graph, name: str, x: NDArray, uniform: bool) -> Any:
     """An argument: a number, or an array in memory."""
     kind = kind_of(x.dtype)
     if x.shape:
@@ -379,7 +380,7 @@ def _input_value(graph: Graph, name: str, x: Array, uniform: bool) -> Any:
     return value
 
 
-def _body(graph: Graph, writer: Writer, inputs: Sequence[PyTree], results: Sequence[PyTree]) -> list[str]:
+def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence[Any]) -> list[str]:
     """Statements that compute the results of one run or of a vector of runs."""
     indent = " " * 8
     for argument in inputs:
@@ -488,12 +489,12 @@ def _compiler_state() -> str:
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 
-def _words(x: Array) -> Any:
+def _words(x: NDArray) -> Any:
     """Elements of an array in 64-bit words."""
     return x.ravel() if x.dtype.kind == "f" else x.astype(np.int64).ravel().view(float)
 
 
-def _padded(x: Array, size: int) -> Any:
+def _padded(x: NDArray, size: int) -> Any:
     """Lanes padded with the last one."""
     short = size - x.shape[-1]
     return np.concatenate([x, np.repeat(x[..., -1:], short, axis=-1)], axis=-1) if short else x

@@ -46,7 +46,7 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
     71.93
     """
     if isinstance(scenario, Scenario):
-        own: dict[str, PyTree] = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
+        own: dict[str, int] = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
         options = {"control_period": scenario.control_period} | own | options
     plant = scenario.plant() if isinstance(scenario, Scenario) else scenario
     made = plant_module(plant, **options)  # pyrefly: ignore[bad-argument-type]
@@ -67,8 +67,8 @@ def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str
     """
     casadi = _casadi()
     function = find_function(module.functions, name)
-    symbols: dict[str, PyTree] = {}
-    inputs: dict[str, PyTree] = {}
+    symbols: dict[str, Any] = {}
+    inputs: dict[str, Any] = {}
     names_by_argument = {argument: element_names(argument, members) for argument, members in function.arguments.items()}
     if parameters:
         names_by_argument["parameters"] = [_parameter(module, parameter) for parameter in parameters]

@@ -220,7 +220,7 @@ def _units(tree: PyTree, path: str, symbols: Units = Units()) -> Iterator[tuple[
     """Path and unit of each field below; `symbols` are the units of symbolic ones."""
     parts: dict[str, PyTree]
     units: dict[str, str] = {}
-    hints: dict[str, PyTree] = {}
+    hints: dict[str, type] = {}
     if isinstance(tree, dict):
         parts = tree
     elif isinstance(tree, tuple | list):

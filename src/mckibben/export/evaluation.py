@@ -17,7 +17,7 @@ Operations = Mapping[str, Callable[..., Any]]
 
 
 def evaluate(
-    module: SourceModule, function: Function, operations: Operations, inputs: Mapping[str, PyTree]
+    module: SourceModule, function: Function, operations: Operations, inputs: Mapping[str, object]
 ) -> dict[str, list[Any]]:
     """Results of a function, element by element, for inputs and parameters by their names in the graph.
 
@@ -51,7 +51,7 @@ def element_names(structure: str, members: Sequence[Member]) -> list[str]:
 class _Evaluation:
     """Values of a graph computed so far."""
 
-    def __init__(self, operations: Operations, inputs: Mapping[str, PyTree], wanted: set[int]) -> None:
+    def __init__(self, operations: Operations, inputs: Mapping[str, object], wanted: set[int]) -> None:
         self._operations, self._inputs, self._wanted = operations, inputs, wanted
         self._known: dict[int, Any] = {}
         self._arrays: dict[int, list[Any]] = {}

@@ -15,7 +15,6 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
-from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from mckibben.errors import ExportError
@@ -123,7 +122,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         Terms of the reward, see `RewardTerms`.
     """
 
-    metadata: dict[str, PyTree] = {"render_modes": []}  # noqa: RUF012
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
 
     def __init__(
         self, scenario: Scenario | Suite | str | os.PathLike[str], *, render_mode: None = None, **options: Any
@@ -134,9 +133,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         self.metadata = self.joint.metadata
         self._program = EpisodeProgram(self.joint.plants, self.joint.settings, **self.joint.options)
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, PyTree] | None = None
-    ) -> tuple[Floats, dict[str, PyTree]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode with one of the plants; `options` may select it, ``{"plant": 3}``."""
         super().reset(seed=seed)
         row = (options or {}).get("plant")
@@ -144,7 +141,7 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         self._steps, self._rows = 0, np.array([row])
         return self._program.begin(self._rows)[0].astype(np.float32), {"plant": row}
 
-    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, PyTree]]:
+    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Apply commands for a step."""
         step = self._program.advance(self._rows, np.asarray(action)[None], np.zeros(1, bool))
         self._steps += 1
@@ -178,9 +175,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         self._program = EpisodeProgram(self.joint.plants, self.joint.settings, **self.joint.options)
         self.metadata = {**self.joint.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, PyTree] | None = None
-    ) -> tuple[Floats, dict[str, PyTree]]:
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin all episodes; one seed determines all of them."""
         super().reset(seed=seed)
         self._rows = self._draw()
@@ -188,7 +183,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         observations = self._program.begin(self._rows)
         return observations.astype(np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
 
-    def step(self, actions: Floats) -> tuple[Floats, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, PyTree]]:
+    def step(self, actions: Floats) -> tuple[Floats, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
         """Apply the commands of all joints for a step."""
         if self._over.any():
             self._rows = np.where(self._over, self._draw(), self._rows)
@@ -196,7 +191,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         self._steps = np.where(self._over, 0, self._steps + 1)
         failed, ended = step.failed.astype(bool), self._steps >= self.joint.most_steps
         self._over = failed | ended
-        info: dict[str, PyTree] = {"stiffness": step.stiffness, "air": step.air, "plant": self._rows}
+        info: dict[str, Any] = {"stiffness": step.stiffness, "air": step.air, "plant": self._rows}
         info |= {f"_{name}": np.ones(self.num_envs, bool) for name in info}
         return step.observation.astype(np.float32), step.reward, failed, ended, info
 

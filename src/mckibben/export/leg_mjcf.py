@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
-from jaxtyping import Array, PyTree
+from jaxtyping import Array
 
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import (
@@ -164,7 +164,7 @@ def _bodies(plant: LegPlant) -> list[_Body]:
     return bodies
 
 
-def _inertial(mass: Any, height: Any, inertias: Sequence[PyTree]) -> str:
+def _inertial(mass: Any, height: Any, inertias: Sequence[Any]) -> str:
     mass, *inertias = (max(float(number), _LIGHT) for number in (mass, *inertias))
     return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{numbers_text(inertias)}"/>'
 

@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import ArrayLike, PyTree
 
 import mckibben
 from mckibben.actuator.base import state_of_muscle
@@ -116,8 +116,8 @@ class Scene(NamedTuple):
     text: str
     gravity: float  # m/s^2
     sensors: str
-    position: Sequence[PyTree]
-    velocity: Sequence[PyTree]
+    position: Sequence[ArrayLike]
+    velocity: Sequence[ArrayLike]
 
 
 def muscle_functions(

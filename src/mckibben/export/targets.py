@@ -10,8 +10,6 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
-from jaxtyping import PyTree
-
 from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
 from mckibben.errors import ExportError, ParameterError, quoted
@@ -115,7 +113,7 @@ def export(
     place, default, _ = targets[target]
     name = check_name(name or default)
     module, function = place.split(":")
-    options: dict[str, PyTree] = {"single": True} if single else {}
+    options: dict[str, bool] = {"single": True} if single else {}
     exported: Exported = getattr(import_module(module), function)(scenario, name, Path(out), **options)
     exported.save(out, force=overwrite)
     return exported

@@ -85,7 +85,7 @@ def _is_traced(tree: PyTree) -> bool:
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
-def jit_arrays(function: Callable[P, R], options: Callable[[], dict[str, PyTree]] = dict) -> Callable[P, R]:
+def jit_arrays(function: Callable[P, R], options: Callable[[], dict[str, int]] = dict) -> Callable[P, R]:
     """`jit` with only arrays traced and numbers static; pass trees through `numeric` first.
 
     `options` are compiler options of XLA, asked for when a program is compiled.
@@ -101,7 +101,7 @@ def jit_lanes(function: Callable[P, R]) -> Callable[P, R]:
 class Program:
     """Pure function of arrays, compiled once per structure of its arguments; all other leaves are static."""
 
-    def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, PyTree]] = dict) -> None:
+    def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, int]] = dict) -> None:
         self._function = function
         self._options = options
         self._programs: dict[Any, Callable[..., Any]] = {}
