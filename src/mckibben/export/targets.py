@@ -36,8 +36,7 @@ class Exported(Result):
     left_out: tuple[str, ...] = ()
 
     def verdict(self) -> str:
-        count = len(self.contents)
-        return f"{count} file{'s' * (count > 1)}: {', '.join(self.contents)}"
+        return f"{len(self.contents)} file{'s' * (len(self.contents) > 1)}"
 
     def remarks(self) -> Iterator[Remark]:
         for part in self.left_out:
@@ -46,7 +45,7 @@ class Exported(Result):
     def listings(self) -> Iterator[Listing]:
         sizes = [len(content.encode() if isinstance(content, str) else content) for content in self.contents.values()]
         columns = {"file": (Column(), list(self.contents)), "bytes": (Column(), sizes)}
-        yield Listing("files", columns, detail=True)
+        yield Listing("files", columns)
 
     def save(self, folder: str | os.PathLike[str], *, force: bool = False) -> list[str]:
         """Write the files to a folder; return their names; `FileError` if one exists and `force` is not set."""
