@@ -167,45 +167,16 @@ def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
     """C code of the plugin around the functions of its muscles."""
     values = {"name": name, "plugin": f"mckibben.{name}", "count": str(len(muscles))}
     parts, rows = [], []
-    for number, (activations, anchors, slips, filtered, _) in enumerate(muscles, 1):
-        load, rates = [], []
-        if activations:
-            load.append("memcpy(given.act, act, sizeof given.act);")
-        if anchors:
-            load += [
-                "if (state[0] == UNSET) {",
-                f"    {name}_first{number} first;",
-                f"    {name}_unset{number}(model, &given, &first);",
-                "    memcpy(state + 2, first.anchors, sizeof first.anchors);",
-                "}",
-                "memcpy(given.anchors, state + 2, sizeof given.anchors);",
-            ]
-        if slips:
-            store = [("act", "act")] if activations else []
-            store += [("state + 2", "anchors")] if anchors else []
-            copied = [f"    memcpy({to}, after.{part}, sizeof after.{part});" for to, part in store]
-            again = [f"    memcpy(given.{part}, after.{part}, sizeof after.{part});" for _, part in store]
-            load += [
-                "if (state[0] == STEPPED) {",
-                f"    {name}_after{number} after;",
-                "    given.command = state[1];",
-                f"    {name}_settled{number}(model, &given, &after);",
-                *copied,
-                *again,
-                "    given.command = command(m, d, i);",
-                "}",
-                "state[0] = SETTLED;",
-            ]
-        if activations > filtered:
-            rates += [
-                f"{name}_rate{number} found;",
-                f"{name}_rates{number}(model, &given, &found);",
-                f"memcpy(d->act_dot + m->actuator_actadr[i], found.act, {activations - filtered} * sizeof(mjtNum));",
-            ]
-        rows.append(f"    {{{anchors}, act_dot{number}, force{number}}},\n")
-        text = {"load": load, "rates": rates}
-        body = {key: "\n".join(f"    {line}" for line in lines) for key, lines in text.items()}
-        parts.append(filled("plugin_muscle.c", values | body | {"k": str(number)}))
+    for number, muscle in enumerate(muscles, 1):
+        numbers = {
+            "k": number,
+            "activations": muscle.activations,
+            "anchors": muscle.anchors,
+            "slips": int(muscle.slips),
+            "rates": muscle.activations - muscle.filtered,
+        }
+        parts.append(filled("plugin_muscle.c", values | {key: str(value) for key, value in numbers.items()}))
+        rows.append(f"    {{{muscle.anchors}, act_dot{number}, force{number}}},\n")
     return filled("plugin.c", values | {"muscles": "".join(parts), "rows": "".join(rows)})
 
 
