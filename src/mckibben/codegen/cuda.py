@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from jaxtyping import PyTree
 
+from mckibben.codegen.functions import header
 from mckibben.codegen.kernels import THREADS
 from mckibben.codegen.native import Compiled, NativeFunction
 from mckibben.errors import CompilerError, DeviceError
@@ -29,12 +30,6 @@ _OPTIONS = (
     "--prec-div=false",  # in 32 bits, an error of two units in the last place
     "--prec-sqrt=false",
 )
-_PRELUDE = """typedef int int32_t;
-typedef unsigned int uint32_t;
-typedef long long int64_t;
-#define INFINITY __longlong_as_double(0x7ff0000000000000ll)
-#define NAN __longlong_as_double(0x7ff8000000000000ll)
-"""  # NVRTC has no headers
 _OLD = 222, 803, 804  # driver's errors: unsupported version of PTX, mismatched or incompatible driver
 _NO_DEVICE = 100
 _OUT_OF_MEMORY = 2
@@ -87,7 +82,7 @@ class Nvrtc:
         target = f"sm_{architecture}" if known else f"compute_{max(self.architectures)}"
         options = [option.encode() for option in (f"--gpu-architecture={target}", *_OPTIONS)]
         program = c_void_p()
-        self._call("nvrtcCreateProgram", byref(program), (_PRELUDE + source).encode(), b"run.cu", 0, None, None)
+        self._call("nvrtcCreateProgram", byref(program), (header("cuda.h") + source).encode(), b"run.cu", 0, None, None)
         try:
             status = self._library.nvrtcCompileProgram(program, len(options), (c_char_p * len(options))(*options))
             log = self._text(program, "ProgramLog").decode(errors="replace").rstrip("\0")

@@ -27,6 +27,7 @@ def native_language() -> Language:
     return replace(language, functions={**language.functions, **own})
 
 
+@functools.cache
 def header(name: str) -> str:
     """Text of a header of this package."""
     return (files("mckibben.codegen") / "headers" / name).read_text(encoding="utf-8")

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from string import Template
 
+from mckibben.codegen.functions import header
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.writer import ATOM, Language, Text, Writer
@@ -43,26 +45,14 @@ def kernels(
     constants: Sequence[str],
     body: Sequence[str],
     real: str,
-) -> list[str]:
-    """Both kernels; numbers of all runs are their parameters, which take no registers."""
-    pointers = "const double *__restrict__ arrays, double *__restrict__ results, int64_t lanes"
-    first, step = "blockIdx.x * (int64_t)blockDim.x + threadIdx.x", "(int64_t)gridDim.x * blockDim.x"
-    begun = f"(const Scalars given, {pointers})", "{", "    const double *scalars = given.x;", *places
-    return [
-        f"struct Scalars {{ double x[{max(scalars, 1)}]; }};",
-        f"__constant__ {real} known[{max(len(constants), 1)}];",
-        'extern "C" __global__ void prepare',
-        *begun,
-        *prepared,
-        *(f"        (({real} *)results)[{place}] = {text};" for place, text in enumerate(constants)),
-        "}",
-        f'extern "C" __global__ void __launch_bounds__({THREADS}, {_BLOCKS[real]}) run',
-        *begun,
-        f"    for (int64_t b = {first}; b < lanes; b += {step}) {{",
-        *body,
-        "    }",
-        "}",
-    ]
+) -> str:
+    """Both kernels, from declarations of places, statements of either, and texts of the constants."""
+    stores = [f"        (({real} *)results)[{place}] = {text};" for place, text in enumerate(constants)]
+    counts = {"scalars": scalars, "constants": len(constants), "threads": THREADS, "blocks": _BLOCKS[real]}
+    texts = {"places": places, "prepared": prepared, "stores": stores, "body": body}
+    values = {name: str(max(count, 1)) for name, count in counts.items()}
+    values |= {name: "\n".join(lines) for name, lines in texts.items()}
+    return Template(header("kernels.cu")).substitute(values, real=real)
 
 
 class KernelWriter(Writer):

@@ -337,7 +337,7 @@ def write_native(
         prepared = _body(graph, preparing, inputs, ())
         constants = [preparing.text(constant) for constant in writer.constants]
         real = writer.language.types[Kind.REAL]
-        lines = kernels.kernels(sum(not x.ndim for x in common), places, prepared, constants, body, real)
+        lines = [kernels.kernels(sum(not x.ndim for x in common), places, prepared, constants, body, real)]
         writer.helpers |= preparing.helpers
     else:
         lines = [_HEAD, "{", *places, f"    for (int64_t b = 0; b < lanes; b += {step}) {{", *body, "    }", "}"]

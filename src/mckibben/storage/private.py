@@ -58,7 +58,7 @@ def source_files(folder: str = str(Path(__file__).parents[1])) -> tuple[tuple[st
         for entry in sorted(entries, key=lambda entry: entry.name):
             if entry.is_dir(follow_symlinks=False):
                 found += source_files(entry.path)
-            elif entry.name.endswith((".py", ".yaml", ".h")):
+            elif entry.name.endswith((".py", ".yaml", ".h", ".cu")):
                 found.append((entry.path, entry.stat().st_size, entry.stat().st_mtime_ns))
     return tuple(found)
 
