@@ -53,9 +53,9 @@ def table_of(path: Path) -> object:
 
 
 def result_of(path: Path) -> object:
-    from mckibben.simulation import Result
+    from mckibben.simulation import SimulationResult
 
-    return Result.from_netcdf(path).to_xarray()
+    return SimulationResult.from_netcdf(path).to_dataset()
 
 
 def data_of(path: Path) -> object:

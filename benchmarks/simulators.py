@@ -37,7 +37,7 @@ def simulators(folder: Path, *, quick: bool) -> Table:
     """The table of simulators."""
     bench = Bench(rounds=3 if quick else 9, budget=2.0 if quick else 6.0)
     scenario = Scenario.read(SCENARIO).model_copy(update={"substeps": SUBSTEPS})
-    result = run_scenario(scenario).result
+    result = run_scenario(scenario)
     commands = np.stack([result["command1"], result["command2"]], -1)[:CHECKED]
     angles = np.asarray(result["angle"])[1 : CHECKED + 1]
     bench.add(BASE, lambda: in_mujoco(scenario, folder / "mjcf", commands, angles), install="mujoco")

@@ -60,7 +60,7 @@ def main() -> None:
     for name, figure in drawings.items():
         png, _ = save(figure, IMAGES, name)
         png.unlink()  # the pages show the SVG
-    mk.report.animate(run_scenario(scenario).result, IMAGES / "knee.webp", overwrite=True)
+    mk.report.animate(run_scenario(scenario), IMAGES / "knee.webp", overwrite=True)
     for name, workflow in WORKFLOWS.items():
         png, _ = save(draw_workflow(*workflow), IMAGES, name)
         png.unlink()

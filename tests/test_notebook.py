@@ -14,7 +14,7 @@ from mckibben.export import Exported
 from mckibben.muscle import ExponentialLaw, ReynoldsLaw
 from mckibben.notebook import notebook_progress
 from mckibben.simulation import Batch, Feasibility, Margins
-from mckibben.simulation.table import UnknownMetricError
+from mckibben.simulation.result import UnknownMetricError
 from mckibben.units import deg
 
 

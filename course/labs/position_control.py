@@ -170,7 +170,7 @@ for stiffness, amplitude in cases:
 # %%
 asked = run(position, stiffness=22.0)
 print(f"asked: 22 N*m/rad, highest stiffness in the run: {np.max(asked['stiffness']):.1f} N*m/rad")
-print(asked.describe())
+print(asked.verdict())
 
 # %% [markdown]
 # ## What to remember

@@ -96,7 +96,7 @@ from .rig import (
     SimulatedIsobaricTest as SimulatedIsobaricTest,
 )
 from .simulation import (
-    Result as Result,
+    SimulationResult as SimulationResult,
     check_reference as check_reference,
     closed_valves as closed_valves,
     differentiate as differentiate,

@@ -251,7 +251,7 @@ def test_a_controller_that_knows_the_tube_has_less_than_half_of_the_error():
     for model in (tube, dataclasses.replace(valve, dead_volume=6 * cm**3)):
         controller = dataclasses.replace(scenario.controller, valve=model)
         changed = {"valve": tube, "controller": controller, "substeps": 12}
-        errors.append(run_scenario(scenario.model_copy(update=changed)).result.metrics["angle_rmse"])
+        errors.append(run_scenario(scenario.model_copy(update=changed)).metrics["angle_rmse"])
     assert errors[0] < 0.5 * errors[1]
 
 

@@ -11,7 +11,7 @@ import pytest
 from mckibben.realtime.record import RowBuffer
 from mckibben.rig.record import read_record
 from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import Result
+from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import in_shown_units
 
 ROOT = Path(__file__).parents[2]
@@ -30,7 +30,7 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
     for name in ("scenario.yaml", "results.json", "result.nc", "tracking.png", "tracking.svg", "run"):
         assert name in found.err.splitlines()[-1]
     numbers = json.loads(found.out)
-    simulated = run_scenario(Scenario.read(tmp_path / "short.yaml")).result
+    simulated = run_scenario(Scenario.read(tmp_path / "short.yaml"))
     expected = in_shown_units(simulated.metrics)
     assert (numbers["ended"], numbers["outcome"], numbers["timing"]) == ("completed", "completed", None)
     assert numbers["vented_after_s"] < 0.1
@@ -39,7 +39,7 @@ def test_a_run_in_full_has_the_numbers_of_the_simulation(cli, short, tmp_path):
             assert value == pytest.approx(expected[name], rel=1e-9, abs=1e-9), name
     assert numbers["metrics"]["coupling_deg"] is None
     assert numbers["metrics"]["air_L"] is None
-    kept = Result.from_netcdf(tmp_path / "run" / "result.nc")
+    kept = SimulationResult.from_netcdf(tmp_path / "run" / "result.nc")
     assert np.allclose(kept.columns["angle"], simulated.columns["angle"], rtol=0, atol=1e-12)
     assert Scenario.read(tmp_path / "run" / "scenario.yaml") == Scenario.read(tmp_path / "short.yaml")
     record = read_record(tmp_path / "run")

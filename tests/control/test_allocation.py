@@ -2,14 +2,12 @@
 
 import dataclasses
 import itertools
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.control import allocation
 from mckibben.control.allocation import linearise, pressure_range, prioritise_differential, prioritise_torque
 from mckibben.joint import AffineMap, SeriesSpring, TorqueStiffnessMap
 
@@ -103,14 +101,6 @@ def test_the_map_of_other_joints_is_that_of_small_changes(as_printed):
     for here, there, affine in zip(*exact, found, strict=True):
         assert float(affine(pressures)) == pytest.approx(float(here), rel=1e-12)
         assert float(affine(nearby)) == pytest.approx(float(there), abs=0.03 * abs(float(there - here)))
-
-
-def test_what_is_affine_is_its_own_secant(monkeypatch):
-    monkeypatch.setattr(allocation, "is_affine", lambda joint: False)
-    planes = (3.0, 2e-5, -1e-5), (10.0, 1e-5, 3e-5)
-    joint = SimpleNamespace(evaluate=lambda angle, p: tuple(a + b * p[0] + c * p[1] for a, b, c in planes))
-    for found, plane in zip(linearise(joint, 0.1, (1.5e5, 2e5)), planes, strict=True):
-        np.testing.assert_allclose(found, plane, rtol=1e-9)
 
 
 def test_pressures_keep_a_tension_and_the_rating(as_printed, knee):

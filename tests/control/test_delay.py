@@ -59,12 +59,6 @@ def test_it_predicts_motion_and_pressures_of_the_commands_on_their_way(control, 
     assert float(expected.motion.angle) - ANGLE == pytest.approx(state[0] - ANGLE, rel=5e-3)
 
 
-@pytest.mark.parametrize(("periods", "steps"), [(0, 0), (1, 1), (8, 2), (9, 3), (30, 8)])
-def test_a_step_of_the_prediction_takes_at_most_four_milliseconds(control, periods, steps):
-    late = dataclasses.replace(control, command_delay=periods * PERIOD)
-    assert late.with_period(PERIOD).steps == steps
-
-
 def test_over_a_long_delay_it_knows_what_fast_valves_have_done(control, knee):
     """The pressures lag behind commands that rise steadily by the lag of the valves, but for a part of a step."""
     late = dataclasses.replace(control, command_delay=30 * ms, valve=FirstOrderValve(1 * ms)).with_period(PERIOD)

@@ -18,7 +18,6 @@ from mckibben.control import (
 )
 from mckibben.control import base as control_base
 from mckibben.control.adaptation import with_strengths
-from mckibben.errors import RangeError
 from mckibben.numerics.compiled import numeric
 
 PERIOD = 1e-3
@@ -71,11 +70,6 @@ def test_strengths_that_were_learned_are_as_good_as_a_model_that_has_them(kind, 
     )
     np.testing.assert_allclose(by_learning, by_model, atol=0.5)
     assert (np.abs(by_learning - neither) > 50.0).all()
-
-
-def test_what_is_no_adaptation_is_named(knee, load):
-    with pytest.raises(RangeError, match=r"PredictiveControl: adaptation is a PolePlacement"):
-        PredictiveControl(knee, load, adaptation=PolePlacement(60.0))
 
 
 def test_a_valve_without_a_known_lag_is_not_inherited_as_a_model():

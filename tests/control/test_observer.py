@@ -5,7 +5,6 @@ import pytest
 from scipy.linalg import solve_continuous_are
 
 from mckibben.control import ExtendedStateObserver, PressureObserver, VelocityObserver
-from mckibben.errors import RangeError
 
 PERIOD = 1e-3
 ORDER = {VelocityObserver: 2, ExtendedStateObserver: 3}
@@ -79,26 +78,3 @@ def test_a_wrong_valve_is_forgotten_with_the_bandwidth():
         estimated = observer.step(predicted, (2e5, 2e5), PERIOD)
     pull = 0.05 * np.exp(-0.2)
     assert float(estimated[0]) == pytest.approx(2e5 + 1e5 * pull / (1 - np.exp(-0.2) * 0.95), rel=1e-6)
-
-
-def test_a_sensor_may_be_taken_at_its_word():
-    told = PressureObserver(bandwidth=float("inf")).step((1e5, 1e5), (1.5e5, 0.5e5), PERIOD)
-    assert [float(p) for p in told] == [1.5e5, 0.5e5]
-
-
-@pytest.mark.parametrize("kind", [VelocityObserver, ExtendedStateObserver, PressureObserver])
-def test_a_bandwidth_that_is_none_is_refused(kind):
-    with pytest.raises(RangeError, match="bandwidth is -1 rad/s"):
-        kind(bandwidth=-1.0)
-
-
-def test_a_damping_outside_its_range_is_refused():
-    with pytest.raises(RangeError) as caught:
-        ExtendedStateObserver(damping=1.5)
-    assert (caught.value.field, caught.value.value) == ("damping", 1.5)
-
-
-def test_without_a_bandwidth_it_is_200_rad_per_s():
-    """A step of the sensors at commands that agree with the estimate is taken over by 1 - exp(-0.2) in 1 ms."""
-    estimated = PressureObserver().step((1e5, 1e5), (2e5, 1e5), PERIOD)
-    assert [float(one) for one in estimated] == pytest.approx([1e5 + 1e5 * (1 - np.exp(-0.2)), 1e5])

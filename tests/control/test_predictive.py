@@ -1,27 +1,20 @@
 """Predictive control in closed loop: the designed linear loop without limits, and its advantage at limits."""
 
 import dataclasses
-import time
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax import lax
 
 from mckibben.control import (
     Constant,
     ExtendedStateObserver,
-    Measurement,
     PredictiveControl,
-    PressureObserver,
     Reference,
     Sine,
     Step,
 )
-from mckibben.errors import RangeError
-from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, JointPlant
 from mckibben.simulation import sampled
@@ -136,51 +129,3 @@ def test_a_wrong_load_leaves_no_error_at_rest(run, knee, load, plant):
     assert abs(off(answer)[-1]) < 1e-3
     weight = float(heavy.load.gravity_torque(0.1) - load.gravity_torque(0.1))
     assert float(answer[0].telemetry["disturbance_estimate"][-1]) == pytest.approx(weight, rel=1e-3)
-
-
-@pytest.fixture(scope="module")
-def replayed(barely_compiled):
-    """The commands to measurements as they were, in 32 bits, and how long a step took [s]."""
-
-    @barely_compiled
-    def told(control, setpoints, seen, period):
-        def one(state, at):
-            return control.step(state, *at, period)
-
-        return lax.scan(one, control.init(jax.tree.map(lambda x: x[0], seen)), (setpoints, seen))[1]
-
-    def replayed(control, setpoints, states):
-        given = numeric(control), setpoints, Measurement(states.angle, states.pressures), np.asarray(PERIOD)
-        given = cast(given, jnp.float32)
-        commands = jax.block_until_ready(told(*given))
-        begun = time.perf_counter()
-        jax.block_until_ready(told(*given))
-        return commands, (time.perf_counter() - begun) / PERIODS
-
-    return replayed
-
-
-@pytest.mark.slow
-def test_the_commands_follow_from_the_measurements_alone(run, replayed, plant, knee, load):
-    """A plant that differs in all its numbers: what it measured, told again without it, gives the same commands."""
-    numbers, rest = eqx.partition(plant, eqx.is_array_like)
-    other = eqx.combine(jax.tree.map(lambda x: 0.98 * x, numbers), rest)
-    record, setpoints = run(other, predictive(knee, load), SINE, 15.0)
-    again, seconds = replayed(predictive(knee, load), setpoints, record.state)
-    assert again[0].dtype == jnp.float32  # 32 bits will do
-    assert np.sqrt(np.mean((np.asarray(again[0]) - record.commands[0]) ** 2)) < 500.0  # Pa
-    assert np.sqrt(np.mean((np.asarray(again[1]) - record.commands[1]) ** 2)) < 500.0
-    assert np.ptp(np.asarray(record.commands[0])) > 1e4
-    assert seconds < 1e-3  # a step; it takes about 20 microseconds as little optimised as here
-
-
-def test_arguments_that_make_no_sense_are_named(knee, load):
-    assert predictive(knee, load, iterations=1).iterations == 1
-    with pytest.raises(RangeError, match=r"damping is 1\.5, outside 2 to 3"):
-        predictive(knee, load, damping=1.5)
-    with pytest.raises(RangeError, match="iterations is 0"):
-        predictive(knee, load, iterations=0)
-    with pytest.raises(RangeError, match=r"observer is a PressureObserver.*swapped"):
-        PredictiveControl(knee, load, PressureObserver())
-    with pytest.raises(RangeError, match="no muscle of its model has friction"):
-        predictive(knee, load, friction_compensation=True)

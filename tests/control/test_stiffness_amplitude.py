@@ -19,7 +19,7 @@ from mckibben.control import (
     Setpoint,
     SupplyLimit,
 )
-from mckibben.errors import RangeError, ReachabilityWarning
+from mckibben.errors import ReachabilityWarning
 from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
@@ -112,13 +112,6 @@ def test_what_friction_adds_shifts_the_attainable_stiffness_up(joint, knee, load
 
 def test_the_wrapper_controls_what_the_controller_in_it_does(joint, load):
     assert SupplyLimit(controllers(joint, load)["PID"]).stiffness_amplitude == SIZE
-
-
-@pytest.mark.parametrize("name", ["PID", "decoupling"])
-def test_an_amplitude_of_zero_is_refused(joint, load, name):
-    with pytest.raises(RangeError) as refused:
-        dataclasses.replace(controllers(joint, load)[name], stiffness_amplitude=0.0)
-    assert refused.value.field == "stiffness_amplitude"
 
 
 @pytest.mark.slow

@@ -2,13 +2,11 @@
 
 import dataclasses
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.control import DelayCompensation, ExtendedStateObserver, PressureObserver
-from mckibben.control.model_based import _means
+from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.errors import McKibbenError, RangeError, ReachabilityWarning
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.plant import PressureRegulator, SampledSensors
@@ -108,36 +106,6 @@ def test_a_known_delay_of_the_commands_is_compensated(run, make, delay):
         assert settled(late) < 0.2 * settled(run(valve, inner, command_delay=delay))
 
 
-@pytest.mark.slow
-def test_a_pid_is_compensated_too(run, knee, load):
-    valve, delay = mk.FirstOrderValve(20 * ms), 12 * ms
-    position = mk.PID(3 * bar, 60 * bar, 0.8 * bar, derivative_on_error=True)
-    pid = mk.PositionStiffnessControl(position, mk.PID(0.08 * bar, 5 * bar, 0.0), model=knee, minimum_tension=5.0)
-    control = DelayCompensation(knee, load, controller=pid, command_delay=delay, valve=valve, **observers(40.0))
-    compensated, plain = (run(valve, each, command_delay=delay) for each in (control, pid))
-    assert compensated.metrics["angle_rmse"] < 0.5 * plain.metrics["angle_rmse"]
-
-
-@pytest.mark.slow
-def test_delays_may_differ_between_runs(make, knee, load):
-    """The state holds the commands of the longest; each run is the one that it would be alone."""
-    valve, delays = VALVES[0.12], np.array([0.0, 2.5 * ms, 8 * ms])
-    inner = make("decoupling", valve, 40.0)
-    plant = mk.JointPlant(knee, load, valve, command_delay=8 * ms)
-    control = dataclasses.replace(inner, command_delay=8 * ms)
-    over = {"plant.command_delay": delays, "controller.command_delay": delays}
-    over = {key.removeprefix("plant."): column for key, column in over.items()}
-    batch = mk.simulate_many(plant, control, SINE, over=over, duration=1.0)
-    for delay, error in zip(delays, batch.metrics["angle_rmse"], strict=True):
-        alone = mk.simulate(
-            dataclasses.replace(plant, command_delay=delay),
-            dataclasses.replace(control, command_delay=delay),
-            SINE,
-            duration=1.0,
-        )
-        assert error == pytest.approx(alone.metrics["angle_rmse"], rel=1e-3)
-
-
 def test_a_model_of_valves_that_lacks_a_number_is_refused(make, knee):
     class Unknown(mk.FirstOrderValve):
         """First-order valve whose time constant a controller does not know."""
@@ -152,18 +120,3 @@ def test_a_model_of_valves_that_lacks_a_number_is_refused(make, knee):
     joint = dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
     with pytest.raises(McKibbenError, match="initial_diameter"):
         mk.DecouplingControl(joint, mk.catalog.load("knee-table-2"), mk.PolePlacement(60.0), valve=VALVES[0.05])
-
-
-def test_the_control_period_has_to_be_known(knee, load, make):
-    valve = mk.FirstOrderValve(20 * ms)
-    control = dataclasses.replace(make("decoupling", valve, 60.0), command_delay=8 * ms)
-    with pytest.raises(McKibbenError, match="with_period"):
-        control.init(mk.JointPlant(knee, load, valve).true_measurement(mk.JointPlant(knee, load, valve).equilibrium()))
-
-
-def test_commands_on_their_way_keep_their_precision():
-    """A batch in 32 bits cannot carry 64-bit numbers from one period to the next."""
-    sent = ((np.float32(1e5), np.float32(2e5)),) * 3
-    means = _means(tuple((jnp.asarray(one), jnp.asarray(other)) for one, other in sent), 0.3, 1.3)
-    assert [one.dtype for one in means] == [np.float32, np.float32]
-    assert [float(one) for one in means] == pytest.approx([1e5, 2e5])

@@ -109,7 +109,7 @@ def test_the_exported_scenario_runs_as_its_simulation(tmp_path):
     model = load_mujoco(tmp_path)
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    result = run_scenario(scenario).result
+    result = run_scenario(scenario)
     angles, commands = result["angle"], np.stack([result["command1"], result["command2"]], -1)
     for period in range(2000):
         assert data.qpos[0] == pytest.approx(angles[period], abs=1e-9)

@@ -73,7 +73,7 @@ def test_sensors_quantise_angles_and_disturb_pressures(fixed):
     assert np.ptp(steps) > 3
     noise = run["seen_pressure"] - run["pressure"][0]
     assert float(noise.std()) == pytest.approx(4 * kPa, rel=0.3)
-    assert run.to_xarray().equals(again.to_xarray())
+    assert run.to_dataset().equals(again.to_dataset())
 
 
 @pytest.mark.slow

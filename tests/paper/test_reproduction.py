@@ -33,7 +33,7 @@ from mckibben.paper.tracking import (
     ControllerRun,
 )
 from mckibben.scenario import Scenario, run_scenario, with_values
-from mckibben.simulation import Metrics, Result, check_reference
+from mckibben.simulation import Metrics, SimulationResult, check_reference
 from tests.paper.test_claims import (
     CHOU_CLAIM,
     COUPLED_CLAIM,
@@ -123,7 +123,7 @@ def test_the_run_in_the_figures_is_that_of_the_first_seed(tracking, key, referen
 def test_the_references_are_within_reach(setting, reference):
     scenario = pid_scenario(setting, reference)
     reach = check_reference(scenario.plant(), scenario.reference(), control_period=1e-2)
-    assert reach.feasible, reach.describe()
+    assert reach.feasible, reach.verdict()
 
 
 def test_gains_as_text_read_back_to_the_last_bit():
@@ -159,7 +159,7 @@ def test_coupling_is_what_the_runs_show(tracking, setting):
     from mckibben.scenario import run_scenario
 
     with_step = tracking.runs[setting.key, StiffnessReference.STEP, PID].result["angle"]
-    without = run_scenario(level).result
+    without = run_scenario(level)
     assert np.ptp(without["desired_stiffness"]) == 0
     assert found.angle_by_step == pytest.approx(np.abs(with_step - without["angle"])[late].max(), rel=1e-6)
 
@@ -256,9 +256,9 @@ def test_saved_files_read_back(folder, results, reproduction):
     ],
 )
 def test_a_scenario_run_alone_gives_its_trajectory_to_the_last_bit(folder, name):
-    kept = Result.from_netcdf(folder / "trajectories" / f"{name}.nc")
+    kept = SimulationResult.from_netcdf(folder / "trajectories" / f"{name}.nc")
     scenario = Scenario.read(folder / "scenarios" / f"{name}.yaml")
-    again = run_scenario(scenario).result
+    again = run_scenario(scenario)
     assert set(again.columns) == set(kept.columns)
     for column in kept.columns:
         np.testing.assert_array_equal(again[column], kept[column])
@@ -311,7 +311,7 @@ def test_the_command_keeps_the_numbers_and_calls_the_report(monkeypatch, capsys,
 
     monkeypatch.setattr(paper, "reproduce", lambda *, quick, progress: reproduction)
     monkeypatch.setattr(mckibben.report, "write_report", write_report)
-    monkeypatch.setattr(Result, "to_netcdf", lambda *_: None)  # `folder` has the trajectories
+    monkeypatch.setattr(SimulationResult, "to_netcdf", lambda *_: None)  # `folder` has the trajectories
     out = tmp_path / "deep" / "report"
     app(["reproduce", "--quick", "--out", str(out), *(["--json"] if as_json else [])], standalone_mode=False)
     printed = capsys.readouterr()

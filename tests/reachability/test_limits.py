@@ -79,7 +79,8 @@ def test_the_supply_of_a_valve_is_named():
 @pytest.mark.slow
 def test_simulation_and_envelope_have_the_same_limits():
     for each in (scenario(), scenario().with_extrapolation()):
-        result, feasibility = run_scenario(each)
+        result = run_scenario(each)
+        feasibility = result.feasibility
         static = static_envelope(each.plant(), about=float(result["desired_angle"][0]))
         at = feasibility.desired_angle[0]
         for edge, band in zip(static.stiffness, (feasibility.lowest[0], feasibility.highest[0]), strict=True):
@@ -103,7 +104,7 @@ def test_small_motion_stiffness_stands_next_to_the_isobaric_one(tmp_path):
     assert small.lowest[at] > static.stiffness.lowest[at] + 5
     assert found.records()["table"][0]["small_motion"] == [small.lowest[at], small.highest[at]]
     assert any("friction" in remark for remark in found.remarks())
-    result, _ = run_scenario(rubbing)
+    result = run_scenario(rubbing)
     assert (result["small_motion_stiffness"] > result["stiffness"] + 5).all()
     result.to_netcdf(tmp_path / "run.nc")
     (edge,) = [one for one in draw_envelope(found).axes[1].lines if str(one.get_label()).startswith("small motion")]
@@ -121,4 +122,4 @@ def test_small_motion_stiffness_stands_next_to_the_isobaric_one(tmp_path):
 def test_a_joint_without_friction_has_no_such_column():
     plant = JointPlant(catalog.joint("knee-table-2"), catalog.load("knee-table-2"), IdealValve())
     assert static_envelope(plant).small_motion is None
-    assert "small_motion_stiffness" not in run_scenario(scenario()).result.columns
+    assert "small_motion_stiffness" not in run_scenario(scenario()).columns

@@ -50,10 +50,10 @@ def reproduction():
         for wish in StiffnessReference:
             for name, given in ((PID, None), (DOUBLED_PID, double(setting.moderate)), (TUNED_PID, gains)):
                 scenario = pid_scenario(setting, wish, given, name=name)
-                runs[setting.key, wish, name] = ControllerRun(scenario, run_scenario(scenario).result, None)
+                runs[setting.key, wish, name] = ControllerRun(scenario, run_scenario(scenario), None)
             for name, given, ratio in ((BP, None, 2.0), (TUNED_BP, gains, 1.1), (FREE_TUNED_BP, gains, 2.0)):
                 scenario = bp_scenario(setting, wish, given, gain_ratio=ratio, name=name)
-                run = ControllerRun(scenario, run_scenario(scenario).result, None)
+                run = ControllerRun(scenario, run_scenario(scenario), None)
                 runs[setting.key, wish, name] = dataclasses.replace(run, seeds=_spread(run))
     identification, joint = run_identification(repeats=2), run_joint(resolution=81)
     tracking = Tracking(runs, tuned, coupling, SEEDS)

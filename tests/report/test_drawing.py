@@ -25,7 +25,7 @@ from mckibben.muscle import Muscle, Specimen, return_spring
 from mckibben.plant import IdealValve, JointPlant
 from mckibben.report import animate, draw_joint
 from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import Result
+from mckibben.simulation import SimulationResult
 from mckibben.units import bar, deg, mm
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -124,7 +124,7 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     text = (EXAMPLES / "own-joint.yaml").read_text(encoding="utf-8").replace("duration: 4 s", "duration: 800 ms")
     (folder / "short.yaml").write_text(text, encoding="utf-8")
-    return run_scenario(Scenario.read(folder / "short.yaml")).result
+    return run_scenario(Scenario.read(folder / "short.yaml"))
 
 
 @pytest.mark.parametrize("suffix", ["webp", "gif"])
@@ -148,7 +148,7 @@ def test_an_animation_needs_a_known_ending_and_a_joint(run, tmp_path):
     with pytest.raises(ParameterError) as found:
         animate(run, tmp_path / "run.mp4")
     assert (found.value.field, found.value.value) == ("path", ".mp4")
-    bare = Result(dict(run.columns), run.control_period)
+    bare = SimulationResult(dict(run.columns), run.control_period)
     with pytest.raises(SimulationError) as missing:
         animate(bare, tmp_path / "run.gif")
     assert missing.value.field == "plant"

@@ -10,7 +10,7 @@ import pytest
 from mckibben.paper import file_stem
 from mckibben.report.page import SOURCES, typeset
 from mckibben.report.tables import NAMES, number, with_error
-from mckibben.simulation import Result
+from mckibben.simulation import SimulationResult
 
 pytestmark = pytest.mark.slow  # they need the whole reproduction
 
@@ -155,7 +155,9 @@ def test_a_run_that_never_settles_is_said_so(text):
 
 
 def test_the_scenarios_named_are_those_that_are_saved(reproduction, tmp_path, text, monkeypatch):
-    monkeypatch.setattr(Result, "to_netcdf", lambda *_: None)  # that trajectories are kept is tested with the paper
+    monkeypatch.setattr(
+        SimulationResult, "to_netcdf", lambda *_: None
+    )  # that trajectories are kept is tested with the paper
     reproduction.save(tmp_path)
     for key in reproduction.tracking.runs:
         name = f"scenarios/{file_stem(*key)}.yaml"

@@ -224,7 +224,6 @@ def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_pat
 
 @pytest.mark.slow
 def test_every_fault_at_some_instants_ends_vented_and_recorded(trials, tmp_path):
-    """Hundreds of instants each: `python benchmarks/faults.py`."""
     generator = np.random.default_rng(7)
     stopped = 0
     for name, make in trials.faults.FAULTS.items():
@@ -236,7 +235,6 @@ def test_every_fault_at_some_instants_ends_vented_and_recorded(trials, tmp_path)
 
 @pytest.mark.slow
 def test_killed_at_random_instants_it_loses_nothing_that_was_recorded(trials, tmp_path, monkeypatch):
-    """200 kills: `python benchmarks/kill.py`."""
     monkeypatch.setattr(trials.kill.recorder, "PERIOD", trials.kill.PERIOD)
     reference, longest = trials.kill.prepare(tmp_path)
     generator = np.random.default_rng(5)

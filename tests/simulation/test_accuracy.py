@@ -18,12 +18,11 @@ from mckibben import (
     Sine,
     Step,
     catalog,
-    differentiate,
     simulate,
     simulate_many,
 )
 from mckibben.errors import McKibbenWarning, SimulationError
-from mckibben.simulation import Result
+from mckibben.simulation import SimulationResult
 from mckibben.simulation.accuracy import (
     BLOCK,
     Refinement,
@@ -87,11 +86,6 @@ def test_a_chaotic_run_is_reported_with_the_time_from_which_solutions_separate()
     assert run.times[apart.argmax()] == pytest.approx(run.resolution.unresolved_from)
 
 
-def test_a_given_number_of_steps_is_used_as_it_is():
-    run = simulate(PLANT, CONTROL, SMOOTH, substeps=3, **RUN)
-    assert run.resolution.substeps == 3 and np.isnan(run.resolution.error)
-
-
 def test_friction_and_a_finer_accuracy_need_more_steps():
     plant = dataclasses.replace(PLANT, friction=JointFriction(0.3, 1 * deg))
     runs = [simulate(plant, CONTROL, SMOOTH, accuracy=accuracy, **RUN).resolution for accuracy in (1e-6, 1e-8)]
@@ -127,7 +121,7 @@ def test_an_accuracy_between_rounding_and_the_finest_steps_is_refused_with_the_o
 def test_the_resolution_is_kept_in_a_file(tmp_path):
     run = simulate(PLANT, CONTROL, SMOOTH, **RUN)
     run.to_netcdf(tmp_path / "run.nc")
-    again = Result.from_netcdf(tmp_path / "run.nc").resolution
+    again = SimulationResult.from_netcdf(tmp_path / "run.nc").resolution
     assert again[:2] == run.resolution[:2] and again.resolved
 
 
@@ -143,12 +137,6 @@ def test_a_batch_has_the_steps_and_the_error_that_its_extreme_runs_need():
     assert np.isnan(fine["error_estimate"]).all() and np.all(fine["substeps"] == 8)
 
 
-def test_a_batch_does_not_depend_on_workers():
-    given = {"over": MANY, "metrics": ["angle_rmse"], "engine": "native"} | RUN
-    one, two = (simulate_many(PLANT, CONTROL, SMOOTH, workers=count, **given) for count in (1, 2))
-    assert one.table.equals(two.table)
-
-
 @pytest.mark.slow
 def test_blocks_of_a_batch_choose_for_themselves():
     strengths = np.where(np.arange(2 * BLOCK) < BLOCK, 1e-3, 0.5)  # of the friction, N*m
@@ -159,14 +147,6 @@ def test_blocks_of_a_batch_choose_for_themselves():
     assert np.ptp(first) == np.ptp(second) == 0 and first[0] < second[0]
     alone = simulate_many(plant, CONTROL, SMOOTH, over={"friction.torque": strengths[BLOCK:]}, **given)
     assert np.array_equal(alone["angle_rmse"], whole["angle_rmse"][BLOCK:])
-
-
-def test_derivatives_have_the_steps_of_the_nominal_run():
-    found, two = (
-        differentiate(PLANT, CONTROL, SMOOTH, ["load.mass2"], metrics=["angle_rmse"], **given, **RUN)
-        for given in ({}, {"substeps": 1})
-    )
-    assert found.values["angle_rmse"] == two.values["angle_rmse"]
 
 
 def test_probed_runs_are_extreme_or_random_and_all_of_a_small_block():

@@ -230,16 +230,6 @@ def test_the_runs_ended_in_every_way_there_is(everything):
     assert np.nanmax(everything.metrics["time_saturated"]) > 0
 
 
-def test_what_a_number_does_is_seen(everything):
-    """Else comparing runs says nothing."""
-    nominal = [everything.metrics[metric][0] for metric in ("stiffness_rmse", "angle_rmse", "force_max")]
-    for row, name in enumerate(NOMINAL, start=1):
-        if name.endswith("rated_force"):
-            continue
-        found = [everything.metrics[metric][row] for metric in ("stiffness_rmse", "angle_rmse", "force_max")]
-        assert found != nominal, name
-
-
 def test_a_run_that_cannot_start_has_no_metrics(everything):
     for values in everything.metrics.values():
         assert np.isnan(values[special("too heavy")])
@@ -380,34 +370,10 @@ def test_a_chunk_of_another_size_gives_the_same_to_rounding(masses, most, alone)
     np.testing.assert_allclose(np.sqrt(np.mean(error**2, axis=1)), few.metrics["angle_rmse"], rtol=1e-12)
 
 
-def test_the_order_of_the_runs_is_that_of_their_values(most):
-    np.testing.assert_array_equal(most.table["load.mass2"], np.linspace(0.3, 0.7, 300))
-    assert np.all(np.diff(most.metrics["angle_rmse"][:50]) != 0)
-
-
-def test_the_order_of_the_runs_does_not_matter(parts, most):
-    mixed = np.random.default_rng(1).permutation(300)
-    mass = np.linspace(0.3, 0.7, 300)[mixed]
-    batch = simulate_many(*parts, REFERENCE, over={"load.mass2": mass}, metrics=FEW, chunk=16, **SHORT)
-    for name in FEW:
-        np.testing.assert_array_equal(batch.metrics[name], most.metrics[name][mixed])
-
-
-def test_progress_rises_to_one(masses):
-    told = []
-    masses(40, chunk=16, workers=2, progress=lambda step, part: told.append(part))
-    assert told == [0.4, 0.8, 1.0]
-
-
 @pytest.mark.parametrize("chunk", [0, -1, 2.5, True])
 def test_a_chunk_is_a_whole_number_of_runs(masses, chunk):
     with pytest.raises(SimulationError, match="runs per chunk"):
         masses(2, chunk=chunk)
-
-
-def test_workers_are_a_whole_number(masses):
-    with pytest.raises(SimulationError, match="workers"):
-        masses(2, chunk=16, workers=-1)
 
 
 def test_arrays_in_place_of_numbers_are_the_same_as_values_by_name(parts, masses, most):
@@ -417,40 +383,6 @@ def test_arrays_in_place_of_numbers_are_the_same_as_values_by_name(parts, masses
     batch = simulate_many(plant, control, REFERENCE, metrics=FEW, chunk=16, **SHORT)
     same_bits(batch, most)
     assert "load.mass2" not in batch.table
-
-
-def test_whole_numbers_by_name_are_numbers(parts):
-    whole, real = (
-        simulate_many(*parts, REFERENCE, over={"load.mass2": mass}, metrics=FEW, chunk=16, workers=1, **SHORT)
-        for mass in ([1, 0], [1.0, 0.0])
-    )
-    same_bits(whole, real)
-
-
-def test_one_value_for_all_runs_may_stand_beside_values_for_each(parts, most):
-    over = {"load.mass2": np.linspace(0.3, 0.7, 300)[:16], "load.mass1": 0.5}
-    batch = simulate_many(*parts, REFERENCE, over=over, metrics=FEW, chunk=16, **SHORT)
-    same_bits(batch, most)
-    assert np.all(batch.table["load.mass1"] == 0.5)
-
-
-@pytest.mark.slow
-def test_samples_by_name_have_one_row_a_run_and_a_start_in_whole_numbers_is_a_start(parts):
-    plant, control = parts
-    pressures = [320_000, 330_000, 320_000, 325_000, 320_000]
-    start = PlantState(0, 0, (np.array(pressures), 320_000))
-    asked = {"initial": start, "metrics": FEW, "chunk": 16, **SHORT}
-    reference = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS[0]))
-    named = simulate_many(plant, control, reference, over={"reference.stiffness.values": KNOTS}, **asked)
-    reference = Reference(angle=0.0, stiffness=Samples(TIMES, KNOTS))
-    given = simulate_many(plant, control, reference, **asked)
-    same_bits(named, given)
-    alone = []
-    for knots, pressure in zip(KNOTS, pressures, strict=True):
-        reference = Reference(angle=0.0, stiffness=Samples(TIMES, knots))
-        alone.append(single(plant, control, reference, initial=PlantState(0, 0, (pressure, 320_000)), **SHORT))
-    assert len({*named.metrics["stiffness_rmse"]}) == 5
-    assert_singles(given, alone, rtol=1e-11)
 
 
 # Metrics and what is kept
@@ -501,11 +433,6 @@ def test_lengths_that_differ_are_named(parts):
     refused(ParameterError, r"initial\.angle has 3 .*mass2 has 2", parts, over={"load.mass2": [1, 2]}, initial=start)
 
 
-def test_lengths_that_differ_are_named_where_one_object_holds_both(parts):
-    over = {"load.mass1": [0.4, 0.5], "load.mass2": [0.4, 0.5, 0.6]}
-    refused(ParameterError, "mass2 has 3 values.*mass1 has 2", parts, over=over)
-
-
 @pytest.mark.parametrize(
     ("over", "message"),
     [
@@ -522,17 +449,6 @@ def test_values_that_no_run_can_take_are_named(parts, over, message):
     refused(ParameterError, message, parts, over=over)
 
 
-@pytest.mark.parametrize("bad", [-0.1, math.nan, math.inf])
-def test_each_value_of_an_array_is_checked_like_a_number(parts, load, bad):
-    refused(RangeError, "Load: mass2 is", parts, over={"load.mass2": [0.4, bad]})
-    with pytest.raises(RangeError, match="Load: mass2 is"):
-        dataclasses.replace(load, mass2=np.array([0.4, bad]))
-    with pytest.raises(RangeError, match="Load: mass2 is"):
-        dataclasses.replace(load, mass2=jnp.array([0.4, bad]))
-    refused(RangeError, "PID: filter_time is", parts, over={"controller.position.filter_time": [bad, 0.005]})
-    refused(RangeError, "FirstOrderValve: time_constant is", parts, over={"valve.time_constant": [0.02, bad]})
-
-
 def test_a_single_run_says_what_to_use_for_many(parts):
     plant, control = parts
     many = put(plant, "load.mass2", np.array([0.4, 0.5]))
@@ -543,59 +459,3 @@ def test_a_single_run_says_what_to_use_for_many(parts):
 
 
 # 32 bits
-
-
-def assert_single_precision(batch, exact, *, rtol: float) -> None:
-    for name, values in batch.metrics.items():
-        assert values.dtype == np.float32, name
-        if name.endswith(("rmse", "max")) and name != "estimate_rmse":
-            kept = ~exact.failed
-            scale = np.nanmax(np.abs(exact.metrics[name][kept]))
-            np.testing.assert_allclose(
-                values[kept], exact.metrics[name][kept], rtol, 1e-5 * scale, err_msg=name, equal_nan=True
-            )
-
-
-@pytest.fixture(scope="module")
-def rough(parts):
-    """`everything` in 32 bits."""
-    return simulate_many(
-        *parts,
-        REFERENCE,
-        over=columns(ROWS, NOMINAL),
-        initial=AtRest(**columns(ROWS, AT_REST)),
-        keep=("angle", "saturated"),
-        every=0.02,
-        precision=jnp.float32,
-        chunk=16,
-        **SHORT,
-    )
-
-
-@pytest.mark.slow
-def test_32_bits_give_the_same_to_a_part_in_a_thousand(rough, everything):
-    assert [outcome.failed for outcome in rough.outcomes] == [outcome.failed for outcome in everything.outcomes]
-    assert_single_precision(rough, everything, rtol=1e-3)
-    assert rough.table["angle"].dtype == np.float32
-    assert rough.table["saturated"].dtype == bool
-
-
-def test_setpoints_do_not_depend_on_the_precision(rough, everything):
-    """Whether and when it changes last is known before the run, in 64 bits."""
-    for name in ("coupling", "stiffness_settling"):
-        unknown, expected = (np.isnan(batch.metrics[name]) for batch in (rough, everything))
-        wrong = [row for row in np.flatnonzero(unknown != expected) if not everything.failed[row]]
-        assert not wrong, (name, wrong)
-
-
-@pytest.mark.slow
-def test_learning_loops_run_in_32_bits_throughout(parts, knee, alone):
-    plant, _ = parts
-    control = put(learner(knee, 3), "position.learning_rate", np.array([0.0, 50.0]))
-    control = put(control, "stiffness.learning_rate", 0.0)
-    batch = simulate_many(plant, control, REFERENCE, metrics=FEW, keep=("angle",), chunk=2, precision=32, **SHORT)
-    assert {values.dtype for values in batch.metrics.values()} == {np.dtype(np.float32)}
-    assert batch.table["angle"].dtype == np.float32
-    for name in FEW:  # without learning it is the PID
-        assert batch.metrics[name][0] == pytest.approx(alone(0).metrics[name], rel=1e-3)
-    assert batch.metrics["angle_rmse"][0] != batch.metrics["angle_rmse"][1]

@@ -151,14 +151,6 @@ def test_what_does_not_fit_is_refused(held, start):
         dynamic_stiffness(held, start, 1 * deg, 1.0, setpoint=Setpoint(jnp.asarray(0.0), jnp.asarray(15.0)))
 
 
-def test_closed_valves_need_the_volume_of_the_muscles(held):
-    muscle = held.joint.muscle1
-    unknown = dataclasses.replace(muscle, specimen=dataclasses.replace(muscle.specimen, initial_diameter=None))
-    with pytest.raises(RangeError, match="closed valves") as refused:
-        closed_valves(dataclasses.replace(held, joint=dataclasses.replace(held.joint, muscle1=unknown)))
-    assert refused.value.field == "initial_diameter"
-
-
 @pytest.mark.slow
 def test_air_with_a_temperature_is_stiffer_in_fast_motion_and_dissipates_in_between(knee, load):
     """Against the linearised chamber, whose index is isothermal at 0.02 Hz and adiabatic at 10 Hz."""

@@ -2,7 +2,6 @@
 
 import importlib
 import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -12,8 +11,8 @@ from mckibben.codegen import native
 from mckibben.codegen.native import compiler
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
-from mckibben.simulation import problem
-from mckibben.simulation.engine import NATIVE, VECTOR, _by_xla, chunk_size, compute_with, native_episode
+from mckibben.simulation import feasibility, problem
+from mckibben.simulation.engine import NATIVE, VECTOR, chunk_size, native_episode
 from mckibben.simulation.software import software
 
 SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
@@ -158,37 +157,6 @@ def test_cuda_has_the_same_batches(scenario, in_64_bits, cuda_device, nvrtc):
         assert 0 < nvrtc.compile(source, 90).registers <= 255
 
 
-@pytest.mark.slow
-def test_in_32_bits_a_network_has_the_weights_of_its_seed():
-    scenario = Scenario.read("examples/pre-contracted-step-backprop.yaml")
-    plant = scenario.plant()
-    parts = plant, scenario.control(), scenario.reference()
-    options = {"over": {"load.mass2": np.linspace(0.4, 0.6, 4)}, "initial": scenario.initial(plant), "duration": 0.5}
-    near, right = (
-        mk.simulate_many(*parts, **options, metrics=["angle_rmse"], engine="native", precision=precision)
-        for precision in (32, 64)
-    )
-    np.testing.assert_allclose(near.metrics["angle_rmse"], right.metrics["angle_rmse"], rtol=1e-4)
-
-
-@pytest.mark.slow
-def test_without_a_compiler_xla_does_it(monkeypatch):
-    scenario = Scenario.parse(SCENARIOS["as in the paper"])
-    plant = scenario.plant()
-    parts = plant, scenario.control(), scenario.reference()
-    monkeypatch.setattr("mckibben.simulation.engine.compiler", lambda: None)
-    assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
-    with pytest.raises(ParameterError) as caught:
-        mk.simulate(*parts, engine="native", **timing(scenario))
-    assert caught.value.field == "engine"
-
-
-@pytest.mark.parametrize(("chosen", "expected"), [("cuda", 3), ("native", 1), ("xla", 2)])
-def test_the_chosen_engine_computes(monkeypatch, chosen, expected):
-    monkeypatch.setattr("mckibben.simulation.engine.check_engine", lambda *_, many: chosen)
-    assert compute_with("auto", lambda: 1, lambda: 2, cuda=lambda: 3) == (expected, chosen)
-
-
 def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     scenario = Scenario.parse(SCENARIOS["as in the paper"])
     plant = scenario.plant()
@@ -196,7 +164,7 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setattr(native, "compiler", lambda: "false")
     monkeypatch.setattr(native, "_WARNED", [])
-    for one in (SIMULATE._native_start, SIMULATE.static_bands._native, problem._each_sample._native, native_episode):
+    for one in (SIMULATE._native_start, feasibility.static_bands._native, problem._each_sample._native, native_episode):
         monkeypatch.setattr(one, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
@@ -219,34 +187,6 @@ def test_one_run_has_two_engines(engine):
     with pytest.raises(ParameterError) as caught:
         mk.simulate(scenario.plant(), scenario.control(), scenario.reference(), engine=engine, **timing(scenario))
     assert (caught.value.field, caught.value.value) == ("engine", engine)
-
-
-@pytest.mark.slow
-def test_another_process_finds_the_compiled_program(tmp_path):
-    path = tmp_path / "scenario.yaml"
-    path.write_text(SCENARIOS["as in the paper"])
-    program = (
-        "import sys, mckibben as mk; from mckibben.scenario import Scenario; from mckibben.codegen import native;"
-        "native.write_native = None if sys.argv[2] == 'known' else native.write_native;"
-        "s = Scenario.read(sys.argv[1]); p = s.plant();"
-        "print(mk.simulate(p, s.control(), s.reference(), initial=s.initial(p), duration=s.duration,"
-        " control_period=s.control_period, substeps=s.substeps, engine='native')['angle'][-1])"
-    )
-    environment = {"MCKIBBEN_PROGRAMS_DIR": str(tmp_path / "programs"), "PATH": "/usr/bin:/bin"}
-    printed = [
-        subprocess.run(
-            [sys.executable, "-c", program, path, word], env=environment, capture_output=True, text=True, check=True
-        )
-        for word in ("unknown", "known")
-    ]
-    assert printed[0].stdout == printed[1].stdout
-
-
-def test_a_batch_of_xla_has_its_runs_along_the_last_axis():
-    lanes = {"gain": np.arange(3.0), "rows": np.arange(12.0).reshape(4, 3)}
-    sums, rows = _by_xla(lambda shared, lane: (lane["rows"].sum() + shared, lane["gain"] * lane["rows"]), 2.0, lanes)
-    np.testing.assert_allclose(sums, lanes["rows"].sum(axis=0) + 2.0)
-    np.testing.assert_allclose(rows, lanes["gain"] * lanes["rows"])
 
 
 @pytest.mark.parametrize(

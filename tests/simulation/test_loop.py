@@ -125,32 +125,6 @@ def test_halving_the_step_divides_the_error_by_sixteen(plant, playback):
 
 
 @pytest.mark.slow
-def test_a_batch_is_its_single_runs(plant, control):
-    setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
-    start = numeric(plant.equilibrium(0.0))
-    masses, gains = jnp.asarray([0.3, 0.5, 0.8]), jnp.asarray([1e5, 1.5e5, 2e5])
-
-    def one(mass, gain):
-        heavier = eqx.tree_at(lambda p: p.load.mass2, plant, mass)
-        tuned = eqx.tree_at(lambda c: c.position.kp, control, gain)
-        return episode(heavier, tuned, setpoints, start, PERIOD, 4)[1].state
-
-    together, alone = jax.jit(jax.vmap(one))(masses, gains), jax.jit(one)
-    for k in range(3):
-        single = alone(masses[k], gains[k])
-        np.testing.assert_allclose(together.angle[k], single.angle, rtol=0, atol=1e-12)
-        np.testing.assert_allclose(together.pressures[0][k], single.pressures[0], rtol=1e-10)
-    assert float(jnp.abs(together.angle[0] - together.angle[2]).max()) > 1e-4
-
-
-def test_the_same_run_twice_is_the_same_to_the_last_bit(plant, control):
-    setpoints = sampled(REFERENCE, 10_000 * PERIOD, PERIOD)[1]  # as long as `run`: its program
-    start = numeric(plant.equilibrium(0.0))
-    one, two = (compiled_episode(plant, control, setpoints, start, jnp.asarray(PERIOD), 4)[1] for _ in range(2))
-    np.testing.assert_array_equal(one.state.angle, two.state.angle)
-
-
-@pytest.mark.slow
 def test_its_derivative_is_that_of_finite_differences(plant, control):
     setpoints = sampled(REFERENCE, 100 * PERIOD, PERIOD)[1]
     start = numeric(plant.equilibrium(0.0))
@@ -164,19 +138,6 @@ def test_its_derivative_is_that_of_finite_differences(plant, control):
     gain, step = 3e5, 10.0
     slope = (float(both(gain + step)[0]) - float(both(gain - step)[0])) / (2 * step)
     assert float(both(gain)[1]) == pytest.approx(slope, rel=1e-6)
-
-
-def test_in_single_precision_it_runs_and_stays_single(plant, control):
-    single = lambda tree: jax.tree.map(  # noqa: E731
-        lambda x: x.astype(jnp.float32) if eqx.is_inexact_array(x) else x, numeric(tree)
-    )
-    setpoints = sampled(REFERENCE, 300 * PERIOD, PERIOD)[1]
-    start = plant.equilibrium(0.0)
-    longer = sampled(REFERENCE, 10_000 * PERIOD, PERIOD)[1]  # as long as `run`: its program
-    exact = compiled_episode(plant, control, longer, numeric(start), jnp.asarray(PERIOD), 4)[1]
-    _, record = compiled_episode(*(single(x) for x in (plant, control, setpoints, start)), jnp.float32(PERIOD), 4)
-    assert {x.dtype for x in jax.tree.leaves(record.state)} == {jnp.dtype(jnp.float32)}
-    np.testing.assert_allclose(record.state.angle, exact.state.angle[:300], atol=1e-4)
 
 
 def test_setpoints_are_sampled_at_the_start_of_each_period():

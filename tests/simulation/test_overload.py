@@ -8,7 +8,7 @@ import pytest
 from mckibben import catalog
 from mckibben.control import Setpoint
 from mckibben.plant import IdealValve, JointPlant, PlantState
-from mckibben.simulation import Outcome, Result, measure, trajectory
+from mckibben.simulation import Outcome, SimulationResult, measure, trajectory
 from mckibben.simulation.loop import Record
 from mckibben.units import bar, deg
 
@@ -48,7 +48,7 @@ def test_metrics_and_outcome_say_so(moved):
     assert float(found.force_max) == float(moved.force2.max())
     assert float(found.excursion_max) == float(moved.excursion.max())
     band = (np.zeros(4), np.zeros(4))
-    result = Result.of(moved, 0.5, band=band, telemetry={})
+    result = SimulationResult.of(moved, 0.5, band=band, telemetry={})
     assert result.outcome is Outcome.LEFT_DOMAIN
-    assert f"above the rated force (up to {float(found.force_max):.4g} N) for 0.5 s, first at 1 s" in result.describe()
-    assert "outside the domain (contraction by up to" in result.describe()
+    assert f"above the rated force (up to {float(found.force_max):.4g} N) for 0.5 s, first at 1 s" in result.verdict()
+    assert "outside the domain (contraction by up to" in result.verdict()

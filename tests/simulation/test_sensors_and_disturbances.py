@@ -115,12 +115,6 @@ def test_a_run_that_goes_on_hears_and_feels_what_comes_next(heard, alone):
     )
 
 
-def test_in_32_bits_a_run_stays_single(heard):
-    """The noise and the times of the pushes are those of 64 bits: test_sensors, test_disturbance."""
-    record, final = heard(kind=jnp.float32)
-    assert {leaf.dtype for leaf in jax.tree.leaves((record.state, final))} == {np.dtype(np.float32)}
-
-
 KEPT = ("stiffness_estimate", "angle", "stiffness", "desired_stiffness", "pressure1", "pressure2", "air1", "air2")
 
 

@@ -135,26 +135,6 @@ def test_margins_of_two_integrators_with_a_late_command_are_the_closed_forms():
     assert disk == pytest.approx(1 / np.abs(1 / (1 + open_loop) - 0.5).max(), rel=1e-9)
 
 
-@pytest.mark.parametrize("period", [1e-4, 1e-2])
-def test_margins_of_a_slow_loop_do_not_depend_on_the_control_period(period):
-    """L = k / (s (1 + s lag)) with its crossover at 0.19 Hz, sampled: a phase margin of 59 degrees."""
-    lag, k = 0.5, 1.36
-    slow = np.exp(-period / lag)
-    # x1' = (u - x1) / lag, x2' = x1, u = -k x2
-    a = np.array([[slow, 0.0], [lag * (1 - slow), 1.0]])
-    b = np.array([[1 - slow], [period - lag * (1 - slow)]])
-    c = np.array([[0.0, -k]])
-    loop = LinearLoop(*(np.kron(np.eye(2), one) for one in (a + b @ c, b, c)))
-    _, _, phase, delay, disk, *_ = _margins_of(loop, period)
-    crossover = ((np.sqrt(1 + 4 * (k * lag) ** 2) - 1) / 2) ** 0.5 / lag
-    expected = np.pi / 2 - np.arctan(crossover * lag)
-    w = np.geomspace(0.01, 10, 10_000)
-    open_loop = k / (1j * w * (1 + 1j * w * lag))
-    assert phase == pytest.approx(expected, rel=0.01)
-    assert delay == pytest.approx(expected / crossover, rel=0.01)
-    assert disk == pytest.approx(1 / np.abs(1 / (1 + open_loop) - 0.5).max(), rel=0.01)
-
-
 def test_margins_are_those_at_the_crossover_and_not_where_the_gain_is_flat():
     """A locus with a gain of 1.5 that falls below 1 late, where its phase has moved away from -180 degrees."""
     angles, period = np.linspace(0.01, 1.0, 400), 1e-3
@@ -168,12 +148,12 @@ def test_margins_are_those_at_the_crossover_and_not_where_the_gain_is_flat():
 
 @pytest.mark.slow
 def test_the_verdict_says_where_the_loop_is_open(found):
-    assert "open" not in found.verdict()
+    assert not list(found.remarks())
     opened = _margins_of(LinearLoop(0.9 * np.eye(2), np.zeros((2, 2)), np.ones((2, 2))), 1e-3)
     assert opened[4] == pytest.approx(2.0)
-    both = found._replace(disk=np.array([0.4, opened[4]]))
+    both = dataclasses.replace(found, disk=np.array([0.4, opened[4]]))
     assert both.verdict().startswith("stable at all 2 points")
-    assert "at 1 of the points the loop is open" in both.verdict()
+    assert "at 1 of the points the loop is open" in both.to_text(width=200)
 
 
 def test_an_unstable_loop_has_no_margins():
@@ -209,20 +189,6 @@ def test_units_of_the_states_do_not_matter():
     (*_, sensitivity, loci), (*_, expected, expected_loci) = _margins_of(scaled, 1e-3), _margins_of(loop, 1e-3)
     assert sensitivity == pytest.approx(expected, rel=1e-9)
     assert np.sort(np.abs(loci)) == pytest.approx(np.sort(np.abs(expected_loci)), rel=1e-9)
-
-
-@pytest.mark.slow
-def test_the_delay_margin_of_the_predictive_controller(loop):
-    plant, decoupling = loop
-    observers = {"observer": decoupling.observer, "pressure_observer": decoupling.pressure_observer}
-    control = mk.PredictiveControl(plant.joint, plant.load, bandwidth=60.0, valve=plant.valve, **observers)
-    start = plant.equilibrium(3 * deg, stiffness=15.0)
-    margin = margins(plant, control, REFERENCE, start, **SETTINGS).delay.min()
-    kicked = [
-        mk.simulate(dataclasses.replace(plant, command_delay=share * margin), control, KICKED, duration=1.5)
-        for share in (0.8, 1.3)
-    ]
-    assert [one.outcome is Outcome.LIMIT_CYCLE for one in kicked] == [False, True]
 
 
 @pytest.mark.slow

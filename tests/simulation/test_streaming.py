@@ -2,7 +2,6 @@
 
 import functools
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,15 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mckibben.control import Setpoint
-from mckibben.joint import AntagonisticJoint, SeriesSpring
-from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import PlantState
 from mckibben.simulation import Metrics, Trajectory, episode, measure, trajectory, without_last_change
 from mckibben.simulation.loop import streaming_episode
-from mckibben.simulation.metrics import Course, MetricSample, last_change
+from mckibben.simulation.metrics import Course, MetricSample, Run, last_change, values_of
 from mckibben.simulation.oscillation import find_limit_cycle
-from mckibben.simulation.reduction import Run, values_of
 
 PERIOD = 1e-3
 FLAGS = ("saturated", "slack", "outside_domain", "overloaded")
@@ -100,14 +95,6 @@ def test_a_step_anywhere_is_found(at):
     assert np.isfinite(found.coupling) == (0 < at < 11)
     settled = {0: 3e-3, 11: np.nan}.get(at, (min(at + 3, 11) - at) * PERIOD)
     assert float(found.stiffness_settling) == pytest.approx(settled, nan_ok=True)
-
-
-def test_what_is_in_the_band_only_at_the_end_has_never_settled_in_either_form():
-    stiffness = 13.0 + np.where(np.arange(60) < 57, 2.0, 4.0)
-    run = moved(60, desired_stiffness=np.where(np.arange(60) < 20, 13.0, 17.0), stiffness=stiffness)
-    found, expected = both_ways(run)
-    same(found, expected)
-    assert np.isnan(found.stiffness_settling)
 
 
 @pytest.mark.parametrize("name", ["angle", "stiffness", "force1", "force2", "excursion", "angle_without_step"])
@@ -226,19 +213,6 @@ def test_leaving_the_step_out_from_an_earlier_period_on_changes_nothing(on_the_w
 
 
 @pytest.mark.slow
-def test_what_is_kept_is_the_trajectory(on_the_way, afterwards):
-    reference = CASES["two steps"]
-    _, expected, metrics = afterwards(reference)
-    for every in (1, 4, 60):
-        found = on_the_way(reference, 31, every=every)
-        assert {*found.kept} == {*KEPT}
-        for name in KEPT:
-            column = np.asarray(getattr(expected, name))[::every]
-            np.testing.assert_allclose(found.kept[name], column, rtol=1e-12, atol=1e-15, err_msg=name)
-        same(found.metrics, metrics, rtol=1e-11)
-
-
-@pytest.mark.slow
 def test_without_coupling_the_second_run_is_not_computed(on_the_way):
     reference = CASES["one step"]
     with_it, without = on_the_way(reference, 20), on_the_way(reference, 20, coupled=False)
@@ -250,51 +224,6 @@ def test_without_coupling_the_second_run_is_not_computed(on_the_way):
     }
     assert "cond[" in text[True]
     assert "cond[" not in text[False]
-
-
-def by_differences(function, size: int):
-    """Derivatives at ones, by central differences of the fourth order; a row for each number."""
-    moves = 1e-4 * np.array([-2, -1, 1, 2])[:, None, None] * np.eye(size)
-    low2, low1, high1, high2 = np.asarray(jax.jit(jax.vmap(function))(1 + moves.reshape(-1, size))).reshape(4, size, -1)
-    return (8 * (high1 - low1) - (high2 - low2)) / 12e-4
-
-
-@pytest.mark.slow
-def test_in_reverse_derivatives_are_those_of_finite_differences(plant, playback):
-    """With the run beside for the coupling, and periods that are computed again on the way back."""
-    reference = CASES["one step"]
-    change = last_change(reference.stiffness)
-
-    def measures(by, checkpoint):
-        mass, delay, pressure, step = jnp.array([0.5, 0.02, 3.2e5, 3e4]) * by
-        moved = eqx.tree_at(lambda p: (p.load.mass2, p.valve.time_constant), plant, (mass, delay))
-        stepped = reference._replace(stiffness=3.3e5 + jnp.where(jnp.arange(SIZE) < 20, 0.0, step))
-        start = START._replace(pressures=(pressure, START.pressures[1]))
-        with batched_program():
-            run = (moved, playback, stepped, start, PERIOD, 1)
-            found = streaming_episode(*run, change=change, split=20, checkpoint=checkpoint).metrics
-        return jnp.stack([found.coupling, found.force_max])
-
-    slopes = jax.jit(jax.jacrev(functools.partial(measures, checkpoint=True)))(jnp.ones(4))
-    expected = by_differences(functools.partial(measures, checkpoint=False), 4)
-    assert np.all(expected != 0)
-    np.testing.assert_allclose(slopes, expected.T, rtol=1e-5)
-
-
-@pytest.mark.slow
-def test_in_reverse_springs_have_the_slopes_of_finite_differences(plant):
-    joint = plant.joint
-    joint = AntagonisticJoint(joint.geometry, joint.muscle1, joint.muscle2, SeriesSpring(20e3, 5.0, 18e-3))
-    springy = numeric(JointPlant(joint, plant.load, plant.valve))
-
-    def acceleration(by):
-        stiffness, preload, angle, pressure = jnp.array([20e3, 5.0, 0.05, 3.2e5]) * by
-        moved = eqx.tree_at(lambda p: (p.joint.tendon.stiffness, p.joint.tendon.preload), springy, (stiffness, preload))
-        state = START._replace(angle=angle, pressures=(pressure, START.pressures[1]))
-        return moved.rate(state).velocity[None]
-
-    slopes = jax.jit(jax.jacrev(acceleration))(jnp.ones(4))
-    np.testing.assert_allclose(slopes, by_differences(acceleration, 4).T, rtol=1e-7)
 
 
 @pytest.mark.parametrize("size", [5, 30, 47])

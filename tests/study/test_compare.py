@@ -63,7 +63,7 @@ class TestRuns:
         assert set(delays.tolist()) == {0.0, 1.0}
         for run in kinds.values():
             scenario = Scenario.parse(simulated.scenario("PID 3", run).dumps())
-            alone = run_scenario(scenario).result.metrics
+            alone = run_scenario(scenario).metrics
             for name in Metrics._fields:
                 value = batch.metrics[name][run]
                 assert value == pytest.approx(alone[name], rel=1e-7, abs=1e-12, nan_ok=True), (run, name)
@@ -80,7 +80,7 @@ class TestRuns:
         batch = evaluate(runs, "PID 3", {KP: 2e5})
         assert batch.count == 8
         for run in (runs.joint.index("nominal"), runs.joint.index("air")):
-            alone = run_scenario(runs.scenario("PID 3", run, {KP: 2e5})).result.metrics
+            alone = run_scenario(runs.scenario("PID 3", run, {KP: 2e5})).metrics
             for name in ("angle_rmse", "stiffness_rmse", "air"):
                 assert batch.metrics[name][run] == pytest.approx(alone[name], rel=1e-7), (run, name)
         for group in runs.groups:
@@ -97,7 +97,7 @@ class TestRuns:
         scenario = simulated.scenario("PID 3", run)
         other = scenario.model_copy(update={"sensors": dataclasses.replace(scenario.sensors, seed=1)})
         assert scenario.sensors.seed == simulated.runs.conditions["sensors.seed"][run]
-        own, others = (run_scenario(each).result.metrics["angle_rmse"] for each in (scenario, other))
+        own, others = (run_scenario(each).metrics["angle_rmse"] for each in (scenario, other))
         assert abs(own - others) > 1e-6 * own
 
     @pytest.mark.slow

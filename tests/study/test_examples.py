@@ -24,7 +24,7 @@ SMALLER = {  # numbers of scripts that take long
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(EXAMPLES.glob("*.yaml")), ids=lambda path: path.stem)
 def test_a_scenario_runs_without_a_warning(path):
-    assert run_scenario(Scenario.read(path)).result.outcome.usable
+    assert run_scenario(Scenario.read(path)).outcome.usable
 
 
 @pytest.mark.slow

@@ -82,7 +82,7 @@ def test_a_valve_too_fast_for_the_substeps_is_refused_with_their_number():
 
 @pytest.mark.slow
 def test_openings_and_reservoir_are_in_the_result_and_its_file(flow, tmp_path):
-    result = run_scenario(flow).result
+    result = run_scenario(flow)
     assert result.outcome.name == "COMPLETED"
     result.to_netcdf(tmp_path / "result.nc")
     with xr.open_dataset(tmp_path / "result.nc") as saved:
@@ -125,7 +125,7 @@ def test_unequal_valves_with_tubes_are_a_file_parameters_and_columns():
         },
     )
     assert np.ptp(batch.table["angle_rmse"].values) > 0
-    result = run_scenario(read).result
+    result = run_scenario(read)
     assert not result.outcome.failed
     assert float(np.abs(result["outlet1"] - result["pressure1"]).max()) > 100.0
     assert float(result["reservoir"].min()) < 6.9999 * bar
@@ -137,7 +137,7 @@ STARTING_POINTS = sorted((Path(__file__).parents[2] / "examples" / "valves").glo
 @pytest.mark.slow
 @pytest.mark.parametrize("path", STARTING_POINTS, ids=lambda path: path.stem)
 def test_the_gains_to_start_from_control_their_valves(path):
-    result = run_scenario(Scenario.read(path)).result
+    result = run_scenario(Scenario.read(path))
     assert not result.outcome.failed and result.outcome is not Outcome.LIMIT_CYCLE
     assert result.metrics["angle_rmse"] < 2 * deg
 

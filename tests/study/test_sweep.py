@@ -19,7 +19,7 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import FileError, McKibbenWarning, ParameterError, SimulationError
 from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Metrics, Outcome
-from mckibben.simulation.simulate import check_reference
+from mckibben.simulation.feasibility import check_reference
 from mckibben.simulation.software import software
 from mckibben.storage import journal as journal_module
 from mckibben.storage.files import file_lock
@@ -78,12 +78,12 @@ def test_the_numbers_are_those_of_single_runs(kept, scenario):
     assert swept.inputs == ("load.mass2", "reference.stiffness.after", "controller.position.kp")
     for run in (0, 17, 71):
         row = swept.table.isel(run=run)
-        result, reach = run_scenario(swept.scenario(run).model_copy(update={"substeps": int(row["substeps"])}))
+        result = run_scenario(swept.scenario(run).model_copy(update={"substeps": int(row["substeps"])}))
         for name, value in result.metrics.items():
             np.testing.assert_allclose(row[name], value, rtol=1e-9, atol=1e-12, err_msg=name)
         assert swept.outcomes[run] is result.outcome
         assert float(row["infeasible_time"]) == 0
-        assert float(row["shortfall_max"]) == pytest.approx(reach.shortfall.max(), rel=1e-6, abs=1e-9)
+        assert float(row["shortfall_max"]) == pytest.approx(result.feasibility.shortfall.max(), rel=1e-6, abs=1e-9)
     assert 0 < (swept.table["shortfall_max"] > 0).sum() < 72
 
 
@@ -116,7 +116,7 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         run = swept.scenario(0)
         assert run.plant().joint.geometry.connector_length == pytest.approx(0.207)
         assert run.control().model.geometry.connector_length == pytest.approx(believed)
-        measured = run_scenario(run).result.metrics["angle_rmse"]
+        measured = run_scenario(run).metrics["angle_rmse"]
         assert float(swept.table["angle_rmse"][0]) == pytest.approx(measured, rel=1e-9)
     assert float(fixed.table["angle_rmse"][0]) != float(known.table["angle_rmse"][0])
     assert sweep(scenario, out=tmp_path, resume=True).computed == 0  # what is known is taken from the manifest

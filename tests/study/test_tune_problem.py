@@ -60,7 +60,7 @@ def by_hand():
     """Sums of metrics of single runs, of shape (plain or raised, scenario, row), for a margin of 1.5."""
 
     def one(scenario, row):
-        metrics = run_scenario(with_values(scenario, dict(zip(RANGES, row, strict=True)))).result.metrics
+        metrics = run_scenario(with_values(scenario, dict(zip(RANGES, row, strict=True)))).metrics
         return sum(metrics[name] / scale for name, scale in SCALES.items())
 
     raised = np.where(GAINS, 1.5 * ROWS, ROWS)
@@ -177,7 +177,7 @@ def test_a_limit_cycle_is_a_failure():
     name = "controller.position.kp"
     task = TuningProblem.of((scenario,), sweep_parameters(scenario, {name: RANGES[name]}), Cost(TERMS))
     costs = task.costs(np.array([[1 * bar], [40 * bar]]))
-    assert run_scenario(with_values(scenario, {name: 40 * bar})).result.outcome is Outcome.LIMIT_CYCLE
+    assert run_scenario(with_values(scenario, {name: 40 * bar})).outcome is Outcome.LIMIT_CYCLE
     assert costs[0] < FAILED_COST == costs[1]
     few = {"method": Method.EVOLUTION, "iterations": 1, "population": 8}
     start = with_values(scenario, {name: 1 * bar})

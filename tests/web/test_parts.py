@@ -64,5 +64,5 @@ def test_changed_numbers_keep_the_choice_where_its_class_is_the_only_one(start):
 @pytest.mark.parametrize(("label", "name"), OPTIONS)
 def test_an_option_runs(start, label, name):
     chosen = CHOICES[label].choose(start.replace(duration=0.5), name)
-    result, _ = run_scenario(chosen)
+    result = run_scenario(chosen)
     assert result.outcome.name == "COMPLETED"

@@ -34,9 +34,7 @@ def test_gains_are_tuned_as_by_the_command_and_go_into_the_scenario(tmp_path):
     assert found.scenario == expected.scenarios[0]
     assert [row[0] for row in found.parameters] == names
     before, after = found.metrics[0][1:]
-    assert float(after) == pytest.approx(
-        np.rad2deg(run_scenario(found.scenario).result.metrics["angle_rmse"]), rel=0.01
-    )
+    assert float(after) == pytest.approx(np.rad2deg(run_scenario(found.scenario).metrics["angle_rmse"]), rel=0.01)
     assert float(after) < float(before)
     margins = {name: float(now) for name, _, now in found.metrics if name.startswith("least ")}
     assert margins["least disk margin"] == pytest.approx(found.scenario.margins().disk.min(), rel=0.01)

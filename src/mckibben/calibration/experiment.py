@@ -24,7 +24,7 @@ from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
 from mckibben.numerics.compiled import jit
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
-from mckibben.simulation import Result
+from mckibben.simulation import SimulationResult
 from mckibben.storage.columns import read_columns
 from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import show
@@ -236,7 +236,7 @@ def run_parts(
     rig: JointRig | None = None,
     ready: Callable[[str], None] | None = None,
     progress: Any = None,
-) -> dict[str, Result]:
+) -> dict[str, SimulationResult]:
     """Run the scenarios of an experiment on a joint rig (default: the simulated joint), each in a folder of its name.
 
     `ready` is called with the name before each part. Raises `StoppedError` if a limit or a fault stops a part; the
@@ -256,7 +256,7 @@ def run_parts(
     return results
 
 
-def recording_of(result: Result, *, added_mass: float = 0.0, distance: float = 0.0) -> JointRecording:
+def recording_of(result: SimulationResult, *, added_mass: float = 0.0, distance: float = 0.0) -> JointRecording:
     """The recording of a run on a joint rig."""
     pressures, commands = (
         np.stack([result[f"{kind}1"], result[f"{kind}2"]], axis=1) for kind in ("pressure", "command")
@@ -274,7 +274,7 @@ def read_joint_recording(
     """
     file = Path(path)
     if file.suffix == ".nc":
-        return recording_of(Result.from_netcdf(file), added_mass=added_mass, distance=distance)
+        return recording_of(SimulationResult.from_netcdf(file), added_mass=added_mass, distance=distance)
 
     def wanted(header: list[str]) -> dict[str, str]:
         begins = {title.partition("_")[0] for title in header}

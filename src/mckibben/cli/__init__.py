@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import io
-import math
 import os
 import signal
 import sys
@@ -23,6 +22,7 @@ import mckibben
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.catalog import catalog
 from mckibben.cli.check import check
+from mckibben.cli.command import command
 from mckibben.cli.compare import compare
 from mckibben.cli.export import export
 from mckibben.cli.identify import identify, validate
@@ -32,13 +32,9 @@ from mckibben.cli.options import (
     Accuracy,
     Commands,
     Extrapolate,
-    Force,
     Json,
-    Out,
     echo,
-    format_metrics,
     keeping,
-    notify,
     on_command_line,
     progress,
     results_folder,
@@ -52,11 +48,10 @@ from mckibben.cli.rig import rig
 from mckibben.cli.size import size
 from mckibben.cli.sweep import sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
-from mckibben.storage.files import make_folder, to_json, write_json
+from mckibben.storage.files import make_folder, to_json
 
 if TYPE_CHECKING:
-    from mckibben.scenario import Scenario
-    from mckibben.simulation import Result
+    from mckibben.simulation import SimulationResult
 
 _LONGEST_REASON = 1000  # characters of a foreign exception
 
@@ -101,6 +96,7 @@ def reproduce(
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 
+@command
 def simulate(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
     animate: Annotated[
@@ -108,66 +104,25 @@ def simulate(
     ] = None,
     accuracy: Accuracy = "",
     extrapolate: Extrapolate = False,
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
+    force: bool = False,
+) -> SimulationResult:
     """Simulate a scenario: a controller on a joint."""
     if animate:  # report mistakes before the run
         from mckibben.report.animation import animation_format
 
         animation_format(animate)
         results_folder(animate.parent, [animate.name], force)
-    results_folder(out, ("result.nc", "results.json", "scenario.yaml", "tracking.png", "tracking.svg"), force)
-    from mckibben.scenario import Scenario
+    from mckibben.scenario import Scenario, run_scenario
 
-    read = with_accuracy(Scenario.read(scenario), accuracy)
-    read = read.with_extrapolation() if extrapolate else read
-    from mckibben.scenario import run_scenario, unknown_air
-    from mckibben.simulation.metrics import in_shown_units
-
-    result, feasibility = run_scenario(read, source=str(scenario))
-    infeasible = "" if feasibility.feasible else feasibility.describe()
-    numbers = {
-        "scenario": read.name,
-        "outcome": result.outcome.name.lower(),
-        "described": result.describe(),
-        "integration": result.resolution._asdict() if result.resolution else {},
-        "infeasible": infeasible,
-        "metrics": in_shown_units(result.metrics),
-        "remarks": read.joint.remarks,
-    }
-    if out:  # before printing: the reader of the output may be gone
-        with keeping(out):
-            _keep_run(out, read, result)
-            write_json(out / "results.json", numbers)
-    if json:
-        echo(to_json(numbers))
-    else:
-        if infeasible:
-            echo(f"warning: {infeasible}", err=True)
-        table(read.name, ("metric", "value", "unit"), format_metrics(numbers["metrics"]))
-        if result.resolution:
-            echo(result.resolution.describe())
-        echo(result.describe())
-        for remark in read.joint.remarks:
-            echo(remark)
-        if "small_motion_stiffness" in result.columns and not result.outcome.failed:
-            small, isobaric = result["small_motion_stiffness"], result["stiffness"]
-            ranges = [f"{values.min():.3g}..{values.max():.3g} N*m/rad" for values in (small, isobaric)]
-            echo(f"small-motion stiffness {ranges[0]}, isobaric stiffness {ranges[1]}")
-        if math.isnan(result.metrics["air"]) and not result.outcome.failed:
-            echo(unknown_air(read))
-    if out:
-        notify(f"wrote result.nc, results.json, scenario.yaml, tracking.png and tracking.svg to {out}", json)
+    run = with_accuracy(Scenario.read(scenario), accuracy)
+    run = run.with_extrapolation() if extrapolate else run
+    result = run_scenario(run, source=str(scenario))
     if animate:
         from mckibben import report
 
         with keeping(animate.parent):
-            report.animate(result, animate, read.plant(), overwrite=True)
-        notify(f"wrote {animate}", json)
-    if result.outcome.failed:
-        raise typer.Exit(1)
+            report.animate(result, animate, run.plant(), overwrite=True)
+    return result
 
 
 def web(
@@ -305,14 +260,6 @@ def _interrupts() -> Iterator[list[int]]:
         yield found
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-def _keep_run(out: Path, scenario: Scenario, result: Result) -> None:
-    from mckibben import report
-
-    scenario.to_yaml(out / "scenario.yaml")
-    result.to_netcdf(out / "result.nc")
-    report.save(report.tracking({scenario.name: result}), out, "tracking")
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:

@@ -29,7 +29,7 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
 
     The command gets the options `--details`, `--json`, `--out` and `--force`, prints the result, writes its files, and
     exits with 1 if the result is not `ok`. A parameter `progress` gets a progress bar and is not an option; a long
-    computation can be interrupted.
+    computation can be interrupted. A parameter `force` gets the value of that option.
 
         @command
         def margins(scenario: ScenarioFile, points: Points = 20) -> Margins:
@@ -38,16 +38,21 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
     """
     function.__annotations__.pop("return", None)  # its class is imported when the command runs
     signature = inspect.signature(function, eval_str=True)
-    parameters = [p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name != "progress"]
+    parameters = [
+        p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name not in ("progress", "force")
+    ]
     parameters += [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
         for name, (annotation, default) in _ADDED.items()
     ]
     takes_progress = "progress" in signature.parameters
+    takes_force = "force" in signature.parameters
 
     @functools.wraps(function)
     def run(*, details: bool, json: bool, out: Path | None, force: bool, **arguments: Any) -> None:
         results_folder(out, ("results.json",), force)  # before the computation
+        if takes_force:
+            arguments["force"] = force
         if takes_progress:
             with long_job(quiet=json, kept="") as progress:
                 result = function(progress=progress, **arguments)

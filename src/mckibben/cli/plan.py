@@ -6,8 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from typer import Argument, Exit, Option
+from typer import Argument, Option
 
+from mckibben.cli.command import command
 from mckibben.cli.options import (
     Data,
     Extrapolate,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
     from mckibben.muscle import Domain, Specimen
     from mckibben.reachability import Design, Envelope
     from mckibben.scenario import Scenario
+    from mckibben.simulation import Margins
 
 
 _DIRECTIONS = {"both": ("loading", "unloading"), "loading": ("loading",), "unloading": ("unloading",)}
@@ -239,42 +241,15 @@ def _present(
         notify(f"wrote results.json, {name}.png and {name}.svg to {out}", json)
 
 
+@command
 def margins(
     scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, valve and controller.")],
     points: Annotated[int, Option(min=1, max=1000, help="Operating points along the reference.")] = 20,
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
+) -> Margins:
     """Compute the stability margins of the sampled loop at operating points along the reference."""
-    results_folder(out, ("results.json", "margins.png", "margins.svg"), force)
     from mckibben.scenario import Scenario
 
-    read = Scenario.read(scenario)
-    found = read.margins(points)
-    shown = found.in_shown_units()
-    numbers = {
-        "scenario": read.name,
-        "stable": found.stable,
-        "time_s": found.time.tolist(),
-        "largest_pole": found.radius.tolist(),
-        "margins": {name: values.tolist() for name, values in shown.items()},
-    }
-
-    def show() -> None:
-        table(f"{read.name}: stability margins", found.headers, found.rows())
-        echo(found.verdict())
-        if (found.radius >= 1).any():
-            plant = read.plant()
-            if plant.friction is not None or plant.joint.has_friction:
-                echo(
-                    "where friction sticks it counts as a spring: oscillations grow there after a small push, until "
-                    "friction slips; simulate with a `disturbance` to see their amplitude"
-                )
-
-    _present(numbers, "margins", found.plot, show, out, json)
-    if not found.stable:
-        raise Exit(1)
+    return Scenario.read(scenario).margins(points)
 
 
 def envelope(

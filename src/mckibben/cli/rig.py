@@ -68,7 +68,7 @@ def control(
     check_free(make_folder(out), (*_KEPT, "record-0001.chunks"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.feasible:
-        echo(f"warning: {session.reach.describe()}", err=True)
+        echo(f"warning: {session.reach.verdict()}", err=True)
     read.to_yaml(out / "scenario.yaml")
     with run_line(quiet=json) as progress:
         try:
@@ -99,7 +99,7 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
         "vented_after_s": ran.outcome.vented_after,
         "remaining_Pa": ran.outcome.remaining,
         "outcome": result.outcome.name.lower() if result is not None else None,
-        "infeasible": "" if ran.reach.feasible else ran.reach.describe(),
+        "infeasible": "" if ran.reach.feasible else ran.reach.verdict(),
         "metrics": metrics,
         "priority": ran.priority,
         "timing": timing.to_json() if paced else None,
@@ -117,7 +117,7 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
     else:
         table(name, ("metric", "value", "unit"), format_metrics(metrics))
         if result is not None:
-            echo(result.describe())
+            echo(result.verdict())
         if paced:
             spreads = (
                 ("sample to loop", timing.lateness),

@@ -103,8 +103,8 @@ class ActuatorAdaptation(Component):
         zero = jnp.zeros_like(floating(pressures[0]))
         none = jnp.zeros(2, zero.dtype) + zero
 
-        def begun(one: Actuator, pressure: Scalar) -> Prediction:
-            state = one.init_model(pressure)
+        def begun(model: Actuator, pressure: Scalar) -> Prediction:
+            state = model.init_model(pressure)
             return Prediction(pressure, state, none, jax.tree.map(lambda _: none, state), zero, none)
 
         predictions = begun(valve.for_muscle(0), pressures[0]), begun(valve.for_muscle(1), pressures[1])
@@ -144,10 +144,10 @@ class ActuatorAdaptation(Component):
             predictions.append(predicted._replace(slow_error=slow_error, slow_slopes=slow_slopes))
         scaled = information * jnp.outer(spreads, spreads)
         moved = spreads * _solved(scaled + jnp.eye(2, dtype=now.dtype), evidence * spreads)
-        found = prior + jnp.clip(moved, -_DEVIATIONS * spreads, _DEVIATIONS * spreads)
+        estimate = prior + jnp.clip(moved, -_DEVIATIONS * spreads, _DEVIATIONS * spreads)
         return ActuatorAdaptationState(
-            exp(found[0]),
-            jnp.maximum(found[1], 0.0),
+            exp(estimate[0]),
+            jnp.maximum(estimate[1], 0.0),
             (predictions[0], predictions[1]),
             information,
             evidence,
@@ -159,7 +159,7 @@ def with_speed(valve: Actuator, speed: ArrayLike) -> Any:
     """Valve that is faster by a factor."""
     model: Any = valve
     if not model.holds_air:
-        return eqx.tree_at(lambda one: one.time_constant, model, model.time_constant / speed)
+        return eqx.tree_at(lambda first_order: first_order.time_constant, model, model.time_constant / speed)
     return model.scaled(speed)
 
 
@@ -182,9 +182,9 @@ def _predicted(
     def along(slope: Scalar, state_slope: Any, direction: Array) -> tuple[Any, Any]:
         return jax.jvp(follow, (last.pressure, last.state, now), (slope, state_slope, direction))
 
-    each = jax.vmap(along, out_axes=(None, 0))
+    along_all = jax.vmap(along, out_axes=(None, 0))
     directions = jnp.eye(2, dtype=now.dtype)
-    (pressure, state), (slopes, state_slopes) = each(last.pressure_slopes, last.state_slopes, directions)
+    (pressure, state), (slopes, state_slopes) = along_all(last.pressure_slopes, last.state_slopes, directions)
     return last._replace(pressure=pressure, state=state, pressure_slopes=slopes, state_slopes=state_slopes)
 
 

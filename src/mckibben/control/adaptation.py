@@ -104,14 +104,14 @@ class LawAdaptation(Component):
         angle = floating(angle)
         muscles = model.init_state(angle, pressures)
         signals = self._signals(model, load, muscles, angle, pressures)
-        zero, one = jnp.zeros_like(angle), jnp.ones_like(angle)
+        zero, unity = jnp.zeros_like(angle), jnp.ones_like(angle)
         count = len(signals) - 2
         return AdaptationState(
-            strengths=(one, one),
+            strengths=(unity, unity),
             mass=zero,
-            friction=one,
+            friction=unity,
             deviations=(zero,) * count,
-            covariance=tuple(tuple(one if i == j else zero for j in range(count)) for i in range(count)),
+            covariance=tuple(tuple(unity if i == j else zero for j in range(count)) for i in range(count)),
             filtered=tuple((signal,) * _LAGS for signal in signals),
             last=(*signals, signals[0]),
             muscles=muscles,
@@ -134,7 +134,7 @@ class LawAdaptation(Component):
         fraction = 1 - exp(-jnp.asarray(self.bandwidth) * period)
         pairs = zip(state.filtered, signals, strict=True)
         filtered = tuple(_filter(lags, signal, fraction) for lags, signal in pairs)
-        now = tuple(each[-1] for each in filtered)
+        now = tuple(value[-1] for value in filtered)
         # Central differences, and with them the other signals, are those one period ago.
         following, (middle, gravity, gravity_by_mass, torque1, torque2, *friction_torque, preceding) = (
             now[0],
@@ -147,16 +147,16 @@ class LawAdaptation(Component):
             -self.strength_spread * torque1,
             self.strength_spread * torque2,
             self.mass_spread * (gravity_by_mass - dynamic_by_mass),
-            *(self.friction_spread * each for each in friction_torque),
+            *(self.friction_spread * value for value in friction_torque),
         ]
         residual = dynamic - gravity - (torque2 - torque1) - sum(friction_torque)
         # The filter correlates errors over its time constant: so many samples count as one.
         age = state.age + self.bandwidth * period
         variance = self.torque_error**2 * 2 / (self.bandwidth * period)
-        regressors = [jnp.where(age > _SETTLING, each, 0.0) for each in regressors]
+        regressors = [jnp.where(age > _SETTLING, value, 0.0) for value in regressors]
         deviations, covariance = self._drift(state.deviations, state.covariance, period)
         deviations, covariance = recursive_least_squares(deviations, covariance, regressors, residual, variance)
-        bounded = [jnp.clip(each, -_BOUND, _BOUND) for each in deviations]
+        bounded = [jnp.clip(value, -_BOUND, _BOUND) for value in deviations]
         return AdaptationState(
             strengths=(1 + self.strength_spread * bounded[0], 1 + self.strength_spread * bounded[1]),
             mass=self.mass_spread * bounded[2],
@@ -177,8 +177,8 @@ class LawAdaptation(Component):
             return deviations, covariance
         keep = exp(-jnp.asarray(period) / self.drift_time)
         rows = enumerate(covariance)
-        return tuple(keep * each for each in deviations), tuple(
-            tuple(keep**2 * each + ((1 - keep**2) if i == j else 0.0) for j, each in enumerate(row)) for i, row in rows
+        return tuple(keep * x for x in deviations), tuple(
+            tuple(keep**2 * x + ((1 - keep**2) if i == j else 0.0) for j, x in enumerate(row)) for i, row in rows
         )
 
     def _signals(
@@ -230,7 +230,7 @@ def recursive_least_squares(
     cross = [sum(covariance[i][j] * regressors[j] for j in count) for i in count]
     total = sum(regressors[i] * cross[i] for i in count) + variance
     innovation = value - sum(regressors[i] * means[i] for i in count)
-    gains = [each / total for each in cross]
+    gains = [entry / total for entry in cross]
     return (
         tuple(means[i] + gains[i] * innovation for i in count),
         tuple(tuple(covariance[i][j] - gains[i] * cross[j] for j in count) for i in count),

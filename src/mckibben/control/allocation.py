@@ -49,14 +49,14 @@ def prioritise_torque(
         return Allocation(pair, torque0 + slope * pressure, pressure != free)
     least = torque0 + t1 * upper[0] + t2 * lower[1]
     greatest = torque0 + t1 * lower[0] + t2 * upper[1]
-    given = jnp.clip(torque, least, greatest)
+    attained = jnp.clip(torque, least, greatest)
 
     def pressure1_for(pressure2: ArrayLike) -> Scalar:
         """Pressure of muscle 1 on the line of constant torque."""
-        return (given - torque0 - t2 * pressure2) / t1
+        return (attained - torque0 - t2 * pressure2) / t1
 
     slope = -t1 / t2  # the line is p2 = intercept + slope p1, slope > 0
-    intercept = (given - torque0) / t2
+    intercept = (attained - torque0) / t2
     stiffness_slope = k1 + k2 * slope
     flat = jnp.abs(stiffness_slope) * (upper[0] - lower[0]) < 1e-6 * jnp.abs(stiffness0)
     free = (stiffness - stiffness0 - k2 * intercept) / jnp.where(flat, 1.0, stiffness_slope)
@@ -64,19 +64,19 @@ def prioritise_torque(
     begin, end = jnp.maximum(lower[0], pressure1_for(lower[1])), jnp.minimum(upper[0], pressure1_for(upper[1]))
     pressure1 = jnp.maximum(jnp.minimum(free, end), begin)
     pressure2 = jnp.clip(intercept + slope * pressure1, lower[1], upper[1])
-    return Allocation((pressure1, pressure2), given, (given != torque) | (pressure1 != free))
+    return Allocation((pressure1, pressure2), attained, (attained != torque) | (pressure1 != free))
 
 
 def prioritise_differential(
     differential: ArrayLike, cocontraction: ArrayLike, lower: Pair, upper: Pair
 ) -> tuple[Pair, Array]:
     """Pressures [Pa] within limits for a differential pressure, and the nearest co-contraction [Pa]; saturated."""
-    given = jnp.clip(differential, (lower[1] - upper[0]) / 2, (upper[1] - lower[0]) / 2)
-    begin = jnp.maximum(lower[0] + given, lower[1] - given)
-    end = jnp.minimum(upper[0] + given, upper[1] - given)
+    attained = jnp.clip(differential, (lower[1] - upper[0]) / 2, (upper[1] - lower[0]) / 2)
+    begin = jnp.maximum(lower[0] + attained, lower[1] - attained)
+    end = jnp.minimum(upper[0] + attained, upper[1] - attained)
     mean = jnp.maximum(jnp.minimum(cocontraction, end), begin)
-    pressures = jnp.clip(mean - given, lower[0], upper[0]), jnp.clip(mean + given, lower[1], upper[1])
-    return pressures, (given != differential) | (mean != cocontraction)
+    pressures = jnp.clip(mean - attained, lower[0], upper[0]), jnp.clip(mean + attained, lower[1], upper[1])
+    return pressures, (attained != differential) | (mean != cocontraction)
 
 
 def limit_commands(

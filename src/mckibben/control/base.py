@@ -83,11 +83,11 @@ class DiscreteTimeSystem(Labelled, Component):
 
         def prepared(part: Any) -> Any:
             if type(part) is tuple:
-                found = tuple(map(prepared, part))
-                return part if all(map(operator.is_, found, part)) else found
+                parts = tuple(map(prepared, part))
+                return part if all(map(operator.is_, parts, part)) else parts
             return part.with_period(period) if isinstance(part, DiscreteTimeSystem) else part
 
-        parts = {each.name: getattr(self, each.name) for each in dataclasses.fields(self)}
+        parts = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         inner = {name: after for name, part in parts.items() if (after := prepared(part)) is not part}
         return dataclasses.replace(self, **inner) if inner else self
 

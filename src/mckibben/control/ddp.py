@@ -151,7 +151,7 @@ class HorizonProblem(NamedTuple):
     def outputs(self, angle: Scalar, velocity: Scalar, pressures: Pair) -> Pair:
         """Acceleration of the joint, and its stiffness minus the setpoint."""
         (a0, a1, a2), (s0, s1, s2) = (
-            [coefficient(angle) for coefficient in each] for each in (self.acceleration, self.stiffness)
+            [coefficient(angle) for coefficient in coefficients] for coefficients in (self.acceleration, self.stiffness)
         )
         p1, p2 = pressures
         return a0 + a1 * p1 + a2 * p2 - self.drag * velocity, s0 + s1 * p1 + s2 * p2
@@ -159,23 +159,23 @@ class HorizonProblem(NamedTuple):
     def limits(self, angle: Scalar, previous: Pair) -> tuple[Pair, Pair]:
         """Lower and upper limits of the pressures after a stage; the speed of the valves takes precedence."""
 
-        def one(i: int) -> Pair:
+        def of_muscle(i: int) -> Pair:
             slowest, fastest = self.attainable[i](previous[i])
             upper = _larger(_smaller(self.pressure_upper[i](angle), fastest), slowest)
             return _smaller(_larger(self.pressure_lower[i](angle), slowest), upper), upper
 
-        return transpose((one(0), one(1)))
+        return transpose((of_muscle(0), of_muscle(1)))
 
     def limits_previous(self, angle: Scalar, previous: Pair) -> tuple[Pair, Pair]:
         """Derivative of each limit with respect to the same pressure a stage before."""
-        ones = tuple(map(jnp.ones_like, previous))
-        return jax.jvp(lambda p: self.limits(angle, p), (previous,), (ones,))[1]
+        directions = tuple(map(jnp.ones_like, previous))
+        return jax.jvp(lambda p: self.limits(angle, p), (previous,), (directions,))[1]
 
     def terminal_hessian(self) -> Matrix:
         """P, of a triple integrator and an integrator."""
-        one = jnp.ones_like(self.reference[0])
-        zero, d, root = 0 * one, self.damping * one, jnp.sqrt(self.bandwidth_ratio_sq * one)
-        return (d, d, one, zero), (d, d**2 - 1, d, zero), (one, d, d, zero), (zero, zero, zero, root)
+        unity = jnp.ones_like(self.reference[0])
+        zero, d, root = 0 * unity, self.damping * unity, jnp.sqrt(self.bandwidth_ratio_sq * unity)
+        return (d, d, unity, zero), (d, d**2 - 1, d, zero), (unity, d, d, zero), (zero, zero, zero, root)
 
 
 def _smaller(a: Scalar, b: Scalar) -> Scalar:
@@ -202,7 +202,7 @@ def constant(pressures: Pair, stages: int) -> Policy:
 
 def shift(policy: Policy, fraction: ArrayLike) -> Policy:
     """Warm start: the policy after a fraction of a stage has passed."""
-    return jax.tree.map(lambda each: each + fraction * (jnp.append(each[1:], each[-1:]) - each), policy)
+    return jax.tree.map(lambda leaf: leaf + fraction * (jnp.append(leaf[1:], leaf[-1:]) - leaf), policy)
 
 
 # Solution
@@ -262,7 +262,7 @@ def rollout(problem: HorizonProblem, state: State, pressures: Pair, policy: Poli
         u = jax.tree.map(jnp.clip, asked, *limit)
 
         (acceleration, stiffness), outputs_angle = value_and_derivative(lambda at: problem.outputs(at, speed, u), end)
-        outputs_u = tuple(tuple(c(end) for c in each[1:]) for each in (problem.acceleration, problem.stiffness))
+        outputs_u = tuple(tuple(c(end) for c in row[1:]) for row in (problem.acceleration, problem.stiffness))
         acceleration = acceleration - following[2]
         # The acceleration of the joint changes by the hold weights, that of the reference as it does.
         jump, change = acceleration - x[2], following[2] - reference[2]

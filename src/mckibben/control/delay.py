@@ -22,8 +22,8 @@ Scalar = Float[Array, ""]
 
 def _plant_delay(scope: Mapping[str, Any]) -> Any:
     """Delay of the plant's commands [s]."""
-    found = scope.get("command_delay")
-    return 0.0 if found is None else found
+    delay = scope.get("command_delay")
+    return 0.0 if delay is None else delay
 
 
 class DelayState(NamedTuple):
@@ -61,15 +61,15 @@ class DelayCompensation(ModelBasedControl):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        for one in with_valves(self.controller):
-            if isinstance(one, ModelBasedControl):
+        for inner in with_valves(self.controller):
+            if isinstance(inner, ModelBasedControl):
                 raise RangeError(
-                    f"DelayCompensation: a {type(one).__name__} predicts over the delay itself",
+                    f"DelayCompensation: a {type(inner).__name__} predicts over the delay itself",
                     field="controller",
                     remedy="give it command_delay and leave DelayCompensation out: its observers replace both pairs",
                 )
             if self.actuator_adaptation is not None:
-                self.actuator_adaptation.check_valve(one.valve)
+                self.actuator_adaptation.check_valve(inner.valve)
 
     @property
     def observers(self) -> tuple[Observer, PressureObserver]:

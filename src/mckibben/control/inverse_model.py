@@ -275,17 +275,17 @@ class InverseModelControl(Controller):
         """Filtered motion after a further measurement, and its acceleration [rad/s^2]."""
         fraction = 1 - exp(-jnp.asarray(self.filter_bandwidth) * period)
 
-        def one(before: FilteredSignal, now: ArrayLike) -> FilteredSignal:
+        def filtered_signal(before: FilteredSignal, now: ArrayLike) -> FilteredSignal:
             first = before.first + fraction * (now - before.first)
             return FilteredSignal(before.value + fraction * (first - before.value), first)
 
-        angle, (pressure1, pressure2) = one(last.angle, measurement.angle), measurement.pressures
+        angle, (pressure1, pressure2) = filtered_signal(last.angle, measurement.angle), measurement.pressures
         velocity = (angle.value - last.angle.value) / period
         filtered = MeasuredMotion(
             angle,
-            one(last.stiffness, stiffness),
-            one(last.pressure1, pressure1),
-            one(last.pressure2, pressure2),
+            filtered_signal(last.stiffness, stiffness),
+            filtered_signal(last.pressure1, pressure1),
+            filtered_signal(last.pressure2, pressure2),
             velocity,
         )
         return filtered, (velocity - last.velocity) / period
@@ -294,7 +294,7 @@ class InverseModelControl(Controller):
         self, network: Network, measured: MeasuredMotion, acceleration: Scalar, offset: InitialOffset, period: ArrayLike
     ) -> tuple[Network, Pair]:
         """Weights after one step, and the error of the inverse [Pa]."""
-        angle, stiffness, pressure1, pressure2 = (each.value for each in measured[:4])
+        angle, stiffness, pressure1, pressure2 = (signal.value for signal in measured[:4])
         x, pressures = InverseInput(angle, measured.velocity, acceleration, stiffness), (pressure1, pressure2)
         is_taut = self._is_taut(angle, pressures)
 
@@ -305,7 +305,7 @@ class InverseModelControl(Controller):
         targets = differential - offset.differential, cocontraction - offset.cocontraction
         outputs, (hidden, inputs) = self._network_output(network, x, offset)
         error = jax.tree.map(lambda target, output: jnp.where(is_taut, target - output, 0.0), targets, outputs)
-        clipped = jnp.stack([jnp.clip(each / self.pressure_scale, -1.0, 1.0) for each in error])
+        clipped = jnp.stack([jnp.clip(signal / self.pressure_scale, -1.0, 1.0) for signal in error])
 
         hidden_and_bias = jnp.concatenate([hidden, jnp.ones_like(hidden[:1])])
         by_hidden = network.output[:, :-1] * (1 - hidden**2)

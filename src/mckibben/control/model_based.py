@@ -56,22 +56,22 @@ class Valves(NamedTuple):
 
     def predict(self, commands: Pair, duration: ArrayLike) -> tuple[Pair, tuple[Any, Any]]:
         """Return the pressures [Pa] and states a time [s] later, under constant commands [Pa]."""
-        each = zip(self.pressures, self.states, commands, self.air, strict=True)
+        muscles = zip(self.pressures, self.states, commands, self.air, strict=True)
         (pressure1, state1), (pressure2, state2) = (
-            self.model.for_muscle(i).predict(*one, duration) for i, one in enumerate(each)
+            self.model.for_muscle(i).predict(*muscle, duration) for i, muscle in enumerate(muscles)
         )
         return (pressure1, pressure2), (state1, state2)
 
     def attainable(self, duration: ArrayLike) -> tuple[Attainable, Attainable]:
         """Return the pressures that can be reached within a time [s]."""
-        each = zip(self.pressures, self.states, zip(*self.commands, strict=True), self.air, strict=True)
-        reach1, reach2 = (self.model.for_muscle(i).attainable(*one, duration) for i, one in enumerate(each))
+        muscles = zip(self.pressures, self.states, zip(*self.commands, strict=True), self.air, strict=True)
+        reach1, reach2 = (self.model.for_muscle(i).attainable(*muscle, duration) for i, muscle in enumerate(muscles))
         return reach1, reach2
 
     def commands_toward(self, targets: Pair, lag: ArrayLike, period: ArrayLike) -> Pair:
         """Return the commands [Pa] of a control period [s] that lead the pressures to targets [Pa] with a lag [s]."""
-        each = zip(self.pressures, self.states, targets, self.air, strict=True)
-        wanted = (self.model.for_muscle(i).command_toward(*one, lag, period) for i, one in enumerate(each))
+        muscles = zip(self.pressures, self.states, targets, self.air, strict=True)
+        wanted = (self.model.for_muscle(i).command_toward(*muscle, lag, period) for i, muscle in enumerate(muscles))
         command1, command2 = map(jnp.clip, wanted, *self.commands)
         return command1, command2
 
@@ -129,6 +129,7 @@ class ModelBasedControl(Controller):
     telemetry_labels: ClassVar = {
         "velocity_estimate": Label("rad/s", "controller's estimate of the angular velocity"),
         "disturbance_estimate": Label("N*m", "controller's estimate of the disturbance torque"),
+        "friction_compensation": Label("N*m", "friction torque compensated by the controller"),
         "strength1_estimate": Label("1", "controller's estimate of the strength of muscle 1 relative to its law"),
         "strength2_estimate": Label("1", "controller's estimate of the strength of muscle 2 relative to its law"),
         "command_delay_estimate": Label("s", "controller's estimate of the delay of the commands"),
@@ -274,7 +275,7 @@ class ModelBasedControl(Controller):
         steps = self.steps
         delay, step = self._delay / jnp.asarray(period), jnp.asarray(self._delay) / steps
         pairs = [_means(estimates.sent, delay * (1 - (k + 1) / steps), delay * (1 - k / steps)) for k in range(steps)]
-        commands = jnp.stack([one for one, _ in pairs]), jnp.stack([other for _, other in pairs])
+        commands = jnp.stack([first for first, _ in pairs]), jnp.stack([second for _, second in pairs])
         motion = estimates.motion
 
         def advance(state: tuple[Scalar, Scalar, Pair, Any], commands: Pair) -> tuple[Any, None]:
@@ -282,7 +283,7 @@ class ModelBasedControl(Controller):
             midway = angle + step / 2 * velocity  # one evaluation of the geometry
             valves = self._valves(midway, velocity, pressures, actuators)
             following, actuators = valves.predict(commands, step)
-            middle = tuple((one + other) / 2 for one, other in zip(pressures, following, strict=True))
+            middle = tuple((first + second) / 2 for first, second in zip(pressures, following, strict=True))
             torque = model.torque(midway, (middle[0], middle[1])) + estimates.resistance
             acceleration = self.load.acceleration(midway, velocity, torque) + motion.disturbance
             moved = angle + step * (velocity + step / 2 * acceleration)
@@ -367,10 +368,10 @@ class ModelBasedControl(Controller):
         """The controller with estimates in place of delay and speed of its models."""
         if not isinstance(adapted, ActuatorAdaptationState):
             return self
-        valves = [with_speed(one.valve, adapted.speed) for one in with_valves(self)]
+        valves = [with_speed(controller.valve, adapted.speed) for controller in with_valves(self)]
 
         def replaced(control: Any) -> list[Any]:
-            return [one.valve for one in with_valves(control)]
+            return [controller.valve for controller in with_valves(control)]
 
         return dataclasses.replace(eqx.tree_at(replaced, self, valves), command_delay=adapted.delay)
 
@@ -399,6 +400,6 @@ def _means(sent: tuple[Pair, ...], newest: ArrayLike, oldest: ArrayLike) -> Pair
         jnp.clip((jnp.minimum(oldest, age + 1.0) - jnp.maximum(newest, float(age))) / span, 0.0, 1.0)
         for age in range(len(sent))
     ]
-    weighed = [(share * one, share * other) for share, (one, other) in zip(shares, sent, strict=True)]
+    weighed = [(share * command1, share * command2) for share, (command1, command2) in zip(shares, sent, strict=True)]
     first, second = (functools.reduce(operator.add, side) for side in zip(*weighed, strict=True))
     return first, second

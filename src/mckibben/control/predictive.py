@@ -141,7 +141,7 @@ class PredictiveControl(ModelBasedControl):
 
         target1, target2 = first.pressures
         commands = valves.commands_toward((bar * target1, bar * target2), _AT_ONCE * stage, stage)
-        limited = [each for each, spring in zip(first.limited, self.model.springs, strict=True) if not spring]
+        limited = [limit for limit, spring in zip(first.limited, self.model.springs, strict=True) if not spring]
         estimates = estimates._replace(sent=(commands, *estimates.sent[:-1]), saturated=limited[0] | limited[-1])
         return PredictiveState(estimates, (jerk_velocity, velocity_sq), policy), commands
 
@@ -208,8 +208,8 @@ class PredictiveControl(ModelBasedControl):
         stiffness_error = offset._replace(value=offset.value - per_stiffness * stiffness)
         # A spring's pressure is 0 by its limits; without a share in the cost the problem would be singular.
         stiffness1, stiffness2 = (
-            Quadratic(jnp.ones_like(angle), zero) if spring else one
-            for spring, one in zip(self.model.springs, (stiffness1, stiffness2), strict=True)
+            Quadratic(jnp.ones_like(angle), zero) if spring else coefficient
+            for spring, coefficient in zip(self.model.springs, (stiffness1, stiffness2), strict=True)
         )
 
         def limits(values: Pair, slopes: Pair) -> tuple[Quadratic, Quadratic]:
@@ -218,7 +218,7 @@ class PredictiveControl(ModelBasedControl):
             )
 
         reach1, reach2 = (
-            Attainable(each.keep, each.lower / bar, each.upper / bar) for each in valves.attainable(stage)
+            Attainable(reach.keep, reach.lower / bar, reach.upper / bar) for reach in valves.attainable(stage)
         )
         ramp = _RAMP * stage if valves.model.lag is None else valves.model.lag
         # Backward differences lag by one period, their velocity by half of one.

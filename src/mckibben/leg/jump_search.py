@@ -18,9 +18,9 @@ from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.simulate import leg_metrics, simulate_legs
 from mckibben.leg.study_journal import StudyJournal
 from mckibben.numerics.compiled import numeric
+from mckibben.simulation.batch import Batch
 from mckibben.simulation.engine import BatchFunction, dynamic_steps
 from mckibben.simulation.problem import sampling_times
-from mckibben.simulation.table import Batch
 
 Floats = NDArray[np.float64]
 

@@ -24,8 +24,8 @@ from mckibben.notebook import Progress, silent
 from mckibben.plant import IdealValve
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
+from mckibben.simulation.batch import Batch
 from mckibben.simulation.software import engine_of_job
-from mckibben.simulation.table import Batch
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.columns import labelled
 from mckibben.leg.plant import LegPlant, LegSample
-from mckibben.simulation.reduction import Duration, Largest, LargestError, Run, Totals, Tracked, metrics_of, values_of
+from mckibben.simulation.metrics import Duration, Largest, LargestError, Run, Totals, Tracked, metrics_of, values_of
 
 Scalar = Float[Array, ""]
 

@@ -36,11 +36,12 @@ from mckibben.simulation.accuracy import (
     resolution_of,
     spacing,
 )
+from mckibben.simulation.batch import Batch, batch_table
 from mckibben.simulation.engine import BatchFunction, compute_groups, dynamic_steps, run_alone
 from mckibben.simulation.loop import Record, control_period, initial_loop, positions_over_time
 from mckibben.simulation.outcome import outcomes
 from mckibben.simulation.problem import float_type, sampling_times, single_run, split_runs
-from mckibben.simulation.table import Batch, RunResult, batch_table
+from mckibben.simulation.result import RunResult
 
 
 class LegProblem(NamedTuple):
@@ -67,30 +68,32 @@ class LegResult(RunResult):
 
     kind = LegMetrics
 
-    def __init__(
-        self,
+    joints: tuple[str, ...] = ()
+    muscles: tuple[str, ...] = ()
+    _run: Any = None
+
+    @classmethod
+    def of(
+        cls,
         plant: LegPlant,
         record: Record,
         final: Any,
         control_period: float,
         engine: str,
         resolution: Resolution | None = None,
-    ) -> None:
+    ) -> LegResult:
+        """From the record of a run, and the state after it."""
         columns = record.state._asdict() | {"command": record.commands, "saturated": record.limited} | record.telemetry
         stacked = {name: np.stack(one) if isinstance(one, tuple) else one for name, one in columns.items()}
-        super().__init__(stacked, control_period, engine=engine, resolution=resolution)
-        self.joints = tuple(joint.name for joint in plant.leg.joints)
-        self.muscles = plant.leg.muscle_names
-        self._run = record.state, final, plant
+        joints, muscles = tuple(joint.name for joint in plant.leg.joints), plant.leg.muscle_names
+        states = record.state, final, plant
+        return cls(stacked, control_period, "", engine, resolution, joints=joints, muscles=muscles, _run=states)
 
     def _measure(self) -> LegMetrics:
         samples, final, plant = self._run
         return _measured(samples, final, np.asarray(self.control_period), plant)
 
-    def __repr__(self) -> str:
-        return f"<LegResult: {self.describe()}>"
-
-    def describe(self) -> str:
+    def verdict(self) -> str:
         """Return duration, size of the leg, and largest force of the ground."""
         size = f"{len(self.joints)} joints, {len(self.muscles)} muscles"
         return f"{self.duration:g} s, {size}, ground force up to {self['ground_up'].max():.4g} N"
@@ -184,7 +187,7 @@ def simulate_leg(
         solve(substeps)
     (final, record), used = solutions[0]
     record, final = jax.tree.map(np.asarray, (record, final))
-    result = LegResult(run.plant, record, final, control_period, used, resolution)
+    result = LegResult.of(run.plant, record, final, control_period, used, resolution)
     wrong = ~np.isfinite(result["z"])
     if wrong.any():
         raise SimulationError(

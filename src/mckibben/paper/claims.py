@@ -89,16 +89,16 @@ def evaluate_claims(
 
 def _closer_than_chou(identification: Identification) -> Claim:
     retested = identification.retested
-    found = {
+    errors = {
         p: (retested.of(EXPERIMENTAL, pressure=p).rmse, retested.of(CHOU, pressure=p).rmse) for p in TEST_PRESSURES
     }
     return Claim(
         "The experimental law is closer to the measured force than Chou's",
         "Model validation, Fig. 4",
         _ACCURATE,
-        all(law < chou for law, chou in found.values()),
+        all(law < chou for law, chou in errors.values()),
         "RMSE on a second test, Eq. 2 / Chou: "
-        + ", ".join(f"{law:.1f} / {chou:.1f} N at {p / bar:g} bar" for p, (law, chou) in found.items())
+        + ", ".join(f"{law:.1f} / {chou:.1f} N at {p / bar:g} bar" for p, (law, chou) in errors.items())
         + " (simulated rig, muscle of Eq. 3 with friction; our own questions include measured muscles)",
         needs_muscle=True,
     )
@@ -201,8 +201,8 @@ def _learning_is_safe(tracking: Tracking) -> Claim:
             before = tracking.runs[setting.key, reference, TUNED_PID].median("angle_rmse")
             holds = holds and run.unstable == 0 and after <= before
             unstable = f"{run.unstable} of {tracking.seeds} seeds unstable"
-            found = unstable if run.unstable else f"RMSE {after / deg:.3g} deg"
-            parts.append(f"{setting.name}, {reference.value}: {found} (PID {before / deg:.3f} deg)")
+            shown = unstable if run.unstable else f"RMSE {after / deg:.3g} deg"
+            parts.append(f"{setting.name}, {reference.value}: {shown} (PID {before / deg:.3f} deg)")
     return Claim(
         "BP can be added to any PID (tuned gains, free to change by a factor of 2)",
         "on the choice of BP",
@@ -215,15 +215,15 @@ def _learning_is_safe(tracking: Tracking) -> Claim:
 def _coupled(tracking: Tracking) -> Claim:
     parts, holds = [], False
     for setting in SETTINGS:
-        found = tracking.coupling[setting.key]
-        angle = found.angle_by_step / quantity(setting.amplitude, "rad")
+        coupling = tracking.coupling[setting.key]
+        angle = coupling.angle_by_step / quantity(setting.amplitude, "rad")
         step = abs(quantity(setting.after, "N*m/rad") - quantity(setting.before, "N*m/rad"))
-        stiffness = (found.stiffness_by_motion - found.stiffness_at_rest) / step
+        stiffness = (coupling.stiffness_by_motion - coupling.stiffness_at_rest) / step
         holds = holds or (angle > _VISIBLE and stiffness > _VISIBLE)
         parts.append(
-            f"{setting.name}: the stiffness step disturbs the angle by up to {found.angle_by_step / deg:.3g} deg "
-            f"({angle:.1%} of the amplitude), the motion disturbs the stiffness by {found.stiffness_by_motion:.3g} "
-            f"N*m/rad RMS ({stiffness:.1%} of the step; {found.stiffness_at_rest + 0.0:.3f} at rest)"
+            f"{setting.name}: the stiffness step disturbs the angle by up to {coupling.angle_by_step / deg:.3g} deg "
+            f"({angle:.1%} of the amplitude), the motion disturbs the stiffness by {coupling.stiffness_by_motion:.3g} "
+            f"N*m/rad RMS ({stiffness:.1%} of the step; {coupling.stiffness_at_rest + 0.0:.3f} at rest)"
         )
     return Claim(
         "Position and stiffness are coupled with each other",

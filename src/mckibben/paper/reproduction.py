@@ -47,11 +47,9 @@ class Reproduction:
     def verdict(self) -> str:
         """How many of the paper's own claims that can be tested here hold, and how many need the paper's muscle."""
         testable = [claim for claim in self.paper_claims if not claim.needs_muscle]
-        others = len(self.paper_claims) - len(testable)
-        return (
-            f"Of the paper's own claims, {sum(claim.holds for claim in testable)} of {len(testable)} that can be "
-            f"tested here hold; {others} need the paper's muscle."
-        )
+        hold, others = sum(claim.holds for claim in testable), len(self.paper_claims) - len(testable)
+        counted = f"{hold} of {len(testable)} that can be tested here hold"
+        return f"Of the paper's own claims, {counted}; {others} need the paper's muscle."
 
     def results(self) -> dict[str, Any]:
         """All numbers as plain data for JSON; NaN as None."""
@@ -72,11 +70,11 @@ class Reproduction:
                 "tuning": {key: _tuned(tuned) for key, tuned in self.tracking.tuned.items()},
                 "coupling": {
                     key: {
-                        "angle_by_step_deg": found.angle_by_step / deg,
-                        "stiffness_by_motion": found.stiffness_by_motion,
-                        "stiffness_at_rest": found.stiffness_at_rest,
+                        "angle_by_step_deg": coupling.angle_by_step / deg,
+                        "stiffness_by_motion": coupling.stiffness_by_motion,
+                        "stiffness_at_rest": coupling.stiffness_at_rest,
                     }
-                    for key, found in self.tracking.coupling.items()
+                    for key, coupling in self.tracking.coupling.items()
                 },
                 "claims": [asdict(claim) | {"of_paper": claim.of_paper} for claim in self.claims],
             }
@@ -140,8 +138,8 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     return Reproduction(identification, joint, tracking, claims, quick, time.perf_counter() - start)
 
 
-def _rig(found: Identification) -> dict[str, Any]:
-    test = found.rig
+def _rig(identification: Identification) -> dict[str, Any]:
+    test = identification.rig
     return {
         "plateaus": len(test.test),
         "samples": test.samples,
@@ -154,14 +152,14 @@ def _rig(found: Identification) -> dict[str, Any]:
     }
 
 
-def _validation(found: Identification) -> dict[str, Any]:
+def _validation(identification: Identification) -> dict[str, Any]:
     on_rig = {
-        "retest": found.retested,
-        "held_out_pressures": found.held_out_pressures,
-        "held_out_repeat": found.held_out_repeat,
+        "retest": identification.retested,
+        "held_out_pressures": identification.held_out_pressures,
+        "held_out_repeat": identification.held_out_repeat,
     }
     return {f"{name}_rmse_N": _errors(validation) for name, validation in on_rig.items()} | {
-        "measured_rmse_N": {name: _errors(validation) for name, validation in found.measured.items()}
+        "measured_rmse_N": {name: _errors(validation) for name, validation in identification.measured.items()}
     }
 
 
@@ -175,25 +173,25 @@ def _errors(validation: Validation) -> dict[str, dict[str, float]]:
     return table
 
 
-def _joint(found: JointMap) -> dict[str, Any]:
-    low, high = found.at(0.0)
-    first, last = found.static_range
+def _joint(joint_map: JointMap) -> dict[str, Any]:
+    low, high = joint_map.at(0.0)
+    first, last = joint_map.static_range
     return {"attainable_stiffness_at_0_deg": [low, high], "static_range_deg": [first / deg, last / deg]}
 
 
-def _tracking(found: Tracking) -> dict[str, Any]:
+def _tracking(tracking: Tracking) -> dict[str, Any]:
     table: dict[str, Any] = {}
-    for (key, reference, controller), run in found.runs.items():
+    for (key, reference, controller), run in tracking.runs.items():
         table.setdefault(key, {}).setdefault(reference.value, {})[controller] = _run(run)
     return table
 
 
 def _run(run: ControllerRun) -> dict[str, Any]:
-    found: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, _, unit) in METRICS.items()}
+    numbers: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, _, unit) in METRICS.items()}
     if run.seeds is not None:
-        found["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
-        found["unstable"] = run.unstable
-    return found | {"outcome": run.result.describe()}
+        numbers["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
+        numbers["unstable"] = run.unstable
+    return numbers | {"outcome": run.result.verdict()}
 
 
 def _tuned(tuned: Any) -> dict[str, Any]:

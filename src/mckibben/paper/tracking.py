@@ -24,7 +24,7 @@ from mckibben.paper.settings import (
     pid_scenario,
 )
 from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import Metrics, Result, rms, run_episode, sampled
+from mckibben.simulation import Metrics, SimulationResult, rms, run_episode, sampled
 from mckibben.study.tune import Cost, Method, TuningResult, gain_ranges, tune
 from mckibben.units import quantity
 
@@ -39,7 +39,7 @@ class ControllerRun:
     """A run (for BP, with the first seed) and the metrics per seed; None for a controller without seeds."""
 
     scenario: Scenario
-    result: Result
+    result: SimulationResult
     seeds: Metrics | None
 
     def median(self, metric: str) -> float:
@@ -57,8 +57,8 @@ class ControllerRun:
         return int(np.sum(~(self._values("angle_rmse") < reference)))
 
     def _ranked(self, take: Callable[[np.ndarray], np.floating], metric: str) -> float:
-        found = float(take(np.nan_to_num(self._values(metric), nan=np.inf, posinf=np.inf)))
-        return found if np.isfinite(found) else np.nan
+        value = float(take(np.nan_to_num(self._values(metric), nan=np.inf, posinf=np.inf)))
+        return value if np.isfinite(value) else np.nan
 
     def _values(self, metric: str) -> np.ndarray:
         if self.seeds is None:
@@ -150,7 +150,7 @@ def _tune(setting: Setting, generations: int, population: int, progress: Callabl
 
 
 def _run_pid(scenario: Scenario) -> ControllerRun:
-    return ControllerRun(scenario, run_scenario(scenario).result, None)
+    return ControllerRun(scenario, run_scenario(scenario), None)
 
 
 def _steps(scenario: Scenario) -> tuple[float, int | None]:
@@ -168,8 +168,8 @@ def _run_bp(scenario: Scenario, seeds: int) -> ControllerRun:
         return Metrics(**run.metrics)
 
     # One by one, with the program of the single run: a batch would need another compilation.
-    each = [metrics(seed) for seed in range(seeds)]
-    return ControllerRun(scenario, run_scenario(scenario).result, jax.tree.map(lambda *m: jnp.stack(m), *each))
+    by_seed = [metrics(seed) for seed in range(seeds)]
+    return ControllerRun(scenario, run_scenario(scenario), jax.tree.map(lambda *m: jnp.stack(m), *by_seed))
 
 
 def _coupling(setting: Setting, stepping: ControllerRun) -> Coupling:

@@ -36,7 +36,7 @@ from mckibben.reachability.requirement import (
 from mckibben.reachability.sizing import CONSTRAINTS, attained_stiffness, constraint_margins
 from mckibben.reachability.trajectory import reference_trajectory
 from mckibben.scenario import Scenario, Start
-from mckibben.simulation import Result
+from mckibben.simulation import SimulationResult
 from mckibben.units import deg, mm, percent, show
 
 _HEADROOM = 0.9  # of the supply: air flows into a muscle only below it
@@ -189,7 +189,7 @@ class Selection:
         text["valve"] = {"from": one.supply.valve_name, "supply": show(need.supply, "bar")}
         return Scenario.parse(to_text(text))
 
-    def verify(self, result: Result) -> list[Check]:
+    def verify(self, result: SimulationResult) -> list[Check]:
         """Compare a run of the scenario with the requirement."""
         need, angle = self.requirement, np.asarray(result["angle"])
         error = np.abs(angle - np.asarray(result["desired_angle"])).max()

@@ -17,7 +17,7 @@ from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
-from mckibben.simulation.simulate import distance_from
+from mckibben.simulation.feasibility import distance_from
 from mckibben.units import deg
 
 Values = NDArray[np.float64]

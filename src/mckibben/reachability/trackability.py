@@ -27,8 +27,8 @@ from mckibben.reachability.trajectory import (
     smoothed,
 )
 from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.feasibility import shortcomings, static_bands
 from mckibben.simulation.problem import sampled_signal, sampling_times
-from mckibben.simulation.simulate import shortcomings, static_bands
 from mckibben.units import deg
 
 MAX_SMOOTHING = 0.25

@@ -17,7 +17,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.wiring import JointReading
 from mckibben.rig.record import Column
 from mckibben.rig.recorder import Recorder
-from mckibben.simulation import Feasibility, Result, compute_trajectory
+from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
 from mckibben.simulation.loop import Record
 
 _TOGETHER = 50  # rows that go to the recorder at once: 50 ms of 1 kHz
@@ -133,7 +133,7 @@ def measured_result(
     stiffness_amplitude: float | None,
     *,
     scenario: str = "",
-) -> Result | None:
+) -> SimulationResult | None:
     """Result of a recorded run; stiffness, torque and forces by the laws of the muscles, None without a run."""
     whole = _every_period(columns)
     run = whole["phase"] == Phase.RUN
@@ -153,7 +153,9 @@ def measured_result(
     moved = moved._replace(air1=nothing, air2=nothing)  # type: ignore[arg-type]
     band = reach.lowest[:count], reach.highest[:count]
     resolution = float(plant.sensors.angle_resolution)
-    return Result.of(moved, period, band=band, telemetry=telemetry, scenario=scenario, angle_resolution=resolution)
+    return SimulationResult.of(
+        moved, period, band=band, telemetry=telemetry, scenario=scenario, angle_resolution=resolution
+    )
 
 
 def _every_period(columns: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:

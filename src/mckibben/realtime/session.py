@@ -24,7 +24,7 @@ from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.safety import stop_on_signals
 from mckibben.scenario import Scenario
-from mckibben.simulation import Feasibility, Result, check_reference, sampled
+from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder
 from mckibben.units import deg
 
@@ -36,7 +36,9 @@ class JointRunResult(NamedTuple):
     """Result of a run."""
 
     outcome: RunOutcome
-    result: Result | None  # measured trajectory, with the columns of a simulation; None if the run did not begin
+    result: (
+        SimulationResult | None
+    )  # measured trajectory, with the columns of a simulation; None if the run did not begin
     reach: Feasibility
     timing: Timing  # of the loop; meaningless for an unpaced run
     priority: str  # of the process: "real-time" or "ordinary"

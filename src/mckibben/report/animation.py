@@ -24,7 +24,7 @@ from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.plant import JointPlant
-    from mckibben.simulation import Result
+    from mckibben.simulation import SimulationResult
 
 FORMATS = {".webp": "WEBP", ".gif": "GIF"}
 """Format by the end of a file's name."""
@@ -46,7 +46,7 @@ def animation_format(path: str | os.PathLike[str]) -> str:
 
 
 def animate(
-    result: Result, path: str | os.PathLike[str], plant: JointPlant | None = None, *, overwrite: bool = False
+    result: SimulationResult, path: str | os.PathLike[str], plant: JointPlant | None = None, *, overwrite: bool = False
 ) -> Path:
     """Write an animation of a run: the joint moves, its muscles swell and are coloured by pressure.
 
@@ -106,7 +106,7 @@ def _differences(frames: list[Image.Image]) -> list[Image.Image]:
     return found
 
 
-def _plant_of(result: Result) -> JointPlant:
+def _plant_of(result: SimulationResult) -> JointPlant:
     """The plant of a result's scenario."""
     if not result.scenario:
         remedy = "give its plant: animate(result, path, plant)"
@@ -117,7 +117,7 @@ def _plant_of(result: Result) -> JointPlant:
 
 
 @styled
-def _frames(result: Result, plant: JointPlant) -> list[Image.Image]:
+def _frames(result: SimulationResult, plant: JointPlant) -> list[Image.Image]:
     """Images of a run at equal intervals; static parts are drawn once."""
     times = result.times
     count = int(np.clip(times[-1] * _RATE, 2, _MOST_FRAMES))
@@ -162,7 +162,7 @@ def _frames(result: Result, plant: JointPlant) -> list[Image.Image]:
     return images
 
 
-def _plots(figure: SubFigure, result: Result, times: NDArray[np.float64]) -> list[Any]:
+def _plots(figure: SubFigure, result: SimulationResult, times: NDArray[np.float64]) -> list[Any]:
     """Plot angle, stiffness and pressures over time; return their cursors."""
     rows = figure.subplots(3, 1, sharex=True)
     rows[0].plot(times, result["desired_angle"] / deg, **DESIRED)

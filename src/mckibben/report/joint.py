@@ -50,7 +50,7 @@ from mckibben.units import bar, deg, kPa, mm
 if TYPE_CHECKING:
     from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
     from mckibben.paper.identification import JointMap
-    from mckibben.simulation import Result
+    from mckibben.simulation import SimulationResult
 
 _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "muscle torque [N·m]"
 _SAMPLES_APART = 100
@@ -65,7 +65,7 @@ _REFERENCES = (
 
 @styled
 def attainable_stiffness(
-    maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, Result]] | None = None
+    maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, SimulationResult]] | None = None
 ) -> Figure:
     """Attainable stiffness in static equilibrium with the load, over the joint angle, by name of the geometry.
 
@@ -153,7 +153,7 @@ def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.f
     return np.arange(np.floor(first / step), np.ceil(last / step) + 1) * step
 
 
-def _path(result: Result, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+def _path(result: SimulationResult, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
     """Reference stiffness over the range of reference angles, one horizontal line per level."""
     angle = result["desired_angle"] / deg
     stiffness = result["desired_stiffness"]

@@ -128,7 +128,7 @@ def _outcomes(reproduction: Reproduction) -> list[tuple[str, str]]:
     """Outcome of each run in the figures."""
     names = {setting.key: setting.name for setting in SETTINGS}
     return [
-        (f"{names[key]}, {reference.value} stiffness, {controller}", run.result.describe())
+        (f"{names[key]}, {reference.value} stiffness, {controller}", run.result.verdict())
         for (key, reference, controller), run in reproduction.tracking.runs.items()
     ]
 

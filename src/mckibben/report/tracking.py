@@ -39,7 +39,7 @@ from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.paper.tracking import ControllerRun
-    from mckibben.simulation import Feasibility, Margins, Result
+    from mckibben.simulation import Feasibility, Margins, SimulationResult
 
 TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
 _BAND = "attainable at the desired angle"
@@ -47,13 +47,15 @@ _SMALL = "small_motion_stiffness"
 
 
 @styled
-def tracking(results: Mapping[str, Result]) -> Figure:
+def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figure:
     """Time traces of runs on one reference: angle, angle error, stiffness with the attainable range, pressures.
 
     Where muscles have friction, the stiffness of small motion, often many times larger, has a panel of its own.
 
-    Runs are given by name, such as ``{"PID": result}``. Raises `RangeError` if their references differ.
+    Runs are given by name, such as ``{"PID": result}``, or one alone. Raises `RangeError` if their references differ.
     """
+    if not isinstance(results, Mapping):
+        results = {"run": results}
     _same_reference(results)
     alone = len(results) == 1
     small = {name: result[_SMALL] for name, result in results.items() if _SMALL in result.columns}
@@ -96,7 +98,7 @@ def tracking(results: Mapping[str, Result]) -> Figure:
 
 
 @styled
-def control_results(panels: Mapping[str, tuple[str, Result]]) -> Figure:
+def control_results(panels: Mapping[str, tuple[str, SimulationResult]]) -> Figure:
     """Fig. 7: angle and stiffness with its attainable range: controller and result by panel title."""
     columns = 2 if len(panels) > 1 else 1
     rows = -(-len(panels) // columns)
@@ -131,7 +133,7 @@ def control_results(panels: Mapping[str, tuple[str, Result]]) -> Figure:
     return figure
 
 
-def _stiffness(axes: Axes, runs: Mapping[str, Result], looks: Mapping[str, dict[str, Any]]) -> None:
+def _stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, dict[str, Any]]) -> None:
     first = next(iter(runs.values()))
     draw_band(axes, first.times, first["lowest_stiffness"], first["highest_stiffness"], label=_BAND)
     for name, result in runs.items():
@@ -140,7 +142,7 @@ def _stiffness(axes: Axes, runs: Mapping[str, Result], looks: Mapping[str, dict[
     axes.set(ylabel=STIFFNESS)
 
 
-def _stiffness_limits(results: list[Result]) -> tuple[float, float]:
+def _stiffness_limits(results: list[SimulationResult]) -> tuple[float, float]:
     """Axis limits that contain the reference and most of the stiffness, with a margin."""
     desired = [r["desired_stiffness"] for r in results]
     floor = _LEAST_RANGE * max(float(np.abs(d).max()) for d in desired)
@@ -163,7 +165,7 @@ def _bounded(curves: list[NDArray[np.float64]]) -> bool:
     return bool(np.ptp(finite) < 3 * np.ptp(np.quantile(finite, [0.02, 0.98])))
 
 
-def _same_reference(results: Mapping[str, Result]) -> None:
+def _same_reference(results: Mapping[str, SimulationResult]) -> None:
     if not isinstance(results, Mapping):
         remedy = "write tracking({'PID': result}), or result.plot()"
         raise RangeError(f"tracking draws results by name, not a {type(results).__name__}", remedy=remedy)
@@ -184,7 +186,7 @@ _ZOOM = (0.1, 1.0)  # s, limits of the time shown after it
 
 
 @styled
-def error_curves(columns: Mapping[str, Mapping[str, Result]]) -> Figure:
+def error_curves(columns: Mapping[str, Mapping[str, SimulationResult]]) -> Figure:
     """Fig. 8: errors of angle and stiffness, and the settling of the stiffness: results by column and controller."""
     figure = blank(DOUBLE, 6.3)
     count = len(columns)
@@ -228,7 +230,7 @@ def _share_limits(
         note_off_scale(axes, times, dict(column), unit)
 
 
-def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]) -> None:
+def _settling(axes: Axes, runs: Mapping[str, SimulationResult], times: NDArray[np.float64]) -> None:
     """Stiffness error after the last step of its reference, with settling band and settling times."""
     first = next(iter(runs.values()))
     desired = first["desired_stiffness"]
@@ -251,11 +253,11 @@ def _settling(axes: Axes, runs: Mapping[str, Result], times: NDArray[np.float64]
     axes.set_title(f"settling: {text}", fontsize=7.5)
 
 
-def _angle_error(result: Result) -> NDArray[np.float64]:
+def _angle_error(result: SimulationResult) -> NDArray[np.float64]:
     return (result["angle"] - result["desired_angle"]) / deg
 
 
-def _stiffness_error(result: Result) -> NDArray[np.float64]:
+def _stiffness_error(result: SimulationResult) -> NDArray[np.float64]:
     return result["stiffness"] - result["desired_stiffness"]
 
 
@@ -309,7 +311,7 @@ def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, Controll
 
 
 @styled
-def gain_histories(results: Mapping[str, tuple[Result, float]]) -> Figure:
+def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Figure:
     """Gains of BP over time relative to its base gains, from a run and its largest gain ratio by title."""
     figure = blank(DOUBLE, 4.4)
     grid = figure.subplots(2, len(results), squeeze=False, sharex=True, sharey="col")

@@ -7,7 +7,7 @@ from typing import NoReturn
 from mckibben.errors import CallError
 from mckibben.scenario.muscle import muscle_text, read_specimen
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
-from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario, unknown_air, with_run
+from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario, with_run
 from mckibben.scenario.values import Known, batched, edit_scenario, known_names, run_many, valid_rows, with_values
 
 
@@ -38,7 +38,6 @@ __all__ = [
     "read_specimen",
     "run_many",
     "run_scenario",
-    "unknown_air",
     "valid_rows",
     "with_run",
     "with_values",

@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, get_args, get_origin
+from typing import Any, NamedTuple, Self, get_args, get_origin
+
+from pydantic.fields import FieldInfo
 
 from mckibben.component.base import Component, Units
 from mckibben.component.classes import class_name
@@ -26,6 +28,7 @@ _NOT_NUMERIC = "a study varies numbers; write one scenario for each"
 _TIMING = "it is one number for all runs of a study"
 _COMPILED = "it sets the size of what is compiled"
 _IN_FILE = "change it in the file"
+_ABSENT = "the scenario has none", "write it in the file"
 _UNSET = {"strength": 1.0, "command_delay": 0.0}
 """Values that None stands for."""
 
@@ -37,84 +40,110 @@ class _Parameters:
     numbers: dict[str, tuple[tuple[Place, ...], Mark, float | int | None]] = field(default_factory=dict)
     listed: list[str] = field(default_factory=list)
     spellings: dict[str, str] = field(default_factory=dict)
-    parts: dict[str, Any] = field(default_factory=dict)
+    parts: dict[str, object] = field(default_factory=dict)
     refused: dict[str, tuple[str, str]] = field(default_factory=dict)
 
-    def add(self, name: str, places: tuple[Place, ...], mark: Mark, nominal: Any, *, listed: bool = True) -> None:
+    @classmethod
+    def of(cls, scenario: Scenario) -> Self:
+        """Walk the fields of a scenario."""
+        parameters = cls()
+        for name, info in type(scenario).model_fields.items():
+            parameters._add_field(info.alias or name, getattr(scenario, name), info)
+        return parameters
+
+    def _add_field(self, key: str, value: Any, info: FieldInfo) -> None:
+        mark = next((mark for mark in _marks(info) if isinstance(mark, Mark)), None)
+        if isinstance(value, Component):
+            self._add_part(_Part(value, Units(), key, ((key,),)))
+        elif isinstance(value, Start):
+            for name, field_info in type(value).model_fields.items():
+                mark = next(mark for mark in _marks(field_info) if isinstance(mark, Quantity))
+                self._add(f"{key}.{name}", ((key, name),), mark, getattr(value, name))
+        elif mark is not None and key == "command_delay":
+            self._add(key, ((key,),), mark, _UNSET[key] if value is None else value)
+        elif value is None:
+            self.refused[key] = _ABSENT
+        else:
+            self.refused[key] = (_TIMING, _IN_FILE) if mark else ("it is a text", _NOT_NUMERIC)
+
+    def _add(self, name: str, places: tuple[Place, ...], mark: Mark, nominal: Any, *, listed: bool = True) -> None:
         """Add a parameter; one that is not listed can be varied, too."""
         self.numbers[name] = places, mark, nominal
         self.spellings[name] = name
         if listed:
             self.listed.append(name)
 
+    def _add_part(self, part: _Part) -> None:
+        """Add the parameters of a component and of those within it; equal muscles under their common alias."""
+        self.parts[part.name] = part.component
+        shared: set[str] = set()
+        for alias, keys in type(part.component).aliases.items():
+            first, *others = (getattr(part.component, key) for key in keys)
+            if all(other == first for other in others):
+                shared.update(keys)
+                self._add_part(_Part(first, part.units, f"{part.name}.{alias}", part.within(*keys), part.listed))
+        for key, form in forms(type(part.component), part.units).items():
+            if (mark := _mark(form)) is not None:
+                self._add_number(part, key, mark)
+            elif key in inherited_fields(part.component):
+                remedy = f"write `{key}:` in the file to vary it alone"
+                self.refused[f"{part.name}.{key}"] = "it is not given and follows the plant", remedy
+            else:
+                self._add_other(part, key, form, listed=part.listed and key not in shared)
 
-def _parameters(scenario: Scenario) -> _Parameters:
-    """Walk the fields of a scenario."""
-    found = _Parameters()
-    for name, info in type(scenario).model_fields.items():
-        key, value = info.alias or name, getattr(scenario, name)
-        mark = next((one for one in _marks(info) if isinstance(one, Mark)), None)
-        if isinstance(value, Component):
-            _walk(value, Units(), key, ((key,),), found)
-        elif isinstance(value, Start):
-            for inner, its in type(value).model_fields.items():
-                mark = next(one for one in _marks(its) if isinstance(one, Quantity))
-                found.add(f"{key}.{inner}", ((key, inner),), mark, getattr(value, inner))
-        elif mark is not None and key == "command_delay":
-            found.add(key, ((key,),), mark, _UNSET[key] if value is None else value)
-        elif value is None:
-            found.refused[key] = "the scenario has none", "write it in the file"
+    def _add_number(self, part: _Part, key: str, mark: Mark) -> None:
+        name, kind, value = f"{part.name}.{key}", type(part.component), getattr(part.component, key)
+        if declared_fields(kind)[key].metadata.get("static"):
+            self.refused[name] = _COMPILED, _IN_FILE
+        elif value is None and (group := next((group for group in kind.together if key in group), ())):
+            self.refused[name] = f"it needs {' and '.join({*group} - {key})}", "give both in the file"
         else:
-            found.refused[key] = (_TIMING, _IN_FILE) if mark else ("it is a text", _NOT_NUMERIC)
-    return found
+            shown = part.name if kind is Constant else name
+            self._add(shown, part.within(key), mark, _nominal(key, value), listed=part.listed)
+            self.spellings[name] = shown
+
+    def _add_other(self, part: _Part, key: str, form: Any, *, listed: bool) -> None:
+        """Add the component, or the list of components or of numbers of a signal, in a field; refuse other fields."""
+        name, value, places = f"{part.name}.{key}", getattr(part.component, key), part.within(key)
+        inside, items = part_of(form), value if isinstance(value, tuple) else ()
+        mark = _mark(get_args(form)[0]) if items and isinstance(part.component, Signal) else None
+        if inside is not None and isinstance(value, Component):
+            self._add_part(_Part(value, inside.units, name, places, listed))
+        elif inside is not None and isinstance(value, tuple):
+            for index, component in enumerate(items):
+                self._add_part(_Part(component, inside.units, f"{name}.{index}", _below(places, index)))
+        elif mark is not None:
+            for index, number in enumerate(items):
+                self._add(f"{name}.{index}", _below(places, index), mark, number, listed=part.listed)
+            self.refused[name] = "it is a list", f"vary an item of it, such as {name}.0"
+        else:
+            self.refused[name] = _ABSENT if value is None else (_what_it_is(form), _NOT_NUMERIC)
 
 
-def _marks(info: Any) -> Iterator[Any]:
+class _Part(NamedTuple):
+    """A component of a scenario: the units of its symbolic fields, its name, its places, and whether it is listed."""
+
+    component: Any
+    units: Units
+    name: str
+    places: tuple[Place, ...]
+    listed: bool = True
+
+    def within(self, *keys: str) -> tuple[Place, ...]:
+        """Places of some of its fields."""
+        return tuple((*place, key) for place in self.places for key in keys)
+
+
+def _below(places: tuple[Place, ...], index: int) -> tuple[Place, ...]:
+    """Places of an item of a list."""
+    return tuple((*place, str(index)) for place in places)
+
+
+def _marks(info: FieldInfo) -> Iterator[Any]:
     """Annotations of a field, also of an optional one."""
     yield from info.metadata
     for choice in get_args(info.annotation):
         yield from getattr(choice, "__metadata__", ())
-
-
-def _walk(
-    part: Any, units: Units, name: str, places: tuple[Place, ...], found: _Parameters, *, listed: bool = True
-) -> None:
-    kind = type(part)
-    found.parts[name] = part
-    shared, inherited = {}, inherited_fields(part)
-    for alias, names in kind.aliases.items():
-        if all(getattr(part, one) == getattr(part, names[0]) for one in names[1:]):
-            shared |= dict.fromkeys(names, alias)
-            inner = tuple((*place, one) for place in places for one in names)
-            _walk(getattr(part, names[0]), units, f"{name}.{alias}", inner, found, listed=listed)
-    for key, form in forms(kind, units).items():
-        value, here = getattr(part, key), f"{name}.{key}"
-        inner = tuple((*place, key) for place in places)
-        mark = _mark(form)
-        if key in inherited and mark is None:
-            remedy = f"write `{key}:` in the file to vary it alone"
-            found.refused[here] = "it is not given and follows the plant", remedy
-        elif declared_fields(kind)[key].metadata.get("static") and mark is not None:
-            found.refused[here] = _COMPILED, _IN_FILE
-        elif mark is not None and value is None and (group := next((g for g in kind.together if key in g), ())):
-            found.refused[here] = f"it needs {' and '.join({*group} - {key})}", "give both in the file"
-        elif mark is not None:
-            called = name if kind is Constant else here
-            found.add(called, inner, mark, _nominal(key, value), listed=listed)
-            found.spellings[here] = called
-        elif (inside := part_of(form)) is not None and isinstance(value, Component):
-            _walk(value, inside.units, here, inner, found, listed=listed and key not in shared)
-        elif inside is not None and isinstance(value, tuple):
-            for i, one in enumerate(value):
-                _walk(one, inside.units, f"{here}.{i}", tuple((*place, str(i)) for place in inner), found)
-        elif isinstance(value, tuple) and isinstance(part, Signal) and (mark := _mark(get_args(form)[0])) is not None:
-            for i, item in enumerate(value):
-                found.add(f"{here}.{i}", tuple((*place, str(i)) for place in inner), mark, item, listed=listed)
-            found.refused[here] = "it is a list", f"vary an item of it, such as {here}.0"
-        elif value is None:
-            found.refused[here] = "the scenario has none", "write it in the file"
-        else:
-            found.refused[here] = _what_it_is(form), _NOT_NUMERIC
 
 
 def _nominal(key: str, value: Any) -> Any:
@@ -197,8 +226,8 @@ class ScenarioParameter:
 
     def outside(self, message: str, value: Any) -> ParameterError:
         """Error for a value [SI] outside the range."""
-        given: dict[str, Any] = {"value": value, "lower": self.lower, "upper": self.upper, "unit": self.unit}
-        return ParameterError(message, **given, remedy="choose values inside")
+        numbers: dict[str, Any] = {"value": value, "lower": self.lower, "upper": self.upper, "unit": self.unit}
+        return ParameterError(message, **numbers, remedy="choose values inside")
 
     def show(self, value: float | int, digits: int = 6) -> str:
         """Format a value [SI] in the unit of files."""
@@ -213,14 +242,14 @@ def list_parameters(scenario: Scenario) -> list[ScenarioParameter]:
     """All parameters of a scenario that a study can vary, in the order of the file.
 
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> for each in list_parameters(scenario)[:3]:
-    ...     print(each.name, each.show(each.nominal), each.range, sep=", ")
+    >>> for parameter in list_parameters(scenario)[:3]:
+    ...     print(parameter.name, parameter.show(parameter.nominal), parameter.range, sep=", ")
     joint.muscle.specimen.initial_length, 180 mm, above 0 to 10000 mm
     joint.muscle.specimen.initial_diameter, 10 mm, above 0 to 500 mm
     joint.muscle.specimen.braid_angle, 25 deg, 0.6 to 54.7 deg
     """
-    found = _parameters(scenario)
-    return [ScenarioParameter(name, *found.numbers[name]) for name in found.listed]
+    parameters = _Parameters.of(scenario)
+    return [ScenarioParameter(name, *parameters.numbers[name]) for name in parameters.listed]
 
 
 def find_parameter(scenario: Scenario, name: str) -> ScenarioParameter:
@@ -250,11 +279,11 @@ def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioPa
         ...
     mckibben.errors.ParameterError: 'load.mass2' and 'load.mass2' are the same parameter; keep one of them
     """
-    found = _parameters(scenario)
+    parameters = _Parameters.of(scenario)
     spelt: dict[Place, str] = {}
     several = []
     for name in names:
-        parameter = _resolve(found, name)
+        parameter = _resolve(parameters, name)
         if twice := next((spelt[place] for place in parameter.places if place in spelt), None):
             both = f"{quoted(twice)} and {quoted(name)} are the same parameter"
             raise ParameterError(both, value=name, remedy="keep one of them")
@@ -263,20 +292,20 @@ def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioPa
     return several
 
 
-def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
+def _resolve(parameters: _Parameters, name: str) -> ScenarioParameter:
     spelling = name.strip()
-    canonical = found.spellings.get(spelling)
-    ending = [each for each in found.listed if each.endswith(f".{spelling}")]
+    canonical = parameters.spellings.get(spelling)
+    ending = [listed for listed in parameters.listed if listed.endswith(f".{spelling}")]
     if canonical is None and len(ending) == 1:
         canonical = ending[0]
     if canonical is not None:
-        return ScenarioParameter(canonical, *found.numbers[canonical])
+        return ScenarioParameter(canonical, *parameters.numbers[canonical])
     keys = spelling.split(".")
     for depth in range(len(keys), 0, -1):
-        reason = found.refused.get(".".join(keys[:depth]))
+        reason = parameters.refused.get(".".join(keys[:depth]))
         if reason is not None:
             raise ParameterError(f"{quoted(spelling)} cannot be varied: {reason[0]}", value=name, remedy=reason[1])
-    below = [known for known in found.numbers if known.startswith(f"{spelling}.")]
+    below = [known for known in parameters.numbers if known.startswith(f"{spelling}.")]
     if below and spelling:
         message = f"{quoted(spelling)} is a group of parameters"
         raise ParameterError(message, value=name, remedy=f"choose one, such as {below[0]}; {LISTING}")
@@ -286,18 +315,18 @@ def _resolve(found: _Parameters, name: str) -> ScenarioParameter:
         )
     for depth in range(len(keys) - 1, 0, -1):
         around, rest = ".".join(keys[:depth]), ".".join(keys[depth:])
-        if around in found.parts:
-            own = {known[len(around) + 1 :]: known for known in found.numbers if known.startswith(f"{around}.")}
-            close = [own[one] for one in _close(rest, list(own))]
+        if around in parameters.parts:
+            own = {known[len(around) + 1 :]: known for known in parameters.numbers if known.startswith(f"{around}.")}
+            close = [own[key] for key in _close(rest, list(own))]
             remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
-            what = f"{around}, of class {class_name(type(found.parts[around]))}, has no parameter {quoted(rest)}"
+            what = f"{around}, of class {class_name(type(parameters.parts[around]))}, has no parameter {quoted(rest)}"
             raise ParameterError(what, value=name, remedy=remedy)
-    close = _close(spelling, list(found.spellings))
+    close = _close(spelling, list(parameters.spellings))
     remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
     raise ParameterError(f"the scenario has no parameter {quoted(spelling)}", value=name, remedy=remedy)
 
 
 def _close(name: str, known: list[str]) -> list[str]:
     """Names that end with a name, or the one closest to it."""
-    ending = [each for each in known if each.endswith(f".{name}")]
-    return ending[:2] or [one for one in (closest(name, known),) if one]
+    ending = [other for other in known if other.endswith(f".{name}")]
+    return ending[:2] or [nearest for nearest in (closest(name, known),) if nearest]

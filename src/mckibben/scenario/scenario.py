@@ -29,7 +29,6 @@ from mckibben.errors import (
     Problem,
     ReachabilityWarning,
     ScenarioError,
-    closest,
     no_attribute,
 )
 from mckibben.joint import AntagonisticJoint, Load
@@ -44,11 +43,14 @@ from mckibben.plant import (
     PlantState,
     Sensors,
 )
-from mckibben.simulation import ACCURACY, AtRest, CheckedRun, Margins, Result, checked_run, margins, needed_substeps
+from mckibben.simulation import ACCURACY, AtRest, Margins, SimulationResult, margins, needed_substeps, run_quietly
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
-_OF_THE_JOINT = {"stiffness": "joint.stiffness(angle, pressures)", "muscle": "joint.muscle1"}
+_MEANT = {"stiffness": "joint.stiffness(angle, pressures)", "muscle": "joint.muscle1"} | dict.fromkeys(
+    ("run", "plot", "result"), "simulate()"
+)
+"""What is meant by names that users try."""
 Substeps = Annotated[int, BoundedInt(1, 1000)]
 
 JointPart = Annotated[AntagonisticJoint, Part(AntagonisticJoint)]
@@ -75,7 +77,7 @@ class RunSettings(DocumentModel):
             return value
         for text in version_differences(value["packages"]):
             warnings.warn(text, McKibbenWarning, stacklevel=2)
-        return {key: one for key, one in value.items() if key != "packages"}
+        return {key: part for key, part in value.items() if key != "packages"}
 
     @model_validator(mode="before")
     @classmethod
@@ -112,7 +114,7 @@ class RunSettings(DocumentModel):
         return {name: getattr(self, name) for name in ("duration", "control_period", "accuracy", "substeps")}
 
     def _written(self, folder: Path) -> dict[str, Any]:
-        packages = sorted(filter(None, {package_version(one.__module__) for one in _classes_in(self)}))
+        packages = sorted(filter(None, {package_version(kind.__module__) for kind in _classes_in(self)}))
         return super()._written(folder) | ({"packages": packages} if packages else {})
 
     @model_serializer(mode="wrap", when_used="json")
@@ -123,14 +125,14 @@ class RunSettings(DocumentModel):
 def _with_steps_once(written: dict[str, Any]) -> dict[str, Any]:
     """A written document with its substeps or, without them, its accuracy."""
     left_out = "accuracy" if written.get("substeps") is not None else "substeps"
-    return {key: one for key, one in written.items() if key != left_out}
+    return {key: value for key, value in written.items() if key != left_out}
 
 
 def _classes_in(part: Any) -> Iterator[type]:
     """Classes of the parts of a document."""
     if isinstance(part, tuple | list | dict):
-        for one in part.values() if isinstance(part, dict) else part:
-            yield from _classes_in(one)
+        for inner in part.values() if isinstance(part, dict) else part:
+            yield from _classes_in(inner)
     elif isinstance(part, ConfigModel) or (is_dataclass(part) and not isinstance(part, type)):
         yield type(part)
         yield from _classes_in(vars(part))
@@ -214,16 +216,12 @@ class Scenario(RunSettings):
     def _write(self, handler: Any) -> Any:
         written = _with_steps_once(handler(self))
         usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
-        return {key: one for key, one in written.items() if usual.get(key) != one}
+        return {key: value for key, value in written.items() if usual.get(key) != value}
 
     def __getattr__(self, name: str) -> Any:
-        public = [one for one in dir(Scenario) if not one.startswith("_") and not hasattr(ConfigModel, one)]
-        meant = "simulate" if name in ("run", "plot", "result") else closest(name, public)
         if name.startswith("_"):
             return super().__getattr__(name)  # type: ignore[misc]  # defined by pydantic
-        if not meant:
-            raise no_attribute(self, name, _OF_THE_JOINT)
-        raise AttributeError(f"a Scenario has no {name!r}; did you mean {meant}()?", name=name, obj=self)
+        raise no_attribute(self, name, _MEANT)
 
     def __repr__(self) -> str:
         parts = type(self.joint.geometry).__name__, type(self.load).__name__, type(self.controller).__name__
@@ -248,15 +246,15 @@ class Scenario(RunSettings):
         return self.model_copy(update={"controller": independent(self.control())})
 
     @checked_call
-    def simulate(self, controller: Controller | None = None, **changes: Any) -> Result:
+    def simulate(self, controller: Controller | None = None, **changes: Any) -> SimulationResult:
         """Run the scenario, with another controller or other changes as for `replace`; see `mckibben.simulate`.
 
         Warns if its reference is not statically feasible.
         """
         changes |= {} if controller is None else {"controller": controller}
-        result, feasibility = run_scenario(self.replace(**changes) if changes else self)
-        if not feasibility.feasible:
-            warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=user_level())
+        result = run_scenario(self.replace(**changes) if changes else self)
+        if result.feasibility and not result.feasibility.feasible:
+            warnings.warn(result.feasibility.verdict(), ReachabilityWarning, stacklevel=user_level())
         return result
 
     @checked_call
@@ -334,8 +332,8 @@ def initial_state(scenario: Scenario) -> AtRest:
     return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)
 
 
-def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
-    """Result of a scenario, with its text, and feasibility of its reference; `source` is its file, for errors.
+def run_scenario(scenario: Scenario, *, source: str = "") -> SimulationResult:
+    """Result of a scenario, with its text and the feasibility of its reference; `source` is its file, for errors.
 
     Raises `ScenarioError` if its parts do not fit together.
     """
@@ -356,7 +354,7 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
     with building("controller"):
         control = scenario.control()
     with building("start"):  # all else has been checked
-        return checked_run(
+        return run_quietly(
             plant,
             control,
             scenario.reference(),
@@ -364,15 +362,3 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> CheckedRun:
             initial=initial_state(scenario),
             scenario=scenario.dumps(),
         )
-
-
-def unknown_air(scenario: Scenario) -> str:
-    """Message that the use of air is unknown, with the remedy; empty if both muscles have a volume."""
-    specimens = scenario.joint.muscle1.specimen, scenario.joint.muscle2.specimen
-    names = [*dict.fromkeys(one.name for one in specimens if not one.has_volume)]
-    if not names:
-        return ""
-    return (
-        f"air is unknown: {' and '.join(names)} {'have' if len(names) > 1 else 'has'} no volume; give the specimen "
-        "initial_diameter and braid_angle, or volume_terms, or identify the muscle with its inner diameter"
-    )

@@ -33,7 +33,7 @@ def changed(part: P, values: Mapping[Place, Any]) -> P:
     for (first, *rest), value in values.items():
         groups.setdefault(first, {})[tuple(rest)] = value
     if isinstance(part, tuple):
-        return cast(P, tuple(changed(one, groups.get(str(i), {})) for i, one in enumerate(part)))
+        return cast(P, tuple(changed(item, groups.get(str(i), {})) for i, item in enumerate(part)))
     if isinstance(part, ConfigModel):
         names = fields_by_key(type(part))
         update = {names[key]: changed(getattr(part, names[key]), inner) for key, inner in groups.items()}
@@ -51,10 +51,10 @@ def part_at(part: Any, place: Place) -> Any:
 
 def _with(scenario: Scenario, values: Mapping[ScenarioParameter, Any]) -> Scenario:
     """Return the scenario with other values, and what the controller takes from its plant."""
-    found = changed(scenario, _at_places(values))
-    plant = {name: inherit(getattr(found, name), {}) for name in _PLANT}  # such as the braid angle of Chou's law
-    found = found.model_copy(update=plant)
-    return found.model_copy(update={"controller": found.control()})
+    varied = changed(scenario, _at_places(values))
+    plant = {name: inherit(getattr(varied, name), {}) for name in _PLANT}  # such as the braid angle of Chou's law
+    varied = varied.model_copy(update=plant)
+    return varied.model_copy(update={"controller": varied.control()})
 
 
 def _at_places(values: Mapping[ScenarioParameter, Any]) -> dict[Place, Any]:
@@ -77,22 +77,22 @@ def violations(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray])
     groups: dict[Place, list[ScenarioParameter]] = {}
     for parameter in columns:
         groups.setdefault(_part_of(parameter.places[0]), []).append(parameter)
-    found: dict[int, Violation] = {}
+    invalid: dict[int, Violation] = {}
     for place, group in groups.items():
         part = part_at(scenario, place[:1])
 
         def attempt(values: Sequence[Any], part: Any = part, group: Sequence[ScenarioParameter] = group) -> str | None:
             """Return why values are invalid."""
             try:
-                changed(part, {at[1:]: one for at, one in _at_places(dict(zip(group, values, strict=True))).items()})
+                changed(part, {at[1:]: x for at, x in _at_places(dict(zip(group, values, strict=True))).items()})
             except RangeError as error:
                 return str(error)
             return None
 
         table = [columns[parameter] for parameter in group]
         for row, reason in _search(attempt, table, np.arange(len(table[0]))).items():
-            found.setdefault(row, Violation(tuple(group), reason))
-    return dict(sorted(found.items()))
+            invalid.setdefault(row, Violation(tuple(group), reason))
+    return dict(sorted(invalid.items()))
 
 
 def _part_of(place: Place) -> Place:
@@ -105,7 +105,7 @@ def _search(attempt: _Attempt, table: Sequence[NDArray], rows: NDArray[np.int64]
     # Each rule compares sums, products or signs of values, monotonic on either side of zero: where all corners of the
     # box around some rows are valid, its inside is, too.
     ends = [_ends(column[rows]) for column in table]
-    corners = math.prod(len(each) for each in ends)
+    corners = math.prod(len(end) for end in ends)
     if corners > 1 and corners >= len(rows):
         tried = {row: attempt([column[row].item() for column in table]) for row in rows.tolist()}
         return {row: reason for row, reason in tried.items() if reason is not None}
@@ -248,27 +248,27 @@ def _columns(scenario: Scenario, table: Mapping[str, ArrayLike]) -> dict[Scenari
     columns = {parameter: _column(parameter, values) for parameter, values in pairs}
     lengths = {parameter.name: len(column) for parameter, column in columns.items()}
     if len(set(lengths.values())) > 1:
-        given = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise ParameterError(f"columns differ in length: {given}", remedy="give one value per row in each")
+        shown = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise ParameterError(f"columns differ in length: {shown}", remedy="give one value per row in each")
     return columns
 
 
 def _column(parameter: ScenarioParameter, values: ArrayLike) -> NDArray:
     """Column of one parameter: float64 or int64, in range."""
     try:
-        given = np.asarray(values)
+        column = np.asarray(values)
     except ValueError:  # ragged
-        given = np.empty(0)
-    if given.ndim != 1 or given.size == 0 or given.dtype.kind not in "fiu":
+        column = np.empty(0)
+    if column.ndim != 1 or column.size == 0 or column.dtype.kind not in "fiu":
         remedy = "give one number per row"
         raise ParameterError(f"the values of {parameter.name} are not a column of numbers", value=values, remedy=remedy)
-    bad = np.flatnonzero(~np.asarray(parameter.holds(given)))
+    bad = np.flatnonzero(~np.asarray(parameter.holds(column)))
     if bad.size:
-        value = given[bad[0]].item()
+        value = column[bad[0]].item()
         shown = f"{value:g}, not a whole number of" if parameter.is_integer else f"{parameter.show(value)}, outside"
-        message = f"{_row(bad[0], len(given))}{parameter.name} is {shown} {parameter.range}"
+        message = f"{_row(bad[0], len(column))}{parameter.name} is {shown} {parameter.range}"
         raise parameter.outside(message, value)
-    return given.astype(np.int64 if parameter.is_integer else float)
+    return column.astype(np.int64 if parameter.is_integer else float)
 
 
 def _check_rules(scenario: Scenario, columns: Mapping[ScenarioParameter, NDArray]) -> None:
@@ -305,8 +305,8 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     pairs = list(zip(find_parameters(scenario, values), values.values(), strict=True))
     spans = read_document(text).spans
     by_name = {_place_in(spans, parameter): parameter.write(value) for parameter, value in pairs}
-    each = {_with_indices(place): parameter.write(value) for parameter, value in pairs for place in parameter.places}
-    for written in (by_name, each):  # two equal muscles may stand in the text once or twice
+    by_place = {_with_indices(place): p.write(value) for p, value in pairs for place in p.places}
+    for written in (by_name, by_place):  # two equal muscles may stand in the text once or twice
         edited = edit_yaml(text, written)
         try:
             if Scenario.parse(edited, folder=folder) == wanted:

@@ -1,32 +1,24 @@
 """The sampled-data loop, its result and metrics, and the static feasibility of a reference."""
 
 from mckibben.simulation.accuracy import ACCURACY, Resolution
-from mckibben.simulation.batch import simulate_many
+from mckibben.simulation.batch import Batch, simulate_many
 from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
 from mckibben.simulation.dynamic_stiffness import DynamicStiffness, closed_valves, dynamic_stiffness
+from mckibben.simulation.feasibility import Feasibility, check_reference
 from mckibben.simulation.loop import compiled_episode, episode
-from mckibben.simulation.metrics import SETTLING_PART, Metrics, Trajectory, measure, rms, settling_band, trajectory
+from mckibben.simulation.metrics import SETTLING_PART, Metrics, measure, rms, settling_band
 from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, sampled_signal, without_last_change
-from mckibben.simulation.result import Result, compute_metrics, compute_trajectory
-from mckibben.simulation.simulate import (
-    CheckedRun,
-    Feasibility,
-    check_reference,
-    checked_run,
-    needed_substeps,
-    run_episode,
-    simulate,
-)
+from mckibben.simulation.result import RunResult, SimulationResult, compute_metrics, compute_trajectory
+from mckibben.simulation.simulate import needed_substeps, run_episode, run_quietly, simulate, unknown_air
 from mckibben.simulation.stability import Margins, disk_margins, linear_loop, margins
-from mckibben.simulation.table import Batch, RunResult
+from mckibben.simulation.trajectories import Trajectory, trajectory
 
 __all__ = [
     "ACCURACY",
     "SETTLING_PART",
     "AtRest",
     "Batch",
-    "CheckedRun",
     "Derivatives",
     "DynamicStiffness",
     "Feasibility",
@@ -35,11 +27,10 @@ __all__ = [
     "Mode",
     "Outcome",
     "Resolution",
-    "Result",
     "RunResult",
+    "SimulationResult",
     "Trajectory",
     "check_reference",
-    "checked_run",
     "closed_valves",
     "compiled_episode",
     "compute_metrics",
@@ -54,11 +45,13 @@ __all__ = [
     "needed_substeps",
     "rms",
     "run_episode",
+    "run_quietly",
     "sampled",
     "sampled_signal",
     "settling_band",
     "simulate",
     "simulate_many",
     "trajectory",
+    "unknown_air",
     "without_last_change",
 ]

@@ -172,7 +172,7 @@ def refine(
     """
     runs, substeps = np.arange(count), first
     errors = np.full((_DOUBLINGS, count), np.nan)
-    found = Refinement(
+    refinement = Refinement(
         np.full(count, first), np.zeros(count), np.full(count, np.nan), np.ones(count, bool), errors, first
     )
     coarse = solve(substeps, runs)
@@ -188,15 +188,15 @@ def refine(
             apart = np.nan_to_num(np.abs(fine - coarse), nan=np.inf).max(axis=0)
             alike = apart < _SAME_END * (1 + np.abs(fine).max(axis=0))
         apart = np.where(counts, apart, np.where(ends & ~alike, np.inf, 0.0))
-        found.substeps[runs] = substeps
-        found.error[runs] = errors[doubling, runs] = apart.max(axis=0)
-        within = found.error[runs] <= accuracy
-        found.unresolved_from[runs] = np.where(within, np.nan, (apart > accuracy).argmax(axis=0) * spacing)
+        refinement.substeps[runs] = substeps
+        refinement.error[runs] = errors[doubling, runs] = apart.max(axis=0)
+        within = refinement.error[runs] <= accuracy
+        refinement.unresolved_from[runs] = np.where(within, np.nan, (apart > accuracy).argmax(axis=0) * spacing)
         if within.all():
             break
         runs, coarse, substeps = runs[~within], fine[..., ~within], 2 * substeps
-    found.converges[:] = found.resolved | (errors[-1] < _FALLING * errors[-4])
-    return found
+    refinement.converges[:] = refinement.resolved | (errors[-1] < _FALLING * errors[-4])
+    return refinement
 
 
 def resolution_of(refined: Refinement, accuracy: float) -> Resolution:
@@ -268,16 +268,16 @@ def refine_blocks(
         return runs, refine_runs(runs)
 
     steps = StepCounts.given(1, count)
-    for piece, (runs, found) in map_chunks(refined, len(blocks), 1, workers):
+    for piece, (runs, refinement) in map_chunks(refined, len(blocks), 1, workers):
         block = slice(blocks[piece.start], blocks[piece.start] + BLOCK)
-        first, converging = found.first, found.converges
-        most = found.substeps[converging].max() / first if converging.any() else 2**_FALLBACK_DOUBLINGS
+        first, converging = refinement.first, refinement.converges
+        most = refinement.substeps[converging].max() / first if converging.any() else 2**_FALLBACK_DOUBLINGS
         doublings = round(math.log2(most))
-        errors = np.where(np.isnan(found.errors[doublings]), found.error, found.errors[doublings])
+        errors = np.where(np.isnan(refinement.errors[doublings]), refinement.error, refinement.errors[doublings])
         steps.substeps[block] = first * 2**doublings
-        steps.error[block] = errors[found.converges].max(initial=0.0) if found.converges.any() else np.nan
-        steps.error[runs] = np.where(found.converges, errors, np.where(np.isinf(found.error), np.inf, np.nan))
-        steps.chaotic[runs] = ~found.converges & np.isfinite(found.error)
+        steps.error[block] = errors[refinement.converges].max(initial=0.0) if refinement.converges.any() else np.nan
+        steps.error[runs] = np.where(refinement.converges, errors, np.where(np.isinf(refinement.error), np.inf, np.nan))
+        steps.chaotic[runs] = ~refinement.converges & np.isfinite(refinement.error)
     return steps
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -16,13 +16,14 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.checks import whole_periods
-from mckibben.component.columns import attributes
+from mckibben.component.columns import attributes, labels_of
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast, pad_chunk
 from mckibben.numerics.compiled import jit_lanes
 from mckibben.plant import JointPlant, PlantState
+from mckibben.result import Column, Listing, Result
 from mckibben.simulation.accuracy import (
     ACCURACY,
     Positions,
@@ -38,8 +39,8 @@ from mckibben.simulation.accuracy import (
 )
 from mckibben.simulation.engine import BatchFunction, chunk_size, compute_groups, dynamic_steps
 from mckibben.simulation.loop import positions_over_time, streaming_episode
-from mckibben.simulation.metrics import Change, Metrics, Trajectory, last_change
-from mckibben.simulation.outcome import SWUNG_OVER_AT, outcomes
+from mckibben.simulation.metrics import Change, Metrics, last_change
+from mckibben.simulation.outcome import OUTCOMES, SWUNG_OVER_AT, Outcome, outcomes
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
@@ -50,10 +51,134 @@ from mckibben.simulation.problem import (
     sampling_times,
     split_runs,
 )
-from mckibben.simulation.table import Batch, batch_table
+from mckibben.simulation.result import Measured, metric_columns, unknown_metric
+from mckibben.simulation.trajectories import Trajectory
 
 if TYPE_CHECKING:
     import xarray as xr
+
+
+class RunTable(Result):
+    """Results of many runs, in their order; ``result["angle_rmse"]`` is a column as an array.
+
+    `table` has along ``run`` the metrics (SI) and ``outcome``, a code; its attribute ``flag_meanings`` lists the names.
+    """
+
+    table: xr.Dataset
+
+    @property
+    def count(self) -> int:
+        """Number of runs."""
+        return self.table.sizes["run"]
+
+    @property
+    def outcomes(self) -> list[Outcome]:
+        """Outcome of each run."""
+        return [OUTCOMES[code] for code in self["outcome"]]
+
+    @property
+    def failed(self) -> NDArray[np.bool_]:
+        """Mask of the runs that diverged or could not start."""
+        return np.array([outcome.failed for outcome in OUTCOMES])[self["outcome"]]
+
+    @property
+    def usable(self) -> NDArray[np.bool_]:
+        """Mask of the runs that did not fail, and did not end in a limit cycle."""
+        return np.array([outcome.usable for outcome in OUTCOMES])[self["outcome"]]
+
+    @property
+    def chaotic(self) -> NDArray[np.bool_]:
+        """Mask of the runs that were found to be chaotic: they do not converge with the number of integration steps."""
+        return self["chaotic"].astype(bool)
+
+    def __getitem__(self, name: str) -> NDArray[Any]:
+        if name not in self.table:
+            raise unknown_metric(name, self.table)
+        return self.table[name].to_numpy()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.table
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.table)
+
+    def to_dataset(self) -> xr.Dataset:
+        """Return the table."""
+        return self.table
+
+
+_PARTS = {"least": 0, "median": 50, "largest": 100}
+"""Percentiles of a batch that its table shows."""
+
+
+class Batch(RunTable):
+    """Results of a batch; ``batch["angle_rmse"]`` is a column as an array.
+
+    `table` has as well ``substeps`` (integration steps per control period), ``error_estimate`` (of the angle by the
+    integration [rad]), ``chaotic``, and the values of `over`; along ``run`` and ``time`` the kept parts of the
+    trajectories. Metrics of several joints are along ``joint`` and ``run``. `kind` is the class of the metrics.
+    """
+
+    kind: type = Metrics
+
+    @property
+    def engine(self) -> str:
+        """Engine that computed the runs, "native", "xla" or "cuda"; empty if unknown."""
+        return self.table.attrs.get("engine", "")
+
+    @property
+    def metrics(self) -> dict[str, NDArray[np.floating]]:
+        """The computed metrics by name, shape (runs,) or (joints, runs), SI; NaN for a run that could not start."""
+        return Measured({name: self[name] for name in labels_of(self.kind) if name in self.table})
+
+    def verdict(self) -> str:
+        """Number of runs by their outcome."""
+        counts = np.bincount(self["outcome"], minlength=len(OUTCOMES))
+        counted = [f"{n} {outcome.name.lower()}" for n, outcome in zip(counts, OUTCOMES, strict=True) if n]
+        chaotic = int(self.chaotic.sum())
+        return f"{self.count} runs: {', '.join(counted + [f'{chaotic} chaotic'] * bool(chaotic))}"
+
+    def declared(self) -> dict[str, tuple[Column, Any]]:
+        """The metrics of all runs, with their units."""
+        return metric_columns(self.kind, self.metrics)
+
+    def listings(self) -> Sequence[Listing]:
+        """Least, median and largest value of each metric; of several joints one row each."""
+        rows = []
+        for mark, values in self.declared().values():
+            for joint, row in zip(self.table.get("joint", [""]), np.atleast_2d(values), strict=False):
+                finite = row[np.isfinite(row)]
+                ends = np.percentile(finite, list(_PARTS.values())) if finite.size else np.full(len(_PARTS), np.nan)
+                title = mark.title if np.ndim(values) == 1 else f"{mark.title}, {joint}"
+                rows.append((title, *map(mark.cell, ends), mark.shown_unit))
+        titles = ("metric", *_PARTS, "unit")
+        cells = zip(*rows, strict=True) if rows else [()] * len(titles)
+        return [Listing("", {title: (Column(), values) for title, values in zip(titles, cells, strict=True)})]
+
+
+def batch_table(
+    columns: Mapping[str, Any], codes: NDArray[np.int8], over: Mapping[str, ArrayLike], **attrs: str
+) -> xr.Dataset:
+    """Return the table of a batch: values of `over`, outcomes by code, and further variables."""
+    import xarray as xr
+
+    table: dict[str, Any] = {}
+    for name, values in over.items():
+        array = np.asarray(values)
+        axes = [f"{name}.{axis}" for axis in range(array.ndim)]
+        dims = ["run", *axes[1:]] if array.ndim and array.shape[0] == codes.size else axes
+        table[name] = (dims, array, {"long_name": f"value of {name}"})
+    return xr.Dataset({**table, **outcome_variable(codes), **columns}, attrs=attrs)
+
+
+def outcome_variable(codes: NDArray[np.int8]) -> dict[str, Any]:
+    """Return the variable ``outcome`` along ``run``, whose attributes name the codes."""
+    flags = {
+        "long_name": "outcome of the run",
+        "flag_values": np.arange(len(OUTCOMES), dtype=np.int8),
+        "flag_meanings": " ".join(outcome.name for outcome in OUTCOMES),
+    }
+    return {"outcome": ("run", codes, flags)}
 
 
 def simulate_many(
@@ -193,8 +318,8 @@ class _Runs(NamedTuple):
     def begun(self, lanes: SimulationProblem) -> tuple[Any, Any, Array]:
         """Shared and varying parts of the runs of a chunk, those of their beginnings included, and their spans."""
         begun, span = _begun(lanes, self.shared, self.times, self.asked)
-        each = bool(jax.tree.leaves(lanes.reference))
-        spec = _Beginnings(setpoints=each, changes=each, starts=True, exist=True, split=False)  # type: ignore
+        varies = bool(jax.tree.leaves(lanes.reference))
+        spec = _Beginnings(setpoints=varies, changes=varies, starts=True, exist=True, split=False)  # type: ignore
         of_each, of_all = eqx.partition(begun, spec)
         unused: Any = {"reference": None, "initial": None}
         return (self.shared._replace(**unused), of_all), (lanes._replace(**unused), of_each), span
@@ -202,8 +327,8 @@ class _Runs(NamedTuple):
     def compute(self, lanes: SimulationProblem, substeps: int) -> tuple[dict[str, Array], str]:
         """Columns of a chunk of runs."""
         shared, varying, span = self.begun(lanes)
-        given = *shared, jnp.asarray(self.period, float), self.asked, dynamic_steps(substeps)
-        columns, used = _run(self.engine, given, varying, self.asked.precision)
+        constant = *shared, jnp.asarray(self.period, float), self.asked, dynamic_steps(substeps)
+        columns, used = _run(self.engine, constant, varying, self.asked.precision)
         return columns | {"_span": np.broadcast_to(span, varying[1].exist.shape)}, used
 
     def refine(self, runs: Runs, *, accuracy: float) -> Refinement:
@@ -213,16 +338,16 @@ class _Runs(NamedTuple):
         pieces = [slice(start, min(start + size, runs.size)) for start in range(0, runs.size, size)]
         begun = [self.begun(jax.tree.map(_last, pad_chunk(some, piece, size))) for piece in pieces]
         shared = begun[0][0]
-        varying = jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., : runs.size], *(one[1] for one in begun))
+        varying = jax.tree.map(lambda *x: np.concatenate(x, axis=-1)[..., : runs.size], *(chunk[1] for chunk in begun))
         every = spacing(self.times.size)
         setpoints = eqx.combine(shared[1], varying[1]).setpoints.angle
         desired = np.asarray(setpoints).reshape(self.times.size, -1)[::every]
 
         def solve(substeps: int, which: Runs) -> Positions:
             padded = full_vectors(which)
-            given = *shared, jnp.asarray(self.period, float), np.asarray(substeps), every
-            found, _ = _positions(self.engine, given, jax.tree.map(lambda leaf: leaf[..., padded], varying))
-            return np.stack(found)[..., : which.size]
+            constant = *shared, jnp.asarray(self.period, float), np.asarray(substeps), every
+            positions, _ = _positions(self.engine, constant, jax.tree.map(lambda leaf: leaf[..., padded], varying))
+            return np.stack(positions)[..., : which.size]
 
         def meaningful(angles: Positions, which: Runs) -> NDArray[np.bool_]:
             near = np.abs(angles[0] - (desired if desired.shape[1] == 1 else desired[:, which])) <= SWUNG_OVER_AT
@@ -248,8 +373,8 @@ class _Runs(NamedTuple):
         """Number of steps at which the integration of all runs is stable."""
         if not jax.tree.leaves(lanes.plant):
             lanes, count = jax.tree.map(lambda leaf: leaf[:1], lanes), 1
-        each = (eqx.combine(jax.tree.map(lambda leaf, run=run: leaf[run], lanes), self.shared) for run in range(count))
-        return max(first_substeps(one, self.times, self.period) for one in each)
+        runs = (jax.tree.map(lambda leaf, run=run: leaf[run], lanes) for run in range(count))
+        return max(first_substeps(eqx.combine(run, self.shared), self.times, self.period) for run in runs)
 
 
 def _last(leaf: Any) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -21,13 +21,10 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError
 from mckibben.numerics.batching import (
     batched_program,
-    map_chunks,
-    named_leaves,
-    pad_chunk,
     replace_leaves,
     select_leaves,
 )
-from mckibben.numerics.compiled import jit_arrays, jit_lanes
+from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import ACCURACY, check_accuracy
 from mckibben.simulation.engine import compute_with
@@ -40,13 +37,12 @@ from mckibben.simulation.problem import (
     sample_reference,
     sampled_reference,
     sampling_times,
-    split_problem,
+    single_run,
 )
 from mckibben.simulation.simulate import episode_substeps, start_of
 
 _Begun = tuple[PlantState, Setpoint, Change]  # the last of the stiffness; some of their leaves
 _FEW = 10  # up to so many parameters forward differentiation is faster
-_LANES = 8  # runs computed together: one vector of 64-bit numbers
 
 
 class Mode(enum.Enum):
@@ -58,10 +54,7 @@ class Mode(enum.Enum):
 
 @dataclass(frozen=True, repr=False)
 class Derivatives:
-    """Metrics by name, SI, and by metric and parameter their derivatives, in the shape of the parameter.
-
-    Where runs differ, shape (runs,) comes first.
-    """
+    """Metrics by name, SI, and by metric and parameter their derivatives, in the shape of the parameter."""
 
     values: dict[str, NDArray[np.float64]]
     gradients: dict[str, dict[str, NDArray[np.float64]]]
@@ -79,7 +72,6 @@ def differentiate(
     parameters: Sequence[str],
     *,
     metrics: Sequence[str] = ("angle_rmse", "stiffness_rmse"),
-    over: Mapping[str, ArrayLike] | None = None,
     duration: float = 10.0,
     control_period: float = 1e-3,
     accuracy: float = ACCURACY,
@@ -95,10 +87,8 @@ def differentiate(
 
     Parameters
     ----------
-    plant, controller, reference, over, duration, control_period, initial
-        As for `simulate_many`; arrays in place of numbers, or `over`, give derivatives at many points at once.
-    accuracy, substeps
-        As for `simulate`; all runs have the integration steps that the first one needs.
+    plant, controller, reference, duration, control_period, initial, accuracy, substeps
+        As for `simulate`.
     parameters
         Dotted names of floats such as "load.mass2", "controller.position.kp", "reference.angle.amplitude".
     metrics
@@ -119,32 +109,29 @@ def differentiate(
     check_accuracy(accuracy, substeps)
     times = sampling_times(duration, control_period)
     problem = SimulationProblem.of(plant, controller, reference, initial)
-    lanes, shared, count = split_problem(problem, over or {}, control_period)
-    numbers = select_leaves(_whole(lanes, shared)._asdict(), parameters)
+    run = single_run(problem, control_period, "simulate_many")
+    numbers = select_leaves(run._asdict(), parameters)
     for name, leaf in numbers.items():
         if not eqx.is_inexact_array(leaf):
             raise ParameterError(f"{name} is an integer and has no derivative", value=name)
-    varying = named_leaves(lanes._asdict()) if lanes else {}
-    size = sum(leaf[0].size if name in varying else leaf.size for name, leaf in numbers.items())
     if mode is None:
-        mode = Mode.FORWARD if size <= _FEW else Mode.REVERSE
+        mode = Mode.FORWARD if sum(leaf.size for leaf in numbers.values()) <= _FEW else Mode.REVERSE
     if substeps is None:
-        first = _whole(None if lanes is None else jax.tree.map(lambda leaf: leaf[0], lanes), shared)
-        substeps = _needed(first, times, control_period, accuracy)
-    asked = _Asked(substeps, tuple(metrics), tuple(parameters), mode, count is not None)
+        substeps = _needed(run, times, control_period, accuracy)
+    asked = _Asked(substeps, tuple(metrics), tuple(parameters), mode)
     period = jnp.asarray(control_period, float)
-    if count is None:
-        native = lambda: _natively(shared, numbers, times, period, asked)  # noqa: E731
-        by_xla = lambda: jax.tree.map(np.asarray, _single(lanes, shared, times, period, asked))  # noqa: E731
-        engine = "auto" if mode is Mode.FORWARD else "xla"
-        return _in_order(asked, *compute_with(engine, native, by_xla)[0])
+    native = lambda: _natively(run, numbers, times, period, asked)  # noqa: E731
+    by_xla = lambda: jax.tree.map(np.asarray, _by_xla(run, times, period, asked))  # noqa: E731
+    values, gradients = compute_with("auto" if mode is Mode.FORWARD else "xla", native, by_xla)[0]
 
-    def answers(piece: slice) -> Any:
-        found = _many(pad_chunk(lanes, piece, _LANES), shared, times, period, asked)
-        return jax.tree.map(lambda column: np.asarray(column)[: piece.stop - piece.start], found)
+    def slope(metric: str, name: str) -> NDArray[np.float64]:
+        """Derivative; NaN where the metric is."""
+        return np.where(np.isnan(values[metric]), np.nan, gradients[metric][name])
 
-    pieces = [answer for _, answer in map_chunks(answers, count, _LANES)]
-    return _in_order(asked, *jax.tree.map(lambda *columns: np.concatenate(columns), *pieces))
+    return Derivatives(  # in the requested order: compiled programs sort their dictionaries
+        {metric: values[metric] for metric in metrics},
+        {metric: {name: slope(metric, name) for name in parameters} for metric in metrics},
+    )
 
 
 class _Asked(NamedTuple):
@@ -154,71 +141,39 @@ class _Asked(NamedTuple):
     metrics: tuple[str, ...]
     parameters: tuple[str, ...]
     mode: Mode
-    many: bool
 
 
-def _in_order(asked: _Asked, values: dict[str, Any], gradients: dict[str, dict[str, Any]]) -> Derivatives:
-    """In the requested order; compiled programs sort their dictionaries."""
-
-    def slope(metric: str, name: str) -> Any:
-        """Derivative; NaN where the metric is."""
-        gradient = gradients[metric][name]
-        value = values[metric].reshape(values[metric].shape + (1,) * (gradient.ndim - values[metric].ndim))
-        return np.where(np.isnan(value), np.nan, gradient)
-
-    return Derivatives(
-        {metric: values[metric] for metric in asked.metrics},
-        {metric: {name: slope(metric, name) for name in asked.parameters} for metric in asked.metrics},
-    )
-
-
-def _whole(lane: SimulationProblem | None, shared: SimulationProblem) -> SimulationProblem:
-    """The problem of one run."""
-    return shared if lane is None else eqx.combine(lane, shared)
-
-
-def _derivatives(
-    lanes: SimulationProblem | None, shared: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked
+@jit_arrays
+def _by_xla(
+    run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked
 ) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
-    def numbers(lane: SimulationProblem | None) -> dict[str, Array]:
-        return select_leaves(_whole(lane, shared)._asdict(), asked.parameters)
+    """Metrics and their derivatives."""
+    flat, restored = ravel_pytree(select_leaves(run._asdict(), asked.parameters))
 
-    def measured(lane: SimulationProblem | None, flat: Array) -> dict[str, Array]:
-        return _metrics(_restored(_whole(lane, shared), flat, asked), times, period, asked)
-
-    first = jax.tree.map(lambda leaf: leaf[0], lanes) if asked.many else lanes
-    size, restored = len(ravel_pytree(numbers(first))[0]), ravel_pytree(numbers(first))[1]
-    flat = (
-        jax.vmap(lambda lane: ravel_pytree(numbers(lane))[0])(lanes) if asked.many else ravel_pytree(numbers(lanes))[0]
-    )
-    function = (lambda flat: jax.vmap(measured)(lanes, flat)) if asked.many else (lambda flat: measured(lanes, flat))
+    def measured(flat: Array) -> dict[str, Array]:
+        return _metrics(_restored(run, flat, asked), times, period, asked)
 
     if asked.mode is Mode.FORWARD:
-        # Each direction for all runs at once: runs are side by side in a vector, and the values are shared.
-        def along(direction: Array) -> tuple[dict[str, Array], dict[str, Array]]:
-            return jax.jvp(function, (flat,), (jnp.broadcast_to(direction, flat.shape),))
 
-        values, slopes = jax.vmap(along, out_axes=(None, -1))(jnp.eye(size, dtype=flat.dtype))
+        def along(direction: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+            return jax.jvp(measured, (flat,), (direction,))
+
+        values, slopes = jax.vmap(along, out_axes=(None, -1))(jnp.eye(len(flat), dtype=flat.dtype))
     else:
         # All metrics at once: one backward program.
-        values, back = jax.vjp(function, flat)
-        ones = {
+        values, back = jax.vjp(measured, flat)
+        units = {
             name: jnp.stack([jnp.full_like(value, name == other) for other in asked.metrics])
             for name, value in values.items()
         }
-        rows = jax.vmap(lambda each: back(each)[0])(ones)
-        slopes = dict(zip(asked.metrics, rows, strict=True))
-    shaped = jax.vmap(restored) if asked.many else restored
-    return values, {name: shaped(slope) for name, slope in slopes.items()}
-
-
-_single, _many = jit_arrays(_derivatives), jit_lanes(_derivatives)  # wide vectors slow a single run down
+        slopes = dict(zip(asked.metrics, jax.vmap(lambda unit: back(unit)[0])(units), strict=True))
+    return values, {name: restored(slope) for name, slope in slopes.items()}
 
 
 def _natively(
     shared: SimulationProblem, numbers: dict[str, Any], times: ArrayLike, period: ArrayLike, asked: _Asked
 ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """`_single` forwards: the directions are runs side by side, in a program of the C compiler."""
+    """`_by_xla` forwards: the directions are runs side by side, in a program of the C compiler."""
     leaves, structure = jax.tree.flatten(numbers)
     flat: Any = np.concatenate([np.ravel(leaf) for leaf in leaves])
     varying, tangents, (rest, exists, split) = _begun(shared, flat, times, asked)
@@ -275,8 +230,8 @@ def _measured(
     start, setpoints, change = begun
     checkpoint = asked.mode is Mode.REVERSE
     parts = run.plant, run.controller, setpoints, start, period, asked.substeps
-    found = streaming_episode(*parts, change=change, split=split, checkpoint=checkpoint)
-    return {name: getattr(found.metrics, name) for name in asked.metrics}
+    streamed = streaming_episode(*parts, change=change, split=split, checkpoint=checkpoint)
+    return {name: getattr(streamed.metrics, name) for name in asked.metrics}
 
 
 def _needed(run: SimulationProblem, times: NDArray[np.float64], period: float, accuracy: float) -> int:
@@ -297,9 +252,9 @@ def _metrics(run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked:
     setpoints = sample_reference(run.reference, times)
     start, exists = run.start(setpoints)
     change = last_change(setpoints.stiffness)
-    with batched_program(rolled=asked.many):
-        found = _measured(run, (start, setpoints, change), _split(change, times, asked), period, asked)
-    return {name: jnp.where(exists, value, jnp.nan) for name, value in found.items()}
+    with batched_program(rolled=False):
+        metrics = _measured(run, (start, setpoints, change), _split(change, times, asked), period, asked)
+    return {name: jnp.where(exists, value, jnp.nan) for name, value in metrics.items()}
 
 
 def _split(change: Change, times: ArrayLike, asked: _Asked) -> Array | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +13,8 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
-from mckibben.control.base import Controller, Measurement, Setpoint
+from mckibben.control.base import Controller, Setpoint
+from mckibben.control.open_loop import OpenLoopControl
 from mckibben.errors import RangeError
 from mckibben.joint import Load
 from mckibben.numerics.batching import batched_program
@@ -60,22 +60,6 @@ class _ImposedMotion(Load):
         return self.rate**2 * (self.centre - jnp.asarray(angle))
 
 
-class _ConstantCommands(Controller):
-    """The measured pressures at the start as commands, or openings of 0."""
-
-    openings: bool = eqx.field(static=True)
-
-    def init(self, measurement: Measurement) -> Any:
-        pressures = measurement.pressures
-        return jax.tree.map(jnp.zeros_like, pressures) if self.openings else pressures
-
-    def step(self, state: Any, setpoint: Setpoint, measurement: Measurement, period: ArrayLike) -> tuple[Any, Any]:
-        return state, state
-
-    def telemetry(self, state: Any) -> dict[str, Array]:
-        return {}
-
-
 def closed_valves(plant: JointPlant, *, polytropic_index: float | None = None) -> JointPlant:
     """Return a plant whose valves are closed; n, dead volume and wall stay those of its valves.
 
@@ -85,11 +69,11 @@ def closed_valves(plant: JointPlant, *, polytropic_index: float | None = None) -
         muscle.specimen.check_volume("the stiffness with closed valves")
     shut = FlowValve(_SHUT, 10 * bar)
     known: Any = [plant.valve.for_muscle(i) if plant.valve.holds_air else shut for i in (0, 1)]
-    index = [one.polytropic_index if polytropic_index is None else polytropic_index for one in known]
-    dead = [one.dead_volume for one in known]
-    wall = [one.wall_conductance if polytropic_index is None else None for one in known]
+    index = [first.polytropic_index if polytropic_index is None else polytropic_index for first in known]
+    dead = [first.dead_volume for first in known]
+    wall = [first.wall_conductance if polytropic_index is None else None for first in known]
     pairs: Any = (index, dead, wall)
-    if not all(np.array_equal(one, other) for one, other in pairs):
+    if not all(np.array_equal(first, other) for first, other in pairs):
         raise RangeError(
             "the closed valves of the muscles have different polytropic indices, dead volumes or wall conductances",
             field="valve",
@@ -148,11 +132,11 @@ def dynamic_stiffness(
     """
     if (controller is None) != (setpoint is None):
         raise RangeError("a controller and its setpoint go together", remedy="give both, or neither")
-    amplitudes, frequencies = (np.atleast_1d(np.asarray(each, float)) for each in (amplitude, frequency))
+    amplitudes, frequencies = (np.atleast_1d(np.asarray(counts, float)) for counts in (amplitude, frequency))
     check_positive("dynamic_stiffness", "rad", amplitude=amplitudes)
     check_positive("dynamic_stiffness", "Hz", frequency=frequencies)
-    each = np.round(1 / (frequencies * _SAMPLES * control_period)).astype(int)
-    if np.any(each < 1):
+    counts = np.round(1 / (frequencies * _SAMPLES * control_period)).astype(int)
+    if np.any(counts < 1):
         highest = 1 / (_SAMPLES * control_period)
         raise RangeError(
             f"a frequency of {frequencies.max():g} Hz has fewer than {_SAMPLES} control periods in a cycle",
@@ -162,16 +146,17 @@ def dynamic_stiffness(
             unit="Hz",
             remedy=f"give at most {highest:g} Hz, or a shorter control period",
         )
-    rates = 2 * np.pi / (each * _SAMPLES * control_period)
-    control = controller or _ConstantCommands(openings=plant.valve.direct)
+    rates = 2 * np.pi / (counts * _SAMPLES * control_period)
+    held = (0.0, 0.0) if plant.valve.direct else initial.pressures  # openings, or pressures
+    control = controller or OpenLoopControl(*held, model=plant.joint)
     plant, control = plant.with_period(control_period), control.with_period(control_period)
     wanted = Setpoint(jnp.asarray(0.0), jnp.asarray(0.0)) if setpoint is None else setpoint
     parts = numeric((plant, control, wanted, plant.complete_state(initial), amplitudes, control_period))
-    found = [
+    cycles_of_rates = [
         _last_cycle(*parts, rate=rate, periods=count, cycles=cycles, substeps=substeps)
-        for rate, count in zip(rates, each, strict=True)
+        for rate, count in zip(rates, counts, strict=True)
     ]
-    stiffness, loss = (np.stack([np.asarray(one[i]) for one in found]) for i in (0, 1))
+    stiffness, loss = (np.stack([np.asarray(cycle[i]) for cycle in cycles_of_rates]) for i in (0, 1))
     return DynamicStiffness(rates / (2 * np.pi), amplitudes, stiffness, loss)
 
 

@@ -22,12 +22,14 @@ from mckibben.simulation.metrics import (
     Course,
     Metrics,
     MetricSample,
+    Run,
+    Totals,
     angle_at_end,
     last_change,
-    trajectory,
+    values_of,
 )
 from mckibben.simulation.oscillation import Oscillation
-from mckibben.simulation.reduction import Run, Totals, values_of
+from mckibben.simulation.trajectories import trajectory
 
 
 class Record(NamedTuple):
@@ -57,7 +59,7 @@ def control_period(
     plant_state, measurement = plant.sample(plant_state, period)
     controller_state, wanted = controller.step(controller_state, setpoint, measurement, period)
     commands = plant.clip_commands(wanted)
-    limited = functools.reduce(operator.or_, [one != given for one, given in zip(commands, wanted, strict=True)])
+    limited = functools.reduce(operator.or_, map(operator.ne, commands, wanted))
     record = Record(plant.observe(plant_state), commands, limited, controller.telemetry(controller_state))
     return (plant.follow(plant_state, commands, period, substeps), controller_state), record
 
@@ -174,20 +176,20 @@ def streaming_episode(
         next_period = jax.checkpoint(next_period, prevent_cse=False)
 
     def block(carry: _Carry, at: tuple[Array, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
-        carry, kept = lax.scan(next_period, carry, at)
-        return carry, {name: values[0] for name, values in kept.items()}
+        carry, columns = lax.scan(next_period, carry, at)
+        return carry, {name: values[0] for name, values in columns.items()}
 
     rows = jnp.arange(periods), setpoints
     loop = initial_loop(plant, controller, initial)
     zero = jnp.zeros_like(jnp.asarray(initial.angle))
     carry = _Carry(loop, loop, MetricSample.empty(zero).totals().empty(), zero, (zero, zero), Oscillation.empty(zero))
     if every == 1 or not keep:
-        carry, kept = lax.scan(next_period, carry, rows)
+        carry, columns = lax.scan(next_period, carry, rows)
     else:
         blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), rows)
-        carry, kept = lax.scan(block, carry, blocks)
+        carry, columns = lax.scan(block, carry, blocks)
     run = Run(periods, period, Course(*carry.oscillation.limit_cycle(periods, period), change))
     metrics = values_of(Metrics, carry.total, run)
     if split is None:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
-    return Streamed(metrics, angle_at_end(carry.total, run), carry.loop[0], kept)
+    return Streamed(metrics, angle_at_end(carry.total, run), carry.loop[0], columns)

@@ -1,138 +1,167 @@
-"""Trajectories and metrics of an episode: the plant's true torque, stiffness and muscle forces."""
+"""Metrics: numbers to which the trajectory of a run is reduced, by sums and maxima over its control periods."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+import abc
+import functools
+import operator
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
-from mckibben.actuator.base import at_room_temperature
-from mckibben.component.columns import Label, labelled
-from mckibben.control.base import Setpoint
-from mckibben.joint.antagonistic import NO_STATES
-from mckibben.numerics.batching import fusion_barrier
-from mckibben.plant import JointPlant
+from mckibben.component.columns import Label, labelled, labels_of
 from mckibben.simulation.oscillation import find_limit_cycle
-from mckibben.simulation.reduction import (
-    Duration,
-    Largest,
-    LargestError,
-    RootMeanSquare,
-    Run,
-    StandardDeviation,
-    Total,
-    Totals,
-    Tracked,
-    larger,
-    metrics_of,
-    root,
-    values_of,
-)
-from mckibben.units import atm
+from mckibben.simulation.trajectories import Trajectory
 
 if TYPE_CHECKING:
-    from mckibben.simulation.loop import Record
+    pass
 
 
-@labelled
-class Trajectory(NamedTuple):
-    """An episode over time; every leaf has shape (periods,), SI units.
-
-    Stiffness, torque, forces and contractions are those of the plant. Torque and forces include the muscles' friction
-    and creep; stiffness is that of the force laws, or of the controller's `stiffness_amplitude` if it has one.
-    """
-
-    angle: Annotated[Array, Label("rad", "joint angle")]
-    velocity: Annotated[Array, Label("rad/s", "angular velocity")]
-    desired_angle: Annotated[Array, Label("rad", "desired joint angle")]
-    angle_without_step: Annotated[
-        Array, Label("rad", "joint angle of the same run without the last change of the desired stiffness")
-    ]
-    desired_stiffness: Annotated[Array, Label("N*m/rad", "desired joint stiffness")]
-    stiffness: Annotated[Array, Label("N*m/rad", "isobaric joint stiffness of the plant's muscles")]
-    total_stiffness: Annotated[Array, Label("N*m/rad", "joint stiffness of the plant's muscles and gravity")]
-    stiffness_estimate: Annotated[Array, Label("N*m/rad", "controller's estimate of the joint stiffness")]
-    torque: Annotated[Array, Label("N*m", "torque of the muscles")]
-    pressure1: Annotated[Array, Label("Pa", "gauge pressure in muscle 1")]
-    pressure2: Annotated[Array, Label("Pa", "gauge pressure in muscle 2")]
-    command1: Annotated[Array, Label("Pa", "commanded pressure of muscle 1")]
-    command2: Annotated[Array, Label("Pa", "commanded pressure of muscle 2")]
-    force1: Annotated[Array, Label("N", "tension of muscle 1")]
-    force2: Annotated[Array, Label("N", "tension of muscle 2")]
-    contraction1: Annotated[Array, Label("1", "contraction of muscle 1")]
-    contraction2: Annotated[Array, Label("1", "contraction of muscle 2")]
-    saturated: Annotated[Array, Label("1", "a command is at a pressure limit")]
-    slack: Annotated[Array, Label("1", "a muscle is slack")]
-    outside_domain: Annotated[Array, Label("1", "a muscle's contraction or pressure is outside its domain")]
-    overloaded: Annotated[Array, Label("1", "a muscle's tension is above its rating")]
-    excursion: Annotated[Array, Label("1", "distance of a contraction from its domain")]
-    air1: Annotated[Array, Label("m^3", "air in muscle 1, as a volume at atmospheric pressure")]
-    air2: Annotated[Array, Label("m^3", "air in muscle 2, as a volume at atmospheric pressure")]
+M = TypeVar("M")
 
 
-def trajectory(
-    plant: JointPlant,
-    setpoints: Setpoint,
-    record: Record,
-    angle_without_step: Array,
-    stiffness_amplitude: ArrayLike | None = None,
-) -> Trajectory:
-    """Trajectory of a record; elementwise, of one control period or of all."""
-    state, joint = record.state, plant.joint
-    torque, stiffness = fusion_barrier(joint.torque_and_stiffness, state.angle, state.pressures)
-    if stiffness_amplitude is not None:
-        stiffness = fusion_barrier(joint.secant_stiffness, state.angle, state.pressures, stiffness_amplitude)
-    pressure1, pressure2 = state.pressures
-    if state.muscles != NO_STATES:
-        forces = fusion_barrier(joint.forces, state.angle, state.velocity, state.pressures, state.muscles)
-        (force1, force2), torque, (contraction1, contraction2) = forces
-    else:
-        contraction1, contraction2 = fusion_barrier(joint.contractions, state.angle, state.pressures)
-        force1 = joint.muscle1.tension(contraction1, pressure1)
-        force2 = joint.muscle2.tension(contraction2, pressure2)
-    muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))
-    dead = [plant.valve.for_muscle(i).dead_volume for i in (0, 1)]
-    air1, air2 = (
-        at_room_temperature((m.specimen.volume(contraction) + dead[i]) * (pressure + atm) / atm, state.air, i)
-        if m.specimen.has_volume
-        else jnp.full_like(stiffness, jnp.nan)
-        for i, (m, contraction, pressure) in enumerate(muscles)
-    )
-    inside = [muscle.domain.contains(contraction, pressure) for muscle, contraction, pressure in muscles]
-    beyond = [
-        jnp.maximum(muscle.domain.contraction_min - contraction, contraction - muscle.domain.contraction_max)
-        for muscle, contraction, _ in muscles
-    ]
-    rated1, rated2 = joint.muscle1.specimen.force_limit, joint.muscle2.specimen.force_limit
-    return Trajectory(
-        angle=state.angle,
-        velocity=state.velocity,
-        desired_angle=setpoints.angle,
-        angle_without_step=angle_without_step,
-        desired_stiffness=setpoints.stiffness,
-        stiffness=stiffness,
-        total_stiffness=stiffness + plant.load.gravity_stiffness(state.angle),
-        stiffness_estimate=record.telemetry.get("stiffness_estimate", jnp.full_like(stiffness, jnp.nan)),
-        torque=torque,
-        pressure1=pressure1,
-        pressure2=pressure2,
-        command1=record.commands[0],
-        command2=record.commands[1],
-        force1=force1,
-        force2=force2,
-        contraction1=contraction1,
-        contraction2=contraction2,
-        saturated=record.limited | record.telemetry.get("saturated", False),
-        slack=(force1 <= 0) | (force2 <= 0),
-        outside_domain=~(inside[0] & inside[1]),
-        overloaded=(force1 > rated1) | (force2 > rated2),
-        excursion=jnp.maximum(jnp.maximum(beyond[0], beyond[1]), 0.0),
-        air1=air1,
-        air2=air2,
-    )
+class Totals(NamedTuple):
+    """Sums and maxima by name; of one control period, of some, or of all."""
+
+    sums: dict[str, Any]
+    maxima: dict[str, Any]
+
+    @classmethod
+    def of(cls, metrics: Iterable[Metric], sample: Any) -> Totals:
+        """Totals of single control periods, elementwise: of scalars, or of arrays of shape (periods,)."""
+        totals = cls({}, {})
+        for metric in metrics:
+            terms = metric.terms(sample)
+            totals.sums.update(terms.sums)
+            totals.maxima.update(terms.maxima)
+        return totals
+
+    def empty(self) -> Totals:
+        """Totals of no control period."""
+        return jax.tree.map(jnp.zeros_like, self)
+
+    def merge(self, other: Totals) -> Totals:
+        """Totals of the periods of both."""
+        return Totals(
+            jax.tree.map(operator.add, self.sums, other.sums), jax.tree.map(larger, self.maxima, other.maxima)
+        )
+
+
+class Run(NamedTuple):
+    """A whole run: number of control periods, their length [s], and what has been tracked from each to the next."""
+
+    periods: int
+    period: ArrayLike
+    tracked: Any = None
+
+
+@dataclass(frozen=True)
+class Metric(Label, abc.ABC):
+    """Number to which a run is reduced, the annotation of a field of a class of metrics."""
+
+    _: KW_ONLY
+    of: str  # name of the quantity of a sample that it is made of
+
+    def terms(self, sample: Any) -> Totals:
+        """Return the terms of single control periods, by names that metrics may share."""
+        return Totals({}, {})
+
+    @abc.abstractmethod
+    def value(self, totals: Totals, run: Any) -> Any:
+        """Return the metric of a whole run."""
+
+
+class RootMeanSquare(Metric):
+    """Root mean square of an error; its derivative at 0 is 0."""
+
+    def terms(self, sample: Any) -> Totals:
+        return Totals({f"{self.of}^2": jnp.square(getattr(sample, self.of))}, {})
+
+    def value(self, totals: Totals, run: Any) -> Any:
+        return root(totals.sums[f"{self.of}^2"] / run.periods)
+
+
+class StandardDeviation(Metric):
+    """Root mean square of an error about its mean over the run."""
+
+    def terms(self, sample: Any) -> Totals:
+        error = getattr(sample, self.of)
+        return Totals({f"{self.of}^2": jnp.square(error), self.of: error}, {})
+
+    def value(self, totals: Totals, run: Any) -> Any:
+        variance = totals.sums[f"{self.of}^2"] / run.periods - jnp.square(totals.sums[self.of] / run.periods)
+        return root(jnp.where(variance < 0, 0.0, variance))  # rounding may take it below
+
+
+class Largest(Metric):
+    """Largest value of a quantity, 0 if all are below."""
+
+    def terms(self, sample: Any) -> Totals:
+        return Totals({}, {self.of: getattr(sample, self.of)})
+
+    def value(self, totals: Totals, run: Any) -> Any:
+        return totals.maxima[self.of]
+
+
+class LargestError(Metric):
+    """Largest absolute value of a quantity."""
+
+    def terms(self, sample: Any) -> Totals:
+        return Totals({}, {f"|{self.of}|": jax.tree.map(jnp.abs, getattr(sample, self.of))})
+
+    def value(self, totals: Totals, run: Any) -> Any:
+        return totals.maxima[f"|{self.of}|"]
+
+
+class Total(Metric):
+    """Sum of a quantity over the control periods."""
+
+    def terms(self, sample: Any) -> Totals:
+        return Totals({self.of: getattr(sample, self.of)}, {})
+
+    def value(self, totals: Totals, run: Any) -> Any:
+        return totals.sums[self.of]
+
+
+class Duration(Total):
+    """Time [s] with a flag, which is 0 or 1."""
+
+    def value(self, totals: Totals, run: Any) -> Any:
+        return totals.sums[self.of] * run.period
+
+
+class Tracked(Metric):
+    """Quantity of the state that is tracked from each control period to the next, at the end of a run."""
+
+    def value(self, totals: Totals, run: Any) -> Any:
+        return getattr(run.tracked, self.of)
+
+
+@functools.cache
+def metrics_of(kind: type) -> dict[str, Metric]:
+    """Return the metrics of a class by name."""
+    return cast(dict[str, Metric], labels_of(kind))
+
+
+def values_of(kind: type[M], totals: Totals, run: Any) -> M:
+    """Return the metrics of a class, of a whole run."""
+    return kind(**{name: metric.value(totals, run) for name, metric in metrics_of(kind).items()})
+
+
+def root(mean: Array) -> Array:
+    """The square root; its derivative at 0 is 0."""
+    return jnp.where(mean > 0, jnp.sqrt(jnp.where(mean > 0, mean, 1.0)), mean)
+
+
+def larger(first: ArrayLike, second: ArrayLike) -> Array:
+    """The larger of two, NaN if one of them is: XLA's own maximum does not always propagate it."""
+    first, second = jnp.asarray(first), jnp.asarray(second)
+    return jnp.where((first >= second) | jnp.isnan(first), first, second)
 
 
 SETTLING_PART = 0.1

@@ -111,13 +111,13 @@ class Oscillation(NamedTuple):
         chain = self.error.longest
         cycle = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
         of_reference = 2 * periods / jnp.maximum(self.reference.total, 1e-9)
-        found = (
+        sustained = (
             (chain.number >= _HALF_PERIODS)
             & (cycle < _FASTER * of_reference)
             & (chain.smaller < _DECAYED * chain.number)
         )
         amplitude = chain.size / jnp.maximum(2 * chain.number, 1.0)
-        return LimitCycle(jnp.where(found, amplitude, 0.0), jnp.where(found, cycle * period, jnp.nan))
+        return LimitCycle(jnp.where(sustained, amplitude, 0.0), jnp.where(sustained, cycle * period, jnp.nan))
 
 
 def find_limit_cycle(

@@ -79,17 +79,17 @@ def split_problem(
     problem: Problem, over: Mapping[str, ArrayLike], control_period: float
 ) -> tuple[Problem | None, Problem, int | None]:
     """Problem with other values at named leaves, as its leaves that vary over runs, all others, and the run count."""
-    given: Any = problem
-    _check_types(given._asdict(), given.kinds)
+    whole: Any = problem
+    _check_types(whole._asdict(), whole.kinds)
     if over:  # else each object has checked its values when it was made
-        given = type(given)(**with_leaves(given._asdict(), over))
-    _check_numbers(given._asdict())
-    check_frequencies(getattr(given, "reference", None), control_period)
-    plant, controller = given.plant, given.controller  # called unbound: equinox takes 0.1 ms to bind a method
+        whole = type(whole)(**with_leaves(whole._asdict(), over))
+    _check_numbers(whole._asdict())
+    check_frequencies(getattr(whole, "reference", None), control_period)
+    plant, controller = whole.plant, whole.controller  # called unbound: equinox takes 0.1 ms to bind a method
     plant = type(plant).with_period(plant, control_period)
-    given = given._replace(plant=plant, controller=type(controller).with_period(controller, control_period))
-    count, varying = lanes_of(given)
-    return (None, numeric(given), None) if count is None else (*eqx.partition(numeric(given), varying), count)
+    whole = whole._replace(plant=plant, controller=type(controller).with_period(controller, control_period))
+    count, varying = lanes_of(whole)
+    return (None, numeric(whole), None) if count is None else (*eqx.partition(numeric(whole), varying), count)
 
 
 def split_runs(
@@ -192,10 +192,10 @@ _all_samples = jit(sample_reference)
 def sampled_reference(reference: Reference, times: NDArray[np.float64]) -> Setpoint:
     """Setpoints at times [s], computed by a compiled program."""
     if all(isinstance(signal, Signal) for signal in (reference.angle, reference.stiffness)):
-        found, _ = _each_sample("auto", numeric(reference), times)
+        setpoints, _ = _each_sample("auto", numeric(reference), times)
     else:  # another function may be one of all times
-        found = _all_samples(reference, times)
-    return jax.tree.map(np.asarray, found)
+        setpoints = _all_samples(reference, times)
+    return jax.tree.map(np.asarray, setpoints)
 
 
 def _value_at(signal: Signal, time: Array) -> Array:

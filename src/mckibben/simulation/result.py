@@ -1,40 +1,39 @@
-"""The result of a simulated run of a joint: its columns, metrics and outcome."""
+"""Result of a simulated run: its columns over time, metrics and outcome."""
 
 from __future__ import annotations
 
+import abc
 import functools
+import importlib
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
 
 import jax
 import numpy as np
 from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
-from mckibben.component.columns import Label, attributes, declare
-from mckibben.errors import FileError, Problem
+from mckibben.component.columns import Label, attributes, declare, labels_of
+from mckibben.errors import FileError, Problem, SimulationError, no_attribute, suggest
 from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint, MuscleStates
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import Domain
-from mckibben.notebook import draw
 from mckibben.numerics.compiled import jit, numeric
+from mckibben.result import Column, Remark, Result
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.engine import BatchFunction, compute_with
-from mckibben.simulation.metrics import (
-    Metrics,
-    Trajectory,
-    first_of_end,
-    last_change,
-    measure_since,
-    trajectory,
-)
+from mckibben.simulation.feasibility import Feasibility
+from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure_since
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
-from mckibben.simulation.table import RunResult
+from mckibben.simulation.trajectories import Trajectory, trajectory
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from mckibben.control.base import Setpoint
     from mckibben.plant import JointPlant
     from mckibben.simulation.loop import Record
@@ -53,6 +52,351 @@ declare(
         "creep_torque": Label("N*m", "torque of the muscles' creep"),
     },
 )
+
+
+class Columns(Mapping[str, np.ndarray]):
+    """Arrays by name, of shape (periods,); some are computed when they are first asked for."""
+
+    def __init__(
+        self,
+        names: Iterable[str],
+        known: Mapping[str, ArrayLike],
+        computed: Iterable[tuple[Iterable[str], Callable[[], Mapping[str, ArrayLike]]]] = (),
+    ) -> None:
+        self._names = tuple(dict.fromkeys(names))
+        self._known = dict(known)
+        self._computed = {name: compute for group, compute in computed for name in group}
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self._known and name in self._computed:
+            self._known = dict(self._computed[name]()) | self._known
+        value = self._known[name] = np.asarray(self._known[name])
+        return value
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._names
+
+    def __reduce__(self) -> tuple[type, tuple[tuple[str, ...], dict[str, np.ndarray]]]:
+        return Columns, (self._names, dict(self))
+
+
+class UnknownMetricError(SimulationError, KeyError):
+    """A metric that a result does not have."""
+
+    __str__ = SimulationError.__str__
+
+
+class Measured(dict[str, Any]):
+    """Metrics by name; the error of an unknown one has a suggestion."""
+
+    def __missing__(self, name: str) -> NoReturn:
+        raise unknown_metric(name, self)
+
+
+def unknown_metric(name: str, known: Iterable[object]) -> UnknownMetricError:
+    """Error of a metric that is none of the known ones."""
+    remedy = suggest(str(name), list(map(str, known)))
+    return UnknownMetricError(f"there is no metric {name!r}", value=name, remedy=remedy)
+
+
+class RunResult(Result, abc.ABC):
+    """A simulated run; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
+
+    Columns have shape (periods,), those of several joints or muscles (joints, periods) or (muscles, periods), in SI.
+
+    Attributes
+    ----------
+    columns
+        Arrays by name.
+    control_period
+        Time between two values [s].
+    scenario
+        Text of the scenario, or empty.
+    engine
+        Engine that computed the run, "native" or "xla", or empty.
+    resolution
+        Integration steps per control period with the estimated error of the angle; None if unknown.
+    """
+
+    kind: ClassVar[type]
+    """Class of the metrics."""
+
+    columns: Mapping[str, Any]
+    control_period: float
+    scenario: str = ""
+    engine: str = ""
+    resolution: Resolution | None = None
+
+    @abc.abstractmethod
+    def _measure(self) -> Any:
+        """Return the metrics, of the class `kind`."""
+
+    @functools.cached_property
+    def metrics(self) -> dict[str, Any]:
+        """The numbers of the class `kind` by name, in SI; an array where there is one for each joint."""
+        values = self._measure()._asdict().items()
+        return Measured({name: np.array(value) if isinstance(value, tuple) else float(value) for name, value in values})
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Start of each control period [s], shape (periods,)."""
+        first = next(iter(self.columns))
+        return np.arange(np.shape(self.columns[first])[-1]) * self.control_period
+
+    @property
+    def duration(self) -> float:
+        """Duration [s]."""
+        return self.times.size * self.control_period
+
+    def declared(self) -> dict[str, tuple[Column, object]]:
+        """The metrics, with their units."""
+        return metric_columns(self.kind, self.metrics)
+
+    def remarks(self) -> Iterable[Remark]:
+        """The integration error: a warning if the run is not resolved, else a note."""
+        if self.resolution:
+            remark = Remark.note if self.resolution.resolved else Remark.warning
+            yield remark("accuracy", self.resolution.describe())
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name == "time":
+            return self.times
+        if name not in self.columns:
+            remedy = suggest(str(name), list(self.columns))
+            raise SimulationError(f"there is no column {name!r}", value=name, remedy=remedy)
+        return self.columns[name]
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.columns
+
+    def __getattr__(self, name: str) -> Any:
+        metrics, columns = labels_of(self.kind), self.__dict__.get("columns", ())
+        meant = {key: f'result.metrics["{key}"]' for key in metrics} | {key: f'result["{key}"]' for key in columns}
+        if name not in meant and not name.startswith("_") and (metric := f"angle_{name}") in metrics:
+            meant[name] = meant[metric]
+        raise no_attribute(self, name, meant)
+
+    def _ipython_key_completions_(self) -> list[str]:
+        return ["time", *self.columns]
+
+    def to_dataset(self) -> xr.Dataset:
+        """Columns along ``time`` [s], with ``units`` and ``long_name``; period, scenario and engine as attributes."""
+        import xarray as xr  # 0.15 s
+
+        time = {"time": ("time", self.times, {"units": "s", "long_name": "time"})}
+        table = {name: ((*self._rows_of(name), "time"), self[name], attributes(name)) for name in self.columns}
+        return xr.Dataset(table, coords=time | self._coordinates(), attrs=self._attributes())
+
+    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
+        """Write to a NetCDF file, atomically and with a checksum."""
+        from mckibben.dataset.schema import write_netcdf
+
+        write_netcdf(self.to_dataset(), Path(path))
+
+    def _attributes(self) -> dict[str, Any]:
+        """Attributes of the dataset."""
+        own = {"control_period": self.control_period, "scenario": self.scenario, "engine": self.engine}
+        return own | (self.resolution.attributes if self.resolution else {})
+
+    def _rows_of(self, name: str) -> tuple[str, ...]:
+        """Dimensions of a column other than time."""
+        return ()
+
+    def _coordinates(self) -> dict[str, list[str]]:
+        """Names along these dimensions."""
+        return {}
+
+
+def metric_columns(kind: type, metrics: Mapping[str, Any]) -> dict[str, tuple[Column, Any]]:
+    """Columns of metrics with their values [SI], by name; `kind` is the class that declares them."""
+    labels = {name: label for name, label in labels_of(kind).items() if name in metrics}
+    return {name: (Column(label.unit, label.meaning, label.shown), metrics[name]) for name, label in labels.items()}
+
+
+class SimulationResult(RunResult):
+    """A simulated run of a joint; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
+
+    Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
+    ``highest_stiffness``), and the controller's telemetry.
+
+    Attributes
+    ----------
+    angle_resolution
+        Step of the sensor of the angle [rad], 0 for none.
+    domains
+        Domains of the two muscles; empty if unknown.
+    known_outcome
+        Outcome of a stored run; None to derive it from the columns.
+    feasibility
+        Static feasibility of the reference; None if unknown.
+    notes
+        Remarks on the plant.
+    """
+
+    kind = Metrics
+    figures: ClassVar = ("tracking",)
+    files: ClassVar = ("result.nc", "scenario.yaml")
+
+    angle_resolution: float = 0.0
+    domains: tuple[Domain, ...] = ()
+    known_outcome: Outcome | None = None
+    feasibility: Feasibility | None = None
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        moved: Trajectory,
+        control_period: float,
+        *,
+        band: tuple[np.ndarray, np.ndarray],
+        telemetry: Mapping[str, Any],
+        scenario: str = "",
+        angle_resolution: float = 0.0,
+    ) -> Self:
+        """From a trajectory, the attainable stiffness and the controller's telemetry, each of shape (periods,)."""
+        known = moved._asdict() | dict(zip(BAND, band, strict=True))
+        columns = {name: np.asarray(value) for name, value in (known | dict(telemetry) | known).items()}
+        return cls(columns, control_period, scenario, angle_resolution=angle_resolution)
+
+    @functools.cached_property
+    def outcome(self) -> Outcome:
+        """Outcome of the run."""
+        if self.known_outcome is not None:
+            return self.known_outcome
+        ended = np.isfinite(self["velocity"][-1])
+        error = self["angle"] - self["desired_angle"]
+        code = outcomes(
+            angle_max=np.abs(error).max() if ended else np.inf,
+            angle_at_end=np.sqrt(np.mean(error[first_of_end(error.size) :] ** 2)),
+            span=np.ptp(self["desired_angle"]),
+            left_domain=self["outside_domain"].any() or self["overloaded"].any(),
+            saturated=self["saturated"].any(),
+            oscillates=ended and self.metrics["oscillation_amplitude"] > 0,
+        )
+        return OUTCOMES[int(code)]
+
+    def _measure(self) -> Metrics:
+        moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
+        return compute_metrics(moved, self.control_period, self.angle_resolution)
+
+    @property
+    def ok(self) -> bool:
+        """Whether the run did not fail."""
+        return not self.outcome.failed
+
+    @property
+    def poor_tracking(self) -> str:
+        """Remark on an angle that follows its reference worse than a joint at rest; empty if it does not, or failed."""
+        desired = self["desired_angle"]
+        if not self.outcome.usable or np.ptp(desired) < 1e-9:
+            return ""
+        error, resting = (np.sqrt(np.mean((angle - desired) ** 2)) / deg for angle in (self["angle"], self["angle"][0]))
+        if error <= resting:
+            return ""
+        rmse = f"RMSE {error:.3g} instead of {resting:.3g} deg"
+        return f"the angle follows the reference worse than a joint at rest ({rmse})"
+
+    def verdict(self) -> str:
+        """The outcome as a sentence, with the time saturated, slack or outside the domain."""
+        sentence, times = self.outcome.value, self.times
+        if self.outcome is Outcome.DIVERGED:
+            # Pressures within limits cannot drive the true motion to infinity.
+            last = max(np.flatnonzero(np.isfinite(self["angle"])), default=0)
+            commanded = np.isfinite(self["command1"][last]) and np.isfinite(self["command2"][last])
+            cause = "too few substeps for this plant" if commanded else "commands of the controller that are not finite"
+            return f"{sentence} after {times[last]:.4g} s; likely cause: {cause}"
+        if self.outcome is Outcome.LIMIT_CYCLE:
+            amplitude, period = self.metrics["oscillation_amplitude"] / deg, self.metrics["oscillation_period"]
+            sentence = f"{sentence}, with an amplitude of {amplitude:.3g} deg and a period of {period:.3g} s"
+        peak = max(self["force1"].max(), self["force2"].max())
+        spans = [
+            f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
+            for what, mask in (
+                (self._outside(), self["outside_domain"]),
+                (f"above the rated force (up to {peak:.4g} N)", self["overloaded"]),
+                ("saturated", self["saturated"]),
+                ("slack", self["slack"]),
+            )
+            if mask.any()
+        ]
+        return f"{sentence} ({'; '.join(spans)})" if spans else sentence
+
+    def _outside(self) -> str:
+        """Quantities that left the domain, by how much, and the domain."""
+        furthest, pressures = float(self["excursion"].max()), (self["pressure1"], self["pressure2"])
+        parts = [f"contraction by up to {furthest / percent:.3g} %"] if furthest > 0 else []
+        limits = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in self.domains]
+        beyond = [
+            max(low - float(p.min()), float(p.max()) - high) for p, (low, high) in zip(pressures, limits, strict=False)
+        ]
+        if max(beyond, default=0.0) > 1e-3:
+            parts.append(f"pressure by up to {max(beyond) / bar:.3g} bar")
+        elif not parts:
+            parts.append(f"pressure {np.min(pressures) / bar:.3g}..{np.max(pressures) / bar:.3g} bar")
+        known = " or ".join(dict.fromkeys(domain.bounds() for domain in self.domains))
+        return f"outside the domain ({' and '.join(parts)}{f' outside {known}' if known else ''})"
+
+    def remarks(self) -> Iterable[Remark]:
+        """Infeasible reference, poor tracking and integration error; notes on the plant and on friction."""
+        if self.feasibility and not self.feasibility.feasible:
+            yield Remark.warning("reference", self.feasibility.verdict())
+        if self.poor_tracking:
+            remedy = "check by `mckibben envelope` whether the motion is too fast for the joint, or tune the controller"
+            yield Remark.warning("controller", self.poor_tracking, remedy)
+        yield from super().remarks()
+        yield from (Remark.note("joint", note) for note in self.notes)
+        if "small_motion_stiffness" in self.columns and not self.outcome.failed:
+            small, isobaric = (
+                f"{self[name].min():.3g}..{self[name].max():.3g} N*m/rad"
+                for name in ("small_motion_stiffness", "stiffness")
+            )
+            yield Remark.note("stiffness", f"small-motion stiffness {small}, isobaric stiffness {isobaric}")
+
+    def write(self, folder: Path) -> None:
+        """Write the columns as NetCDF, and the scenario if it is known."""
+        self.to_netcdf(folder / "result.nc")
+        if self.scenario:  # its class is above this package
+            scenario = importlib.import_module("mckibben.scenario").Scenario
+            scenario.parse(self.scenario).to_yaml(folder / "scenario.yaml")
+
+    def _attributes(self) -> dict[str, Any]:
+        own = {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
+        domains = [float(bound) for domain in self.domains for bound in vars(domain).values()]
+        return super()._attributes() | own | ({"domains": np.array(domains)} if domains else {})
+
+    @classmethod
+    def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file of `to_netcdf`; `FileError` if it is missing, is not NetCDF, damaged, or lacks a column."""
+        from mckibben.dataset.schema import load_netcdf
+
+        table = load_netcdf(Path(path))
+        columns = (*Trajectory._fields, *BAND)
+        missing = [name for name in columns if name not in table or table[name].dims != ("time",)]
+        outcome = str(table.attrs.get("outcome"))
+        period: Any = table.attrs.get("control_period")
+        problems = [Problem(f"it is not a simulation result: it lacks {', '.join(missing)}")] if missing else []
+        if outcome not in Outcome.__members__:
+            problems.append(Problem(f"{outcome!r} is not an outcome", field="outcome"))
+        if not isinstance(period, float | np.floating) or not period > 0:
+            problems.append(Problem(f"{period!r} is not a positive time", field="control_period"))
+        if problems:
+            raise FileError(str(path), problems)
+        return cls(
+            {str(name): variable.to_numpy() for name, variable in table.data_vars.items()},
+            float(period),
+            *(str(table.attrs.get(name, "")) for name in ("scenario", "engine")),
+            resolution=Resolution.of(table.attrs),
+            angle_resolution=float(table.attrs.get("angle_resolution", 0.0)),
+            domains=tuple(Domain(*bounds) for bounds in np.reshape(table.attrs.get("domains", ()), (-1, 4)).tolist()),
+            known_outcome=Outcome[outcome],
+        )
 
 
 def _trajectory_at(shared: tuple[JointPlant, ArrayLike | None], lane: tuple[Setpoint, Record, Array]) -> Trajectory:
@@ -75,34 +419,8 @@ def compute_trajectory(
     """`metrics.trajectory` of all control periods, as arrays of NumPy."""
     shared = numeric((plant, stiffness_amplitude))
     lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), (setpoints, record, angle_without_step))
-    found, _ = _trajectories(engine, shared, lanes)
-    return jax.tree.map(np.asarray, found)
-
-
-_friction_torque = jit(AntagonisticJoint.friction_torque)
-_creep_torque = jit(AntagonisticJoint.creep_torque)
-
-
-@jit
-def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> Array:
-    return joint.secant_stiffness(angle, pressures, SMALL_MOTION)
-
-
-def joint_columns(
-    joint: AntagonisticJoint, angle: Array, velocity: Array, pressures: Pressures, muscles: MuscleStates
-) -> list[tuple[tuple[str, ...], Callable[[], dict[str, Any]]]]:
-    """Columns of friction and creep, by name, each computed when it is first asked for."""
-    forces = {
-        "friction_torque": lambda: _friction_torque(joint, angle, velocity, pressures, muscles),
-        "creep_torque": lambda: _creep_torque(joint, angle, pressures, muscles),
-        "small_motion_stiffness": lambda: _small_motion_stiffness(joint, angle, pressures),
-    }
-    return [((name,), lambda name=name, one=one: {name: one()}) for name, one in forces.items()]
-
-
-def domains_of(plant: JointPlant) -> tuple[Domain, ...]:
-    """Domains of both muscles, as numbers."""
-    return tuple(jax.tree.map(float, muscle.domain) for muscle in plant.muscles)
+    moved, _ = _trajectories(engine, shared, lanes)
+    return jax.tree.map(np.asarray, moved)
 
 
 def compute_metrics(moved: Trajectory, period: float, angle_resolution: float = 0.0) -> Metrics:
@@ -119,187 +437,27 @@ def _native_metrics(parts: Any, _: None) -> Metrics:
 
 
 _metrics_by_xla = jit(measure_since)
+_friction_torque = jit(AntagonisticJoint.friction_torque)
+_creep_torque = jit(AntagonisticJoint.creep_torque)
 
 
-class Result(RunResult):
-    """A simulated run; ``result["angle"]`` is a column as an array, ``result["time"]`` its times.
-
-    Columns have shape (periods,), SI: the fields of `Trajectory`, the attainable stiffness (``lowest_stiffness``,
-    ``highest_stiffness``), and the controller's telemetry. `control_period` is the time between two values [s],
-    `scenario` the text of the scenario, or empty, `engine` the one that computed it, "native" or "xla", or empty,
-    `resolution` the integration steps per control period with the estimated error of the angle, None if unknown,
-    `angle_resolution` the step of the sensor of the angle [rad], 0 for none, and `domains` those of the two muscles,
-    empty if unknown.
-    """
-
-    kind = Metrics
-
-    def __init__(
-        self,
-        columns: Mapping[str, Any],
-        control_period: float,
-        outcome: Outcome | None = None,
-        scenario: str = "",
-        engine: str = "",
-        resolution: Resolution | None = None,
-        angle_resolution: float = 0.0,
-        domains: tuple[Domain, ...] = (),
-    ) -> None:
-        super().__init__(columns, control_period, scenario, engine, resolution)
-        self.angle_resolution = angle_resolution
-        self.domains = domains
-        if outcome is not None:
-            self.outcome = outcome
-
-    @classmethod
-    def of(
-        cls,
-        moved: Trajectory,
-        control_period: float,
-        *,
-        band: tuple[np.ndarray, np.ndarray],
-        telemetry: Mapping[str, Any],
-        scenario: str = "",
-        angle_resolution: float = 0.0,
-    ) -> Self:
-        """From a trajectory, the attainable stiffness and the controller's telemetry, each of shape (periods,)."""
-        known = moved._asdict() | dict(zip(BAND, band, strict=True))
-        columns = {name: np.asarray(value) for name, value in (known | dict(telemetry) | known).items()}
-        return cls(columns, control_period, scenario=scenario, angle_resolution=angle_resolution)
-
-    @functools.cached_property
-    def outcome(self) -> Outcome:
-        """Outcome of the run."""
-        return _outcome(self.columns, lambda: self.metrics["oscillation_amplitude"] > 0)
-
-    def _measure(self) -> Metrics:
-        moved = Trajectory(*(self[name] for name in Trajectory._fields))  # type: ignore[arg-type]
-        return compute_metrics(moved, self.control_period, self.angle_resolution)
-
-    @property
-    def poor_tracking(self) -> str:
-        """Remark on an angle that follows its reference worse than a joint at rest; empty if it does not, or failed."""
-        desired = self["desired_angle"]
-        if not self.outcome.usable or np.ptp(desired) < 1e-9:
-            return ""
-        error, resting = (np.sqrt(np.mean((one - desired) ** 2)) / deg for one in (self["angle"], self["angle"][0]))
-        if error <= resting:
-            return ""
-        return (
-            f"the angle follows the reference worse than a joint at rest (RMSE {error:.3g} instead of {resting:.3g} "
-            "deg): check by `mckibben envelope` whether the motion is too fast for the joint, or tune the controller"
-        )
-
-    def __repr__(self) -> str:
-        errors = [
-            f"{axis} RMSE {float(np.sqrt(np.mean((self[axis] - self['desired_' + axis]) ** 2))) / size:.3g} {unit}"
-            for axis, size, unit in (("angle", deg, "deg"), ("stiffness", 1.0, "N*m/rad"))
-        ]
-        remark = "; the angle follows the reference worse than a joint at rest" if self.poor_tracking else ""
-        return f"<Result: {self.duration:g} s, {self.outcome.name.lower()}, {', '.join(errors)}{remark}>"
-
-    def plot(self, name: str = "run") -> Any:
-        """Return time traces of the run, see `mckibben.report.tracking`."""
-        return draw("tracking", {name: self})
-
-    def describe(self) -> str:
-        """The outcome as a sentence, with the time saturated, slack or outside the domain, and `poor_tracking`."""
-        columns, sentence, times = self.columns, self.outcome.value, self.times
-        if self.outcome is Outcome.DIVERGED:
-            # Pressures within limits cannot drive the true motion to infinity.
-            last = max(np.flatnonzero(np.isfinite(columns["angle"])), default=0)
-            commanded = np.isfinite(columns["command1"][last]) and np.isfinite(columns["command2"][last])
-            cause = "too few substeps for this plant" if commanded else "commands of the controller that are not finite"
-            return f"{sentence} after {times[last]:.4g} s; likely cause: {cause}"
-        if self.outcome is Outcome.LIMIT_CYCLE:
-            amplitude, period = self.metrics["oscillation_amplitude"] / deg, self.metrics["oscillation_period"]
-            sentence = f"{sentence}, with an amplitude of {amplitude:.3g} deg and a period of {period:.3g} s"
-        peak = max(columns["force1"].max(), columns["force2"].max())
-        spans = [
-            f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"
-            for what, mask in (
-                (self._outside(), columns["outside_domain"]),
-                (f"above the rated force (up to {peak:.4g} N)", columns["overloaded"]),
-                ("saturated", columns["saturated"]),
-                ("slack", columns["slack"]),
-            )
-            if mask.any()
-        ]
-        sentence += f" ({'; '.join(spans)})" if spans else ""
-        return f"{sentence}; {self.poor_tracking}" if self.poor_tracking else sentence
-
-    def _outside(self) -> str:
-        """Quantities that left the domain, by how much, and the domain."""
-        furthest, pressures = float(self["excursion"].max()), (self["pressure1"], self["pressure2"])
-        parts = [f"contraction by up to {furthest / percent:.3g} %"] if furthest > 0 else []
-        limits = [(float(one.pressure_min), float(one.pressure_max)) for one in self.domains]
-        beyond = [
-            max(low - float(p.min()), float(p.max()) - high) for p, (low, high) in zip(pressures, limits, strict=False)
-        ]
-        if max(beyond, default=0.0) > 1e-3:
-            parts.append(f"pressure by up to {max(beyond) / bar:.3g} bar")
-        elif not parts:
-            parts.append(f"pressure {np.min(pressures) / bar:.3g}..{np.max(pressures) / bar:.3g} bar")
-        known = " or ".join(dict.fromkeys(one.bounds() for one in self.domains))
-        return f"outside the domain ({' and '.join(parts)}{f' outside {known}' if known else ''})"
-
-    def _attributes(self) -> dict[str, Any]:
-        found = {"outcome": self.outcome.name, "angle_resolution": self.angle_resolution}
-        domains = [float(bound) for one in self.domains for bound in vars(one).values()]
-        return super()._attributes() | found | ({"domains": np.array(domains)} if domains else {})
-
-    def to_netcdf(self, path: str | os.PathLike[str]) -> None:
-        """Write to a NetCDF file, atomically and with a checksum."""
-        from mckibben.dataset.netcdf import write_variables
-
-        columns = {name: (("time",), self[name], attributes(name)) for name in self.columns}
-        time = ("time",), self.times, {"units": "s", "long_name": "time"}
-        write_variables({**columns, "time": time}, self._attributes(), Path(path))
-
-    @classmethod
-    def from_netcdf(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file of `to_netcdf`; `FileError` if it is missing, is not NetCDF, damaged, or lacks a column."""
-        from mckibben.dataset.schema import load_netcdf
-
-        source = str(path)
-        if not Path(path).is_file():
-            raise FileError(source, [Problem("there is no such file")])
-        table = load_netcdf(Path(path))
-        columns = (*Trajectory._fields, *BAND)
-        missing = [name for name in columns if name not in table]
-        if missing:
-            raise FileError(source, [Problem(f"it is not a simulation result: it lacks {', '.join(missing)}")])
-        problems = [
-            Problem("it is not a numeric column over time", field=name)
-            for name in columns
-            if table[name].dims != ("time",) or table[name].dtype.kind not in "fb"
-        ]
-        outcome = table.attrs.pop("outcome", None)
-        period: Any = table.attrs.get("control_period")
-        if outcome not in Outcome.__members__:
-            problems.append(Problem(f"{outcome!r} is not an outcome", field="outcome"))
-        if not isinstance(period, float | np.floating) or not period > 0:
-            problems.append(Problem(f"{period!r} is not a positive time", field="control_period"))
-        if problems:
-            raise FileError(source, problems)
-        values = {str(name): variable.to_numpy() for name, variable in table.data_vars.items()}
-        scenario, engine = (str(table.attrs.get(name, "")) for name in ("scenario", "engine"))
-        resolution = Resolution.of(table.attrs)
-        angle_resolution = float(table.attrs.get("angle_resolution", 0.0))  # files of earlier versions have none
-        bounds = np.reshape(table.attrs.get("domains", ()), (-1, 4)).tolist()
-        domains = tuple(Domain(*each) for each in bounds)
-        return cls(values, float(period), Outcome[outcome], scenario, engine, resolution, angle_resolution, domains)
+@jit
+def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> Array:
+    return joint.secant_stiffness(angle, pressures, SMALL_MOTION)
 
 
-def _outcome(columns: Mapping[str, np.ndarray], oscillates: Callable[[], bool]) -> Outcome:
-    ended = np.isfinite(columns["velocity"][-1])
-    error = columns["angle"] - columns["desired_angle"]
-    code = outcomes(
-        angle_max=np.abs(error).max() if ended else np.inf,
-        angle_at_end=np.sqrt(np.mean(error[first_of_end(error.size) :] ** 2)),
-        span=np.ptp(columns["desired_angle"]),
-        left_domain=columns["outside_domain"].any() or columns["overloaded"].any(),
-        saturated=columns["saturated"].any(),
-        oscillates=ended and oscillates(),
-    )
-    return OUTCOMES[int(code)]
+def joint_columns(
+    joint: AntagonisticJoint, angle: Array, velocity: Array, pressures: Pressures, muscles: MuscleStates
+) -> list[tuple[tuple[str, ...], Callable[[], dict[str, Array]]]]:
+    """Columns of friction and creep, by name, each computed when it is first asked for."""
+    return [
+        (
+            ("friction_torque",),
+            lambda: {"friction_torque": _friction_torque(joint, angle, velocity, pressures, muscles)},
+        ),
+        (("creep_torque",), lambda: {"creep_torque": _creep_torque(joint, angle, pressures, muscles)}),
+        (
+            ("small_motion_stiffness",),
+            lambda: {"small_motion_stiffness": _small_motion_stiffness(joint, angle, pressures)},
+        ),
+    ]

@@ -1,26 +1,21 @@
-"""Simulation of a plant, a controller and a reference, and the feasibility of the reference."""
+"""Simulation of a plant, a controller and a reference."""
 
 from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Array, ArrayLike
-from numpy.typing import NDArray
+from jaxtyping import Array
 
 from mckibben.codegen.native import NativeFunction
 from mckibben.component.calls import checked_call, user_level
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
-from mckibben.joint.attainable import leaves_domain
-from mckibben.notebook import draw, html_table
+from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import (
@@ -34,9 +29,9 @@ from mckibben.simulation.accuracy import (
     refine,
     resolution_of,
 )
-from mckibben.simulation.engine import BatchFunction, check_engine, compute_with, run_alone
+from mckibben.simulation.engine import check_engine, compute_with, run_alone
+from mckibben.simulation.feasibility import Feasibility, feasibility, static_band
 from mckibben.simulation.loop import Record
-from mckibben.simulation.metrics import Trajectory
 from mckibben.simulation.outcome import SWUNG_OVER_AT
 from mckibben.simulation.problem import (
     AtRest,
@@ -47,156 +42,9 @@ from mckibben.simulation.problem import (
     single_run,
     without_last_change,
 )
-from mckibben.simulation.result import BAND, Result, compute_trajectory, domains_of, joint_columns
-from mckibben.simulation.table import Columns
+from mckibben.simulation.result import BAND, Columns, SimulationResult, compute_trajectory, joint_columns
+from mckibben.simulation.trajectories import Trajectory
 from mckibben.units import deg
-
-_ROUNDING = 1e-6  # N*m/rad
-_BLOCK = 256  # control periods
-
-
-@dataclass(frozen=True, repr=False)
-class Feasibility:
-    """A reference compared with the attainable stiffness at each control period: [s], [rad], [N*m/rad].
-
-    The attainable stiffness is that at the desired angle while the muscles balance gravity; NaN where no pressures
-    within limits hold the angle. `cause` says which muscle leaves its domain at the first such angle, if one does.
-    """
-
-    times: NDArray[np.float64]
-    desired_angle: NDArray[np.float64]
-    desired_stiffness: NDArray[np.float64]
-    lowest: NDArray[np.float64]
-    highest: NDArray[np.float64]
-    cause: str = ""
-
-    @property
-    def shortfall(self) -> NDArray[np.float64]:
-        """Distance of the desired stiffness from the attainable range [N*m/rad]; NaN where the angle cannot be held."""
-        return distance_from(self.lowest, self.highest, self.desired_stiffness)
-
-    @property
-    def feasible(self) -> bool:
-        """Whether all of the reference can be held statically."""
-        return bool(np.all(self.shortfall == 0))
-
-    def __repr__(self) -> str:
-        return f"<Feasibility: {self.describe()}>"
-
-    def _repr_html_(self) -> str:
-        shown = (
-            ("desired angle", self.desired_angle / deg, "deg"),
-            ("desired stiffness", self.desired_stiffness, "N*m/rad"),
-            ("lowest attainable stiffness", self.lowest, "N*m/rad"),
-            ("highest attainable stiffness", self.highest, "N*m/rad"),
-        )
-        rows = []
-        for name, values, unit in shown:
-            finite = values[np.isfinite(values)]
-            ends = (f"{finite.min():.4g}", f"{finite.max():.4g}") if finite.size else ("-", "-")
-            rows.append((name, *ends, unit))
-        return html_table(self.describe(), ("over the reference", "least", "largest", "unit"), rows)
-
-    def plot(self) -> Any:
-        """Return a figure of reference and attainable stiffness, see `mckibben.report.feasibility`."""
-        return draw("feasibility", self)
-
-    def describe(self) -> str:
-        """When and by how much the reference is not feasible."""
-        if self.feasible:
-            return "the reference is statically feasible throughout"
-        run = self.times, self.desired_angle, self.desired_stiffness, self.lowest, self.highest
-        failure = f"{'the joint cannot' if self.cause else 'no pressures within limits'} hold the desired angle"
-        return "; ".join(filter(None, (*shortcomings(*run, self.shortfall, failure), self.cause)))
-
-
-def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np.float64]:
-    """Distance of a stiffness from a range, 0 inside to rounding; NaN where nothing is attainable."""
-    out = np.maximum(low - stiffness, stiffness - high)
-    return np.where(out > _ROUNDING, out, np.where(np.isnan(out), np.nan, 0.0))
-
-
-def shortcomings(
-    times: NDArray, angle: NDArray, stiffness: NDArray, low: NDArray, high: NDArray, missing: NDArray, failure: str
-) -> list[str]:
-    """When, and by how much, a stiffness is missed; `failure` says what happens where `missing` is NaN."""
-    sentences, unheld, short = [], np.isnan(missing), np.nan_to_num(missing) > 0
-    if unheld.any():
-        at = int(unheld.argmax())
-        when = f"{_span(times, unheld)}, first at {times[at]:.3g} s ({angle[at] / deg:.3g} deg)"
-        sentences.append(f"{failure} {when}")
-    if short.any():
-        at = int(np.nanargmax(missing))
-        sentences.append(
-            f"the desired stiffness is not attainable {_span(times, short)}, by up to {missing[at]:.3g} N*m/rad at "
-            f"{times[at]:.3g} s (desired {stiffness[at]:.4g}, attainable {low[at]:.4g}..{high[at]:.4g} N*m/rad at "
-            f"{angle[at] / deg:.3g} deg)"
-        )
-    return sentences
-
-
-@checked_call
-def check_reference(
-    plant: JointPlant,
-    reference: Reference,
-    *,
-    duration: float = 10.0,
-    control_period: float = 1e-3,
-    stiffness_amplitude: float | None = None,
-) -> Feasibility:
-    """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period [s].
-
-    The stiffness is the isobaric one, or that of a motion with an amplitude [rad] (`secant_stiffness`). Raises
-    `SimulationError` if duration [s] and control period do not fit together.
-    """
-    times, setpoints = sampled(reference, duration, control_period)
-    return _feasibility(plant, times, setpoints, _band(plant, setpoints.angle, stiffness_amplitude))
-
-
-def _feasibility(plant: JointPlant, times: NDArray, setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
-    """Feasibility of setpoints, from the attainable stiffness at them and the angles of their padding."""
-    angle, *others = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
-    return Feasibility(times, angle, *others, cause=leaves_domain(plant.supplied_joint, angle, np.isnan(others[-1])))
-
-
-def attainable_band(
-    plant: JointPlant, angle: Array, amplitude: ArrayLike | None = None, minimum_tension: Any = 0.0
-) -> tuple[Array, Array]:
-    """Lowest and highest stiffness [N*m/rad] at which the supplied joint holds angles [rad] against gravity."""
-    torque = -plant.load.gravity_torque(angle)
-    return plant.supplied_joint.attainable_stiffness(
-        angle, torque, amplitude=amplitude, minimum_tension=minimum_tension
-    )
-
-
-def _band_at(shared: tuple[JointPlant, ArrayLike | None, ArrayLike], angle: Array) -> tuple[Array, Array]:
-    """`attainable_band` at one angle."""
-    plant, amplitude, tension = shared
-    return attainable_band(plant, angle, amplitude, tension)
-
-
-static_bands = BatchFunction(_band_at)
-
-
-def _band(
-    plant: JointPlant, angles: ArrayLike, amplitude: ArrayLike | None, tension: ArrayLike = 0.0, *, engine: str = "auto"
-) -> tuple[Array, Array]:
-    """`attainable_band` at angles, and at those of their padding."""
-    return static_bands(engine, numeric((plant, amplitude, tension)), _padded(angles))[0]
-
-
-def _span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
-    """The share of a run in which a mask is true, and the times [s] of its ends, as text."""
-    where, share = np.flatnonzero(mask), mask.mean()
-    text = f"{share:.0%}" if share > 0.005 else "under 1%"
-    return f"for {text} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
-
-
-class CheckedRun(NamedTuple):
-    """A result, and the static feasibility of its reference."""
-
-    result: Result
-    feasibility: Feasibility
 
 
 @checked_call
@@ -212,7 +60,7 @@ def simulate(
     initial: PlantState | AtRest | None = None,
     engine: str = "auto",
     scenario: str = "",
-) -> Result:
+) -> SimulationResult:
     """Run a controller on a plant.
 
     Commands are constant over each control period, in which the plant is integrated by the classical Runge-Kutta
@@ -261,7 +109,7 @@ def simulate(
     if controller is None or reference is None:
         remedy = "write simulate(plant, controller, reference), or scenario.simulate()"
         raise SimulationError("a plant, a controller and a reference are needed", remedy=remedy)
-    result, feasibility = checked_run(
+    result = run_quietly(
         plant,
         controller,
         reference,
@@ -273,12 +121,12 @@ def simulate(
         engine=engine,
         scenario=scenario,
     )
-    if not feasibility.feasible:
-        warnings.warn(feasibility.describe(), ReachabilityWarning, stacklevel=user_level())
+    if result.feasibility and not result.feasibility.feasible:
+        warnings.warn(result.feasibility.verdict(), ReachabilityWarning, stacklevel=user_level())
     return result
 
 
-def checked_run(
+def run_quietly(
     plant: JointPlant,
     controller: Controller,
     reference: Reference,
@@ -290,8 +138,8 @@ def checked_run(
     initial: PlantState | AtRest | None,
     engine: str = "auto",
     scenario: str,
-) -> CheckedRun:
-    """`simulate`, with the feasibility of the reference returned instead of warned of."""
+) -> SimulationResult:
+    """`simulate` without a warning of a reference that is not feasible; the result has its feasibility."""
     times = sampling_times(duration, control_period)
     check_accuracy(accuracy, substeps)
     check_engine(engine)
@@ -300,19 +148,19 @@ def checked_run(
     setpoints = sampled_reference(problem.reference, times)
     without: Any = {"controller": None, "reference": None}  # others compile nothing new
     start, exists = start_of(problem._replace(**without), setpoints, engine=engine)
-    band = _band(problem.plant, setpoints.angle, amplitude, engine=engine)
-    feasibility = _feasibility(plant, times, setpoints, band)
+    band = static_band(problem.plant, setpoints.angle, amplitude, engine=engine)
+    reach = feasibility(plant, times, setpoints, band)
     for name, signal in (("angle", reference.angle), ("stiffness", reference.stiffness)):
         if mismatch := time_range_mismatch(signal, duration):
             warnings.warn(f"reference of the {name}: {mismatch}", McKibbenWarning, stacklevel=user_level())
-    known = dict(zip(BAND, (feasibility.lowest, feasibility.highest), strict=True))
     if not exists:
         _raise_why(plant, initial, float(setpoints.angle[0]))
     if substeps is not None:
         plant.check_substeps(*setpoints, control_period, substeps)
     run = _Run(problem.plant, problem.controller, setpoints, start, control_period, engine)
     record, used, resolution = run.solved(accuracy, substeps)
-    result = _result(run, record, used, resolution, known=known, scenario=scenario)
+    notes = *plant.joint.remarks, *filter(None, [unknown_air(plant.joint)])
+    result = _result(run, record, used, resolution, scenario, reach, notes)
     if not resolution.resolved:
         warnings.warn(resolution.describe(), McKibbenWarning, stacklevel=user_level())
     low, high = plant.joint.geometry.angle_range
@@ -322,12 +170,24 @@ def checked_run(
             f"{text}, outside of which the moment arm is assumed constant", DomainWarning, stacklevel=user_level()
         )
     tension = getattr(controller, "minimum_tension", None)
-    if tension and feasibility.feasible:
-        limited = _feasibility(plant, times, setpoints, _band(plant, setpoints.angle, amplitude, tension))
+    if tension and reach.feasible:
+        limited = feasibility(plant, times, setpoints, static_band(plant, setpoints.angle, amplitude, tension))
         if not limited.feasible:
-            text = f"with the controller's minimum tension of {float(tension):g} N {limited.describe()}"
+            text = f"with the controller's minimum tension of {float(tension):g} N {limited.verdict()}"
             warnings.warn(f"{text}; lower minimum_tension", ReachabilityWarning, stacklevel=user_level())
-    return CheckedRun(result, feasibility)
+    return result
+
+
+def unknown_air(joint: AntagonisticJoint) -> str:
+    """Message that the use of air is unknown, with the remedy; empty if both muscles have a volume."""
+    specimens = joint.muscle1.specimen, joint.muscle2.specimen
+    names = [*dict.fromkeys(specimen.name for specimen in specimens if not specimen.has_volume)]
+    if not names:
+        return ""
+    return (
+        f"air is unknown: {' and '.join(names)} {'have' if len(names) > 1 else 'has'} no volume; give the specimen "
+        "initial_diameter and braid_angle, or volume_terms, or identify the muscle with its inner diameter"
+    )
 
 
 def run_episode(
@@ -339,7 +199,7 @@ def run_episode(
     substeps: int | None = None,
     *,
     accuracy: float = ACCURACY,
-) -> Result:
+) -> SimulationResult:
     """The result of an episode from a start that exists, without the attainable stiffness."""
     run = _Run.of(plant, controller, setpoints, start, control_period)
     record, used, resolution = run.solved(accuracy, substeps)
@@ -415,8 +275,8 @@ class _Run(NamedTuple):
         if substeps is not None:
             return *self.record(substeps), Resolution(substeps)
         solutions: list[tuple[Record, str]] = []
-        found = resolution_of(self.refined(accuracy, solutions), accuracy)
-        return *solutions[0], found
+        resolution = resolution_of(self.refined(accuracy, solutions), accuracy)
+        return *solutions[0], resolution
 
 
 def _result(
@@ -424,10 +284,10 @@ def _result(
     record: Record,
     used: str,
     resolution: Resolution,
-    *,
-    known: Mapping[str, Any] = MappingProxyType({}),
     scenario: str = "",
-) -> Result:
+    reach: Feasibility | None = None,
+    notes: tuple[str, ...] = (),
+) -> SimulationResult:
     """Result of a run; much is computed when it is first asked for."""
     plant, controller, setpoints = run.plant, run.controller, run.setpoints
     state, telemetry = record.state, dict(record.telemetry)
@@ -439,6 +299,7 @@ def _result(
         telemetry |= {"small_motion_stiffness": None}
     if plant.friction is not None:
         telemetry |= {"joint_friction_torque": -plant.friction.resisting_torque(state.friction, state.angle)}
+    band = dict(zip(BAND, (reach.lowest, reach.highest), strict=True)) if reach else {}
     immediate = {
         "angle": state.angle,
         "velocity": state.velocity,
@@ -449,7 +310,7 @@ def _result(
         "command1": record.commands[0],
         "command2": record.commands[1],
         **{name: value for name, value in telemetry.items() if name != "saturated" and value is not None},
-        **known,
+        **band,
     }
 
     def unchanged(setpoints: Setpoint) -> Array:
@@ -466,19 +327,23 @@ def _result(
 
     computed = [(Trajectory._fields, derived), (("angle_without_step",), without_step)]
     computed += joint_columns(plant.joint, *state[:4])
-    names = (*Trajectory._fields, *known, *telemetry)
-    columns, encoder = Columns(names, immediate, computed), float(plant.sensors.angle_resolution)
-    return Result(columns, run.control_period, None, scenario, used, resolution, encoder, domains_of(plant))
-
-
-def _padded(values: ArrayLike) -> Any:
-    """Values that end with their last one repeated: each length needs its own program."""
-    return np.pad(values, (0, -np.size(values) % _BLOCK), mode="edge")
+    names = (*Trajectory._fields, *band, *telemetry)
+    return SimulationResult(
+        Columns(names, immediate, computed),
+        run.control_period,
+        scenario,
+        used,
+        resolution,
+        angle_resolution=float(plant.sensors.angle_resolution),
+        domains=tuple(jax.tree.map(float, muscle.domain) for muscle in plant.muscles),
+        feasibility=reach,
+        notes=notes,
+    )
 
 
 def start_of(problem: SimulationProblem, setpoints: Setpoint, *, engine: str = "auto") -> tuple[PlantState, Array]:
     """Return the initial state, and whether it exists, of a problem without controller and reference."""
-    parts = problem, jax.tree.map(lambda one: np.asarray(one)[:1], setpoints)
+    parts = problem, jax.tree.map(lambda values: np.asarray(values)[:1], setpoints)
     return compute_with(engine, lambda: _native_start(parts), lambda: _start_by_xla(*parts))[0]
 
 

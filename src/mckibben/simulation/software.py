@@ -19,18 +19,18 @@ _PATIENCE = 20.0  # s for a compiler to state its version
 
 def software(engine: str = "auto") -> dict[str, str]:
     """Versions, platform, the engine of batches and its compiler: with the user's options, or with the CUDA device."""
-    found = {
+    parts = {
         "mckibben": mckibben.__version__,
         "jax": jax.__version__,
         "scipy": version("scipy"),
         "platform": jax.default_backend(),
         "engine": check_engine(engine, many=True),
     }
-    if found["engine"] == "native":
-        found["compiler"] = " ".join([_compiler_version(compiler() or ""), *compiler_words()[1:], *own_flags()])
-    if found["engine"] == "cuda":
-        found |= {"compiler": device().compiler, "device": device().name}
-    return found
+    if parts["engine"] == "native":
+        parts["compiler"] = " ".join([_compiler_version(compiler() or ""), *compiler_words()[1:], *own_flags()])
+    if parts["engine"] == "cuda":
+        parts |= {"compiler": device().compiler, "device": device().name}
+    return parts
 
 
 @functools.cache
@@ -46,12 +46,12 @@ def _compiler_version(path: str) -> str:
 
 
 def engine_of_job(
-    trial: Callable[[], Collection[str]], kept: Mapping[str, str] | None = None, engine: str = "auto"
+    trial: Callable[[], Collection[str]], stored: Mapping[str, str] | None = None, engine: str = "auto"
 ) -> str:
     """Engine of all results of a stored job: XLA if trial runs of a new job, or the `kept` software, used it."""
-    if engine == "auto" and kept is not None and kept.get("engine") in ("xla", "cuda"):
-        engine = kept["engine"]
+    if engine == "auto" and stored is not None and stored.get("engine") in ("xla", "cuda"):
+        engine = stored["engine"]
     chosen = check_engine(engine, many=True)
-    if engine != "auto" or kept is not None:
+    if engine != "auto" or stored is not None:
         return chosen
     return "xla" if chosen == "xla" or "xla" in trial() else "native"

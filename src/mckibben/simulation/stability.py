@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -18,11 +19,11 @@ from numpy.typing import NDArray
 from mckibben.component.checks import check_positive
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, SimulationError
-from mckibben.notebook import draw, html_table
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PlantState
+from mckibben.result import Remark, Result, column
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.loop import LoopState, initial_loop
 from mckibben.simulation.oscillation import Oscillation
@@ -53,79 +54,92 @@ class LinearLoop(NamedTuple):
     c: Any
 
 
-class Margins(NamedTuple):
-    """Margins along a run; every leaf has the shape (points,) unless another is given.
+class Margins(Result):
+    """Stability margins of the sampled loop at operating points along a run.
 
     The loop is opened at the commands of both valves. Infinite where no disturbance of any size leads to instability,
     and 0 at an unstable point. The disk margin alpha is that of both commands at once, each with its own gain and
     phase, without skew: gains from (2 - alpha)/(2 + alpha) to its inverse and phases up to 2 arctan(alpha / 2).
+
+    Attributes
+    ----------
+    time
+        Time of each operating point [s], shape (points,).
+    radius
+        Largest modulus of the poles in discrete time, shape (points,); below 1 for a stable loop.
+    gain, phase, delay
+        Smallest factor, phase [rad] and delay [s] of both commands beyond which the loop is unstable, shape (points,).
+    disk
+        Disk margin, shape (points,).
+    frequency
+        Frequencies [Hz] of the response, shape (frequencies,).
+    sensitivity
+        Largest singular value of the sensitivity at the commands, shape (points, frequencies).
+    loci
+        Eigenvalues of the open loop, complex, shape (points, frequencies, 2).
+    oscillation
+        Amplitude of the limit cycle of the run [rad]; 0 without one.
+    friction
+        Whether muscles or joint of the plant have friction.
 
     References
     ----------
     P. Seiler, A. Packard and P. Gahinet, An introduction to disk margins, IEEE Control Systems Magazine 40, 2020.
     """
 
-    time: NDArray[np.float64]  # of the operating point [s]
-    radius: NDArray[np.float64]  # largest modulus of the poles in discrete time; below 1 for a stable loop
-    gain: NDArray[np.float64]  # smallest factor of both commands beyond which the loop is unstable
-    phase: NDArray[np.float64]  # likewise [rad]
-    delay: NDArray[np.float64]  # likewise [s]
-    disk: NDArray[np.float64]
-    frequency: NDArray[np.float64]  # shape (frequencies,) [Hz]
-    sensitivity: NDArray[np.float64]  # largest singular value at the commands, shape (points, frequencies)
-    loci: NDArray[np.complex128]  # eigenvalues of the open loop, shape (points, frequencies, 2)
-    oscillation: float = 0.0  # amplitude of the limit cycle of the run [rad]; 0 without one
+    figures: ClassVar = ("margins",)
+
+    time: NDArray[np.float64] = column("s", "time")
+    radius: NDArray[np.float64] = column("1", "largest pole", digits=5)
+    gain: NDArray[np.float64] = column("1", "gain margin")
+    phase: NDArray[np.float64] = column("rad", "phase margin", "deg")
+    delay: NDArray[np.float64] = column("s", "delay margin", "ms")
+    disk: NDArray[np.float64] = column("1", "disk margin")
+    frequency: NDArray[np.float64] = column("Hz", "frequency", dims=("frequency",))
+    sensitivity: NDArray[np.float64] = column("1", "sensitivity", dims=("point", "frequency"))
+    loci: NDArray[np.complex128] = column("1", "open loop", dims=("point", "frequency", "command"))
+    oscillation: float = column("rad", "amplitude of the limit cycle", "deg", default=0.0)
+    friction: bool = False
 
     @property
     def stable(self) -> bool:
         """Whether the loop is stable at all points, and the run free of limit cycles."""
         return bool((self.radius < 1).all()) and not self.oscillation
 
-    def __repr__(self) -> str:
-        least = ", ".join(f"{name} {margin.min():.3g}" for name, margin in self.in_shown_units().items())
-        return f"<Margins at {len(self.time)} points; least: {least}>"
-
-    def _repr_html_(self) -> str:
-        return html_table("stability margins", self.headers, self.rows(), [self.verdict()])
-
-    @property
-    def headers(self) -> tuple[str, ...]:
-        """Columns of `rows`."""
-        return "margin", "least", "median", "unit", "least at"
-
-    def rows(self) -> list[tuple[str, ...]]:
-        """Least and median margins with the time of the least, as text."""
-        return [
-            (
-                name.partition("_")[0],
-                f"{values.min():.3g}",
-                f"{np.median(values):.3g}",
-                name.partition("_")[2] or "1",
-                f"{self.time[values.argmin()]:.3g} s",
-            )
-            for name, values in self.in_shown_units().items()
-        ]
+    def least(self) -> dict[str, float]:
+        """Return the least margins by name, with the unit in which results show them."""
+        margins = {"gain": self.gain, "phase_deg": self.phase / deg, "delay_ms": self.delay / ms, "disk": self.disk}
+        return {name: float(values.min()) for name, values in margins.items()}
 
     def verdict(self) -> str:
-        """Text that says whether the loop is stable at all points, and where it is open."""
-        unstable, opened = self.time[self.radius >= 1], int(np.sum(self.disk >= _OPEN))
-        text = f"stable at all {self.time.size} points; largest pole {self.radius.max():.4f} in discrete time"
-        if unstable.size:
-            text = f"unstable at {unstable.size} of {self.time.size} points, first at {unstable[0]:.3g} s"
+        """Whether the loop is stable at all points, and the least margins."""
+        gain, phase, delay, disk = self.least().values()
+        text = f"stable at all {self.time.size} points"
         if self.oscillation:
+            text = f"the run ends in a limit cycle of {self.oscillation / deg:.3g} deg"
+        elif not self.stable:
+            first = self.time[self.radius >= 1][0]
+            text = f"unstable at {int(np.sum(self.radius >= 1))} of {self.time.size} points, first at {first:.3g} s"
+        return f"{text}; least gain {gain:.3g}, phase {phase:.3g} deg, delay {delay:.3g} ms, disk {disk:.3g}"
+
+    def remarks(self) -> Iterable[Remark]:
+        """Instability, limit cycle and open loops."""
+        if self.oscillation:
+            yield Remark.severe("controller", "the margins are of points along the limit cycle", "lower the gains")
+        elif not self.stable:
+            yield Remark.severe("controller", "the loop is unstable", "lower the gains, or tune with a gain margin")
+        if self.friction and not self.stable:
             text = (
-                f"the run ends in a limit cycle of {self.oscillation / deg:.3g} deg; the margins are of points along it"
+                "where friction sticks it counts as a spring: oscillations grow there after a small disturbance, until "
+                "friction slips"
             )
-        why = "both valves in their dead zone, or both commands at a limit; choose a reference in motion"
-        return f"{text}; at {opened} of the points the loop is open, with {why}" if opened else text
-
-    def plot(self) -> Any:
-        """Return a figure of the open loop and the sensitivity, see `mckibben.report.margins`."""
-        return draw("margins", self)
-
-    def in_shown_units(self) -> dict[str, NDArray[np.float64]]:
-        """Return the margins by name and unit, each of shape (points,)."""
-        return {"gain": self.gain, "phase_deg": self.phase / deg, "delay_ms": self.delay / ms, "disk": self.disk}
+            yield Remark.warning("friction", text, "simulate with a `disturbance` to see their amplitude")
+        if opened := int(np.sum(self.disk >= _OPEN)):
+            text = (
+                f"at {opened} of the points the loop is open, with both valves in their dead zone, or both commands at "
+                "a limit"
+            )
+            yield Remark.warning("reference", text, "choose a reference in motion")
 
 
 def margins(
@@ -153,10 +167,11 @@ def margins(
     loops, oscillation, _ = _linearised_at(
         plant, controller, reference, initial, times, control_period, chosen, substeps
     )
-    found = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
-    radius, gain, phase, delays, disk, sensitivity, loci = (np.array(column) for column in zip(*found, strict=True))
-    frequencies = _frequencies(control_period)
-    return Margins(times[chosen], radius, gain, phase, delays, disk, frequencies, sensitivity, loci, oscillation)
+    rows = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
+    radius, gain, phase, delay, disk, sensitivity, loci = (np.array(values) for values in zip(*rows, strict=True))
+    friction, frequency = plant.friction is not None or plant.joint.has_friction, _frequencies(control_period)
+    at = times[chosen]
+    return Margins(at, radius, gain, phase, delay, disk, frequency, sensitivity, loci, oscillation, friction)
 
 
 def linear_loop(
@@ -245,13 +260,13 @@ def disk_margins(
         some = pad_chunk(lanes, piece, _LANES)
         begun, exists = _begun(some, shared, times)
         loops, oscillation = _linearised(some, shared, begun, control_period, chosen, substeps)
-        each = zip(*loops, oscillation, np.asarray(exists), strict=True)
+        runs = zip(*loops, oscillation, np.asarray(exists), strict=True)
         return [
             (0.0 if oscillates else _least_disk_margin(LinearLoop(*loop), control_period)) if starts else np.nan
-            for *loop, oscillates, starts in itertools.islice(each, piece.stop - piece.start)
+            for *loop, oscillates, starts in itertools.islice(runs, piece.stop - piece.start)
         ]
 
-    return np.concatenate([found for _, found in map_chunks(of_chunk, count, _LANES)])
+    return np.concatenate([margins_of_chunk for _, margins_of_chunk in map_chunks(of_chunk, count, _LANES)])
 
 
 def _without_noise(plant: JointPlant, period: float) -> JointPlant:
@@ -271,13 +286,13 @@ def _without_modulation(plant: JointPlant, initial: Any) -> Any:
 def _begun(lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike) -> tuple[Any, Array]:
     """Start and setpoints of each run, and whether it can start."""
 
-    def one(lane: SimulationProblem) -> tuple[Any, Array]:
+    def begin(lane: SimulationProblem) -> tuple[Any, Array]:
         run = eqx.combine(lane, shared)
         setpoints = sample_reference(run.reference, times)
         start, exists = run.start(setpoints)
         return (start, setpoints), exists
 
-    return lax.map(one, lanes)
+    return lax.map(begin, lanes)
 
 
 def _linearised(
@@ -290,11 +305,11 @@ def _linearised(
 ) -> tuple[LinearLoop, NDArray[np.float64]]:
     """Linearisations of runs at control periods, leaves (runs, points, ...), and amplitudes of limit cycles [rad]."""
     without: Any = {"reference": None, "initial": None}
-    given = shared._replace(**without), np.asarray(control_period), np.asarray(substeps)
+    constant = shared._replace(**without), np.asarray(control_period), np.asarray(substeps)
     own = None if lanes is None else lanes._replace(**without)
     start, setpoints = begun
     of_runs = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), (own, start, setpoints))
-    visited, oscillation = map(np.asarray, _visited("auto", given, of_runs)[0])
+    visited, oscillation = map(np.asarray, _visited("auto", constant, of_runs)[0])
     states = np.moveaxis(visited[chosen], 0, -1)  # (states, runs, points)
     count, *shape = states.shape
     directions = np.eye(count + 2)
@@ -310,7 +325,7 @@ def _linearised(
         lane(directions[:, None, None]),
     )
     following, wanted = (
-        np.moveaxis(np.reshape(rows, (-1, *shape, count + 2)), 0, 2) for rows in _along("auto", given, parts)[0]
+        np.moveaxis(np.reshape(rows, (-1, *shape, count + 2)), 0, 2) for rows in _along("auto", constant, parts)[0]
     )
     return LinearLoop(following[..., :count], following[..., count:], wanted[..., :count]), oscillation
 
@@ -417,7 +432,7 @@ def _least_disk_margin(loops: LinearLoop, period: float) -> float:
     angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
     if not all(np.isfinite(leaf).all() for leaf in loops):
         return 0.0
-    several = [_Triangular.of(LinearLoop(*one)) for one in zip(*loops, strict=True)]
+    several = [_Triangular.of(LinearLoop(*leaves)) for leaves in zip(*loops, strict=True)]
     if any(_radius(loop.poles) >= 1 for loop in several):
         return 0.0
     return min(_disk(loop.sensitivity(_with_resonances(angles, loop.poles))) for loop in several)

@@ -13,8 +13,8 @@ import numpy as np
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
-from mckibben.scenario import Scenario, run_scenario, unknown_air
-from mckibben.simulation import Result
+from mckibben.scenario import Scenario, run_scenario
+from mckibben.simulation import SimulationResult, unknown_air
 from mckibben.simulation.metrics import in_shown_units
 from mckibben.units import deg
 from mckibben.web import resource
@@ -126,18 +126,19 @@ def chosen_kinds(scenario: Scenario) -> dict[str, str | None]:
 
 def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
     """Run a scenario; its curves, and remarks."""
-    result, feasibility = run_scenario(scenario)
-    remarks = [] if feasibility.feasible else [feasibility.describe()]
+    result = run_scenario(scenario)
+    reach = result.feasibility
+    remarks = [] if reach is None or reach.feasible else [reach.verdict()]
     if result.outcome.name != "COMPLETED":
         remarks.append(result.outcome.value)
     if result.poor_tracking:
         remarks.append(result.poor_tracking)
     if np.isnan(result.metrics["air"]) and not result.outcome.failed:
-        remarks.append(unknown_air(scenario))
+        remarks.append(unknown_air(scenario.joint))
     return _kept(scenario, result, folder), [*remarks, *scenario.joint.remarks]
 
 
-def _kept(scenario: Scenario, result: Result, folder: Path) -> Kept:
+def _kept(scenario: Scenario, result: SimulationResult, folder: Path) -> Kept:
     step = max(1, len(result["angle"]) // 1200)
     names = [*_COLUMNS, *({SMALL_MOTION} & set(result.columns))]
 

@@ -1,7 +1,4 @@
-"""A host that crashes: the second process vents the card, though the relay would wait for a minute.
-
-More ways, and whole tests: `python benchmarks/crash.py`.
-"""
+"""A host that crashes: the second process vents the card, though the relay would wait for a minute."""
 
 import contextlib
 import importlib

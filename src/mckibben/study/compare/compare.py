@@ -20,7 +20,7 @@ from mckibben.errors import ParameterError
 from mckibben.notebook import Progress, html_table, notebook_progress, silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.scenario import Scenario, batched, run_scenario, valid_rows
-from mckibben.simulation import Batch, Metrics, Outcome, Result, simulate_many
+from mckibben.simulation import Batch, Metrics, Outcome, SimulationResult, simulate_many
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.study.compare.runs import Group, Runs, draw, merged
@@ -68,13 +68,13 @@ class BenchmarkResult:
     def __repr__(self) -> str:
         return f"<BenchmarkResult: {', '.join(self.batches)} on {self.runs.count} runs>"
 
-    def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, Result]]:
+    def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, SimulationResult]]:
         """Return the run with the first controller's median angle error, and the results of some controllers in it."""
         errors = self.metric(next(iter(self.batches)), "angle_rmse")
         order = np.argsort(errors)  # NaN last
         run = int(np.flatnonzero(self.started)[order[np.isfinite(errors).sum() // 2]])
         scenarios = {name: self.runs.scenario(name, run, self.tuned.get(name)) for name in controllers}
-        return run, {name: run_scenario(scenario).result for name, scenario in scenarios.items()}
+        return run, {name: run_scenario(scenario) for name, scenario in scenarios.items()}
 
     def plot(self) -> Any:
         """Return a figure of the errors of all controllers, see `mckibben.report.benchmark_errors`."""

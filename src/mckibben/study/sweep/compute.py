@@ -30,8 +30,8 @@ from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, run_many
 from mckibben.simulation import Batch
 from mckibben.simulation.accuracy import STEP_COLUMNS
+from mckibben.simulation.feasibility import attainable_band
 from mckibben.simulation.problem import sample_reference, sampling_times
-from mckibben.simulation.simulate import attainable_band
 from mckibben.simulation.software import software
 from mckibben.study.parameters import Table
 

@@ -7,7 +7,6 @@ import io
 import json
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
@@ -21,9 +20,9 @@ from mckibben.notebook import html_table
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts
+from mckibben.simulation.batch import RunTable, outcome_variable
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
-from mckibben.simulation.table import RunTable, outcome_variable
 from mckibben.storage.files import append_seal, atomic_write
 from mckibben.study.sweep.compute import FEASIBILITY, Columns
 from mckibben.study.sweep.plan import SweepPlan, digest_of_model
@@ -39,7 +38,6 @@ PIECE = 1 << 16
 _KIND = "mckibben sweep"
 
 
-@dataclass(frozen=True, eq=False, repr=False)
 class SweepResult(RunTable):
     """Results of a sweep; `computed` runs come from this call, the others were stored before.
 

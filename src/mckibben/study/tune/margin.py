@@ -135,8 +135,8 @@ def metrics_and_margins(scenario: Scenario) -> tuple[dict[str, float], dict[str,
     """Metrics of a run and its least stability margins, by name and in shown units; NaN if it cannot be run."""
     margins: dict[str, float] = dict.fromkeys(("gain", "phase_deg", "delay_ms", "disk"), np.nan)
     try:
-        metrics = in_shown_units(run_scenario(scenario).result.metrics)
-        found = scenario.margins().in_shown_units()
+        metrics = in_shown_units(run_scenario(scenario).metrics)
+        margins = scenario.margins().least()
     except McKibbenError:
         return dict.fromkeys(METRICS, np.nan), margins
-    return metrics, {name: float(found[name].min()) for name in margins}
+    return metrics, margins

@@ -1,0 +1,148 @@
+"""Static feasibility of a reference: the stiffness that a joint can attain at each desired angle."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, ClassVar
+
+import numpy as np
+from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
+
+from mckibben.component.calls import checked_call
+from mckibben.control.base import Reference, Setpoint
+from mckibben.joint.attainable import leaves_domain
+from mckibben.numerics.compiled import numeric
+from mckibben.plant import JointPlant
+from mckibben.result import Remark, Result, column
+from mckibben.simulation.engine import BatchFunction
+from mckibben.simulation.problem import sampled
+from mckibben.units import deg
+
+_ROUNDING = 1e-6  # N*m/rad
+_BLOCK = 256  # control periods
+
+
+class Feasibility(Result):
+    """A reference compared with the attainable stiffness at each control period.
+
+    The attainable stiffness is that at the desired angle while the muscles balance gravity; NaN where no pressures
+    within limits hold the angle. `cause` says which muscle leaves its domain at the first such angle, if one does.
+    Arrays have shape (periods,).
+    """
+
+    figures: ClassVar = ("feasibility",)
+
+    times: NDArray[np.float64] = column("s", "time", dims=("time",))
+    desired_angle: NDArray[np.float64] = column("rad", "desired angle", "deg", dims=("time",))
+    desired_stiffness: NDArray[np.float64] = column("N*m/rad", "desired stiffness", dims=("time",))
+    lowest: NDArray[np.float64] = column("N*m/rad", "lowest attainable stiffness", dims=("time",))
+    highest: NDArray[np.float64] = column("N*m/rad", "highest attainable stiffness", dims=("time",))
+    cause: str = ""
+
+    @property
+    def shortfall(self) -> NDArray[np.float64]:
+        """Distance of the desired stiffness from the attainable range [N*m/rad]; NaN where the angle cannot be held."""
+        return distance_from(self.lowest, self.highest, self.desired_stiffness)
+
+    @property
+    def feasible(self) -> bool:
+        """Whether all of the reference can be held statically."""
+        return bool(np.all(self.shortfall == 0))
+
+    def verdict(self) -> str:
+        """When and by how much the reference is not feasible."""
+        if self.feasible:
+            return "the reference is statically feasible throughout"
+        run = self.times, self.desired_angle, self.desired_stiffness, self.lowest, self.highest
+        failure = f"{'the joint cannot' if self.cause else 'no pressures within limits'} hold the desired angle"
+        return "; ".join(filter(None, (*shortcomings(*run, self.shortfall, failure), self.cause)))
+
+    def remarks(self) -> Iterable[Remark]:
+        """A severe remark on a reference that is not feasible."""
+        if not self.feasible:
+            remedy = "`mckibben envelope` shows what is"
+            yield Remark.severe("reference", "the joint cannot follow it statically", remedy)
+
+
+def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np.float64]:
+    """Distance of a stiffness from a range, 0 inside to rounding; NaN where nothing is attainable."""
+    out = np.maximum(low - stiffness, stiffness - high)
+    return np.where(out > _ROUNDING, out, np.where(np.isnan(out), np.nan, 0.0))
+
+
+def shortcomings(
+    times: NDArray, angle: NDArray, stiffness: NDArray, low: NDArray, high: NDArray, missing: NDArray, failure: str
+) -> list[str]:
+    """When, and by how much, a stiffness is missed; `failure` says what happens where `missing` is NaN."""
+    sentences, unheld, short = [], np.isnan(missing), np.nan_to_num(missing) > 0
+    if unheld.any():
+        at = int(unheld.argmax())
+        when = f"{_span(times, unheld)}, first at {times[at]:.3g} s ({angle[at] / deg:.3g} deg)"
+        sentences.append(f"{failure} {when}")
+    if short.any():
+        at = int(np.nanargmax(missing))
+        sentences.append(
+            f"the desired stiffness is not attainable {_span(times, short)}, by up to {missing[at]:.3g} N*m/rad at "
+            f"{times[at]:.3g} s (desired {stiffness[at]:.4g}, attainable {low[at]:.4g}..{high[at]:.4g} N*m/rad at "
+            f"{angle[at] / deg:.3g} deg)"
+        )
+    return sentences
+
+
+def _span(times: NDArray[np.float64], mask: NDArray[np.bool_]) -> str:
+    """The share of a run in which a mask is true, and the times [s] of its ends, as text."""
+    where, share = np.flatnonzero(mask), mask.mean()
+    text = f"{share:.0%}" if share > 0.005 else "under 1%"
+    return f"for {text} of the run, between {times[where[0]]:.3g} s and {times[where[-1]]:.3g} s"
+
+
+@checked_call
+def check_reference(
+    plant: JointPlant,
+    reference: Reference,
+    *,
+    duration: float = 10.0,
+    control_period: float = 1e-3,
+    stiffness_amplitude: float | None = None,
+) -> Feasibility:
+    """Compare a reference with the attainable stiffness of a plant's joint, statically, at every control period [s].
+
+    The stiffness is the isobaric one, or that of a motion with an amplitude [rad] (`secant_stiffness`). Raises
+    `SimulationError` if duration [s] and control period do not fit together.
+    """
+    times, setpoints = sampled(reference, duration, control_period)
+    return feasibility(plant, times, setpoints, static_band(plant, setpoints.angle, stiffness_amplitude))
+
+
+def feasibility(plant: JointPlant, times: NDArray, setpoints: Setpoint, band: tuple[Array, Array]) -> Feasibility:
+    """Feasibility of setpoints of shape (periods,), from the attainable stiffness at them (`static_band`)."""
+    angle, *others = (np.asarray(values)[: times.size] for values in (*setpoints, *band))
+    return Feasibility(times, angle, *others, cause=leaves_domain(plant.supplied_joint, angle, np.isnan(others[-1])))
+
+
+def attainable_band(
+    plant: JointPlant, angle: Array, amplitude: ArrayLike | None = None, minimum_tension: Any = 0.0
+) -> tuple[Array, Array]:
+    """Lowest and highest stiffness [N*m/rad] at which the supplied joint holds angles [rad] against gravity."""
+    torque = -plant.load.gravity_torque(angle)
+    return plant.supplied_joint.attainable_stiffness(
+        angle, torque, amplitude=amplitude, minimum_tension=minimum_tension
+    )
+
+
+def _band_at(shared: tuple[JointPlant, ArrayLike | None, ArrayLike], angle: Array) -> tuple[Array, Array]:
+    """`attainable_band` at one angle."""
+    plant, amplitude, tension = shared
+    return attainable_band(plant, angle, amplitude, tension)
+
+
+static_bands = BatchFunction(_band_at)
+
+
+def static_band(
+    plant: JointPlant, angles: ArrayLike, amplitude: ArrayLike | None, tension: ArrayLike = 0.0, *, engine: str = "auto"
+) -> tuple[Array, Array]:
+    """`attainable_band` at angles of shape (periods,), and at the last one repeated: each length needs a program."""
+    padded = np.pad(angles, (0, -np.size(angles) % _BLOCK), mode="edge")
+    return static_bands(engine, numeric((plant, amplitude, tension)), padded)[0]
