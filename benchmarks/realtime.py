@@ -25,16 +25,12 @@ from mckibben.realtime.record import Percentiles
 from mckibben.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-DECOUPLING = {"decoupling": {"poles": {"bandwidth": "80 rad/s"}, "disturbance_observer": {"bandwidth": "250 rad/s"}}}
+SCENARIOS = {"PID": "pre-contracted-step-pid.yaml", "decoupling": "valves/regulator-decoupling.yaml"}
 
 
-def scenario(duration, period, controller=None):
-    """The knee that moves along a sine, in SI."""
-    read = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
-    changes = {"duration": duration, "control_period": period}
-    if controller is not None:
-        changes["controller"] = type(read.controller).model_validate(controller)
-    return read.model_copy(update=changes)
+def scenario(file, duration, period):
+    """A scenario of the examples that moves along a sine, for a duration and with a control period [s]."""
+    return Scenario.read(EXAMPLES / file).model_copy(update={"duration": duration, "control_period": period})
 
 
 def asleep(duration, period):
@@ -98,8 +94,8 @@ def print_runs(duration, period):
     """The table of runs."""
     print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] | others, ours [cores] |")
     print("|---|---|---|---|---|---|---|", flush=True)
-    for name, controller in (("PID", None), ("decoupling, 80 rad/s", DECOUPLING)):
-        session = prepare(scenario(duration, period, controller), JointRig.parse("rig: simulated"))
+    for name, file in SCENARIOS.items():
+        session = prepare(scenario(file, duration, period), JointRig.parse("rig: simulated"))
         with tempfile.TemporaryDirectory() as folder, Load() as load:
             ran = session.run(folder)
         timing = ran.timing

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.control import Setpoint
@@ -22,6 +22,7 @@ from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PlantState
+from mckibben.realtime.compiled_step import FlatTree, compile_flat
 from mckibben.scenario import Scenario, batched, initial_state, valid_rows
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.outcome import SWUNG_OVER_AT
@@ -236,6 +237,60 @@ def advance(
     return episode._replace(seen=seen), step
 
 
+class _FlatEpisodes:
+    """`begin` and `advance` with episode and `EpisodeStep` packed as arrays."""
+
+    def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int, history: int) -> None:
+        self._settings, self._counts, self._history = settings, (substeps, repeat), history
+        self._layout = FlatTree.like(jax.eval_shape(lambda: begin(*plants.row(0), settings.period, history)[0]))
+        self.size = self._layout.size
+
+    def begin(self, problem: SimulationProblem, start: PlantState) -> tuple[Array, Array]:
+        """Begin an episode."""
+        episode, observation = begin(problem, start, self._settings.period, self._history)
+        return self._layout.pack(episode, jnp), jnp.concatenate([observation, jnp.zeros(len(EpisodeStep._fields) - 1)])
+
+    def advance(self, problem: SimulationProblem, episode: Array, action: Array) -> tuple[Array, Array]:
+        """Advance an episode."""
+        at, step = advance(problem, self._layout.unpack(episode), action, self._settings, *self._counts)
+        return self._layout.pack(at, jnp), jnp.concatenate([step.observation, jnp.stack(step[1:], dtype=float)])
+
+
+def _step(values: ArrayLike) -> EpisodeStep:
+    """`EpisodeStep` from an array with its elements along the last axis."""
+    values, others = np.asarray(values), len(EpisodeStep._fields) - 1
+    return EpisodeStep(values[..., :-others], *np.moveaxis(values[..., -others:], -1, 0))
+
+
+class SingleProgram:
+    """Compiled episodes of one joint, whose parameters are arguments."""
+
+    def __init__(self, plants: Plants, settings: Settings, **counts: int) -> None:
+        flat, self._plants = _FlatEpisodes(plants, settings, **counts), plants
+        numbers, starts = self._layouts = tuple(map(FlatTree.like, plants.row(0)))
+
+        def first(packed: Array, start: Array) -> tuple[Array, Array]:
+            return flat.begin(numbers.unpack(packed), starts.unpack(start))
+
+        def following(packed: Array, episode: Array, action: Array) -> tuple[Array, Array]:
+            return flat.advance(numbers.unpack(packed), episode, action)
+
+        self._first = compile_flat(first, numbers.size, starts.size)
+        self._following = compile_flat(following, numbers.size, flat.size, 2)
+
+    def begin(self, row: int) -> EpisodeStep:
+        """Begin an episode with the plant of a row."""
+        numbers, start = (layout.pack(part) for layout, part in zip(self._layouts, self._plants.row(row), strict=True))
+        self._numbers = jnp.asarray(numbers)
+        self._episode, values = self._first(self._numbers, start)
+        return _step(values)
+
+    def advance(self, action: ArrayLike) -> EpisodeStep:
+        """Advance the episode."""
+        self._episode, values = self._following(self._numbers, self._episode, np.asarray(action, float))
+        return _step(values)
+
+
 def _begun(shared: PyTree, lane: PyTree) -> tuple[Episode, Array]:
     (fixed, settings, history), (varying, start) = shared, lane
     return begin(eqx.combine(varying, fixed), start, settings.period, history)
@@ -249,8 +304,8 @@ def _advanced(shared: PyTree, lane: PyTree) -> tuple[Episode, EpisodeStep]:
 _BEGIN, _ADVANCE = BatchFunction(_begun), BatchFunction(_advanced)
 
 
-class EpisodeProgram:
-    """Episodes of joints, compiled as C, or by XLA without a C compiler; finished episodes restart."""
+class ManyProgram:
+    """Episodes of many joints, compiled as C, or by XLA without a C compiler; finished episodes restart."""
 
     def __init__(self, plants: Plants, settings: Settings, *, substeps: int, repeat: int, history: int) -> None:
         self._plants = plants

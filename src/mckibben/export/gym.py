@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from mckibben.errors import ExportError
 from mckibben.export.episodes import (
     LIMITS,
-    EpisodeProgram,
+    ManyProgram,
     RewardTerms,
     Settings,
+    SingleProgram,
     example_of,
     names_of,
     plants_of,
@@ -131,23 +132,23 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         self.joint = _Joint(scenario, **options)
         self.observation_space, self.action_space = self.joint.observation_space, self.joint.action_space
         self.metadata = self.joint.metadata
-        self._program = EpisodeProgram(self.joint.plants, self.joint.settings, **self.joint.options)
+        self._program = SingleProgram(self.joint.plants, self.joint.settings, **self.joint.options)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode with one of the plants; `options` may select it, ``{"plant": 3}``."""
         super().reset(seed=seed)
         row = (options or {}).get("plant")
         row = int(self.np_random.integers(self.joint.plants.rows) if row is None else row)
-        self._steps, self._rows = 0, np.array([row])
-        return self._program.begin(self._rows)[0].astype(np.float32), {"plant": row}
+        self._steps = 0
+        return self._program.begin(row).observation.astype(np.float32), {"plant": row}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Apply commands for a step."""
-        step = self._program.advance(self._rows, np.asarray(action)[None], np.zeros(1, bool))
+        step = self._program.advance(action)
         self._steps += 1
-        info = {"stiffness": float(step.stiffness[0]), "air": float(step.air[0])}
-        observation, ended = step.observation[0].astype(np.float32), self._steps >= self.joint.most_steps
-        return observation, float(step.reward[0]), bool(step.failed[0]), ended, info
+        info = {"stiffness": float(step.stiffness), "air": float(step.air)}
+        observation, ended = np.asarray(step.observation, np.float32), self._steps >= self.joint.most_steps
+        return observation, float(step.reward), bool(step.failed), ended, info
 
 
 class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
@@ -172,7 +173,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         self.single_observation_space, self.single_action_space = self.joint.observation_space, self.joint.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._program = EpisodeProgram(self.joint.plants, self.joint.settings, **self.joint.options)
+        self._program = ManyProgram(self.joint.plants, self.joint.settings, **self.joint.options)
         self.metadata = {**self.joint.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
