@@ -28,7 +28,6 @@ from mckibben.errors import McKibbenWarning
 from mckibben.identification import DatasetSummary, Fit, Grouping
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import uncertainty
 from mckibben.muscle import ExponentialLaw, forces
 from mckibben.study.uncertainty import joint_bands
 from mckibben.units import bar, factor, mm, percent

@@ -12,6 +12,7 @@ import equinox as eqx
 import numpy as np
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import (
     PID,
     DecouplingControl,
@@ -24,7 +25,7 @@ from mckibben.control import (
     Sine,
     Step,
 )
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.simulation import simulate, simulate_many
 from mckibben.study.compare import Suite, draw
 from mckibben.units import bar, deg, mm, ms

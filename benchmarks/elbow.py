@@ -30,10 +30,11 @@ from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, lfilter, lsim, lti
 from scipy.special import chdtrc
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.calibration import JointPrior, JointRecording, calibrate_from_commands
 from mckibben.joint import AntagonisticJoint, GeneralLoad, PairedPaths, Pulley
 from mckibben.muscle import Domain, Muscle, Specimen, TonduLopezLaw
-from mckibben.plant import FirstOrderValve, JointFriction
+from mckibben.plant import JointFriction
 from mckibben.units import bar, deg, mm, ms, percent
 
 EVERY, STEP, PERIOD, STARTS = 3, 3.0, 0.01, 8  # files; s; s; of the rivals' fits

@@ -185,7 +185,7 @@ def _calibration() -> bytes:
 def _dataset(path: Path) -> Any:
     from mckibben import read_dataset
 
-    return read_dataset(path, on_corrupt="report")
+    return read_dataset(path, accept=["corrupt"])
 
 
 def _scenario(path: Path) -> Any:

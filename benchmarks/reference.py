@@ -15,9 +15,10 @@ from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import PID, Controller, PositionStiffnessControl, Reference, Setpoint, Sine, Step
 from mckibben.joint import AntagonisticJoint, KneeGeometry
-from mckibben.plant import FirstOrderValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import sampled
 from mckibben.units import bar, deg, mm, ms
 

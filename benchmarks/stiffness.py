@@ -17,6 +17,7 @@ import equinox as eqx
 import numpy as np
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import (
     DecouplingControl,
     ExtendedStateObserver,
@@ -27,7 +28,7 @@ from mckibben.control import (
     Step,
 )
 from mckibben.muscle import MaxwellSlip, scaled_law
-from mckibben.plant import FirstOrderValve, JointPlant, SampledSensors
+from mckibben.plant import JointPlant, SampledSensors
 from mckibben.simulation import simulate_many
 from mckibben.units import deg, kPa, mm, ms
 

@@ -21,6 +21,7 @@ import pytest
 import xarray as xr
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.codegen import cuda
 from mckibben.codegen.native import NativeFunction
 from mckibben.component import extensions
@@ -29,7 +30,7 @@ from mckibben.errors import DeviceError
 from mckibben.joint import AntagonisticJoint
 from mckibben.leg import simulate as leg_runs
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.simulation import Batch, Metrics, Outcome, batch, compiled_episode, episode
 from mckibben.simulation.engine import compute_with
 from mckibben.simulation.outcome import OUTCOMES
@@ -374,5 +375,5 @@ def invented(suite, runs, controller, sets=1, metrics=Metrics._fields, engine="n
 def simulating_nothing():
     """Comparisons go through `invented` in place of a simulation."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mckibben.study.compare.compare._simulated", invented)
+        patch.setattr("mckibben.study.compare.evaluation._simulate_group", invented)
         yield

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 
 import mckibben as mk
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import Reference, Sine, Step
 from mckibben.export import export_leg_controller
 from mckibben.leg import CoupledControl, JointwiseControl, LegPlant, LegStart, TimedReference, read_leg, simulate_leg
 from mckibben.leg.dynamics import joint_equations
-from mckibben.plant import FirstOrderValve, SampledSensors
+from mckibben.plant import SampledSensors
 from mckibben.units import bar, deg, kPa, ms
 
 SINES = {"side": (5 * deg, 0.7), "hip": (3 * deg, 1.1), "knee": (8 * deg, 0.9)}  # amplitude, Hz

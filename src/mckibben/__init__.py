@@ -26,8 +26,8 @@ def __getattr__(name: str) -> object:
         from mckibben.errors import closest
 
         methods = ("simulate", "envelope", "tune", "compare", "export")
-        packages = (f"{__name__}.{one}" for one in _PACKAGES if name[:1].isupper())
-        if home := next((one for one in packages if hasattr(import_module(one), name)), ""):
+        packages = (f"{__name__}.{package}" for package in _PACKAGES if name[:1].isupper())
+        if home := next((package for package in packages if hasattr(import_module(package), name)), ""):
             text = f"mckibben has no {name!r}; write: from {home} import {name}"
             raise AttributeError(text, name=name) from None
         meant = f"scenario.{name}()" if name in methods else closest(name, __all__)

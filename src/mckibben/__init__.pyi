@@ -1,3 +1,12 @@
+from .actuator import (
+    FirstOrderValve as FirstOrderValve,
+    FlowValve as FlowValve,
+    IdealValve as IdealValve,
+    PressureRegulator as PressureRegulator,
+    SwitchingValves as SwitchingValves,
+    Tube as Tube,
+    UnequalValves as UnequalValves,
+)
 from . import catalog as catalog, leg as leg, report as report, units as units
 from .control import (
     PID as PID,
@@ -76,16 +85,9 @@ from .paper import (
     reproduce as reproduce,
 )
 from .plant import (
-    FirstOrderValve as FirstOrderValve,
-    FlowValve as FlowValve,
-    IdealValve as IdealValve,
     JointFriction as JointFriction,
     JointPlant as JointPlant,
-    PressureRegulator as PressureRegulator,
     SampledSensors as SampledSensors,
-    SwitchingValves as SwitchingValves,
-    Tube as Tube,
-    UnequalValves as UnequalValves,
 )
 from .reachability import (
     Requirement as Requirement,

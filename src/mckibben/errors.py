@@ -181,14 +181,6 @@ class UnreachableError(McKibbenError, ValueError):
     """No pressures within limits give the requested angle, torque or stiffness."""
 
 
-class SubmissionError(McKibbenError, ValueError):
-    """A submission to the benchmark cannot be run; holds its `file` and the `function` at fault."""
-
-    def __init__(self, message: str, *, file: str, function: str = "", remedy: str = "") -> None:
-        super().__init__(message, field=function, remedy=remedy)
-        self.file, self.function = file, function
-
-
 class ExportError(McKibbenError, ValueError):
     """A model or function cannot be expressed in another language or format."""
 
@@ -288,7 +280,9 @@ class FileError(McKibbenError, ValueError):
             alike = (problem.field, problem.message, problem.remedy)
             groups.setdefault(alike if problem.line is not None else id(problem), []).append(problem)
         shown = list(groups.values())[: self.shown]
-        lines += [f"  {one[0].text([each.line for each in one if each.line is not None])}" for one in shown]
+        lines += [
+            f"  {group[0].text([problem.line for problem in group if problem.line is not None])}" for group in shown
+        ]
         if rest := count - sum(map(len, shown)):
             lines.append(f"  ... and {rest} more")
         super().__init__("\n".join(lines))

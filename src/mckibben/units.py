@@ -20,8 +20,6 @@ import functools
 import math
 import re
 from dataclasses import dataclass
-from decimal import Decimal
-from fractions import Fraction
 from typing import Annotated, Any, NoReturn
 
 from mckibben.errors import LONGEST_VALUE, RangeError, UnitError, quoted
@@ -67,19 +65,25 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "s": (1.0, _TIME),
     "ms": (ms, _TIME),
     "us": (1e-6, _TIME),
+    "ns": (1e-9, _TIME),
     "min": (60.0, _TIME),
     "Hz": (1.0, (0, 0, -1, 0, 0)),
     "N": (1.0, _FORCE),
     "kN": (1e3, _FORCE),
     "daN": (10.0, _FORCE),
     "cN": (0.01, _FORCE),
+    "mN": (1e-3, _FORCE),
     "kgf": (9.80665, _FORCE),
+    "gf": (9.80665e-3, _FORCE),
     "lbf": (4.4482216152605, _FORCE),
     "Pa": (1.0, _PRESSURE),
     "kPa": (kPa, _PRESSURE),
     "MPa": (MPa, _PRESSURE),
     "bar": (bar, _PRESSURE),
     "mbar": (100.0, _PRESSURE),
+    "hPa": (100.0, _PRESSURE),
+    "atm": (atm, _PRESSURE),
+    "mmHg": (133.322387415, _PRESSURE),
     "psi": (6894.757293168361, _PRESSURE),
     "rad": (1.0, _ANGLE),
     "mrad": (mrad, _ANGLE),
@@ -213,9 +217,6 @@ def quantity(text: str, unit: str) -> float:
         step = f"{360 / 2 ** min(abs(float(number.group())), 64):.6g} deg"
         raise UnitError(f"{quoted(text)} is not an angle", value=text, unit=unit, remedy=f"write the step: {step!r}")
     value = float(number.group()) * factor(rest or "1", unit)
-    mantissa = number.group().lower().partition("e")[0]
-    if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # by `Quantity.write`
-        value = float(Fraction(number.group()) * Fraction(factor(rest or "1", unit)))
     if not math.isfinite(value):
         raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=unit)
     return value
@@ -309,19 +310,14 @@ class Quantity:
         return number
 
     def write(self, value: float) -> str:
-        """Text in the shown unit that `read` converts back to the same float.
-
-        Some floats are not the product of a float and the factor. They get 20 digits, and `quantity` rounds the product
-        once.
-        """
+        """Text in the shown unit that `read` converts back to the same float, or in SI if no such text exists."""
         if self.shown == "1":
             return f"{value:.16g}" if float(f"{value:.16g}") == value else repr(value)
         for digits in (15, 16, 17):
             text = show(value, self.shown, digits)
             if quantity(text, self.unit) == value:
                 return text
-        text = f"{Decimal(value) / Decimal(factor(self.shown, self.unit)):.20g} {self.shown}"
-        return text if quantity(text, self.unit) == value else show(value, self.unit, 17)
+        return show(value, self.unit, 17)
 
     @functools.cached_property
     def limits(self) -> tuple[float, float]:
@@ -383,14 +379,14 @@ class BoundedInt:
 
     def read(self, value: Any) -> int:
         """Check the number; RangeError unless it is an integer within the range."""
-        given = value
+        written = value
         if isinstance(value, str):
             value = int(value) if _WHOLE.fullmatch(value.strip()) else None
         kind = isinstance(value, int) and not isinstance(value, bool)
         if not kind or not self.lower <= value <= self.upper:
             message = "is not a whole number" if value is None else f"is outside {self.range}"
             raise RangeError(
-                f"{quoted(given if value is None else value)} {message}",
+                f"{quoted(written if value is None else value)} {message}",
                 value=value,
                 lower=self.lower,
                 upper=self.upper,

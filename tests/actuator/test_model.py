@@ -4,7 +4,6 @@ import dataclasses
 import math
 
 import jax.numpy as jnp
-import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
@@ -18,7 +17,6 @@ from mckibben.actuator import (
     SecondOrderValve,
     SwitchingValves,
 )
-from mckibben.actuator.base import lag_fraction
 from mckibben.units import bar, ms
 
 ATMOSPHERE, ENERGY, DENSITY = 1.01325e5, 288.0 * 293.15, 1.185
@@ -67,14 +65,6 @@ def test_a_regulator_is_predicted_at_small_and_at_large_errors(command, valve):
         assert float(state) == pytest.approx(lagged, rel=1e-6)
 
 
-@pytest.mark.parametrize("pressure", [0.3 * bar, 2.5 * bar, 5.0 * bar])
-def test_the_attainable_pressures_are_those_of_the_open_valve(pressure):
-    reach = REGULATOR.attainable(jnp.asarray(pressure), jnp.asarray(pressure), LIMITS, AIR, PERIOD)
-    for opening, limit in zip((-1.0, 1.0), reach(pressure), strict=True):
-        rate = INDEX / VOLUME * (ENERGY * flow(opening, pressure) - (pressure + ATMOSPHERE) * GROWTH)
-        assert float(limit) == pytest.approx(pressure + PERIOD * rate, rel=1e-9)
-
-
 @pytest.mark.parametrize(("pressure", "rate"), [(2.5 * bar, 8 * bar), (2.5 * bar, -9 * bar), (5 * bar, 7 * bar)])
 def test_the_command_for_a_rate_gives_that_rate(pressure, rate):
     """Where the error is above the dead zone."""
@@ -101,16 +91,6 @@ def test_the_command_leads_the_pressure_to_a_target(target):
 def test_the_pressure_follows_a_target_with_the_lag_of_narrow_and_wide_valves(lag_of, conductance, period):
     valve = PressureRegulator(conductance, SUPPLY, time_constant=LAG, band=BAND)
     assert lag_of(valve, AIR.volume, 12 * ms, period) == pytest.approx(12 * ms, rel=0.1)
-
-
-def test_a_first_order_valve_covers_its_part_of_the_way_within_a_period():
-    valve, pressure = FirstOrderValve(20 * ms), jnp.asarray(2 * bar)
-    command = valve.command_toward(pressure, (), 3 * bar, None, 5 * ms, PERIOD)
-    following, _ = valve.predict(pressure, (), command, None, PERIOD)
-    assert float(following) == pytest.approx(2 * bar + (1 - math.exp(-0.2)) * bar, rel=1e-12)
-    lowest, highest = valve.attainable(pressure, (), LIMITS, None, PERIOD)(pressure)
-    for command, limit in zip(LIMITS, (lowest, highest), strict=True):
-        assert float(valve.pressure_after(pressure, command, PERIOD)) == pytest.approx(float(limit), rel=1e-12)
 
 
 def test_a_limited_rate_limits_what_is_attainable():
@@ -140,8 +120,3 @@ def test_at_its_target_a_pressure_stays(valve):
     assert float(following) == pytest.approx(3 * bar, rel=1e-12)
     lowest, highest = valve.attainable(pressure, state, LIMITS, still, PERIOD)(pressure)
     assert float(lowest) < 3 * bar < float(highest)
-
-
-def test_the_part_of_a_step_that_a_lag_covers():
-    assert float(lag_fraction(0.0, PERIOD)) == 1.0
-    np.testing.assert_allclose(lag_fraction(np.array([0.01, 0.1]), PERIOD), 1 - np.exp([-0.1, -0.01]), rtol=1e-12)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +9,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mckibben.actuator import AirVolume, FlowValve, PressureRegulator, SwitchingValves, Tube
+from mckibben.actuator import AirVolume, FlowValve, PressureRegulator, Tube
 from mckibben.errors import RangeError
 from mckibben.muscle.air import mass_flow, pressure_behind
 from mckibben.numerics.calculus import rk4
-from mckibben.scenario import Scenario, run_scenario
 from mckibben.units import bar, cm, ms
 
 ATMOSPHERE, ENERGY, DENSITY, INDEX = 101325.0, 288.0 * 293.15, 1.185, 1.2
@@ -108,19 +106,6 @@ def test_muscle_and_tube_fill_and_vent_as_an_independent_solver_says(command):
     assert float(state.valve) == pytest.approx(held, rel=1e-8)
 
 
-def test_no_air_is_lost_or_made_at_constant_temperature():
-    """With n = 1 the masses in tube and muscle change by what the valve passes, less the leak."""
-    valve = dataclasses.replace(VALVE, polytropic_index=1.0)
-    tube, pressure, outlet = Tube(valve, volume=ROOM, conductance=THIN), jnp.asarray(2 * bar), jnp.asarray(3 * bar)
-    state = tube.init(pressure)._replace(pressure=outlet)
-    air = AirVolume(jnp.asarray(VOLUME), jnp.asarray(GROWTH))
-    muscle_rate, rates, drawn = tube.muscle_rate(pressure, state, 5 * bar, air, SUPPLY + ATMOSPHERE)
-    stored = (muscle_rate * VOLUME + (pressure + ATMOSPHERE) * GROWTH + rates.pressure * (ROOM + DEAD)) / ENERGY
-    through = valve.flow(valve.opening(state.valve, 5 * bar, outlet), SUPPLY + ATMOSPHERE, outlet)
-    assert float(stored) == pytest.approx(float(through - valve.leakage(pressure)), rel=1e-12)
-    assert float(drawn) == max(float(through), 0.0)
-
-
 def test_a_command_that_rose_and_one_that_fell_to_a_value_differ_by_the_hysteresis():
     """Both slower than the lag; without the tube, in steady state."""
     valve = dataclasses.replace(VALVE, leak=None)
@@ -186,24 +171,6 @@ def test_the_pressure_follows_a_target_with_the_lag_behind_narrow_and_wide_tubes
     assert lag_of(model, VOLUME, 12 * ms, PERIOD) == pytest.approx(12 * ms, rel=0.05)
 
 
-@pytest.mark.parametrize("rate", [4 * bar, -4 * bar])
-def test_the_command_for_a_rate_gives_that_rate(rate):
-    """Along a ramp, with the pressure at the outlet and the lagged command that belong to it."""
-    pressure, air = jnp.asarray(2.5 * bar), AirVolume(jnp.asarray(VOLUME), jnp.asarray(GROWTH))
-    command = float(TUBE.command_for(pressure, rate, air))
-    held = command - LAG * rate - math.copysign(HYSTERESIS / 2, rate)
-    needed = (rate * VOLUME / INDEX + (2.5 * bar + ATMOSPHERE) * GROWTH) / ENERGY + flow(
-        LEAK, 2.5e5 + 101325, 101325, 0.3
-    )
-    outlet = pressure_behind(THIN, 0.25, 2.5 * bar + ATMOSPHERE, needed) - ATMOSPHERE
-    state = TUBE.init(pressure)._replace(valve=jnp.asarray(held), pressure=outlet)
-    found, moved, _ = TUBE.muscle_rate(pressure, state, command, air, SUPPLY + ATMOSPHERE)
-    assert float(found) == pytest.approx(rate, rel=1e-9)
-    assert (float(moved.pressure), float(moved.valve)) == (pytest.approx(rate, rel=1e-9), pytest.approx(rate, rel=1e-9))
-    assert float(TUBE.command_for(pressure, 1e9, air)) == math.inf
-    assert float(TUBE.command_for(pressure, -1e9, air)) == -math.inf
-
-
 def test_what_no_tube_can_be_is_refused():
     for wrong, field in (
         ({"volume": 0.0}, "volume"),
@@ -214,68 +181,6 @@ def test_what_no_tube_can_be_is_refused():
         with pytest.raises(RangeError) as caught:
             Tube(**({"valve": VALVE, "volume": ROOM, "conductance": THIN} | wrong))
         assert caught.value.field == field
-
-
-def test_switching_valves_measure_the_pressure_at_their_outlet():
-    tube = Tube(SwitchingValves(C, SUPPLY, period=10 * ms), volume=ROOM, conductance=THIN)
-    state = tube.init(jnp.asarray(2 * bar))._replace(pressure=jnp.asarray(3 * bar))
-    before = tube.before_step(state, 3 * bar, 2 * bar, 1 * ms)
-    assert tube.switches and float(before.valve.duty) == 0.0  # the outlet has the pressure of the command
-    assert float(tube.signals(before, 3 * bar, 2 * bar)["outlet"]) == 3 * bar
-
-
-@pytest.mark.parametrize(("command", "side"), [(8 * bar, 1), (0.0, 0)])
-@pytest.mark.slow
-def test_the_attainable_pressures_are_those_of_the_flow_that_lasts(command, side):
-    """With the valve fully open, after the tube has followed; conductances in series are an approximation."""
-    start, time = 2.5 * bar, np.array([0.03, 0.031])
-    muscle, tube, *_ = independent(start, lambda t: command, time)
-    state = TUBE.init_model(jnp.asarray(muscle[0]))._replace(pressure=jnp.asarray(tube[0]))
-    air = AirVolume(jnp.asarray(VOLUME + 0.03 * GROWTH), jnp.asarray(GROWTH))
-    reach = TUBE.attainable(jnp.asarray(muscle[0]), state, (0.0, 8 * bar), air, 1 * ms)(muscle[0])
-    assert float(reach[side]) - muscle[0] == pytest.approx(muscle[1] - muscle[0], rel=0.2)
-
-
-REGULATOR = Path(__file__).parents[2] / "examples" / "valves" / "regulator-decoupling.yaml"
-
-
-@pytest.mark.slow
-def test_a_controller_that_knows_the_tube_has_less_than_half_of_the_error():
-    """At 6 deg and 1 Hz, against one that takes the tube for a dead volume; a tube of 0.03 L/(s*bar)."""
-    text = REGULATOR.read_text(encoding="utf-8").replace("amplitude: 3 deg, frequency: 0.5 Hz", "amplitude: 6 deg")
-    text = text.replace("start: {angle: 3 deg}", "start: {angle: 6 deg}").replace("duration: 4 s", "duration: 2 s")
-    scenario = Scenario.parse(text.replace("amplitude: 6 deg", "amplitude: 6 deg, frequency: 1 Hz"))
-    valve = dataclasses.replace(scenario.valve, dead_volume=1 * cm**3)
-    tube = Tube(valve, volume=5 * cm**3, conductance=0.03e-8)
-    errors = []
-    for model in (tube, dataclasses.replace(valve, dead_volume=6 * cm**3)):
-        controller = dataclasses.replace(scenario.controller, valve=model)
-        changed = {"valve": tube, "controller": controller, "substeps": 12}
-        errors.append(run_scenario(scenario.model_copy(update=changed)).metrics["angle_rmse"])
-    assert errors[0] < 0.5 * errors[1]
-
-
-def test_its_time_constant_is_that_of_a_compiled_step():
-    """Controllers compute it in each step."""
-    tube = Tube(PressureRegulator(1e-9, 7e5, time_constant=0.02), volume=6e-6, conductance=0.8e-9)
-    compiled = jax.jit(lambda valve: valve.time_constant_at(3e5, 2e-5))(tube)
-    assert float(compiled) == pytest.approx(float(tube.time_constant_at(3e5, 2e-5)), rel=1e-12)
-
-
-def test_a_predicted_step_errs_with_the_third_power_of_its_length():
-    """Against 64 steps of the same time, while the valve is at rest: terms of first and second order are exact."""
-    start, still = jnp.asarray(2.5 * bar), AirVolume(jnp.asarray(VOLUME), jnp.zeros(()))
-    tube = dataclasses.replace(TUBE, valve=dataclasses.replace(VALVE, hysteresis=None, leak=None))
-    predict = jax.jit(lambda pressure, state, step: tube.predict(pressure, state, start, still, step))
-
-    def moved(time, steps):
-        pressure, state = start, tube.init_model(start)._replace(pressure=start + 0.1 * bar)
-        for _ in range(steps):
-            pressure, state = predict(pressure, state, time / steps)
-        return np.array([pressure, state.pressure])
-
-    longer, shorter = (moved(time, 1) - moved(time, 64) for time in (0.5 * ms, 0.25 * ms))
-    assert ((longer / shorter > 6) & (longer / shorter < 12)).all()
 
 
 def test_valve_and_tube_in_series_have_one_conductance():

@@ -1,7 +1,6 @@
 """Unequal valves with tubes and a shared reservoir, against SciPy with the equations written anew."""
 
 import dataclasses
-import itertools
 import math
 
 import jax
@@ -17,16 +16,12 @@ from mckibben.actuator import (
     FlowValve,
     IdealValve,
     PressureRegulator,
-    SecondOrderValve,
-    SwitchingValves,
     Tube,
     UnequalValves,
 )
-from mckibben.control import DecouplingControl, PolePlacement, Setpoint
 from mckibben.errors import RangeError
 from mckibben.numerics.calculus import rk4
 from mckibben.plant import JointPlant
-from mckibben.simulation import closed_valves
 from mckibben.units import bar, cm, ms
 
 ATMOSPHERE, ENERGY, DENSITY, INDEX, SUPPLY = 101325.0, 288.0 * 293.15, 1.185, 1.2, 7 * bar
@@ -105,38 +100,6 @@ def test_each_muscle_has_its_own_response_and_limit(knee, load):
     assert float(LAGGING.lag) == pytest.approx(25 * ms)
     commands = plant.commands_for(state, (bar, bar))
     assert [float(one) for one in commands] == [pytest.approx(2.02 * bar), pytest.approx(2.03 * bar)]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("valve", [FirstOrderValve(20 * ms), SecondOrderValve(60.0), VALVES[0].valve], ids=repr)
-def test_two_equal_ones_are_one(knee, load, valve):
-    """In a plant, and as a controller's model."""
-    found = {}
-    for name, own in {"one": valve, "two": UnequalValves(valve, valve)}.items():
-        plant = JointPlant(knee, load, own)
-        state = plant.init_state(0.0, (2 * bar, 2.5 * bar))
-        after = plant.advance(state, (3 * bar, 1 * bar), 10 * ms, 20)
-        controller = DecouplingControl(knee, load, PolePlacement(), valve=own)
-        started = controller.init(plant.true_measurement(state))
-        setpoint = Setpoint(jnp.asarray(0.05), jnp.asarray(15.0))
-        commands = controller.step(started, setpoint, plant.true_measurement(after), 1 * ms)[1]
-        found[name] = [float(one) for one in (*after.pressures, after.angle, *commands)]
-    np.testing.assert_allclose(found["two"], found["one"], rtol=1e-12)
-
-
-def test_the_stiffness_with_closed_valves_needs_equal_dead_volumes(knee, load):
-    equal = UnequalValves(*(dataclasses.replace(one, volume=ROOM) for one in VALVES))
-    assert float(closed_valves(JointPlant(knee, load, equal)).valve.dead_volume) == ROOM
-    unequal = UnequalValves(VALVES[0], dataclasses.replace(VALVES[1], volume=2 * ROOM))
-    with pytest.raises(RangeError) as caught:
-        closed_valves(JointPlant(knee, load, unequal))
-    assert caught.value.field == "valve"
-
-
-def test_one_switching_valve_makes_a_switching_pair():
-    switching, steady = SwitchingValves(1e-9, SUPPLY, period=0.01), PressureRegulator(1e-9, SUPPLY, time_constant=0.02)
-    pairs = itertools.product((switching, steady), repeat=2)
-    assert [UnequalValves(*pair).switches for pair in pairs] == [True, True, True, False]
 
 
 def test_what_no_pair_can_be_is_refused():

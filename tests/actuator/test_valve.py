@@ -1,12 +1,11 @@
 import math
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.errors import RangeError
-from mckibben.plant import FirstOrderValve, IdealValve
 from mckibben.units import bar
 
 
@@ -35,13 +34,6 @@ def test_a_first_order_valve_moves_at_the_rate_that_its_command_is_for():
     assert (float(moved) - 2e5) / moment == pytest.approx(rate, rel=1e-5)
 
 
-def test_valves_take_arrays():
-    command, pressure = np.array([1e5, 2e5]), np.array([3e5, 3e5])
-    after = FirstOrderValve(0.1).pressure_after(pressure, command, jnp.array([0.0, 1e9]))
-    np.testing.assert_allclose(after, [3e5, 2e5])
-    np.testing.assert_array_equal(IdealValve().after_command(pressure, command), command)
-
-
 @pytest.mark.parametrize("command", [0.5e5, 2.2e5, 6e5])
 def test_a_limited_rate_is_the_solution_of_its_differential_equation(command):
     valve, start = FirstOrderValve(0.05, rate=20 * bar), 2e5
@@ -60,9 +52,3 @@ def test_no_command_exceeds_a_limited_rate():
     with pytest.raises(RangeError) as caught:
         FirstOrderValve(0.05, rate=0.0)
     assert caught.value.field == "rate"
-
-
-def test_an_ideal_valve_has_no_lag_and_needs_no_lead():
-    assert IdealValve().lag == 0.0
-    assert float(IdealValve().command_for(2e5, 1e6)) == 2e5
-    assert IdealValve().after_command(1e5, 3e5) == 3e5

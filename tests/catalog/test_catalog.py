@@ -46,10 +46,6 @@ def test_every_number_of_every_entry_is_finite(kind, name):
     assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(LOADERS[kind](name)))
 
 
-def test_no_kind_is_empty():
-    assert {kind for kind, _ in ENTRIES} == set(KINDS)
-
-
 def test_the_coefficients_of_equation_3_are_the_printed_ones_once_they_are_in_bar_and_percent():
     law = catalog.law("lei-mas-10-180n")
     assert isinstance(law, ExponentialLaw)
@@ -70,10 +66,6 @@ def test_the_specimen_is_the_papers():
     assert [box.contraction_min, box.contraction_max, box.pressure_min, box.pressure_max] == pytest.approx(
         [-0.03, 0.25, 0.0, 8e5]
     )
-
-
-def test_the_other_specimen_is_a_quarter_metre_long():
-    assert catalog.specimen("DMSP-10-250").initial_length == 0.25
 
 
 def test_the_knee_is_table_2():
@@ -97,17 +89,6 @@ def test_the_measured_map_has_17_pressures_5_lengths_and_40_taut_points():
     assert len(data.taut) == 40
 
 
-def test_the_makers_chart_has_119_taut_points():
-    data = catalog.dataset("festo-tool-10mm")
-    assert int(np.sum(np.asarray(data.force) > 0)) == 119
-    assert len(data.taut) == 119
-    assert float(np.max(data.pressure)) == pytest.approx(8e5)
-
-
-def test_a_dataset_remembers_where_it_comes_from():
-    assert "Martens" in catalog.dataset("dmsp-10-250-martens2017").table.attrs["source"]
-
-
 @pytest.mark.parametrize(
     ("loader", "wrong", "meant"),
     [
@@ -129,13 +110,6 @@ def test_a_name_like_no_other_gets_the_list():
         catalog.law("zzz")
     with pytest.raises(NotInCatalogError, match="geometries"):
         catalog.names("muscles")
-
-
-def test_the_citation_of_the_paper_says_what_to_know():
-    text = catalog.cite("lei-mas-10-180n")
-    assert "Lei" in text
-    assert "Eq. 3" in text
-    assert "bar, percent and N" in text
 
 
 def test_no_name_appears_twice_in_one_kind():

@@ -33,6 +33,17 @@ def german(tmp_path, paper) -> str:
     return "messung.csv"
 
 
+def values(numbers, title, column):
+    """A column of a table of a result, in its unit."""
+    (table,) = [table for table in numbers["tables"] if table["title"] == title]
+    return table["columns"][column]["values"]
+
+
+def parameter(numbers, name, column="estimate"):
+    """A number of a parameter, in published units."""
+    return values(numbers, "parameters", column)[values(numbers, "parameters", "parameter").index(name)]
+
+
 COLUMNS = (
     *("--column", "Druck [bar]=pressure_bar"),
     *("--column", "Kontraktion [%]=contraction_percent"),
@@ -44,20 +55,19 @@ def test_a_table_as_it_stands(cli):
     found = cli("identify", FESTO)
     assert found.code == 0
     assert re.search(r"^pressure_kPa +pressure +kPa +header +0\.\.800$", found.err, re.MULTILINE)
-    assert "119 points used, 1 slack left out; 10 pressures 0..8 bar" in found.out
-    assert "residuals: RMSE 2.76 N" in found.out
-    assert "leave-one-pressure-out: RMSE 3.42 N" in found.out
-    assert re.search(r"^decay +0\.3398\d+ +0\.0067 +1/percent", found.out, re.MULTILINE)
+    assert found.out.startswith("ExponentialLaw describes 119 points")
+    assert "to 2.76 N" in found.out and "3.42 N at pressures left out" in " ".join(found.out.split())
+    assert re.search(r"^decay +0\.3398\d+ +0\.0067 .*1/percent", found.out, re.MULTILINE)
 
 
 def test_an_entry_of_the_catalog_is_the_same(cli):
     by_name = json.loads(cli("identify", "dmsp-10-250-martens2017", "--json").out)
     by_path = json.loads(cli("identify", str(TABLES / "dmsp-10-250_martens2017.csv"), "--json").out)
-    for name in ("decay_per_percent", "rmse_N", "leave_one_pressure_out_rmse_N", "points_used", "points_slack"):
-        assert by_name[name] == pytest.approx(by_path[name])
-    assert by_name["decay_per_percent"] == pytest.approx(0.400, abs=5e-4)
-    assert by_name["rmse_N"] == pytest.approx(1.07, abs=5e-3)
-    assert by_name["points_used"] == 40
+    for column in ("rmse", "max_error", "points_used", "points_slack"):
+        assert values(by_name, "law", column) == pytest.approx(values(by_path, "law", column))
+    assert parameter(by_name, "decay") == pytest.approx(0.400, abs=5e-4)
+    assert values(by_name, "law", "rmse") == [pytest.approx(1.07, abs=5e-3)]
+    assert values(by_name, "law", "points_used") == [40]
 
 
 def test_semicolons_decimal_commas_and_other_headers(cli, german):
@@ -65,10 +75,10 @@ def test_semicolons_decimal_commas_and_other_headers(cli, german):
     assert found.code == 0
     assert re.search(r"^Druck \[bar\] +pressure +bar +columns ", found.err, re.MULTILINE)
     numbers = json.loads(found.out)
-    assert numbers["decay_per_percent"] == pytest.approx(0.3, rel=1e-6)
-    assert numbers["parameters"]["a2"]["estimate"] == pytest.approx(109.0, rel=1e-6)
-    assert numbers["parameters"]["c1"]["unit"] == "N"
-    assert json.loads(cli("identify", german, "--json").out)["parameters"] == numbers["parameters"]
+    assert parameter(numbers, "decay") == pytest.approx(0.3, rel=1e-6)
+    assert parameter(numbers, "a2") == pytest.approx(109.0, rel=1e-6)
+    assert parameter(numbers, "c1", "unit") == "N"
+    assert json.loads(cli("identify", german, "--json").out)["tables"] == numbers["tables"]
     without = cli("identify", german, "--column", "Druck [bar]=force_N")
     assert without.code == 2
     assert "'Kraft [N]'" in without.err or "pressure" in without.err
@@ -76,14 +86,14 @@ def test_semicolons_decimal_commas_and_other_headers(cli, german):
 
 def test_another_law(cli):
     numbers = json.loads(cli("identify", FESTO, "--law", "Chou", "--json").out)
-    assert numbers["law"] == "ChouLaw"
-    assert numbers["rmse_N"] > 50
+    assert numbers["verdict"].startswith("ChouLaw")
+    assert values(numbers, "law", "rmse")[0] > 50
 
 
 def test_the_slack_force_of_a_file(cli):
     few = json.loads(cli("identify", FESTO, "--slack-force", "50 N", "--json").out)
-    assert few["points_slack"] == int((catalog.dataset("festo-tool-10mm").force <= 50).sum())
-    assert few["points_used"] + few["points_slack"] == 120
+    (slack,), (used,) = values(few, "law", "points_slack"), values(few, "law", "points_used")
+    assert slack == int((catalog.dataset("festo-tool-10mm").force <= 50).sum()) and used + slack == 120
 
 
 def test_lengths_with_the_initial_length(cli, tmp_path):
@@ -95,7 +105,7 @@ def test_lengths_with_the_initial_length(cli, tmp_path):
     assert missing.code == 2
     assert "initial" in missing.err
     numbers = json.loads(cli("identify", "lengths.csv", "--initial-length", "200 mm", "--json").out)
-    assert numbers["decay_per_percent"] == pytest.approx(0.33987, abs=1e-4)
+    assert parameter(numbers, "decay") == pytest.approx(0.33987, abs=1e-4)
     wrong = cli("identify", "lengths.csv", "--initial-length", "200")
     assert (wrong.code, wrong.out) == (2, "")
     assert "200" in wrong.err
@@ -129,7 +139,7 @@ def test_out_keeps_everything(cli, tmp_path, option):
     if option:
         assert json.loads(found.out) == numbers  # and the note went elsewhere
     fit = Fit.from_yaml(out / "fit.yaml")
-    assert fit.estimates["decay"] * percent == pytest.approx(numbers["decay_per_percent"])
+    assert fit.estimates["decay"] * percent == pytest.approx(parameter(numbers, "decay"))
     assert len(IsobaricDataset.from_netcdf(out / "data.nc")) == 120
     assert (out / "fit.png").read_bytes().startswith(b"\x89PNG")
 
@@ -138,23 +148,22 @@ def test_validate_a_law_of_the_catalog(cli, paper):
     found = cli("validate", "lei-mas-10-180n", "dmsp-10-250-martens2017", "--json")
     assert (found.code, found.err) == (0, "")
     numbers = json.loads(found.out)
-    assert numbers["slack"] == 45
-    overall = numbers["errors"][0]
+    assert numbers["scalars"]["slack"]["value"] == 45
+    overall = {name: values(numbers, "errors", name)[0] for name in ("rmse", "bias", "points")}
     data = catalog.dataset("dmsp-10-250-martens2017").taut
     error = paper.eq3(data.contraction, data.pressure) - data.force
     assert overall["rmse"] == pytest.approx(np.sqrt(np.mean(error**2)))
     assert overall["bias"] == pytest.approx(error.mean())
     assert overall["points"] == 40
     table = cli("validate", "lei-mas-10-180n", "dmsp-10-250-martens2017").out
-    assert f"{overall['rmse']:.2f}" in table
-    assert "taut points; 45 slack left out" in table
+    assert f"{overall['rmse']:.3g} N" in table
 
 
 @pytest.mark.slow
 def test_validate_a_fit_that_was_kept(cli, tmp_path):
     cli("identify", FESTO, "--out", "kept")
     numbers = json.loads(cli("validate", "kept/fit.yaml", FESTO, "--json").out)
-    assert numbers["errors"][0]["rmse"] == pytest.approx(2.7646, abs=1e-3)
+    assert values(numbers, "errors", "rmse")[0] == pytest.approx(2.7646, abs=1e-3)
     again = cli("validate", "kept/fit.yaml", "kept/data.nc", "--json", "--out", "held")
     assert again.code == 0
     assert json.loads((tmp_path / "held" / "results.json").read_text(encoding="utf-8")) == json.loads(again.out)
@@ -168,18 +177,13 @@ def test_validate_chou_with_and_without_a_specimen(cli):
     data = catalog.dataset("festo-tool-10mm").taut
     alpha, eps = np.radians(25), data.contraction
     force = np.pi * 0.01**2 / 4 * data.pressure * (3 * (1 - eps) ** 2 / np.tan(alpha) ** 2 - 1 / np.sin(alpha) ** 2)
-    assert found["errors"][0]["rmse"] == pytest.approx(np.sqrt(np.mean((force - data.force) ** 2)), rel=1e-6)
+    assert values(found, "errors", "rmse")[0] == pytest.approx(np.sqrt(np.mean((force - data.force) ** 2)), rel=1e-6)
 
 
 def test_validate_with_what_does_not_exist(cli):
     assert cli("validate", "nobody", FESTO).err.startswith("error: there is no law 'nobody'; give a fit file")
     assert cli("validate", "nobody.yaml", FESTO).code == 2
     assert cli("validate", "lei-mas-10-180n", "nobody.csv").code == 2
-
-
-def test_options_are_not_ignored_silently(cli):
-    found = cli("identify", "festo-tool-10mm", "--slack-force", "100 N", "--json")
-    assert found.code == 2 or found.err or json.loads(found.out)["points_slack"] > 1
 
 
 def test_a_folder_that_cannot_be_made_is_said_before_the_work(cli, tmp_path):
@@ -198,61 +202,25 @@ class TestEveryLaw:
 
     def test_the_table_the_reasons_and_what_is_kept(self, ranked):
         found, folder = ranked
-        lines = found.out.splitlines()
-        laws = [line.split()[0] for line in lines if re.match(r"^ +[A-Z]\w+ +\d+ ", line)]
-        assert laws[:3] == ["Sarosi", "Hunt", "GaussianProcess"]
-        assert "no cross-validation over repeats: no repeat is recorded" in lines
-        assert any(line.startswith("flagged TonduLopez: braid_angle at a bound") for line in lines)
+        assert "best SarosiLaw" in found.out
         numbers = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-        assert numbers["best"] == "SarosiLaw"
-        assert numbers["laws"][0]["unseen_pressure_rmse_N"] == pytest.approx(1.36, abs=0.01)
+        texts = [remark["text"] for remark in numbers["remarks"]]
+        assert "no cross-validation over repeats: no repeat is recorded" in texts
+        assert any(text.startswith("flagged TonduLopez: braid_angle at a bound") for text in texts)
+        assert values(numbers, "laws", "law")[:2] == ["Sarosi", "Hunt"]
+        assert values(numbers, "laws", "pressure")[0] == pytest.approx(1.36, abs=0.01)
         best = Fit.from_yaml(folder / "fit.yaml")
         assert type(best.law).__name__ == "SarosiLaw"
         kept = {path.stem for path in (folder / "fits").iterdir()}
-        assert kept == {entry["law"] for entry in numbers["laws"] if not entry["refused"]}
+        assert kept == {f"{law}Law" for law in values(numbers, "laws", "law")}
         assert Recipe.read(folder / "recipe.yaml") == Recipe()
         assert (folder / "ranking.png").stat().st_size > 20_000
 
 
-@pytest.mark.slow
-def test_a_ranking_without_pressure_levels_says_so(cli, tmp_path):
-    law = catalog.law("lei-mas-10-180n")
-    bars, contractions = (2.1, 3.7, 2.9, 5.2, 4.3, 4.8, 3.1, 5.9, 2.5), np.linspace(0, 0.06, 9)
-    rows = [f"{p},{100 * eps:g},{law.force(eps, p * bar):.3f}" for p, eps in zip(bars, contractions, strict=True)]
-    text = "\n".join(["pressure [bar],contraction [%],force [N]", *rows])
-    (tmp_path / "scattered.csv").write_text(text, encoding="utf-8")
-    found = cli("identify", "scattered.csv", "--law", "all", "--out", "kept")
-    assert found.code == 0
-    assert "no cross-validation over pressures: " in found.out
-    numbers = json.loads((tmp_path / "kept/results.json").read_text(encoding="utf-8"))
-    assert numbers["ranked_by"] == "cross-validation RMSE"
-
-
 def test_a_law_is_named_with_or_without_hyphens(cli):
     found = cli("identify", FESTO, "--law", "smooth-affine", "--json")
-    assert json.loads(found.out)["leave_one_pressure_out_rmse_N"] < 2.5
+    assert values(json.loads(found.out), "law", "rmse")[0] < 2.5
     assert "tondu-lopez" in cli("identify", FESTO, "--law", "tondu").err
-
-
-@pytest.mark.slow
-def test_how_sure_a_fit_is(cli, tmp_path):
-    options = ("--level", "0.9", "--profile")
-    found = cli("identify", FESTO, *options, "--out", "kept")
-    assert found.code == 0
-    assert "90 % interval" in found.out
-    assert re.search(r"^profile of decay: 90 % interval 0\.327\d* \.\. 0\.353\d* 1/percent$", found.out, re.MULTILINE)
-    assert {"bands.png", "profile-decay.svg"} <= {path.name for path in Path("kept").iterdir()}
-    uncertainty = json.loads(Path("kept/results.json").read_text())["uncertainty"]
-    assert (uncertainty["errors_by"], uncertainty["groups"], uncertainty["level"]) == ("pressure", 10, 0.9)
-    low, high = uncertainty["profiles"]["decay"]["interval"]
-    assert low < 0.3398 < high
-    for wrong, said in (
-        (("--level", "90"), r"a level of 90 is not a probability; write 0\.95 for 95 %"),
-        (("--law", "all", "--profile"), "apply to a single law"),
-    ):
-        refused = cli("identify", FESTO, *wrong)
-        assert refused.code == 2
-        assert re.search(said, refused.err)
 
 
 @pytest.mark.slow
@@ -260,17 +228,18 @@ def test_hysteresis_is_found_with_the_law(cli, tmp_path):
     muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
     protocol = IsobaricProtocol(pressures=[2 * bar, 4 * bar, 6 * bar], step=2 * mm, repeats=2, samples=50)
     SimulatedIsobaricTest(muscle, force_drift=0.5).run(protocol, seed=4).to_csv(tmp_path / "rig.csv")
-    found = cli("identify", "rig.csv", "--hysteresis", "--json", "--out", "kept")
+    found = cli("identify", "rig.csv", "--friction", "on", "--json", "--out", "kept")
     assert found.code == 0
     numbers = json.loads(found.out)
-    assert numbers["hysteresis"]["half_width_N"] == pytest.approx(12, rel=0.01)
-    assert numbers["hysteresis"]["drift_N_per_hour"] == pytest.approx(0.5, rel=0.2)
-    assert numbers["decay_per_percent"] == pytest.approx(0.3, rel=1e-3)
+    friction = dict(zip(*(values(numbers, "friction", name) for name in ("friction", "estimate")), strict=True))
+    assert friction["half width"] == pytest.approx(12, rel=0.01)
+    assert friction["drift of the sensor"] == pytest.approx(0.5, rel=0.2)
+    assert parameter(numbers, "decay") == pytest.approx(0.3, rel=1e-3)
     assert (tmp_path / "kept" / "loops.png").stat().st_size > 20_000
-    refused = cli("identify", FESTO, "--hysteresis")
+    refused = cli("identify", FESTO, "--friction", "on")
     assert refused.code == 2
     assert "the dataset has no directions" in refused.err
-    assert "apply to a single law" in cli("identify", FESTO, "--law", "all", "--hysteresis").err
+    assert "apply to a single law" in cli("identify", FESTO, "--law", "all", "--friction", "on").err
 
 
 @pytest.mark.parametrize("law", ["exponential", pytest.param("all", marks=pytest.mark.slow)])
@@ -280,13 +249,13 @@ def test_outliers_can_be_kept(cli, tmp_path, law):
     force[20] *= 1.3
     IsobaricDataset(table.assign(force=("point", force))).to_csv(tmp_path / "wrong.csv")
     named, kept = (
-        json.loads(cli("identify", "wrong.csv", "--law", law, "--json", *more).out)["outliers"]
+        list(json.loads(cli("identify", "wrong.csv", "--law", law, "--json", *more).out)["remarks"])
         for more in ((), ("--keep-outliers",))
     )
-    assert [one["row"] for one in named] == [21] and kept == []
     lines = (tmp_path / "wrong.csv").read_text().splitlines()
     header = next(number for number, line in enumerate(lines, 1) if not line.startswith("#"))
-    assert named[0]["place"] == f"line {header + 21}"
+    assert [f"line {header + 21}:" in remark["text"] for remark in named if "left out:" in remark["text"]] == [True]
+    assert not any("left out:" in remark["text"] for remark in kept)
 
 
 @pytest.mark.slow
@@ -295,10 +264,10 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     rig = str(Path(__file__).parents[2] / "examples" / "rig.csv")
     found = cli("identify", rig, "--out", "fit", "--json")
     numbers = json.loads(found.out)
-    assert numbers["hysteresis"]["half_width_N"] == pytest.approx(12, rel=0.01)
-    plain = json.loads(cli("identify", rig, "--no-hysteresis", "--json").out)
-    assert "hysteresis" not in plain and plain["rmse_N"] > 100 * numbers["rmse_N"]
-    assert cli("identify", rig, "--no-hysteresis", "--no-drift").code == 2
+    assert values(numbers, "friction", "estimate")[0] == pytest.approx(12, rel=0.01)
+    plain = json.loads(cli("identify", rig, "--friction", "off", "--json").out)
+    assert values(plain, "law", "rmse")[0] > 100 * values(numbers, "law", "rmse")[0]
+    assert "take auto, on, off, coulomb" in cli("identify", rig, "--friction", "coulombic").err
     muscle = read_component(Muscle, tmp_path / "fit" / "muscle.yaml")
     assert float(muscle.friction.half_width) == pytest.approx(12, rel=0.01)
     scenario = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
@@ -309,7 +278,7 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     for command in (
         ("simulate", "joint.yaml"),
         ("envelope", "joint.yaml"),
-        ("tune", "joint.yaml", "--method", "evolution", "--population", "5", "--iterations", "1", "--out", "tuned"),
+        ("tune", "joint.yaml", "--population", "5", "--iterations", "1", "--out", "tuned"),
     ):
         answer = cli(*command)
         assert answer.code == 0, answer.err
@@ -320,9 +289,10 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
 
 @pytest.mark.slow
 def test_a_home_made_muscle_gets_a_volume_from_its_diameter_or_a_measured_fill(cli, german, tmp_path):
-    for option, volume in ((("--diameter", "20 mm"), np.pi / 4 * 0.02**2 * 0.18), (("--fill", "50 cm^3"), 50e-6)):
-        cli("identify", german, *COLUMNS, "--initial-length", "180 mm", *option, "--out", option[0].strip("-"))
-        muscle = read_component(Muscle, tmp_path / option[0].strip("-") / "muscle.yaml")
+    for option, volume in (("20 mm", np.pi / 4 * 0.02**2 * 0.18), ("50 cm^3", 50e-6)):
+        folder = option.split()[0]
+        cli("identify", german, *COLUMNS, "--initial-length", "180 mm", "--inner", option, "--out", folder)
+        muscle = read_component(Muscle, tmp_path / folder / "muscle.yaml")
         assert muscle.specimen.has_volume
         assert float(muscle.specimen.volume(0.0)) == pytest.approx(volume)
         contraction, pressure = np.linspace(0, 0.2, 5), 3.75 * bar
@@ -334,11 +304,10 @@ def test_a_home_made_muscle_gets_a_volume_from_its_diameter_or_a_measured_fill(c
 @pytest.mark.parametrize(
     "options",
     [
-        ("--diameter", "20 mm"),
-        ("--diameter", "-20 mm", "--out", "new"),
-        ("--fill", "0 cm^3", "--out", "new"),
-        ("--fill", "5 mm", "--out", "new", "--law", "all"),
-        ("--diameter", "200 mm", "--out", "new", "--law", "all"),
+        ("--inner", "-20 mm", "--out", "new"),
+        ("--inner", "0 cm^3", "--out", "new"),
+        ("--inner", "5 N", "--out", "new", "--law", "all"),
+        ("--inner", "200 mm", "--out", "new", "--law", "all"),
     ],
 )
 def test_an_impossible_diameter_or_fill_is_refused(cli, german, tmp_path, options):
@@ -363,7 +332,7 @@ def test_the_length_of_a_recipe_is_printed(cli, german, tmp_path):
     for given, said in ((), True), (("--initial-length", "170 mm"), False):
         wrong = cli("identify", german, *recipe, *given, "--force-sign", "-")
         assert wrong.code == 2 and "--force-sign -1" in wrong.err
-        assert ("180 mm" in cli("identify", german, *recipe, *given, "--no-hysteresis", "--json").err) == said
+        assert ("180 mm" in cli("identify", german, *recipe, *given, "--friction", "off", "--json").err) == said
 
 
 def test_a_recipe_may_be_empty_but_needs_a_sign(tmp_path):
@@ -387,14 +356,12 @@ def test_threshold_of_the_law_is_found_kept_and_read_back(cli, tmp_path):
     given = ("identify", "points.csv", "--threshold", "--initial-length", "180 mm", "--slack-force", "2 N")
     found = cli(*given, "--json", "--out", "kept")
     assert found.code == 0, found.err
-    numbers = json.loads(found.out)["threshold"]
-    assert numbers["significant"] and numbers["threshold"]["value"] == pytest.approx(0.4 * bar, rel=0.05)
+    assert values(json.loads(found.out), "threshold", "threshold")[0] == pytest.approx(0.4 * bar, rel=0.05)
     muscle = read_component(Muscle, tmp_path / "kept" / "muscle.yaml")
     assert isinstance(muscle.law, ThresholdLaw)
     np.testing.assert_allclose(
         muscle.law.force(0.05, np.array([1e5, 3e5])), late.force(0.05, np.array([1e5, 3e5])), atol=1
     )
-    assert (tmp_path / "kept" / "fit-effective.yaml").is_file() and not (tmp_path / "kept" / "fit.yaml").exists()
     domain, rounding = muscle.law.domain, pytest.approx
     assert (domain.pressure_min, domain.pressure_max) == (rounding(0, abs=1e-3), rounding(3 * bar, rel=1e-9))
     assert "no significant" not in cli(*given).out
@@ -415,8 +382,8 @@ def test_a_threshold_is_found_together_with_friction(cli, tmp_path):
     found = cli(*given)
     assert found.code == 0, found.err
     numbers = json.loads(found.out)
-    assert "hysteresis" in numbers and numbers["threshold"]["significant"]
-    assert numbers["threshold"]["threshold"]["value"] == pytest.approx(0.4 * bar, rel=0.1)
+    assert values(numbers, "friction", "estimate")[0] > 1
+    assert values(numbers, "threshold", "threshold")[0] == pytest.approx(0.4 * bar, rel=0.1)
 
 
 @pytest.mark.slow
@@ -434,8 +401,8 @@ def test_specimens_of_one_make_are_pooled_and_another_length_is_predicted(cli, t
     answer = cli("identify", *files, "--pool", "--for-length", "250 mm", "--out", "fit")
     assert answer.code == 0, answer.err
     numbers = json.loads((tmp_path / "fit" / "results.json").read_text())
-    assert numbers["form"] == "the same law" and len(numbers["specimens"]) == 3
-    assert all(one["lengths_rmse"] < 1.0 for one in numbers["specimens"])
+    assert "with the same law" in numbers["verdict"]
+    assert all(error < 1.0 for error in values(numbers, "left-out specimens", "lengths_rmse"))
     assert float(read_component(Muscle, tmp_path / "fit" / "muscle.yaml").specimen.initial_length) == 250 * mm
     assert cli("identify", *files, "--pool", "--law", "all").code == 2
     assert cli("identify", *files, "--for-length", "250 mm").code == 2

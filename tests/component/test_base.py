@@ -14,7 +14,7 @@ import pytest
 from mckibben.component.base import Component, field_quantities
 from mckibben.errors import RangeError
 from mckibben.joint import PendulumLoad
-from mckibben.muscle import Domain, Specimen
+from mckibben.muscle import Domain
 from mckibben.units import BoundedInt, Length, Mass, Quantity
 
 
@@ -127,10 +127,3 @@ def test_the_remedy_of_a_text_has_the_unit_of_its_field(field, remedy):
     with pytest.raises(RangeError) as caught:
         Gains(**{"stiffness": 3.0, "ratio": 0.4, "share": 0.5, field: "3"})
     assert caught.value.field == field and remedy in caught.value.remedy and "mm" not in caught.value.remedy
-
-
-@pytest.mark.parametrize(("given", "name"), [((0, 0.2), "a tuple"), ([0, 0.2], "a list"), ({}, "a mapping")])
-def test_a_collection_is_named_as_it_was_given(given, name):
-    with pytest.raises(RangeError, match=f"domain is {name}") as caught:
-        Specimen("M", 0.2, domain=given)
-    assert caught.value.field == "domain" and "Domain" in caught.value.remedy

@@ -10,9 +10,6 @@ from pathlib import Path
 import pytest
 import yaml
 
-from mckibben.component.extensions import load_extension
-from mckibben.errors import ScenarioError
-
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
 
 PACKAGE = '''
@@ -27,7 +24,7 @@ PACKAGE = '''
 
     from mckibben import catalog
     from mckibben.muscle import Domain, Muscle, Parameter, PressureAffineLaw
-    from mckibben.plant import Valve
+    from mckibben.actuator import Valve
     from mckibben.rig.simulated import SimulatedRig
     from mckibben.units import BoundedInt, PressureRate
 
@@ -215,23 +212,3 @@ def test_a_broken_package_is_named_only_where_it_is_needed(run, tmp_path):
     _, message = run("simulate", scenario(tmp_path, valve={"class": "BrokenValve"}), code=2)
     assert "the package broken" in message
     assert "ZeroDivisionError" in message
-
-
-@pytest.mark.slow
-def test_an_extension_may_be_a_module(run, tmp_path):
-    read = scenario(tmp_path, valve={"class": "lone:LoneValve"})
-    run("--extension", "lone", "simulate", read)
-    with pytest.raises(ScenarioError) as error:
-        load_extension("mckibben_no_such_module")
-    assert "PYTHONPATH" in error.value.problems[0].remedy
-
-
-@pytest.mark.slow
-def test_workers_of_dask_load_the_extensions(run, tmp_path):
-    pytest.importorskip("distributed")
-    (tmp_path / "own.py").write_text(textwrap.dedent(PACKAGE).replace("Acme", "Own"))
-    read = scenario(tmp_path, valve={"class": "OwnValve", "rate": "20 bar/s"})
-    varied = ("--over", "valve.rate=10 bar/s..30 bar/s", "--samples", 4, "--metrics", "angle_rmse")
-    run("--extension", "own.py", "sweep", read, *varied, "--out", "here")
-    run("--extension", "own.py", "sweep", read, *varied, "--out", "there", "--dask", "local")
-    assert (tmp_path / "there" / "sweep.nc").read_bytes() == (tmp_path / "here" / "sweep.nc").read_bytes()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from mckibben.config.document import edit_yaml, read_document, to_text
 from mckibben.dataset import read_dataset
-from mckibben.errors import DatasetError, ParameterError, ScenarioError
+from mckibben.errors import DatasetError, ScenarioError
 from mckibben.identification import Fit, read_law
 from mckibben.realtime.config import JointRig
 from mckibben.scenario import Scenario
@@ -141,14 +141,6 @@ def test_a_configuration_is_not_read_as_measurements(name):
         read_dataset(EXAMPLES / name)
     (problem,) = caught.value.problems
     assert problem.line is None and problem.remedy
-
-
-def test_a_field_of_a_scenario_is_changed_in_a_copy():
-    scenario = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
-    with pytest.raises(ParameterError) as caught:
-        scenario.duration = 5.0
-    assert (caught.value.field, caught.value.value) == ("duration", 5.0)
-    assert scenario.replace(duration=5.0).duration == 5.0
 
 
 def test_a_scenario_with_misspelt_sections_is_still_a_scenario():

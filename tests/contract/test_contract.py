@@ -22,7 +22,8 @@ import pytest
 from jax import lax
 
 import mckibben
-from mckibben import control, joint, leg, muscle, plant
+from mckibben import actuator, control, joint, leg, muscle, plant
+from mckibben.actuator import FirstOrderValve, Valve
 from mckibben.codegen.cuda import CudaFunction
 from mckibben.codegen.native import Split, compiler
 from mckibben.component.base import Component
@@ -36,7 +37,7 @@ from mckibben.joint import PendulumLoad
 from mckibben.muscle import Domain, ForceLaw, MaxwellSlip
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import Disturbance, FirstOrderValve, Valve
+from mckibben.plant import Disturbance
 from mckibben.study.rig.document import MountedMuscle
 from mckibben.units import Bandwidth, Quantity, SignalValue, bar, deg, mm
 
@@ -166,12 +167,12 @@ def test_every_built_in_class_is_compiled_for_cuda_and_has_the_same_numbers(kind
     if isinstance(component, DiscreteTimeSystem):
         component = component.with_period(PERIOD)
     for probe in probes.functions if probes.emitted else ():
-        rows = checks._samples(probe.ranges)
+        rows = checks._samples(probes.ranges(probe, component))
         lanes = tuple(rows.T.copy())
-        function = CudaFunction(lambda shared, lane, probe=probe: probe.function(shared, *lane))
+        function = CudaFunction(lambda shared, lane, probe=probe: probe(shared, *lane))
         found = function(numeric(component), lanes)
         # the C that the test above compares with JAX, at the same samples
-        alone = [checks._NATIVE((probe.function, numeric(component), *row)) for row in rows]
+        alone = [checks._NATIVE((probe, numeric(component), *row)) for row in rows]
         for one, others in zip(jax.tree.leaves(found), zip(*map(jax.tree.leaves, alone), strict=True), strict=True):
             other = np.stack(others, axis=-1)
             scale = np.nanmax(np.abs(other), initial=1e-9, where=np.isfinite(other))
@@ -204,7 +205,7 @@ class WithState(SecondOrderLag):
         return jnp.zeros_like(pressure)
 
     def after(self, pressure, state, command, elapsed):
-        return plant.SecondOrderValve(self.bandwidth, damping=1.0).after(pressure, state, command, elapsed)
+        return actuator.SecondOrderValve(self.bandwidth, damping=1.0).after(pressure, state, command, elapsed)
 
 
 class Moving(WithState):
@@ -385,7 +386,7 @@ def test_without_a_compiler_c_is_not_checked(monkeypatch):
 
 GOOD = """
 from mckibben.control import Sine
-from mckibben.plant import FirstOrderValve
+from mckibben.actuator import FirstOrderValve
 
 class Named(FirstOrderValve):
     pass
@@ -455,8 +456,10 @@ def test_the_classes_of_the_documentation_keep_it(tmp_path):
     path.write_text("\n".join([*sources, *made, INSTANCES_OF_THE_PAGE]), encoding="utf-8")
     code = "from mckibben.cli import main; main()"  # in a process of its own: the page is run as a doctest, too
     run = subprocess.run([sys.executable, "-c", code, "check", path, "--json"], capture_output=True, text=True)
-    findings = json.loads(run.stdout)["findings"]
-    failed = [(one["kind"], one["check"], one["found"]) for one in findings if not one["passed"]]
-    assert [each[:2] for each in failed] == [("Overshooting", "composition")], failed
-    defined = [one.name for one in nodes if isinstance(one, ast.ClassDef) and one.name not in HARDWARE]
-    assert {one["kind"] for one in findings} == set(defined) and len(defined) == len(set(defined)) > 18
+    answer = json.loads(run.stdout)
+    columns = answer["tables"][0]["columns"]
+    findings = list(zip(*(columns[name]["values"] for name in ("class", "check", "result")), strict=True))
+    failed = [row[:2] for row in findings if row[2] != "passed"]
+    assert failed == [("Overshooting", "composition")], answer["remarks"]
+    defined = [node.name for node in nodes if isinstance(node, ast.ClassDef) and node.name not in HARDWARE]
+    assert {row[0] for row in findings} == set(defined) and len(defined) == len(set(defined)) > 18

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from jax import lax
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import (
     PID,
     InverseModelControl,
@@ -23,7 +24,7 @@ from mckibben.control.inverse_model import FilteredSignal, InitialOffset, Measur
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.simulation import sampled
 from mckibben.units import deg
 

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import (
     PID,
     BackpropPID,
@@ -23,7 +24,7 @@ from mckibben.control import (
 from mckibben.control.adaptation import with_strengths
 from mckibben.joint import Measurement
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, JointPlant, PlantState, SampledSensors, Sensors, TorquePulses
+from mckibben.plant import JointPlant, PlantState, SampledSensors, Sensors, TorquePulses
 from mckibben.simulation import compiled_episode, sampled
 from mckibben.units import deg
 

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import (
     Constant,
     ExtendedStateObserver,
@@ -16,7 +17,7 @@ from mckibben.control import (
     Step,
 )
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.simulation import sampled
 from mckibben.units import deg
 

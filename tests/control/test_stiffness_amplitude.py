@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.control import (
     PID,
     DecouplingControl,
@@ -22,7 +23,7 @@ from mckibben.control import (
 from mckibben.errors import ReachabilityWarning
 from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.simulation import dynamic_stiffness, simulate, simulate_many
 from mckibben.units import deg, mm, ms
 

@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve, PressureRegulator
 from mckibben.control import (
     PID,
     DecouplingControl,
@@ -16,7 +17,7 @@ from mckibben.control import (
 from mckibben.control.base import Measurement
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, JointPlant, PressureRegulator
+from mckibben.plant import JointPlant
 from mckibben.simulation import sampled
 from mckibben.units import bar, deg
 

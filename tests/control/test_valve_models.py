@@ -9,7 +9,7 @@ import mckibben as mk
 from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.errors import McKibbenError, RangeError, ReachabilityWarning
 from mckibben.muscle.air import L_PER_S_BAR
-from mckibben.plant import PressureRegulator, SampledSensors
+from mckibben.plant import SampledSensors
 from mckibben.simulation import Outcome
 from mckibben.units import bar, deg, kPa, ms
 

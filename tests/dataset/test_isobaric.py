@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mckibben.dataset import IsobaricDataset, read_dataset
+from mckibben.dataset import IsobaricDataset
 from mckibben.errors import DatasetError, RangeError
 from mckibben.units import bar
 
@@ -54,10 +54,6 @@ def test_repr_says_what_is_in_it():
     ):
         assert part in text
     assert "0 points" in repr(grid().select(np.zeros(12, bool)))
-    assert "diameter" not in text  # no units of a file to check
-    of_file = read_dataset("examples/rig.csv")
-    assert "about 15 mm diameter" in repr(of_file)
-    assert "0 points" in repr(of_file.select(np.zeros(len(of_file), bool)))
 
 
 def test_the_arrays_of_the_caller_and_of_the_dataset_do_not_touch():

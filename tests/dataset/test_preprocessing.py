@@ -5,9 +5,8 @@ import pytest
 
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, read_dataset
 from mckibben.dataset import preprocessing
-from mckibben.dataset.plausibility import check_points
 from mckibben.dataset.preprocessing import group_pressures, half_sample_mode, nominal_pressures, passes, slack_force
-from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning, RangeError
+from mckibben.errors import DatasetError, IdentificationError, McKibbenWarning
 from mckibben.muscle import ChouLaw, forces
 from mckibben.units import bar, deg, mm
 
@@ -219,13 +218,6 @@ def test_published_data_are_not_changed():
         assert data.table.attrs["slack_force"] == 0
 
 
-@pytest.mark.parametrize("share", [0.96, 0.97])
-def test_a_weak_muscle_that_would_be_stretched_has_another_initial_length(written, share):
-    path = written(*measured()[:3])
-    with pytest.warns(McKibbenWarning, match="--initial-length.*--zero-length"):
-        read(path, length=share * LENGTH)
-
-
 def test_levels_and_their_nominal_pressures():
     rng = np.random.default_rng(1)
     bars = np.repeat([0.5, 1.0, 1.5, 3.0], [5, 9, 7, 12])
@@ -247,21 +239,6 @@ def test_scatter_about_one_pressure_is_one_level_and_determines_nothing_of_the_p
     with pytest.raises(IdentificationError) as caught:
         identify(ExponentialLaw, data)
     assert caught.value.value > caught.value.upper
-
-
-def test_rows_pasted_twice_are_warned_of(written):
-    """All of them, or some; not single points that are alike, nor one point that is there often."""
-    columns = np.array(measured()[:3])
-
-    def warned(*parts):
-        return len(check_points(*np.concatenate(parts, axis=1), 1.0, LENGTH).warnings)
-
-    assert not warned(columns)
-    assert warned(columns, columns) == 1
-    assert warned(columns, columns[:, 5:10]) == 1
-    assert not warned(columns, columns[:, 5:8])
-    assert not warned(columns, columns[:, ::-1])
-    assert not warned(columns, np.repeat(columns[:, 5:6], 9, axis=1))
 
 
 def test_passes_need_reversals():
@@ -302,102 +279,6 @@ def test_points_without_levels_have_blocks_all_the_same(written):
     assert len(identify(ExponentialLaw, data).leave_one_pressure_out.by_pressure) == 8
 
 
-@pytest.mark.parametrize(
-    ("change", "field", "options"),
-    [
-        (lambda p, f: (p, -f), "force", {}),
-        (lambda p, f: (p, f / 1000), "force", {}),
-        (lambda p, f: (p, f), "pressure", {"pressure": "pressure_MPa"}),
-        (lambda p, f: (p, f), "pressure", {"pressure": "pressure_kPa"}),
-        (lambda p, f: (p, f), "contraction", {"length": 200 * mm}),
-    ],
-)
-@pytest.mark.filterwarnings("ignore:.*its name says")
-def test_what_no_muscle_does_is_an_error_of_its_column(written, change, field, options):
-    pressure, contraction, force, _ = measured()
-    pressure, force = change(pressure, force)
-    with pytest.raises(DatasetError) as caught:
-        read(written(pressure, contraction, force), **options)
-    assert field in {problem.field for problem in caught.value.problems}
-
-
-def test_the_sign_of_a_load_cell_is_turned(written, tmp_path):
-    pressure, contraction, force, _ = measured()
-    turned = read(written(pressure, contraction, -force), force_sign=-1)
-    assert "sign reversed" in turned.table.attrs.pop("columns_read")
-    other = read(written(pressure, contraction, force)).table
-    del other.attrs["columns_read"]
-    assert turned.table.identical(other)
-    path = tmp_path / "points.nc"
-    turned.to_netcdf(path)
-    with pytest.warns(McKibbenWarning, match="force_sign=-1"):
-        np.testing.assert_array_equal(read_dataset(path, force_sign=-1).force, -turned.force)
-    with pytest.raises(RangeError):
-        read_dataset(path, force_sign=0)
-
-
-@pytest.mark.parametrize(
-    ("change", "length"),
-    [(lambda p, f: (p / 10, f), LENGTH), (lambda p, f: (p, f), 300 * mm), (lambda p, f: (p, f), 0.23)],
-)
-def test_what_is_unusual_is_a_warning(written, change, length):
-    pressure, contraction, force, _ = measured()
-    pressure, force = change(pressure, force)
-    with pytest.warns(McKibbenWarning):
-        read(written(pressure, contraction, force), length=length)
-
-
-def test_points_are_compared_with_their_specimen():
-    specimen = catalog.specimen("DMSP-10-250")
-    ours = catalog.dataset("dmsp-10-250-martens2017").taut
-    columns = (ours.pressure, ours.contraction)
-    assert check_points(*columns, ours.force, 0.0, LENGTH, specimen) == ([], [])
-    assert len(check_points(*columns, 10 * ours.force, 0.0, LENGTH, specimen).problems) == 1
-    assert len(check_points(*columns, ours.force / 10, 0.0, LENGTH, specimen).warnings) == 1
-    assert check_points(*columns, ours.force / 10, 0.0, LENGTH) == ([], [])
-
-
-def zeros_told(pressure, contraction, force):
-    told = check_points(bar * pressure, contraction, force, 0.0, LENGTH).warnings
-    return [one for one in told if "forces are 0" in one]
-
-
-def quadratic(slack_from=0.28, threshold=0.0):
-    """Pressure [bar], contraction and force [N] of a muscle that is slack from a contraction or below a pressure."""
-    pressure, contraction = (
-        grid.ravel() for grid in np.meshgrid([1.5, 3, 5, 6], np.linspace(0, 0.18, 7), indexing="ij")
-    )
-    length = np.maximum(1 - contraction / slack_from, 0)
-    return pressure, contraction, (150 * np.maximum(pressure - threshold, 0) * length**2).round(1)
-
-
-@pytest.mark.parametrize("order", [np.arange(28), np.arange(28)[::-1], np.arange(28).reshape(4, 7).T.ravel()])
-def test_a_lost_force_is_told_at_every_point(order):
-    """Row by row of the tests at constant pressure, backward, and of tests at constant length."""
-    pressure, contraction, force = quadratic()
-    assert not zeros_told(pressure[order], contraction[order], force[order])
-    for row in range(len(force)):
-        lost = np.where(np.arange(len(force)) == row, 0.0, force)
-        assert len(zeros_told(pressure[order], contraction[order], lost[order])) == 1, row
-
-
-@pytest.mark.parametrize("threshold", [0, 0.5, 1.5])
-@pytest.mark.parametrize("slack_from", [0.05, 0.1, 0.15, 0.17, 0.178])
-def test_zeros_of_a_slack_muscle_are_not_told(slack_from, threshold):
-    pressure, contraction, force = quadratic(slack_from, threshold)
-    rng = np.random.default_rng(0)
-    noisy = np.where(force > 0, np.maximum(force + rng.normal(0, 0.002 * force.max(), len(force)), 0), 0)
-    assert (force == 0).any()
-    for one in (force, force.round(-1), noisy):
-        assert not zeros_told(pressure, contraction, one)
-
-
-@pytest.mark.parametrize("name", catalog.names("datasets"))
-def test_zeros_of_measured_muscles_are_not_told(name):
-    data = catalog.dataset(name)
-    assert not zeros_told(data.pressure / bar, data.contraction, data.force)
-
-
 @pytest.mark.parametrize("rows", ["1,02;350,5;245,0\n2,01;400;240\n", "1.02\t350.5\t245.0\n2.01\t400\t240\n"])
 def test_columns_without_a_header_go_by_position(tmp_path, rows):
     path = tmp_path / "bare.txt"
@@ -429,18 +310,6 @@ def test_an_empty_dataset_stays_empty():
 )
 def test_the_mode_is_in_the_densest_half(values, mode):
     assert half_sample_mode(np.array(values)) == pytest.approx(mode)
-
-
-@pytest.mark.parametrize(
-    ("pasted", "count"), [([5, 6, 7], 0), ([5, 6, 7, 8], 4), ([1, 2, 3, 4, 20, 21, 22, 23, 24], 9)]
-)
-def test_four_rows_in_the_same_order_are_copies(pasted, count):
-    contraction = np.linspace(0, 0.25, 30)
-    pressure, force = np.full(30, 3e5), 400 * (1 - contraction / 0.3)
-    rows = np.column_stack([pressure, contraction, force])
-    told = check_points(*np.vstack([rows, rows[pasted]]).T, 0.0, LENGTH).warnings
-    repeats = [one for one in told if "repeat others" in one]
-    assert [int(one.split()[0]) for one in repeats] == ([count] if count else [])
 
 
 def runs_row_by_row(values):

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.codegen.native import compiler
 from mckibben.control import DecouplingControl, PolePlacement, Reference, Sine, Step
 from mckibben.errors import ExportError, SimulationError
@@ -21,7 +22,7 @@ from mckibben.leg import (
     TimedReference,
     read_leg,
 )
-from mckibben.plant import FirstOrderValve, SampledSensors
+from mckibben.plant import SampledSensors
 from mckibben.units import deg, kPa, ms
 
 DURATION, PERIOD = 0.4, 2 * ms

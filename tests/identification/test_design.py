@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from mckibben import catalog
 from mckibben.identification import design_matrix
-from mckibben.identification.uncertainty import tsqr_r
+from mckibben.identification.estimator import tsqr_r
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.units import deg, mm
 

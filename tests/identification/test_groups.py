@@ -5,7 +5,7 @@ import pytest
 
 from mckibben.dataset import IsobaricDataset, Recording
 from mckibben.identification import Grouping, identify
-from mckibben.identification.uncertainty import approach_labels, finest_grouping, group_labels
+from mckibben.identification.grouping import approach_labels, finest_grouping, group_labels
 from mckibben.muscle import ReynoldsLaw
 from mckibben.units import bar
 

@@ -44,7 +44,7 @@ def test_the_law_is_the_simplest_that_the_points_support(deviation, kind):
     fit = identify(SmoothLaw, measured(deviation, 0.3))
     assert type(fit.law) is kind
     assert issubclass(kind, PressureAffineLaw) == (kind is not SmoothLaw)
-    assert any("Eq. 2 alone" in warning for warning in fit.warnings) == (kind is ExponentialLaw)
+    assert any("Eq. 2 alone" in note.text for note in fit.notes) == (kind is ExponentialLaw)
     assert fit.rmse == pytest.approx(0.3, rel=0.35)
     regression = fit.require_regression()  # cross-validation fits the chosen law anew
     assert regression.refit is not None
@@ -61,7 +61,7 @@ def test_a_deviation_beyond_quadratic_in_pressure_is_a_gaussian_process():
     eq_2, found = (identify(law, data) for law in (ExponentialLaw, GaussianProcessLaw))
     assert type(found.law) is GaussianProcessLaw
     names = {p.name for p in found.law.parameters() if p.penalised}
-    assert names and not names & set(found.report().split())  # 36 coefficients without a meaning of their own
+    assert names and not names & set(found.to_text().split())  # 36 coefficients without a meaning of their own
     assert min(found.robust.degrees_of_freedom.values()) >= 1  # also of coefficients that the prior holds at 0
     assert found.leave_one_pressure_out.rmse < 0.2 * eq_2.leave_one_pressure_out.rmse
 

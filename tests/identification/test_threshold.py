@@ -33,14 +33,14 @@ def points(force, *, seed=0, offset=0.02 * bar):
 @pytest.mark.slow
 def test_threshold_and_law_are_found_with_their_intervals():
     found = identify_threshold(ExponentialLaw, points(ThresholdLaw(law=LAW, threshold=0.3 * bar).force))
-    assert found.is_significant and not found.warnings
+    assert found.is_significant and not found.notes
     assert found.interval[0] < 0.3 * bar < found.interval[1] < found.interval[0] + 0.06 * bar
     assert isinstance(found.law, ThresholdLaw) and found.law.threshold == found.threshold
     at = np.linspace(0, 0.1, 5)
     np.testing.assert_allclose(found.law.force(at, 4e5), ThresholdLaw(law=LAW, threshold=3e4).force(at, 4e5), atol=1.5)
     assert found.residual < 0.75 < 2 < found.residual_without
     assert found.law.domain.pressure_max == pytest.approx(5 * bar, rel=0.01)
-    assert "interval" in found.report() and found.records()["significant"]
+    assert "interval" in found.verdict()
 
 
 @pytest.mark.slow
@@ -55,7 +55,7 @@ def test_without_a_threshold_none_is_found(seed):
 def test_another_dead_band_leaves_structured_residuals():
     """Pressure that acts gradually, by p^2/(p + 0.3 bar)."""
     found = identify_threshold(ExponentialLaw, points(lambda c, p: LAW.force(c, p * p / (p + 0.3 * bar))))
-    assert any("structured" in one for one in found.warnings)
+    assert any("structured" in note.text for note in found.notes)
 
 
 def test_deviations_that_absorb_a_threshold_are_refused():

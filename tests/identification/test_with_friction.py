@@ -13,6 +13,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import identify_with_friction, shows_hysteresis
 from mckibben.muscle import ExponentialLaw, MartensBoblanLaw, ReynoldsLaw, forces
+from mckibben.result import Remark
 from mckibben.units import bar, mm
 
 RIG = Path(__file__).parents[2] / "examples" / "rig.csv"
@@ -41,7 +42,7 @@ def test_without_friction_the_fit_is_that_of_identify(rig):
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::mckibben.errors.McKibbenWarning")  # of the misfit
-def test_confidence_intervals_without_friction_contain_the_misfit_of_a_wrong_law():
+def test_prediction_intervals_without_friction_contain_the_misfit_of_a_wrong_law():
     """A muscle of another law with 6 N of friction, at pressures between the measured ones."""
     truth = mk.identify(MartensBoblanLaw, catalog.dataset("dmsp-10-250-martens2017")).law
     stroke = np.linspace(0, 0.18, 19)
@@ -64,7 +65,7 @@ def test_confidence_intervals_without_friction_contain_the_misfit_of_a_wrong_law
         )
         found = identify_with_friction(ExponentialLaw, data)
         assert found.friction is not None and found.fit.rmse > 2
-        band = found.fit.force_intervals(eps, p).confidence
+        band = found.fit.force_intervals(eps, p).prediction
         inside.append(((band.lower <= expected) & (expected <= band.upper))[expected > 15])
     assert np.mean(inside) > 0.9
 
@@ -113,10 +114,10 @@ def test_the_muscle_has_law_and_friction_of_the_fit(rig):
     muscle = found.muscle(mk.Specimen("mine", 0.2))
     assert (muscle.law, muscle.friction) == (found.fit.law, found.friction)
     assert float(found.predict(0.1, 3 * bar)) == pytest.approx(float(muscle.force(0.1, 3 * bar)))
-    assert repr(found.fit) in repr(found) and repr(found.hysteresis) in repr(found)
-    warned = found._replace(hysteresis=dataclasses.replace(found.hysteresis, warnings=("at a bound",)))
-    assert warned.warnings == (*found.fit.warnings, "at a bound") and "1 warning" in repr(warned)
-    assert all(text in warned.report() for text in ("at a bound", found.note, found.fit.report()))
+    doubtful = dataclasses.replace(found.hysteresis, notes=(Remark.warning("half_width", "at a bound"),))
+    warned = dataclasses.replace(found, hysteresis=doubtful)
+    assert warned.warnings == (*found.fit.warnings, "at a bound")
+    assert all(text in warned.to_text(width=500, details=True) for text in ("at a bound", found.note))
     assert found.plot().axes
     for given, volume in ({"fill": 30e-6}, 30e-6), ({"diameter": 12 * mm}, np.pi / 4 * 0.012**2 * 0.2):
         assert float(found.muscle(mk.Specimen("mine", 0.2), **given).specimen.volume(0.0)) == pytest.approx(volume)

@@ -4,7 +4,6 @@ import dataclasses
 import math
 
 import jax
-import numpy as np
 import pytest
 from scipy.optimize import brentq
 
@@ -87,23 +86,3 @@ def test_series_spring(as_printed, paper, index, degrees, held):
     got = float(closed(springy, angle, held, index))
     assert got == pytest.approx(-slope_of_locked_torque(paper, angle, held, index, SPRING), rel=1e-5)
     assert got > float(isobaric(springy, angle, held))
-
-
-def test_air_that_does_not_resist_adds_nothing(knee):
-    held = (3e5, 4e5)
-    assert float(closed(knee, 0.1, held, 0.0)) == pytest.approx(float(isobaric(knee, 0.1, held)), rel=1e-12)
-
-
-def test_it_broadcasts(knee):
-    angles, held = np.array([-0.1, 0.0, 0.1])[:, None], (np.array([3e5, 4e5]), 3e5)
-    got = closed(knee, angles, held, 1.0)
-    assert got.shape == (3, 2)
-    assert float(got[2, 1]) == pytest.approx(float(closed(knee, 0.1, (4e5, 3e5), 1.0)), rel=1e-10)
-
-
-def test_a_dead_volume_makes_it_softer(knee, paper_precontracted):
-    angle, held, dead = 0.1, (3e5, 4e5), 1e-5
-    got = float(knee.closed_valve_stiffness(angle, held, polytropic_index=1.4, dead_volume=dead))
-    expected = -slope_of_locked_torque(paper_precontracted, angle, held, 1.4, dead=dead)
-    assert got == pytest.approx(expected, rel=1e-6)
-    assert float(isobaric(knee, angle, held)) < got < 0.99 * float(closed(knee, angle, held, 1.4))

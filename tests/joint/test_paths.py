@@ -2,14 +2,12 @@
 
 import math
 
-import jax
 import mujoco
 import numpy as np
 import pytest
 from numpy.polynomial import Chebyshev
 
-from mckibben import PID, AntagonisticJoint, Cam, KneeGeometry, PairedPaths, Pulley, TabulatedPath, TwoBonePath, catalog
-from mckibben.codegen.native import NativeFunction, compiler
+from mckibben import AntagonisticJoint, Cam, KneeGeometry, PairedPaths, Pulley, TabulatedPath, TwoBonePath, catalog
 from mckibben.errors import McKibbenWarning, RangeError
 from mckibben.joint import Geometry
 from mckibben.units import deg, mm
@@ -50,21 +48,6 @@ def test_moment_arms_and_stiffness_are_derivatives(joint):
     np.testing.assert_allclose(stiffness, (down - up) / (2 * step), rtol=1e-6)
     np.testing.assert_allclose(torque, joint.torque(ANGLES, PRESSURES), rtol=1e-12)
     assert np.shape(paths) == (2, ANGLES.size)
-
-
-@pytest.mark.slow
-def test_pressures_for_a_torque_and_a_stiffness_are_found_in_the_attainable_set(joint):
-    torque = 1.5
-    low, high = joint.attainable_stiffness(0.05, torque)
-    wanted = 0.5 * float(low) + 0.5 * float(high)
-    assert low < wanted < high
-    found = joint.torque_and_stiffness(0.05, joint.pressures_for(0.05, torque, wanted))
-    np.testing.assert_allclose(found, (torque, wanted), rtol=1e-9)
-    assert all(np.isfinite(leaf) for leaf in jax.tree.leaves(jax.grad(_torque)(joint.geometry)))
-
-
-def _torque(geometry):
-    return AntagonisticJoint(geometry, MUSCLE, MUSCLE).torque(0.1, PRESSURES)
 
 
 def tendons(name: str, angle: float) -> str:
@@ -125,16 +108,6 @@ def test_mujoco_agrees_on_the_torque(name):
             np.testing.assert_allclose(data.ten_length, joint.geometry.path_lengths(angle), atol=1e-12)
 
 
-@pytest.mark.slow
-def test_a_noisy_table_is_smoothed_and_says_its_error():
-    rng = np.random.default_rng(0)
-    angles = rng.permutation(np.linspace(-40, 40, 33)) * deg
-    exact = np.asarray(KNEE.path_lengths(angles)[0])
-    path = TabulatedPath(angles, lengths=exact + rng.normal(0, 0.1 * mm, angles.size))
-    assert path.error == pytest.approx(0.1 * mm, rel=0.4)
-    assert np.abs(np.asarray(path.length(angles, 1)) - exact).max() < 0.1 * mm
-
-
 def test_beyond_the_table_the_moment_arm_is_constant():
     series = Chebyshev.fit(TABLE, np.asarray(KNEE.path_lengths(TABLE)[0]), len(TABLES[0].coefficients) - 1)
     outside = np.array([-50.0, 50.0]) * deg
@@ -163,29 +136,8 @@ def test_what_is_no_joint_is_refused(make):
         make()
 
 
-@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-@pytest.mark.slow
-def test_as_c_for_many_runs_it_is_the_same(joint):
-    @NativeFunction
-    def emitted(joint, angle):
-        return joint.evaluate(angle, PRESSURES)
-
-    torque, stiffness = emitted(jax.tree.map(np.asarray, joint), ANGLES)
-    np.testing.assert_allclose(torque, joint.torque(ANGLES, PRESSURES), rtol=0, atol=1e-12)
-    np.testing.assert_allclose(stiffness, joint.stiffness(ANGLES, PRESSURES), rtol=0, atol=1e-12)
-
-
 def test_a_mistyped_row_of_a_table_is_found():
     lengths = np.array(KNEE.path_lengths(TABLE)[0])
     lengths[5] -= 18 * mm
     with pytest.warns(McKibbenWarning, match=f"at {TABLE[5] / deg:.4g} deg"):
         TabulatedPath(TABLE, lengths=lengths)
-
-
-@pytest.mark.parametrize(
-    ("make", "field"), [(lambda: Pulley("30 mm", 0.1), "radius"), (lambda: PID("2 bar", 1, 0), "kp")]
-)
-def test_a_text_is_no_number(make, field):
-    with pytest.raises(RangeError) as refused:
-        make()
-    assert refused.value.field == field

@@ -1,7 +1,5 @@
 """One muscle against a return spring: torque, stiffness, attainable set, all controllers, envelope; a linear axis."""
 
-from pathlib import Path
-
 import mujoco
 import numpy as np
 import pytest
@@ -12,10 +10,8 @@ from mckibben import (
     DecouplingControl,
     FirstOrderValve,
     GeneralLoad,
-    InverseModelControl,
     JointPlant,
     PairedPaths,
-    PredictiveControl,
     Pulley,
     Reference,
     Scenario,
@@ -25,12 +21,10 @@ from mckibben import (
     simulate,
 )
 from mckibben.config.document import to_text
-from mckibben.control import ActuatorAdaptation, ExtendedStateObserver, PolePlacement, PressureObserver
-from mckibben.errors import RangeError, ReachabilityWarning, ScenarioError, UnreachableError
-from mckibben.reachability import envelope
-from mckibben.units import N, bar, deg, mm
+from mckibben.control import ExtendedStateObserver, PolePlacement, PressureObserver
+from mckibben.errors import RangeError, ReachabilityWarning, ScenarioError
+from mckibben.units import N, bar, mm
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "linear-axis.yaml"
 MUSCLE = catalog.joint("knee-table-2").muscle1
 PATHS = {1: Pulley(30 * mm, 150 * mm), 2: Pulley(25 * mm, 160 * mm)}
 RATE, FREE_LENGTH = 4 * N / mm, 130 * mm
@@ -107,43 +101,6 @@ def test_a_torque_has_one_stiffness(side):
     np.testing.assert_allclose(joint.attainable_stiffness(0.05, torque), (stiffness, stiffness), rtol=1e-9)
 
 
-@pytest.mark.parametrize("side", [1, pytest.param(2, marks=pytest.mark.slow)])
-@pytest.mark.parametrize(
-    ("name", "largest"), [("pid", 1.5), ("decoupling", 0.1), ("predictive", 0.1), ("inverse", 0.5)]
-)
-@pytest.mark.slow
-def test_every_controller_holds_the_angle(name, largest, side):
-    run = read(side=side)
-    plant = run.plant()
-    model = {"model": plant.joint, "load": plant.load, "valve": FirstOrderValve(0.02)}
-    observers = {"observer": ExtendedStateObserver(120.0), "pressure_observer": PressureObserver(200.0)}
-    controller = {
-        "pid": lambda: run.control(),
-        "decoupling": lambda: DecouplingControl(
-            **(model | {"valve": FirstOrderValve(0.04)}),
-            **observers,
-            feedback=PolePlacement(40.0),
-            actuator_adaptation=ActuatorAdaptation(),
-        ),
-        "predictive": lambda: PredictiveControl(**model, pressure_observer=PressureObserver(200.0)),
-        "inverse": lambda: InverseModelControl(run.control(), load=plant.load, valve=FirstOrderValve(0.02)),
-    }[name]()
-    with pytest.warns(ReachabilityWarning):  # the stiffness follows from the angle
-        result = simulate(plant, controller, run.reference(), duration=2, initial=run.initial(plant))
-    assert result.metrics["angle_rmse"] < largest * deg
-    assert result.metrics["time_saturated"] < 0.01
-    assert not np.any(result[f"pressure{side}"])
-    if name == "decoupling":  # learned from the muscle's pressure alone
-        assert result["valve_speed_estimate"][-1] == pytest.approx(2.0, rel=0.1)
-
-
-@pytest.mark.slow
-def test_the_envelope_says_that_angle_and_stiffness_are_not_independent():
-    found = envelope(read())
-    np.testing.assert_allclose(*found.static.stiffness, rtol=1e-9)
-    assert not found.trackability.trackable
-
-
 def test_a_linear_axis_is_a_pulley_of_1_m():
     """Metres for radians, newtons for newton metres, kilograms for kg*m^2."""
     joint = AntagonisticJoint(PairedPaths(Pulley(1.0, 150 * mm), Pulley(1.0, 155 * mm)), SPRING, MUSCLE)
@@ -165,17 +122,6 @@ def test_a_linear_axis_is_a_pulley_of_1_m():
     with pytest.warns(ReachabilityWarning):
         result = simulate(plant, controller, reference, duration=2)
     assert result.metrics["angle_rmse"] < 0.1 * mm
-
-
-def test_the_example_of_a_linear_axis_follows_its_reference():
-    run = Scenario.read(EXAMPLE)
-    plant = run.plant()
-    with pytest.warns(ReachabilityWarning):
-        result = simulate(plant, run.control(), run.reference(), duration=2, initial=run.initial(plant))
-    assert result.metrics["angle_rmse"] < 1 * mm
-    with pytest.raises(UnreachableError) as caught:
-        plant.equilibrium(0.0, stiffness=9e3)
-    assert caught.value.lower == pytest.approx(caught.value.upper) and "leave" in caught.value.remedy
 
 
 def test_what_is_no_joint_is_refused():

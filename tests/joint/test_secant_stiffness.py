@@ -6,7 +6,6 @@ import jax
 import numpy as np
 import pytest
 
-from mckibben.errors import DomainWarning
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellSlip
 from mckibben.units import bar, deg, mm
@@ -88,8 +87,3 @@ def test_closed_valves_with_a_spring_in_series(as_printed, index):
     springy = dataclasses.replace(as_printed, tendon=SeriesSpring(stiffness=2e4, preload=60.0, travel=0.01))
     small = float(secant(springy, 0.05, 1e-4, index))
     assert small == pytest.approx(float(closed(springy, 0.05, index)), rel=1e-6)
-
-
-def test_a_motion_out_of_the_domain_warns(as_printed):
-    with pytest.warns(DomainWarning):
-        as_printed.secant_stiffness(0.0, HELD, 12 * deg)

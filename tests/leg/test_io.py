@@ -9,9 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.leg import LegPlant, LegScenario, LegStart, PressureSchedule, simulate_leg, simulate_legs
 from mckibben.leg.control import LegController
-from mckibben.plant import FirstOrderValve, IdealValve, JointFriction, SampledSensors, TorquePulses
+from mckibben.plant import JointFriction, SampledSensors, TorquePulses
 from mckibben.units import deg, kPa, ms
 from tests.leg.conftest import leg_of
 

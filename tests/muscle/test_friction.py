@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
 
 from mckibben.errors import RangeError
-from mckibben.muscle import MaxwellSlip, Muscle, MuscleState, NoFriction
+from mckibben.muscle import Domain, MaxwellSlip, Muscle, NoFriction, ReynoldsLaw, Specimen
 from mckibben.muscle.friction import play_response, smooth_limit
 from mckibben.units import bar, mm
 
@@ -84,15 +85,6 @@ def test_energy_is_only_lost_whatever_length_tension_and_pressure_do(path):
     assert put_in.sum() >= -1e-12  # and so over the closed path
 
 
-def test_a_large_loop_loses_its_area():
-    path = np.concatenate([np.linspace(0.2, 0.22, 4001), np.linspace(0.22, 0.2, 4001), np.linspace(0.2, 0.22, 4001)])
-    force = PLAIN.path_response(path, FAR, 0.0)
-    second = slice(4001, 12003)
-    lost = np.trapezoid(force[second], path[second])
-    # +-12 N over 20 mm each path, less what the two turns leave out: on each the force is late by s0 on average
-    assert lost == pytest.approx(2 * 12 * 0.02 - 2 * 24 * 0.5e-3, rel=5e-3)
-
-
 @given(paths())
 def test_the_muscle_never_pushes_and_stays_in_its_band(path):
     _, tension, pressure = path
@@ -154,14 +146,31 @@ def test_the_band_grows_with_pressure_and_ends_at_none():
     assert float(FRICTION.half_width_at(48.0, 3 * bar)) == pytest.approx(12 * np.tanh(2))
 
 
-def test_viscous_friction_is_linear_where_taut_and_fades_where_slack():
-    friction = dataclasses.replace(PLAIN, viscous=50.0)
-    assert float(friction.viscous_force(0.2, 400.0, 3e5, 0.1)) == pytest.approx(5.0, rel=1e-3)
+def test_viscous_friction_is_linear_until_the_muscle_would_push():
+    friction = dataclasses.replace(PLAIN, viscous=3083.0)
+    assert float(friction.viscous_force(0.2, 447.0, 3e5, -0.1)) == pytest.approx(-308.3)  # Reynolds et al. 2003
     rates = np.linspace(-100, 100, 41)
     for tension in (0.0, 1e-12, 3.0, 400.0):
         force = np.asarray(friction.viscous_force(0.2, tension, 3e5, rates))
-        assert np.all(np.abs(force) <= tension / 2) and np.all(force * rates >= 0)
+        limit = tension - float(friction.half_width_at(tension, 3e5))
+        np.testing.assert_allclose(force, np.clip(3083.0 * rates, -limit, limit), rtol=1e-12)
     assert float(PLAIN.viscous_force(0.2, 400.0, 3e5, 0.1)) == 0.0
+
+
+def test_a_lifted_mass_follows_the_three_element_model():
+    """D. B. Reynolds et al., Annals of Biomedical Engineering 31 (2003): 20 kg at 300 kPa, from 10 mm at rest."""
+    domain = Domain(pressure_max=7 * bar)
+    law = ReynoldsLaw(f0=179.2, f1=139 / bar, k0=1427.5, k1=767.5 / bar, domain=domain)
+    friction = MaxwellSlip(1e-3, 0.5e-3, viscous=1010.0, viscous_growth=691 / bar)
+    muscle = Muscle(Specimen("bicycle tube", 0.25), law, friction=friction)
+
+    def motion(_, y):
+        tension = muscle.tension(y[0] / 0.25, 3 * bar)
+        force = tension + friction.viscous_force(0.25 - y[0], tension, 3 * bar, -y[1])
+        return [y[1], float(force) / 20.0 - 196.133 / 20.0]
+
+    found = solve_ivp(motion, [0, 0.2], [0.01, 0.0], t_eval=[0.02, 0.05, 0.1, 0.2], rtol=1e-5, atol=1e-8).y[0]
+    np.testing.assert_allclose(found, [11.10e-3, 13.27e-3, 16.26e-3, 20.42e-3], atol=2e-5)
 
 
 RATES = {"viscous_growth": 40 / bar, "viscous_length_growth": 4e3, "reference_length": 0.16}
@@ -190,7 +199,8 @@ def test_the_width_of_steady_motion_grows_with_the_rate_to_a_limit():
 def test_rate_dependent_friction_is_dissipative_and_the_muscle_never_pushes(tension, pressure, length, rate):
     friction = dataclasses.replace(PLAIN, viscous=50.0, rate_growth=2.0, rate_speed=0.01, **RATES)
     force = float(friction.viscous_force(length, tension, pressure, rate))
-    assert force * rate >= 0 and abs(force) <= tension / 2
+    band = float(friction.half_width_at(tension, pressure))
+    assert force * rate >= 0 and abs(force) + band <= tension * (1 + 1e-12)
 
 
 @pytest.mark.parametrize(
@@ -205,44 +215,6 @@ def test_parameters_that_go_together_are_given_together(given, missing):
     with pytest.raises(RangeError) as refused:
         dataclasses.replace(PLAIN, **given)
     assert refused.value.field == missing
-
-
-def test_slopes_are_finite_everywhere():
-    state = PLAIN.initial(0.2)
-
-    def total(numbers):
-        rates = {"viscous_growth": 1e-4, "viscous_length_growth": 1e3, "reference_length": 0.2, "rate_growth": 0.5}
-        friction = MaxwellSlip(
-            numbers[0], numbers[1], growth=numbers[2], viscous=numbers[3], **rates, rate_speed=numbers[3] / 1e3
-        )
-        force = friction.force(state, numbers[4], numbers[5], 2e5)
-        force = force + friction.viscous_force(numbers[4], numbers[5], 2e5, numbers[6])
-        return force + sum(friction.project(state, numbers[4], numbers[5], 2e5))
-
-    slope = jax.jit(jax.grad(total))
-    for length, tension, rate in ((0.2, 0.0, 0.0), (0.21, 0.0, 1.0), (0.2001, 100.0, -0.1), (0.3, 1e6, 0.0)):
-        assert np.all(np.isfinite(slope(jnp.array([12.0, 5e-4, 1e-5, 20.0, length, tension, rate]))))
-
-
-def test_the_force_of_a_muscle_with_a_state_is_its_law_and_its_friction(specimen, law):
-    muscle = Muscle(specimen, law, FRICTION)
-    state = FRICTION.initial(specimen.length_at(0.10))
-    for contraction in (0.095, 0.10, 0.1004, 0.23, 0.26):
-        tension, length = float(muscle.tension(contraction, 4 * bar)), float(specimen.length_at(contraction))
-        path = FRICTION.path_response([float(specimen.length_at(0.10)), length], [tension, tension], 4 * bar)
-        force = float(muscle.tension(contraction, 4 * bar, MuscleState(state)))
-        assert force == pytest.approx(tension + path[-1], abs=1e-9)
-        assert force >= tension / 2
-    assert muscle.tension(0.3, 4 * bar, MuscleState(state)) == 0  # slack
-
-
-def test_none_is_none(specimen, law):
-    assert Muscle(specimen, law).friction == NoFriction()
-    none = NoFriction()
-    assert none.initial(0.2) == () and none.project((), 0.2, 1.0, 1.0) == ()
-    assert jax.tree.leaves(none) == []
-    assert float(none.force((), 0.2, 100.0, 1e5)) == float(none.viscous_force(0.2, 100.0, 1e5, 1.0)) == 0.0
-    np.testing.assert_array_equal(none.path_response([0.1, 0.2], 1.0, 1.0), [0, 0])
 
 
 @pytest.mark.parametrize(
@@ -261,8 +233,3 @@ def test_numbers_without_meaning_are_refused(field, value, upper):
     with pytest.raises(RangeError) as refused:
         MaxwellSlip(**{"half_width": 12.0, "presliding_length": 5e-4, field: value})
     assert refused.value.field == field and refused.value.upper == pytest.approx(upper)
-
-
-def test_a_muscle_takes_friction_only_as_friction(specimen, law):
-    with pytest.raises(RangeError, match="friction is 12"):
-        Muscle(specimen, law, 12.0)

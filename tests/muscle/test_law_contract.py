@@ -4,16 +4,12 @@ import dataclasses
 import math
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from mckibben import catalog, muscle
-from mckibben.codegen.native import NativeFunction, compiler
-from mckibben.component.base import field_quantities
 from mckibben.errors import DomainWarning, RangeError
 from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, scaled_law
-from mckibben.units import factor
 
 BOX = Domain(-0.03, 0.25, 0.0, 6e5)
 ANGLE, DIAMETER = math.radians(25), 0.01
@@ -77,19 +73,6 @@ def test_a_direct_call_warns_of_impossible_points_and_refuses_texts(law):
         law.force("0.1", 3e5)
 
 
-@pytest.mark.slow
-def test_scalars_give_scalars_that_do_not_depend_on_compilation(law, force):
-    given = contractions(law)[5, 0], pressures(law)[7], force[5, 7]
-    contraction, pressure, wanted = map(np.array, given)
-    found = law.force(contraction, pressure), law.slope(contraction, pressure), law.pressure_for(wanted, contraction)
-    for answer in found:
-        assert answer.shape == ()
-        assert answer.dtype == jnp.float64
-    assert (contraction, pressure, wanted) == given, "arguments were changed"
-    for answer, on_the_grid in zip(found, answers(law, force=force), strict=True):
-        assert float(answer) == pytest.approx(on_the_grid[5, 7], rel=1e-12, abs=1e-10)
-
-
 def test_arrays_broadcast(law):
     def shape(function, *arguments):
         return jax.eval_shape(function, *arguments).shape
@@ -128,20 +111,6 @@ def test_an_affine_law_has_an_offset_and_a_gain(name):
     offset, gain = jax.jit(type(law).pressure_terms)(law, contractions(law))
     assert offset.shape == gain.shape == contractions(law).shape
     np.testing.assert_allclose(offset + gain * pressures(law), answers(law)[0], rtol=1e-12, atol=1e-12)
-
-
-def test_the_parameters_are_the_fields(law):
-    fields = {f.name for f in dataclasses.fields(law)} - {"domain"}
-    parameters = law.parameters()
-    assert {p.name for p in parameters + law.constants} == fields
-    assert len(parameters + law.constants) == len(fields)
-    assert all(p.meaning for p in parameters)
-
-
-def test_the_units_of_the_parameters_are_si_and_of_the_kind_that_is_shown(law):
-    for parameter in law.parameters() + law.constants:
-        assert factor(parameter.unit) == pytest.approx(1.0), parameter.name
-        assert factor(parameter.shown, parameter.unit) > 0, parameter.name
 
 
 def test_shape_parameters_have_a_finite_range_that_holds_the_example(law):
@@ -185,40 +154,3 @@ def test_a_stronger_muscle_has_so_many_times_every_force(law):
     np.testing.assert_allclose(back, np.broadcast_to(pressures(law), back.shape), rtol=1e-10, atol=1e-4)
     assert isinstance(strong, PressureAffineLaw) == isinstance(law, PressureAffineLaw)
     assert jax.tree.map(float, strong.domain) == jax.tree.map(float, law.domain.intersection(law.formula_domain))
-
-
-def test_it_says_what_it_is_and_where_it_comes_from(law):
-    assert law.equation.startswith("F = ")
-    assert law.source
-    assert type(law).__doc__
-    assert LAWS[type(law).__name__] is type(law)
-
-
-@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-def test_as_c_for_many_runs_it_is_the_same(law):
-    grid = [x.ravel().copy() for x in np.broadcast_arrays(contractions(law), pressures(law), 60.0)]
-
-    @NativeFunction
-    def emitted(law, lane):
-        contraction, pressure, force = lane
-        return law.force(contraction, pressure), law.slope(contraction, pressure), law.pressure_for(force, contraction)
-
-    found = emitted(jax.tree.map(np.asarray, law), tuple(grid))
-    expected = answers(law, force=np.full((ROWS, COLUMNS), 60.0))
-    for emitted_one, one in zip(found, expected, strict=True):
-        np.testing.assert_allclose(emitted_one.reshape(ROWS, COLUMNS), one, rtol=1e-12, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", sorted(LAWS))
-def test_all_that_a_search_tries_can_be_a_field(name):
-    """The limits of the identification are inside those of the constructor."""
-    marks = field_quantities(LAWS[name])
-    for parameter in LAWS[name].shape_parameters:
-        if (mark := marks.get(parameter.name)) is not None:
-            assert (mark.read(parameter.lower), mark.read(parameter.upper)) == (parameter.lower, parameter.upper)
-
-
-def test_without_corrections_the_law_of_tsagarakis_and_caldwell_is_chous():
-    plain = muscle.TsagarakisCaldwellLaw(0.0, ANGLE, DIAMETER, 0.0, 0.0, BOX)
-    for one, other in zip(answers(plain), answers(EXAMPLES["ChouLaw"]()), strict=True):
-        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-9)

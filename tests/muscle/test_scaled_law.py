@@ -6,10 +6,9 @@ import jax
 import numpy as np
 import pytest
 
-from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
-from mckibben.muscle import LAWS, ForceCorrection, HuntLaw, Muscle, scaled_law
+from mckibben.muscle import ForceCorrection, scaled_law
 from mckibben.numerics.compiled import numeric
 from mckibben.units import bar
 
@@ -37,11 +36,6 @@ def test_a_correction_is_constant_beyond_the_contractions_of_its_calibration():
         assert float(gain) == pytest.approx(1e-5 - 2e-5 * v)
 
 
-def test_it_is_no_law_to_be_identified(law):
-    assert not any(name.startswith("Stronger") for name in LAWS)
-    assert type(scaled_law(law, 0.9)).parameters() == ()
-
-
 def test_a_joint_of_other_muscles_has_their_torque_and_stiffness(knee, paper_precontracted):
     """By the paper's equations, each muscle's tension times its own factor."""
     angle, pressures, (s1, s2) = 0.1, (3.2 * bar, 4.1 * bar), (0.9, 1.1)
@@ -62,22 +56,9 @@ def test_a_joint_of_other_muscles_has_their_torque_and_stiffness(knee, paper_pre
         assert at_zero + first * pressures[0] + second * pressures[1] == pytest.approx(float(value), rel=1e-12)
 
 
-def test_of_a_strong_muscle_a_strong_one_is_both_in_one(law):
-    twice = scaled_law(scaled_law(law, 0.9), 1.2)
-    assert float(twice.force(0.1, 3e5)) == pytest.approx(1.08 * float(law.force(0.1, 3e5)), rel=1e-13)
-    assert twice.domain == law.domain.intersection(law.formula_domain)
-
-
 def test_one_strength_a_muscle_of_many(law):
     strengths = np.array([0.8, 1.0, 1.25])
     many = scaled_law(law, strengths)
     axes = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, many)
     forces = jax.vmap(lambda one: one.force(0.1, 3e5), in_axes=(axes,))(many)
     np.testing.assert_allclose(forces, strengths * float(law.force(0.1, 3e5)), rtol=1e-13)
-
-
-def test_a_muscle_knows_where_its_law_holds_however_strong(specimen):
-    """Some laws have no meaning beyond a place of their own, whatever they were fitted to."""
-    law = HuntLaw(254.3e3, 1230.0, 192e3, 0.22, catalog.law("lei-mas-10-180n").domain)
-    plain, strong = Muscle(specimen, law), Muscle(specimen, scaled_law(law, 1.1))
-    assert jax.tree.map(float, plain.domain) == jax.tree.map(float, strong.domain)

@@ -7,9 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.codegen.native import NativeFunction, compiler
-from mckibben.errors import McKibbenWarning, RangeError
-from mckibben.muscle import LAWS, ChouLaw, Muscle, ThresholdLaw, scaled_law
+from mckibben.errors import RangeError
+from mckibben.muscle import ThresholdLaw
 from mckibben.units import bar
 
 PRESSURE = np.linspace(0, 6, 61) * bar
@@ -44,30 +43,6 @@ def test_its_derivative_is_continuous_and_rises_from_zero_to_that_of_the_law(lat
     assert np.all(np.diff(slope) > 0) and slope[0] < 0.02 * whole and slope[-1] == pytest.approx(whole, rel=1e-3)
 
 
-@pytest.mark.skipif(compiler() is None, reason="no C compiler")
-@pytest.mark.slow
-def test_compiled_c_gives_the_force_and_the_slope(late):
-    contraction, pressure = np.linspace(-0.03, 0.25, 61), PRESSURE
-
-    def both(given, _):
-        law, contraction, pressure = given
-        return law.force(contraction, pressure), law.slope(contraction, pressure)
-
-    for found, wanted in zip(
-        NativeFunction(both)((late, contraction, pressure)), both((late, contraction, pressure), None), strict=True
-    ):
-        np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-10)
-
-
-def test_it_wraps_any_law_and_is_wrapped_by_strength(law, specimen):
-    around = ThresholdLaw(law=ChouLaw.of(specimen), threshold=0.3 * bar)
-    strong = scaled_law(around, 1.1)
-    assert float(strong.force(0.1, 3e5)) == pytest.approx(1.1 * float(around.force(0.1, 3e5)))
-    muscle = Muscle(specimen, around, strength=1.1)
-    assert float(muscle.force(0.1, 3e5)) == pytest.approx(1.1 * float(around.force(0.1, 3e5)))
-    assert "ThresholdLaw" not in LAWS
-
-
 def test_a_joint_with_it_has_a_stiffness_and_pressures_for_a_state(knee, late):
     muscle = dataclasses.replace(knee.muscle1, law=late)
     joint = dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
@@ -81,10 +56,3 @@ def test_a_joint_with_it_has_a_stiffness_and_pressures_for_a_state(knee, late):
 def test_numbers_without_meaning_are_refused(law, fields):
     with pytest.raises(RangeError):
         ThresholdLaw(law=law, **fields)
-
-
-def test_only_the_given_pressure_counts_for_the_warning_of_numbers_in_bar(late, specimen):
-    for pressure in (0.0, 0.05 * bar):  # effective pressures below 1 kPa
-        assert np.isfinite(late.force(0.0, pressure)) and np.isfinite(Muscle(specimen, late).force(0.0, pressure))
-    with pytest.warns(McKibbenWarning, match="numbers are in SI"):
-        late.force(0.0, 6.0)

@@ -10,9 +10,9 @@ import jax
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve
 from mckibben.control import PID, Constant, Jacobian, Sine
-from mckibben.numerics.program_cache import FingerprintError, code_fingerprint, fingerprint
-from mckibben.plant import IdealValve
+from mckibben.numerics.program_cache import FingerprintError, code_fingerprint, fingerprint, structure_fingerprint
 
 VALUES = (
     *(None, True, False, 1, 0, 1.0, 0.0, -0.0, 1e-300, "1", "", b"1", 1j),
@@ -66,3 +66,11 @@ Pair = collections.namedtuple("Pair", "a b")
 def test_what_is_not_known_has_no_name(value):
     with pytest.raises(FingerprintError):
         fingerprint(value)
+
+
+def test_structures_name_their_classes_in_full():
+    text = structure_fingerprint(jax.tree.structure({"a": Constant(1.0), "b": (2.0, None)}))
+    assert "mckibben.control.reference.Constant" in text
+    assert text != structure_fingerprint(jax.tree.structure({"a": Constant(1.0), "c": (2.0, None)}))
+    with pytest.raises(FingerprintError, match="Pair"):
+        structure_fingerprint(jax.tree.structure([Pair(1.0, 2.0)]))

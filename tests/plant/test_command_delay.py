@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben.actuator import FlowValve
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError, ScenarioError
-from mckibben.export.mjcf import joint_model
-from mckibben.export.plant import plant_module
-from mckibben.plant import FlowValve
-from mckibben.realtime import PERFECT, SimulatedJoint
 from mckibben.scenario import Scenario, batched, find_parameter
 from mckibben.simulation import differentiate, run_episode
 from mckibben.units import bar, litre, ms
@@ -93,13 +90,6 @@ def test_the_derivative_is_that_of_differences(late):
     assert float(found) == pytest.approx(float(np.diff(ends["angle_rmse"])[0]) / (2 * by), rel=1e-4)
 
 
-def test_without_a_delay_there_is_no_state(late):
-    for delay, count in ((None, 0), (0.0, 0), (0.3 * PERIOD, 1), (4 * PERIOD, 4), (np.array([0.0, 10 * ms]), 10)):
-        state = late(delay).with_period(PERIOD).init_state(0.0, (3 * bar, 4 * bar))
-        assert len(state.sent) == count
-        assert [list(map(float, one)) for one in state.sent] == count * [[3 * bar, 4 * bar]]
-
-
 def test_openings_are_zero_before_the_start(knee, load):
     valve = FlowValve(conductance=0.4 * litre / bar, supply=7 * bar, direct=True)
     plant = mk.JointPlant(knee, load, valve, command_delay=2 * PERIOD).with_period(PERIOD)
@@ -128,38 +118,3 @@ def test_a_scenario_has_it():
     with pytest.raises(ScenarioError) as caught:
         Scenario.parse(SCENARIO + "command_delay: -1 ms\n")
     assert caught.value.problems[0].field == "command_delay"
-
-
-def test_programs_without_it_say_so(late):
-    plant = late(5 * ms)
-    assert any("delay" in one for one in plant_module(plant).left_out)
-    assert any("delay" in one for one in joint_model(plant).left_out)
-
-
-class Valves:
-    """In place of a `PlantProgram`: the joint stands still, its pressures are their commands. Nothing is compiled."""
-
-    def state(self, state):
-        return np.array([0.0, 0.0, *map(float, state.pressures)])
-
-    def advance(self, state, command1, command2, time):
-        return np.array([0.0, 0.0, command1, command2])
-
-
-def test_signals_reach_simulated_valves_late_and_the_watchdog_does_not_wait(late, start):
-    joint = SimulatedJoint(
-        late(8 * ms), period=PERIOD, start=start, sensing=PERFECT, patience=20 * ms, program=Valves()
-    )
-    volts = [(3 * bar) / valve.gain + valve.offset for valve in joint._wiring.valves]
-    joint.open()
-    joint.set_valves(volts)
-    joint.pass_time(7.5 * ms)
-    assert joint.truth[2:] == pytest.approx(tuple(map(float, start.pressures)))
-    joint.pass_time(1 * ms)
-    assert joint.truth[2:] == pytest.approx((3 * bar, 3 * bar))
-    joint.pass_time(8 * ms)
-    joint.set_valves(volts)  # on its way when the watchdog expires
-    joint.pass_time(4.5 * ms)
-    assert joint.truth[2:] == (0.0, 0.0)
-    joint.pass_time(20 * ms)
-    assert joint.truth[2:] == (0.0, 0.0)

@@ -10,23 +10,21 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.codegen.native import NativeFunction
-from mckibben.control import PID, PositionStiffnessControl, Reference, Setpoint, Sine
+from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring
-from mckibben.muscle import MaxwellCreep, MaxwellSlip, MuscleState, NoCreep
-from mckibben.numerics.batching import batched_program
+from mckibben.muscle import MaxwellCreep
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import FirstOrderValve, JointPlant, PlantState
-from mckibben.plant.joint_plant import Motion
-from mckibben.simulation import compiled_episode, episode, simulate
+from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation import compiled_episode, episode
 from mckibben.simulation.engine import compute_with
 from mckibben.units import mm
 
 PERIODS, PERIOD = 1000, 1e-3
 P1, P2 = 4e5, 3.6e5
 ARM = MaxwellCreep(3000.0, 0.2)
-SLIP = MaxwellSlip(12.0, 0.5 * mm, elements=2)
 
 
 def with_creep(joint, arm=ARM, slip=None, **changes):
@@ -141,113 +139,6 @@ def test_a_free_swing_only_loses_energy(swing, paper_precontracted, pressures):
     assert np.all(np.abs(creep_of(state)[:, every]) <= tensions / 2 + 1e-9)
 
 
-def test_it_comes_to_rest_where_the_laws_alone_would(swing, creeping):
-    rest = creeping.equilibrium(0.1)
-    assert jax.tree.leaves(rest.muscles) == [0.0, 0.0] and rest.muscles[0].friction == ()
-    np.testing.assert_allclose(jax.tree.leaves(creeping.rate(rest)), 0.0, atol=1e-9)
-    pressures = tuple(map(float, rest.pressures))
-    state = swing(PlantState(0.1 + 0.02, 0.0, pressures), damping=2.0, pressures=pressures)
-    assert abs(float(state.angle[-1]) - 0.1) < 0.02 * 0.02
-    assert np.abs(creep_of(state)).max() > 0.5 > 5 * np.abs(creep_of(state)[:, -1]).max()
-
-
-def test_a_quick_turn_meets_more_than_the_law(creeping):
-    """Creep resists a quick turn with its stiffness at the moment arms, and nothing a while after."""
-    joint, (p1, p2) = creeping.joint, (P1, P2)
-    arm1, arm2 = map(float, joint.geometry.moment_arms(0.0))
-    rates = joint.state_rate(joint.init_state(0.0, (p1, p2)), 0.0, 1.0, (p1, p2))
-    after = jax.tree.map(lambda x: x * 1e-3, rates)  # after a turn of a milliradian
-    torque = float(joint.creep_torque(0.0, (p1, p2), after))
-    assert torque == pytest.approx(-3000.0 * (arm1**2 + arm2**2) * 1e-3, rel=1e-9)
-    whole = joint.forces(0.0, 0.0, (p1, p2), after)
-    assert float(whole.torque) == pytest.approx(float(joint.torque(0.0, (p1, p2))) + torque, rel=1e-12)
-    assert float(joint.friction_torque(0.0, 0.0, (p1, p2), after)) == pytest.approx(0, abs=1e-12)
-
-
 def test_a_series_spring_is_refused(knee):
     with pytest.raises(RangeError, match="in series with a SeriesSpring: creep needs the rate"):
         with_creep(knee, tendon=SeriesSpring(stiffness=20e3, preload=10.0, travel=18 * mm))
-
-
-def test_without_creep_there_is_no_state(plant):
-    state = plant.equilibrium(0.1)
-    assert jax.tree.leaves(state.muscles) == [] and plant.project(state) == state
-    assert len(jax.tree.leaves(state)) == 4
-
-
-@pytest.fixture(scope="module")
-def both(ideal_plant, knee, load):
-    """Creep beside friction."""
-    joint = with_creep(knee, MaxwellCreep(1000.0, 0.3, arms=2), SLIP)
-    return numeric(JointPlant(joint, load, ideal_plant.valve))
-
-
-@pytest.mark.slow
-def test_many_runs_are_the_same_as_one(both, playback):
-    held = Setpoint(jnp.full(100, P1), jnp.full(100, P2))
-    start = both.complete_state(PlantState(*map(jnp.asarray, (0.1, 0.8)), (jnp.asarray(P1), jnp.asarray(P2))))
-    assert [len(leaves) for muscle in start.muscles for leaves in muscle] == [2, 2, 2, 2]
-
-    def final(stiffness):
-        plant = eqx.tree_at(lambda p: p.joint.muscle1.creep.stiffness, both, stiffness)
-        return episode(plant, playback, held, start, PERIOD, 1)[0]
-
-    stiffness = jnp.array([500.0, 1000.0, 4000.0])
-    with batched_program():
-        many = jax.jit(jax.vmap(final))(stiffness)
-    one = jax.jit(final)
-    for k in range(3):
-        for whole, alone in zip(jax.tree.leaves(many), jax.tree.leaves(one(stiffness[k])), strict=True):
-            np.testing.assert_allclose(whole[k], alone, rtol=1e-9, atol=1e-11)
-    assert np.ptp(many.angle) > 1e-4
-
-
-@pytest.mark.slow
-def test_a_result_tells_creep_and_friction_apart(both):
-    control = PositionStiffnessControl(PID(1e5, 2e5, 0.1e5), PID(-1e4, -5e4, 0.0), model=both.joint)
-    plant = dataclasses.replace(both, valve=FirstOrderValve(0.02))
-    columns = simulate(plant, control, Reference(angle=Sine(0.1, 2.0), stiffness=15.0), duration=0.3).columns
-    law = np.asarray(both.joint.torque(columns["angle"], (columns["pressure1"], columns["pressure2"])))
-    parts = columns["friction_torque"] + columns["creep_torque"]
-    np.testing.assert_allclose(columns["torque"], law + parts, atol=1e-9)
-    assert np.abs(columns["creep_torque"]).max() > 0.01 and np.abs(columns["friction_torque"]).max() > 0.2
-    contraction, pressure = columns["contraction1"], columns["pressure1"]
-    added = columns["force1"] - np.asarray(both.joint.muscle1.force(contraction, pressure))
-    assert np.abs(added).max() > 5  # forces contain both
-
-
-def test_the_friction_torque_of_relaxed_muscles_is_without_creep(both, knee):
-    """What `friction_compensation` asks of the model's joint."""
-    with_slip = with_creep(knee, NoCreep(), SLIP)
-    joint = both.joint
-    states = joint.update_state(joint.init_state(0.0, (P1, P2)), 0.05, (P1, P2))
-    alone = tuple(MuscleState(state.friction) for state in states)
-    expected = with_slip.friction_torque(0.06, 0.0, (P1, P2), alone)
-    assert float(joint.friction_torque(0.06, 0.0, (P1, P2), states)) == pytest.approx(float(expected))
-    assert float(expected) < -0.1
-
-
-@pytest.mark.slow
-def test_a_derivative_is_that_of_a_small_change(creeping):
-    start = creeping.complete_state(PlantState(*map(jnp.asarray, (0.1, 0.8)), (jnp.asarray(P1), jnp.asarray(P2))))
-
-    @jax.jit
-    def angle(stiffness, time_constant):
-        def chosen(p):
-            return p.joint.muscle1.creep.stiffness, p.joint.muscle1.creep.time_constant
-
-        plant = eqx.tree_at(chosen, creeping, (stiffness, time_constant))
-
-        def euler(_, state):
-            before = Motion.of(state)
-            after = jax.tree.map(lambda x, dx: x + 5e-4 * dx, before, plant.rate(state))
-            return plant.project(after.applied_to(state, state.pressures))
-
-        return jax.lax.scan(lambda s, _: (euler(None, s), None), start, None, length=200)[0].angle
-
-    slopes = jax.jit(jax.jacfwd(angle, argnums=(0, 1)))(jnp.asarray(3000.0), jnp.asarray(0.2))
-    for k, small in enumerate((0.1, 1e-5)):
-        up, down = ([3000.0, 0.2], [3000.0, 0.2])
-        up[k], down[k] = up[k] + small, down[k] - small
-        quotient = (angle(*map(jnp.asarray, up)) - angle(*map(jnp.asarray, down))) / (2 * small)
-        assert float(slopes[k]) == pytest.approx(float(quotient), rel=1e-5) and abs(float(slopes[k])) > 1e-7

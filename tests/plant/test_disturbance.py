@@ -5,12 +5,13 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import KneeLoad
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointPlant, NoDisturbance, TorquePulses
+from mckibben.plant import JointPlant, TorquePulses
 from mckibben.simulation import compiled_episode
 
 PERIOD = 1e-3
@@ -52,11 +53,6 @@ def test_between_two_periods_it_begins_with_the_next():
     )
 
 
-def test_nothing_is_nothing():
-    assert NoDisturbance().torque(np.linspace(0, 1, 5)).tolist() == [0.0] * 5
-    assert NoDisturbance().torque(3).dtype == jnp.float64
-
-
 @pytest.mark.parametrize(
     ("field", "value"),
     [("width", 0.0), ("interval", -1.0), ("start", -0.1), ("width", np.inf)],
@@ -65,12 +61,6 @@ def test_pulses_that_make_no_sense_are_refused(field, value):
     with pytest.raises(RangeError, match="TorquePulses") as refused:
         TorquePulses(0.5, **{field: value})
     assert (refused.value.field, refused.value.value, refused.value.lower) == (field, value, 0.0)
-
-
-def test_pulses_do_not_overlap():
-    with pytest.raises(RangeError) as refused:
-        TorquePulses(0.5, width=2.0, interval=1.0)
-    assert refused.value.value == -1.0
 
 
 def test_a_push_speeds_up_a_joint_at_rest_by_torque_over_inertia(knee, playback):

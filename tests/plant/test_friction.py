@@ -9,11 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.optimize import brentq
 
 from mckibben.control import Setpoint
-from mckibben.errors import RangeError
-from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellSlip
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import numeric
@@ -135,40 +132,6 @@ def test_a_free_swing_only_loses_energy(swing, paper_precontracted):
     assert np.ptp(np.asarray(state.angle)[-300:]) < math.radians(1.0)
 
 
-def test_it_sticks_where_friction_holds_it(swing, with_slip):
-    """Half the friction's torque off balance: with friction it stays to a fraction of a degree, without it it goes."""
-    balanced = brentq(lambda angle: float(_net(with_slip, angle)), math.radians(-25), math.radians(25))
-    start = PlantState(balanced + math.radians(0.8), 0.0, (P1, P2))
-    assert 0.1 < abs(float(_net(with_slip, start.angle))) < 0.4  # the two muscles can hold some 0.7 N*m
-    stuck, loose = swing(start, damping=2.0), swing(start, damping=2.0, half_width=1e-6)
-    moved = np.asarray(stuck.angle) - float(start.angle)
-    assert np.abs(moved).max() < math.radians(0.6)
-    assert np.ptp(np.asarray(stuck.angle)[-500:]) < 1e-5  # and does not creep
-    assert abs(np.asarray(loose.angle)[-1] - balanced) < 0.3 * math.radians(0.8)
-
-
-@jax.jit
-def _net(plant, angle):
-    return plant.joint.torque(angle, (P1, P2)) + plant.load.gravity_torque(angle)
-
-
-@pytest.mark.slow
-def test_at_rest_there_is_no_stress_and_nothing_moves(with_slip):
-    state = with_slip.equilibrium(math.radians(10))
-    assert [len(muscle.friction) for muscle in state.muscles] == [SLIP.elements] * 2
-    rates = jax.tree.leaves(with_slip.rate(state))
-    np.testing.assert_allclose(np.array(rates, float), 0.0, atol=1e-9)
-    projected = with_slip.project(state).muscles
-    for before, after in zip(jax.tree.leaves(state.muscles), jax.tree.leaves(projected), strict=True):
-        assert float(after) == pytest.approx(float(before), abs=1e-12)
-
-
-def test_without_friction_there_is_no_state(plant):
-    state = plant.equilibrium(0.1)
-    assert jax.tree.leaves(state.muscles) == [] and plant.project(state) == state
-    assert len(jax.tree.leaves(state)) == 4
-
-
 def test_its_torque_is_against_the_motion_and_that_of_the_tensions(with_slip):
     joint, pressures = with_slip.joint, (P1, P2)
     states = joint.init_state(0.0, pressures)
@@ -183,27 +146,6 @@ def test_its_torque_is_against_the_motion_and_that_of_the_tensions(with_slip):
     updated = joint.update_state(states, 0.1, pressures)
     again = joint.friction_torque(0.1, 0.5, pressures, updated)
     assert float(again) == pytest.approx(up, abs=1e-12)
-
-
-@pytest.mark.slow
-def test_with_a_series_spring_muscle_and_spring_carry_the_same(knee):
-    spring = SeriesSpring(stiffness=20e3, preload=10.0, travel=18 * mm)
-    joint = with_friction(knee, dataclasses.replace(SLIP, viscous=0.0), tendon=spring)
-    states = joint.init_state(0.0, (P1, P2))
-    pulled = joint.forces(0.15, 0.0, (P1, P2), states)
-    for muscle, tension, contraction, path in zip(
-        (joint.muscle1, joint.muscle2),
-        pulled.tensions,
-        pulled.contractions,
-        joint.geometry.path_lengths(0.15),
-        strict=True,
-    ):
-        length = float(muscle.specimen.length_at(contraction))
-        assert float(tension) == pytest.approx(10.0 + 20e3 * (float(path) - length), abs=1e-6)
-    plain = joint.tensions(0.15, (P1, P2))
-    assert float(pulled.tensions[0]) > float(plain[0]) + 2 and float(pulled.tensions[1]) < float(plain[1]) - 2
-    with pytest.raises(RangeError, match="in series with a SeriesSpring: viscous is 30"):
-        with_friction(knee, tendon=spring)
 
 
 @pytest.mark.parametrize("by_tension", [{}, {"tension_growth": 0.02, "reference_tension": 200.0}])

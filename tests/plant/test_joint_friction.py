@@ -1,7 +1,6 @@
 """Dry friction of the joint itself: a pendulum against closed forms, its energy, sticking, scenarios and exports."""
 
 import dataclasses
-import warnings
 from pathlib import Path
 
 import equinox as eqx
@@ -12,22 +11,18 @@ import pytest
 from jax import lax
 
 import mckibben as mk
-from mckibben.codegen.native import compiler
-from mckibben.control import Reference
-from mckibben.errors import DomainWarning, McKibbenWarning, RangeError, ScenarioError, SimulationError
-from mckibben.export.mjcf import joint_model
-from mckibben.export.plant import plant_module
-from mckibben.joint import GeneralLoad, PairedPaths, Pulley, TabulatedPath
+from mckibben.actuator import IdealValve
+from mckibben.errors import McKibbenWarning, RangeError, SimulationError
+from mckibben.joint import GeneralLoad, PairedPaths, Pulley
 from mckibben.muscle.friction import polygon
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointFriction, JointPlant
-from mckibben.scenario import Scenario, batched, find_parameter
+from mckibben.plant import JointFriction, JointPlant
+from mckibben.scenario import Scenario
 from mckibben.units import deg, mm
 
 TORQUE, PRESLIDING, GRAVITY, INERTIA = 0.01, 2e-3, 0.7, 0.02  # N*m, rad, N*m, kg*m^2
 PERIOD, SUBSTEPS = 1e-3, 2
 FRICTION = JointFriction(TORQUE, PRESLIDING)
-STILL = Reference(angle=0.0, stiffness=0.0)  # pressures, of `playback`
 SCENARIO = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
 OF_SCENARIO = "friction: {torque: 0.2 N*m, presliding: 0.4 deg}\n"
 
@@ -117,42 +112,6 @@ def test_derivatives_are_those_of_differences(pendulum):
     assert float(jax.jacfwd(end)(TORQUE)) == pytest.approx(float(quotient), rel=1e-4)
 
 
-@pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")  # slack muscles hold no angle
-def test_a_result_has_the_friction_as_a_torque_against_the_motion(pendulum, playback):
-    """Its work is the change of energy: the muscles are slack, the load is undamped."""
-    found = mk.simulate(
-        pendulum, playback, STILL, duration=1.0, substeps=2, initial=pendulum.init_state(0.15, (0.0, 0.0))
-    )
-    angle, velocity, torque = (found[name] for name in ("angle", "velocity", "joint_friction_torque"))
-    energy = INERTIA * velocity**2 / 2 - GRAVITY * np.cos(angle)
-    work = np.concatenate([[0.0], np.cumsum((torque * velocity)[1:] + (torque * velocity)[:-1]) * PERIOD / 2])
-    np.testing.assert_allclose(energy - energy[0], work, atol=1e-3 * abs(work[-1]))
-    assert work[-1] < -2 * TORQUE * 0.1
-    assert "friction_torque" not in found.columns  # of muscles: these have none
-
-
-@pytest.mark.filterwarnings("ignore::mckibben.errors.ReachabilityWarning")  # slack muscles hold no angle
-@pytest.mark.parametrize("start", [0.15, -0.15])
-def test_a_run_beyond_the_table_of_its_geometry_warns(pendulum, playback, start):
-    angles = np.linspace(-0.1, 0.1, 9)
-    paths = PairedPaths(*(TabulatedPath(angles, lengths=100 * mm + arm * angles) for arm in (10 * mm, -10 * mm)))
-    plant = dataclasses.replace(pendulum, joint=dataclasses.replace(pendulum.joint, geometry=paths))
-
-    def run(angle):
-        initial = plant.init_state(angle, (0.0, 0.0))
-        return mk.simulate(plant, playback, STILL, duration=0.01, substeps=2, initial=initial)
-
-    with pytest.warns(DomainWarning, match="leaves the table"):
-        run(start)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", DomainWarning)
-        run(start / 2)
-
-
-def test_half_a_degree_reverses_it_by_default():
-    assert JointFriction(0.1).presliding == pytest.approx(0.5 * deg)
-
-
 @pytest.mark.parametrize(
     ("change", "field"),
     [({"torque": 0.0}, "torque"), ({"presliding": 0.0}, "presliding"), ({"elements": 0}, "elements")],
@@ -166,34 +125,6 @@ def test_wrong_numbers_are_refused(change, field):
 @pytest.fixture(scope="module")
 def scenario():
     return Scenario.parse(SCENARIO.replace("duration: 10 s", "duration: 500 ms") + OF_SCENARIO)
-
-
-def test_a_scenario_has_it(scenario):
-    assert scenario.plant().friction == JointFriction(0.2, 0.4 * deg)
-    assert Scenario.parse(scenario.dumps()) == scenario
-    assert find_parameter(scenario, "friction.torque").show(0.3) == "0.3 N*m"
-    assert batched(scenario, {"friction.torque": [0.1, 0.2]}).plant().friction.torque.tolist() == [0.1, 0.2]
-    assert Scenario.parse(SCENARIO).plant().friction is None
-    with pytest.raises(ScenarioError) as caught:
-        Scenario.parse(SCENARIO + "friction: {torque: 0 N*m}\n")
-    assert caught.value.problems[0].field == "friction.torque"
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
-def test_both_engines_have_the_same_runs_and_batches(scenario):
-    plant = scenario.plant()
-    timing = {"duration": 0.5, "control_period": scenario.control_period, "initial": scenario.initial(plant)}
-    parts = plant, scenario.control(), scenario.reference()
-    runs = [mk.simulate(*parts, engine=engine, **timing) for engine in ("native", "xla")]
-    for name in ("angle", "joint_friction_torque"):
-        expected = runs[1][name]
-        np.testing.assert_allclose(runs[0][name], expected, rtol=0, atol=1e-10 * np.abs(expected).max())
-    assert np.abs(runs[0]["joint_friction_torque"]).max() == pytest.approx(0.2, rel=1e-6)
-    over = {"friction.torque": np.linspace(0.1, 0.3, 3)}
-    timing |= {"substeps": runs[0].resolution.substeps}
-    batch = mk.simulate_many(*parts, over=over, keep=["angle"], every=0.01, **timing)
-    np.testing.assert_allclose(batch["angle"][1], runs[0]["angle"][::10], rtol=0, atol=1e-9)
 
 
 @pytest.mark.slow
@@ -211,13 +142,3 @@ def test_too_few_substeps_are_refused_and_batches_warn_of_them(scenario):
             plant, stiff.control(), stiff.reference(), over={"friction.torque": [0.01, 30.0]}, duration=0.1,
             control_period=1e-3, substeps=1, initial=stiff.initial(plant), metrics=["angle_rmse"],
         )  # fmt: skip
-
-
-def test_exports_have_it_or_say_so(scenario):
-    plant = scenario.plant()
-    model = joint_model(plant)
-    assert 'frictionloss="0.2"' in model.xml
-    assert any("friction" in one for one in model.left_out)
-    module = plant_module(plant, 1e-3)
-    assert {one.name for one in module.module.functions} >= {"step", "torque"}
-    assert "rate" not in {one.name for one in module.module.functions}

@@ -9,7 +9,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointPlant, NoDisturbance, PerfectSensors, SampledSensors
+from mckibben.plant import JointPlant, PerfectSensors, SampledSensors
 from mckibben.units import deg
 
 pytestmark = pytest.mark.usefixtures("optimized")  # noise, of 32 bits, is compared to the last bit of 64
@@ -98,19 +98,6 @@ def test_the_noise_is_white_normal_and_of_the_given_size(noise):
             assert abs(np.mean(one * other)) < 4 / np.sqrt(one.size)
 
 
-def test_another_seed_is_another_noise_and_the_same_the_same(noise, true):
-    for one, other in ((0, 1), (1, 2**31 - 1), (0, 2**31 - 1)):
-        assert np.abs(np.mean(noise[one] * noise[other], axis=1)).max() / NOISE**2 < 4 / np.sqrt(PERIODS)
-    np.testing.assert_array_equal(noise["none"], 0.0)
-    found = measured(SampledSensors(pressure_noise=NOISE, seed=1), true)  # whatever is measured
-    np.testing.assert_allclose(found.pressures[0] - true.pressures[0], noise[1][0], atol=1e-9)
-
-
-def test_in_32_bits_the_noise_is_the_same(noise):
-    assert noise["32 bits"].dtype == np.float32
-    np.testing.assert_allclose(noise["32 bits"], noise[1], rtol=2e-7)
-
-
 @pytest.mark.parametrize("delay", [0.0, 0.25, 1.0])
 def test_a_measurement_is_delayed_by_a_fraction_of_a_period(true, delay):
     """The noise is that of when it was sampled, and so are the counts."""
@@ -136,8 +123,3 @@ def test_invalid_sensors_are_refused(field, value, unit):
         SampledSensors(**{field: value})
     assert (refused.value.field, refused.value.unit) == (field, unit)
     np.testing.assert_equal(refused.value.value, np.ravel(value)[-1])
-
-
-def test_arguments_that_are_swapped_are_named(knee, load):
-    with pytest.raises(RangeError, match=r"sensors: is a NoDisturbance.*swapped"):
-        JointPlant(knee, load, IdealValve(), sensors=NoDisturbance(), disturbance=PerfectSensors())

@@ -23,9 +23,9 @@ from mckibben.report.style import plain_numbers
 from mckibben.report.tables import number
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
-from mckibben.study.compare import BenchmarkResult, Suite, draw
-from mckibben.study.compare.statistics import failed_runs, statistics
-from mckibben.study.tune.tune import Trial
+from mckibben.study.compare import CompareResult, Suite, draw
+from mckibben.study.compare.result import failed_runs
+from mckibben.study.tune import Trial
 from mckibben.units import deg
 
 pytestmark = pytest.mark.slow
@@ -70,8 +70,8 @@ def made(lost=None):
     metrics = [{"air": air * 1e-3, "angle_rmse": 1 / air * deg, "stiffness_rmse": 0.6} for air in (10.0, 20.0, 40.0)]
     tried = {name: tuple(Trial((at["air"],), 1.0, metrics=at) for at in metrics) for name in ("PID 3", "decoupling")}
     at_bound = dict.fromkeys(batches, ())
-    at_air = BenchmarkResult(suite, runs, tuned, {}, {}, {name: batches[name] for name in tried})
-    return BenchmarkResult(suite, runs, tuned, costs, at_bound, batches, tried, at_air)
+    at_air = CompareResult(suite, runs, tuned, {}, {}, {name: batches[name] for name in tried})
+    return CompareResult(suite, runs, tuned, costs, at_bound, batches, tried, at_air)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def result():
 
 @pytest.fixture(scope="module")
 def numbers(result):
-    return statistics(result)
+    return result.numbers
 
 
 @pytest.fixture(scope="module")
@@ -191,13 +191,13 @@ def test_air_and_error_are_drawn_with_the_middle_of_the_runs(result, numbers):
 def test_nobody_has_to_come_through(tmp_path):
     """A controller that lost every run is left out of figures; so is the only one there is. Its name is no markup."""
     result = made(range(RUNS))
-    numbers = statistics(result)
+    numbers = result.numbers
     assert "as it is" not in colours(benchmark_air(result, numbers))
     assert list(_ratios(numbers).rows[-1]) == ["as it is", "– (– to –)", "– (– to –)"]
     suite = result.suite.model_copy(update={"name": "<b>&"})
     name = "as it is"
-    alone = BenchmarkResult(suite, result.runs, {name: {}}, {}, {name: ()}, {name: result.batches[name]})
-    text = write_benchmark(alone, statistics(alone), tmp_path).read_text(encoding="utf-8")
+    alone = CompareResult(suite, result.runs, {name: {}}, {}, {name: ()}, {name: result.batches[name]})
+    text = write_benchmark(alone, alone.numbers, tmp_path).read_text(encoding="utf-8")
     assert Page(text).open == []
     assert "<title>&lt;b&gt;&amp;</title>" in text
 

@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from mckibben import catalog
+from mckibben.actuator import IdealValve
 from mckibben.errors import FileError, ParameterError, RangeError, SimulationError
 from mckibben.joint import (
     AntagonisticJoint,
@@ -22,7 +23,7 @@ from mckibben.joint import (
 )
 from mckibben.joint.mechanism import Mechanism, muscle_sizes
 from mckibben.muscle import Muscle, Specimen, return_spring
-from mckibben.plant import IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.report import animate, draw_joint
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import SimulationResult

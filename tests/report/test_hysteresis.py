@@ -5,7 +5,7 @@ import pytest
 
 from mckibben import catalog
 from mckibben.errors import RangeError
-from mckibben.identification.hysteresis import identify_hysteresis
+from mckibben.identification.friction import identify_hysteresis
 from mckibben.muscle import Muscle
 from mckibben.report.identification import loops
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest

@@ -1,15 +1,13 @@
-"""Figures of force bands and of profiles."""
-
-import dataclasses
+"""Figures of force bands."""
 
 import numpy as np
 import pytest
 
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification import Interval, identify, profile
+from mckibben.identification import identify
 from mckibben.muscle import ExponentialLaw
-from mckibben.report.identification import force_bands, profile_likelihood
+from mckibben.report.identification import force_bands
 from mckibben.units import bar, percent
 
 
@@ -55,25 +53,3 @@ def test_directions_are_told_apart(chart):
     figure = force_bands(both, identify(ExponentialLaw, both), level=0.9)
     names = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
     assert names == ["fitted law", "90 % confidence band", "90 % prediction band", "loading", "unloading"]
-
-
-def test_a_profile_is_drawn_in_the_unit_of_publications(fit):
-    found = profile(fit, "decay")
-    axes = profile_likelihood(found, fit).axes[0]
-    curve, line = (
-        next(drawn for drawn in axes.lines if drawn.get_label() == name) for name in ("profile", "standard error")
-    )
-    np.testing.assert_allclose(curve.get_xdata(), found.values * percent)
-    np.testing.assert_allclose(curve.get_ydata(), found.root)
-    at = np.interp(found.wald.upper * percent, line.get_xdata(), line.get_ydata())
-    assert at == pytest.approx(found.threshold)
-    assert axes.get_xlabel().endswith("[1/percent]")
-    assert axes.get_title("left") == "95 % interval 0.3239 .. 0.3563 1/percent"
-
-
-def test_an_end_that_is_not_bounded_is_written(fit):
-    found = profile(fit, "decay")
-    open_end = dataclasses.replace(found, interval=Interval(found.interval.lower, np.inf))
-    assert (
-        profile_likelihood(open_end, fit).axes[0].get_title("left") == "95 % interval 0.3239 .. not bounded 1/percent"
-    )

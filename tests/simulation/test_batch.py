@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.control import (
     PID,
     BackpropPID,
@@ -25,7 +26,7 @@ from mckibben.control import (
 from mckibben.errors import ParameterError, RangeError, ReachabilityWarning, SimulationError, UnreachableError
 from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.muscle import ChouLaw, Muscle
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import AtRest, Metrics, Outcome, Trajectory, simulate, simulate_many
 from mckibben.units import bar, deg, mm
 

@@ -6,9 +6,10 @@ import equinox as eqx
 import numpy as np
 import pytest
 
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import PID, BackpropPID, PositionStiffnessControl, Reference, Samples, Sine, Step
 from mckibben.errors import ParameterError
-from mckibben.plant import FirstOrderValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import AtRest, Mode, derivatives, differentiate, simulate_many
 from mckibben.simulation.problem import SimulationProblem, single_run
 from mckibben.units import bar, deg

@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve, PressureRegulator
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import KneeLoad
 from mckibben.muscle import MaxwellSlip
 from mckibben.muscle.friction import polygon
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import IdealValve, JointFriction, JointPlant, PressureRegulator, TorquePulses
+from mckibben.plant import JointFriction, JointPlant, TorquePulses
 from mckibben.simulation import closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.units import bar, deg, mm, ms
 

@@ -7,8 +7,9 @@ import jax
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve
 from mckibben.control import Constant, Reference, Sine, Step
-from mckibben.plant import IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.simulation import check_reference
 from mckibben.units import deg
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
+from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
-from mckibben.plant import IdealValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import Outcome, SimulationResult, measure, trajectory
 from mckibben.simulation.loop import Record
 from mckibben.units import bar, deg

@@ -22,7 +22,7 @@ from mckibben import (
 )
 from mckibben.errors import SimulationError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
-from mckibben.plant import IdealValve, JointFriction
+from mckibben.plant import JointFriction
 from mckibben.plant.base import STABILITY_LIMIT, Motion
 from mckibben.simulation import Outcome
 from mckibben.units import deg, mm

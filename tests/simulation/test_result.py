@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.component.columns import attributes
 from mckibben.control import (
     PID,
@@ -25,7 +26,7 @@ from mckibben.control import (
     Sine,
 )
 from mckibben.errors import FileError, ReachabilityWarning, SimulationError
-from mckibben.plant import FirstOrderValve, IdealValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import Outcome, SimulationResult, Trajectory, run_episode, sampled, simulate
 from mckibben.simulation.result import BAND
 from mckibben.units import bar, deg

@@ -5,18 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from mckibben.actuator import IdealValve
 from mckibben.control import Constant, Controller, Reference, Step
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import (
-    IdealValve,
-    JointPlant,
-    NoDisturbance,
-    PerfectSensors,
-    PlantState,
-    SampledSensors,
-    TorquePulses,
-)
+from mckibben.plant import JointPlant, NoDisturbance, PerfectSensors, PlantState, SampledSensors, TorquePulses
 from mckibben.simulation import compiled_episode, episode, sampled, simulate_many, without_last_change
 from mckibben.units import deg
 

@@ -111,7 +111,8 @@ def test_it_starts_at_rest_on_the_reference_unless_told(plant, control):
 
 
 def test_out_of_reach_is_a_warning_in_words(as_printed, load, plant, control):
-    from mckibben.plant import IdealValve, JointPlant
+    from mckibben.actuator import IdealValve
+    from mckibben.plant import JointPlant
 
     far = Reference(angle=Sine(20 * deg, 0.5), stiffness=Constant(72.5))
     with pytest.warns(ReachabilityWarning, match=r"cannot hold the desired angle .* is outside -3\.\.25 %") as caught:

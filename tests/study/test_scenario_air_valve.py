@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from mckibben.actuator import FlowValve, PressureRegulator, SwitchingValves, UnequalValves
 from mckibben.errors import ScenarioError, SimulationError
-from mckibben.plant import FlowValve, PressureRegulator, SwitchingValves, UnequalValves
 from mckibben.reachability import check_trackability
 from mckibben.scenario import Scenario, run_many, run_scenario
 from mckibben.simulation import Outcome

@@ -24,6 +24,7 @@ pytest.importorskip("nicegui")
 from nicegui import ui
 from nicegui.elements.upload_files import SmallFileUpload
 from nicegui.testing import user_simulation
+from tests.dataset.test_hostile import damaged
 
 import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
@@ -37,7 +38,6 @@ from mckibben.notebook import stop_check
 from mckibben.units import bar, deg, mm
 from mckibben.web import app, design, identify, joint, layout, reading, rig, session, studies, tune, wording, workbench
 from tests.dataset.conftest import FILES
-from tests.dataset.test_hostile import damaged
 
 RIG = (Path(__file__).parents[2] / "examples" / "rig.csv").read_text(encoding="utf-8")
 MUSCLE = catalog.joint("knee-table-2").muscle1

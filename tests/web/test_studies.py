@@ -24,7 +24,7 @@ def silent(_step, _part):
 @pytest.mark.slow
 def test_gains_are_tuned_as_by_the_command_and_go_into_the_scenario(tmp_path):
     over = "controller.position.ki\ncontroller.position.kp"
-    request = studies.TuningRequest(over=over, method="gradient", starts=1, iterations=4)
+    request = studies.TuningRequest(over=over, method="gradient", iterations=4)
     found = studies.tuned(SHORT, request, tmp_path, silent)
     scenario = Scenario.parse(SHORT)
     cost = parse_cost(request.cost, gain_margin=request.gain_margin)
@@ -68,7 +68,7 @@ def test_controllers_are_compared_on_the_same_runs(tmp_path):
 def test_a_study_that_nobody_can_wait_for_is_refused(tmp_path):
     long = workbench.START.replace("duration: 6 s", "duration: 600 s")
     with pytest.raises(ParameterError) as found:
-        studies.tuned(long, studies.TuningRequest(method="gradient", starts=8, iterations=60), tmp_path, silent)
+        studies.tuned(long, studies.TuningRequest(method="gradient", iterations=60), tmp_path, silent)
     assert found.value.upper == studies.MOST_STEPS
     with pytest.raises(ParameterError) as found:
         request = studies.ComparisonRequest(conditions="load.mass2=+-30 %", runs=512, generations=30)

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
-from mckibben.actuator.base import Actuator, AirVolume, Scalar
+from mckibben.actuator.base import Actuator, AirVolume, Scalar, State
 from mckibben.component.columns import Label
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle.air import (
@@ -76,7 +76,7 @@ class AirActuator(Actuator):
 
     @abc.abstractmethod
     def exchange(
-        self, pressure: Scalar, state: Any, command: ArrayLike, inlet: ArrayLike, temperature: Scalar | None = None
+        self, pressure: Scalar, state: State, command: ArrayLike, inlet: ArrayLike, temperature: Scalar | None = None
     ) -> Exchange:
         """Return the air exchanged with a muscle at a gauge pressure [Pa] and a temperature [K], by default the room's.
 
@@ -84,8 +84,8 @@ class AirActuator(Actuator):
         """
 
     def muscle_rate(
-        self, pressure: Scalar, state: Any, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
-    ) -> tuple[Array, Any, Array]:
+        self, pressure: Scalar, state: State, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
+    ) -> tuple[Array, State, Array]:
         """Return the rates of the pressure [Pa/s] and of the state, and the mass flow [kg/s] drawn from the supply.
 
         For polytropic air; the supply has an absolute pressure `inlet` [Pa].
@@ -96,8 +96,14 @@ class AirActuator(Actuator):
         return rate, passed.rate, passed.drawn
 
     def energy_rates(
-        self, pressure: Scalar, temperature: Scalar, state: Any, command: ArrayLike, volume: AirVolume, inlet: ArrayLike
-    ) -> tuple[Array, Array, Any, Array]:
+        self,
+        pressure: Scalar,
+        temperature: Scalar,
+        state: State,
+        command: ArrayLike,
+        volume: AirVolume,
+        inlet: ArrayLike,
+    ) -> tuple[Array, Array, State, Array]:
         """Return the rates of pressure [Pa/s], temperature [K/s] and state, and the flow drawn [kg/s]; `muscle_rate`.
 
         By the energy balance, with a `wall_conductance`.
@@ -183,6 +189,6 @@ class AirActuator(Actuator):
     def scaled(self, factor: float) -> Self:
         """Return the actuator with conductances of the valve that are larger by a factor."""
 
-    def before_step(self, state: Any, command: ArrayLike, pressure: ArrayLike, step: ArrayLike) -> Any:
+    def before_step(self, state: State, command: ArrayLike, pressure: ArrayLike, step: ArrayLike) -> State:
         """Return the state before an integration step [s]; for valves that switch."""
         return state

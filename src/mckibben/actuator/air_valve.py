@@ -12,7 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator, Exchange
-from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar, lag_fraction
+from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar, State, lag_fraction
 from mckibben.component.checks import check_within
 from mckibben.component.columns import Label
 from mckibben.muscle import Domain
@@ -95,11 +95,11 @@ class AirValve(AirActuator):
     line_conductance: Conductance | None = eqx.field(kw_only=True, default=None)
 
     @abc.abstractmethod
-    def opening(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> Array:
+    def opening(self, state: State, command: ArrayLike, pressure: ArrayLike) -> Array:
         """Return the opening -1 (exhaust) to 1 (supply) at a command and a pressure [Pa]."""
 
     @abc.abstractmethod
-    def rate(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> Any:
+    def rate(self, state: State, command: ArrayLike, pressure: ArrayLike) -> State:
         """Return the time derivative of the state."""
 
     @property
@@ -132,11 +132,11 @@ class AirValve(AirActuator):
         volume, line = self.reservoir_volume, self.line_conductance
         return Reservoir(volume, line, self.supply, self.critical_ratio, self.polytropic_index)
 
-    def signals(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
+    def signals(self, state: State, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
         return {"opening": self.opening(state, command, pressure)}
 
     def exchange(
-        self, pressure: Scalar, state: Any, command: ArrayLike, inlet: ArrayLike, temperature: Scalar | None = None
+        self, pressure: Scalar, state: State, command: ArrayLike, inlet: ArrayLike, temperature: Scalar | None = None
     ) -> Exchange:
         opening = self.opening(state, command, pressure)
         flows: tuple[Any, ...] = (self.flow(opening, inlet, pressure),)
@@ -193,8 +193,8 @@ class AirValve(AirActuator):
         self, pressure: Scalar, state: Scalar, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
     ) -> Attainable:
         slowest, fastest, drift = self.open_rates(pressure, air)
-        one = jnp.ones_like(pressure)
-        return Attainable(one, (slowest + drift) * duration, (fastest + drift) * duration)
+        share = jnp.ones_like(pressure)
+        return Attainable(share, (slowest + drift) * duration, (fastest + drift) * duration)
 
     def command_toward(
         self,
@@ -427,7 +427,7 @@ class SwitchingValves(AirValve):
 
     def averaged(self) -> PressureRegulator:
         """Return the pair without modulation, whose commands lag until the next period begins."""
-        of_air = {one.name: getattr(self, one.name) for one in dataclasses.fields(AirValve)}
+        of_air = {field.name: getattr(self, field.name) for field in dataclasses.fields(AirValve)}
         return PressureRegulator(**of_air, time_constant=self.command_lag)  # type: ignore[arg-type]
 
     def init(self, pressure: Scalar) -> Switching:

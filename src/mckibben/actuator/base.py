@@ -5,7 +5,7 @@ from __future__ import annotations
 import abc
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +21,9 @@ from mckibben.muscle import Domain
 from mckibben.muscle.air import ATMOSPHERE, TEMPERATURE, exchange_rate, mass_flow, pressure_rate
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import exp, floating
+
+State: TypeAlias = Any
+"""State of a valve, a tree of numbers that its class defines; () for none."""
 
 Scalar = Float[Array, ""]
 
@@ -86,8 +89,8 @@ def air_volumes(
     at, slopes = value_and_derivative(lambda angle: volumes(angle, pressures), angle)
     by_pressure: Any = (None, None)
     if not isinstance(joint.tendon, RigidTendon):
-        ones = jax.tree.map(jnp.ones_like, pressures)
-        by_pressure = jax.jvp(lambda held: volumes(angle, held), (pressures,), (ones,))[1]
+        unit = jax.tree.map(jnp.ones_like, pressures)
+        by_pressure = jax.jvp(lambda held: volumes(angle, held), (pressures,), (unit,))[1]
     volume1, volume2 = map(AirVolume, at, (slope * velocity for slope in slopes), by_pressure)
     return volume1, volume2
 
@@ -214,7 +217,7 @@ class Actuator(Labelled, Component):
         return self
 
     @abc.abstractmethod
-    def init(self, pressure: Scalar) -> Any:
+    def init(self, pressure: Scalar) -> State:
         """Return the internal state at a constant pressure [Pa], without the pressure itself."""
 
     def rates(
@@ -238,9 +241,11 @@ class Actuator(Labelled, Component):
         elapsed: ArrayLike,
     ) -> tuple[tuple[Array, ...], AirState | tuple[()]]:
         """Return the pressures [Pa] and states of all muscles a time [s] later; see `Valve.after`."""
-        given = zip(pressures, held_states(states, len(pressures)), commands, strict=True)
-        found = [self.for_muscle(i).after(*each, elapsed) for i, each in enumerate(given)]
-        return tuple(one for one, _ in found), AirState(tuple(one for _, one in found)) if states else ()
+        muscles = zip(pressures, held_states(states, len(pressures)), commands, strict=True)
+        responses = [self.for_muscle(i).after(*muscle, elapsed) for i, muscle in enumerate(muscles)]
+        return tuple(response for response, _ in responses), AirState(
+            tuple(response for _, response in responses)
+        ) if states else ()
 
     def air_rate(
         self, pressures: Sequence[Scalar], air: AirState, commands: Sequence[ArrayLike], volumes: Sequence[AirVolume]
@@ -266,20 +271,20 @@ class Actuator(Labelled, Component):
         self, air: AirState, commands: Sequence[ArrayLike], pressures: Sequence[ArrayLike], step: ArrayLike
     ) -> AirState:
         """Return the states of all muscles before an integration step [s]; see `AirActuator.before_step`."""
-        each = enumerate(zip(air.valves, commands, pressures, strict=True))
-        return air._replace(valves=tuple(self.for_muscle(i).before_step(*one, step) for i, one in each))
+        muscles = enumerate(zip(air.valves, commands, pressures, strict=True))
+        return air._replace(valves=tuple(self.for_muscle(i).before_step(*muscle, step) for i, muscle in muscles))
 
     def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Any:
         """Return the first-order time constant [s] of small changes in a joint, at one muscle; None if unknown."""
         return self.lag
 
-    def init_model(self, pressure: Scalar) -> Any:
+    def init_model(self, pressure: Scalar) -> State:
         """Return the state of a controller's model at rest at a pressure [Pa]."""
         return ()
 
     def predict(
-        self, pressure: Scalar, state: Any, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
-    ) -> tuple[Scalar, Any]:
+        self, pressure: Scalar, state: State, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
+    ) -> tuple[Scalar, State]:
         """Return the pressure [Pa] and the state of the model a time [s] later, under a constant command [Pa].
 
         `air` is the volume of the muscle, given to actuators that have `holds_air`.
@@ -287,14 +292,20 @@ class Actuator(Labelled, Component):
         return pressure + lag_fraction(self.lag, duration) * (command - pressure), state
 
     def attainable(
-        self, pressure: Scalar, state: Any, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
+        self, pressure: Scalar, state: State, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
     ) -> Attainable:
         """Return the pressures that the lowest and the highest command [Pa] reach within a time [s]."""
         fraction = lag_fraction(self.lag, duration)
         return Attainable(1 - fraction, fraction * commands[0], fraction * commands[1])
 
     def command_toward(
-        self, pressure: Scalar, state: Any, target: ArrayLike, air: AirVolume | None, lag: ArrayLike, period: ArrayLike
+        self,
+        pressure: Scalar,
+        state: State,
+        target: ArrayLike,
+        air: AirVolume | None,
+        lag: ArrayLike,
+        period: ArrayLike,
     ) -> Scalar:
         """Return the command [Pa] of a control period [s] by which the pressure approaches a target [Pa].
 
@@ -307,7 +318,7 @@ class Actuator(Labelled, Component):
         """Return a bound on the rates [1/s] of the integrated states with an air volume [m^3]."""
         return 0.0
 
-    def signals(self, state: Any, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
+    def signals(self, state: State, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
         """Return quantities of a run at the actuator of one muscle, by name."""
         return {}
 
@@ -319,14 +330,16 @@ class Actuator(Labelled, Component):
         They are the `signals` of each muscle and the temperature [K] of its air, followed by its number, and the
         pressure [Pa] of the reservoir.
         """
-        found: dict[str, Array] = {}
-        for i, one in enumerate(zip(held_states(state, len(pressures)), commands, pressures, strict=True)):
-            found |= {f"{name}{i + 1}": value for name, value in self.for_muscle(i).signals(*one).items()}
+        signals: dict[str, Array] = {}
+        for i, muscle in enumerate(zip(held_states(state, len(pressures)), commands, pressures, strict=True)):
+            signals |= {f"{name}{i + 1}": value for name, value in self.for_muscle(i).signals(*muscle).items()}
         if isinstance(state, AirState):
-            found |= {
-                f"temperature{i}": one for i, one in enumerate(state.temperatures, 1) if not isinstance(one, tuple)
+            signals |= {
+                f"temperature{i}": muscle
+                for i, muscle in enumerate(state.temperatures, 1)
+                if not isinstance(muscle, tuple)
             }
-        return found if self.reservoir is None else {**found, "reservoir": state.reservoir}  # type: ignore[union-attr]
+        return signals if self.reservoir is None else {**signals, "reservoir": state.reservoir}  # type: ignore[union-attr]
 
     def init_states(self, pressures: tuple[Scalar, ...]) -> AirState | tuple[()]:
         """Return the states that hold the pressures [Pa] of all muscles, with the reservoir at its supply pressure.

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Scalar
+from mckibben.actuator.base import Scalar, State
 from mckibben.actuator.valve import Valve
 from mckibben.numerics.elementary import floating
 from mckibben.units import Bandwidth, Quantity, SupplyPressure
@@ -48,7 +48,7 @@ class SecondOrderValve(Valve):
         """Return the rate of the pressure [Pa/s] at rest."""
         return jnp.zeros_like(floating(pressure))
 
-    def after(self, pressure: ArrayLike, state: Any, command: ArrayLike, elapsed: ArrayLike) -> tuple[Array, Array]:
+    def after(self, pressure: ArrayLike, state: State, command: ArrayLike, elapsed: ArrayLike) -> tuple[Array, Array]:
         command = jnp.asarray(command)
         error, decay = pressure - command, self.damping * self.bandwidth
         even, odd = _decaying(self.damping, self.bandwidth * jnp.asarray(elapsed))

@@ -158,8 +158,8 @@ class Tube(AirActuator):
 
     def fastest_rate_in(self, volume: float) -> float:
         index, critical, own = self.fastest_index, float(self.critical_ratio), float(self.dead_volume)
-        each = exchange_rate(index, critical, float(self.conductance), volume * own / (volume + own))
-        return each + self.cooling_rate(volume) + self._tight.fastest_rate_in(float(self.volume))
+        exchange = exchange_rate(index, critical, float(self.conductance), volume * own / (volume + own))
+        return exchange + self.cooling_rate(volume) + self._tight.fastest_rate_in(float(self.volume))
 
     def scaled(self, factor: float) -> Self:
         return dataclasses.replace(self, valve=self.valve.scaled(factor))
@@ -216,7 +216,9 @@ class Tube(AirActuator):
     def _in_series(self) -> AirValve:
         """The valve with the conductances of valve and tube in series, 1/C^2 = 1/C_v^2 + 1/C_t^2."""
         valve, tube = self.valve, self.conductance
-        fill, vent = (1 / (1 / one**2 + 1 / tube**2) ** 0.5 for one in (valve.conductance, valve.exhaust))
+        fill, vent = (
+            1 / (1 / conductance**2 + 1 / tube**2) ** 0.5 for conductance in (valve.conductance, valve.exhaust)
+        )
         # of the critical ratios, 1 - b = C^2 ((1 - b_v)/C_v^2 + (1 - b_t)/C_t^2)
         share = (fill / tube) ** 2
         critical = (1 - share) * valve.critical_ratio + share * self.critical_ratio

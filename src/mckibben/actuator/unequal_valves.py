@@ -7,7 +7,7 @@ from typing import Any, ClassVar, Self
 
 import equinox as eqx
 
-from mckibben.actuator.base import Actuator, Reservoir, Scalar
+from mckibben.actuator.base import Actuator, Reservoir, Scalar, State
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.units import Conductance, Volume
@@ -36,16 +36,18 @@ class UnequalValves(Actuator):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        one, other = self.muscle1, self.muscle2
+        first, second = self.muscle1, self.muscle2
         for name in ("holds_air", "holds_pressure", "direct"):
-            if getattr(one, name) != getattr(other, name):
-                message = f"UnequalValves: a {type(one).__name__} and a {type(other).__name__} cannot drive one joint"
+            if getattr(first, name) != getattr(second, name):
+                message = (
+                    f"UnequalValves: a {type(first).__name__} and a {type(second).__name__} cannot drive one joint"
+                )
                 remedy = "give two valves with air, two without, or two with `direct` commands"
                 raise RangeError(message, field="muscle2", remedy=remedy)
-        for number, each in enumerate((one, other), 1):
-            if each.muscle_count is not None or each.reservoir is not None:
+        for number, valve in enumerate((first, second), 1):
+            if valve.muscle_count is not None or valve.reservoir is not None:
                 raise RangeError(
-                    f"UnequalValves: muscle{number} has a {'pair of valves' if each.muscle_count else 'reservoir'}",
+                    f"UnequalValves: muscle{number} has a {'pair of valves' if valve.muscle_count else 'reservoir'}",
                     field=f"muscle{number}",
                     remedy="give each muscle one valve, and the reservoir at the inlets of both to the pair",
                 )
@@ -93,7 +95,7 @@ class UnequalValves(Actuator):
         volume, line = self.reservoir_volume, self.line_conductance
         return Reservoir(volume, line, first.supply, first.critical_ratio, first.polytropic_index)
 
-    def init(self, pressure: Scalar) -> Any:
+    def init(self, pressure: Scalar) -> State:
         """Return the state of muscle 1; see `for_muscle`."""
         return self.muscle1.init(pressure)
 
@@ -110,8 +112,8 @@ class UnequalValves(Actuator):
         return None if None in lags else sum(lags) / len(lags)
 
     def fastest_rate_in(self, volume: float) -> float:
-        each: Any = (self.muscle1, self.muscle2)
-        fastest = max(one.fastest_rate_in(volume) for one in each)
+        valves: Any = (self.muscle1, self.muscle2)
+        fastest = max(valve.fastest_rate_in(volume) for valve in valves)
         if self.reservoir is None:
             return fastest
-        return max(fastest, self.reservoir.fastest_rate(sum(one.widest for one in each)))
+        return max(fastest, self.reservoir.fastest_rate(sum(valve.widest for valve in valves)))

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import Actuator, AirVolume, Attainable, CommandRange, Scalar
+from mckibben.actuator.base import Actuator, AirVolume, Attainable, CommandRange, Scalar, State
 from mckibben.units import PressureRate, SupplyPressure, ValveTime
 
 
@@ -23,10 +23,10 @@ class Valve(Actuator):
 
     has_closed_form = True
 
-    def init(self, pressure: Scalar) -> Any:
+    def init(self, pressure: Scalar) -> State:
         return ()
 
-    def after(self, pressure: ArrayLike, state: Any, command: ArrayLike, elapsed: ArrayLike) -> tuple[Array, Any]:
+    def after(self, pressure: ArrayLike, state: State, command: ArrayLike, elapsed: ArrayLike) -> tuple[Array, State]:
         """Return the pressure [Pa] and the state a time [s] after these, under a constant command [Pa]."""
         return self.pressure_after(pressure, command, elapsed), state
 
@@ -100,20 +100,20 @@ class FirstOrderValve(Valve):
         return command + error * jnp.exp(-elapsed / self.time_constant)
 
     def predict(
-        self, pressure: Scalar, state: Any, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
-    ) -> tuple[Scalar, Any]:
+        self, pressure: Scalar, state: State, command: ArrayLike, air: AirVolume | None, duration: ArrayLike
+    ) -> tuple[Scalar, State]:
         if self.rate is None:
             return super().predict(pressure, state, command, air, duration)
         return self.pressure_after(pressure, command, duration), state
 
     def attainable(
-        self, pressure: Scalar, state: Any, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
+        self, pressure: Scalar, state: State, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
     ) -> Attainable:
         if self.rate is None:
             return super().attainable(pressure, state, commands, air, duration)
-        one = jnp.ones_like(pressure)
+        share = jnp.ones_like(pressure)
         low, high = (self.pressure_after(pressure, command, duration) - pressure for command in commands)
-        return Attainable(one, low, high)
+        return Attainable(share, low, high)
 
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
         rate = jnp.asarray(rate)

@@ -62,16 +62,16 @@ def names(kind: str) -> list[str]:
 
 def cite(name: str) -> str:
     """Return the source of an entry, the location within it, and notes."""
-    found = [
+    entries = [
         (publication, publication[kind][name])
         for publication in _publications()
         for kind in KINDS
         if name in publication.get(kind, {})
     ]
-    if not found:
+    if not entries:
         raise _unknown("entry", name, [known for kind in KINDS for known in names(kind)])
-    publication = found[0][0]
-    places = "; ".join(dict.fromkeys(entry["where"] for _, entry in found))
+    publication = entries[0][0]
+    places = "; ".join(dict.fromkeys(entry["where"] for _, entry in entries))
     return "\n".join([publication["source"], f"({places})", *(f"- {note}" for note in publication.get("notes", []))])
 
 

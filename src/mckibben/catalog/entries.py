@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from mckibben.actuator import Actuator, AirValve
 from mckibben.catalog import FOLDER, find, names
 from mckibben.component.base import field_quantities
 from mckibben.component.calls import checked_call
@@ -18,7 +19,6 @@ from mckibben.errors import ParameterError
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, Load
 from mckibben.muscle import LAWS, Domain, ForceLaw, Muscle, Specimen
 from mckibben.muscle.air import nominal_conductance
-from mckibben.plant import Actuator, AirValve
 from mckibben.units import quantity
 
 if TYPE_CHECKING:
@@ -97,9 +97,9 @@ def valve(name: str, **others: Any) -> AirValve:
     """
     section = valve_section(name)
     kind = cast(Any, find_class(Actuator, section["class"]))
-    given = section_of(kind, partial=True).model_validate(section)
-    values = {key: getattr(given, key) for key in given.model_fields_set - {"class_"}} | others
-    required = (one.name for one in dataclasses.fields(kind) if one.default is one.default_factory is MISSING)
+    fields = section_of(kind, partial=True).model_validate(section)
+    values = {key: getattr(fields, key) for key in fields.model_fields_set - {"class_"}} | others
+    required = (field.name for field in dataclasses.fields(kind) if field.default is field.default_factory is MISSING)
     if missing := [field for field in required if field not in values]:
         message = f"{name}: the data sheet does not determine {' and '.join(missing)}"
         remedy = f"give {' and '.join(f'{field}=...' for field in missing)}, in SI"

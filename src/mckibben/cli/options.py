@@ -32,7 +32,6 @@ from mckibben.units import parse_range, quantity, show
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
-    from mckibben.dataset.quantities import OnCorrupt
     from mckibben.scenario import RunSettings
 
 Document = TypeVar("Document", bound="RunSettings")
@@ -121,79 +120,68 @@ def _refusal(error: typer.BadParameter) -> ParameterError | None:
     return None
 
 
-_OF_READING: Mapping[str, Any] = {  # names as in a recipe
-    "contraction": Annotated[str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")],
-    "sample_rate": Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")],
+_OF_READING: Mapping[str, object] = {  # names as in a recipe, which has them all
+    "read": Annotated[
+        Path | None,
+        Option("--read", metavar="FILE", help="Recipe: all options of reading; those on the command line prevail."),
+    ],
+    "column": Annotated[
+        list[str] | None,
+        Option(
+            metavar="'HEADER=NAME'",
+            help="Read the column HEADER as NAME, such as pressure_bar, or ignore it; repeatable.",
+        ),
+    ],
     "initial_length": Annotated[
         str, Option(metavar="LENGTH", help="Length of the deflated muscle, such as '180 mm', if the file has lengths.")
     ],
-    "displacement": Annotated[
-        str, Option(metavar="shortening|lengthening", help="Direction of positive displacements, if the file has them.")
+    "ambient": Annotated[
+        str, Option(metavar="PRESSURE", help="Ambient pressure, such as '101.3 kPa', if pressures are absolute.")
     ],
-    "zero_length": Annotated[
-        str, Option(metavar="LENGTH", help="Length of the muscle at displacement 0 (default: the initial length).")
-    ],
-    "from_name": Annotated[
-        str, Option(metavar="PATTERN", help="Numbers in the names of files, such as 'L{length_mm}' for L190.csv.")
-    ],
-    "slack_force": Annotated[
-        str, Option(metavar="FORCE", help="Force up to which the muscle counts as slack, such as '1 N'.")
-    ],
-    "largest_force": Annotated[str, Option(metavar="FORCE", help="Leave out rows from this force on, as saturated.")],
-    "force_sign": Annotated[str, Option(metavar="1|-1", help="-1 for a load cell that reads a pull as negative.")],
-    "specimen": Annotated[str, Option(metavar="NAME", help="Name of the specimen.")],
-    "column": Annotated[
-        list[str] | None,
-        Option(metavar="'HEADER=NAME'", help="Read the column HEADER as the quantity NAME; repeatable."),
-    ],
-    "skip_corrupt": Annotated[bool, Option("--skip-corrupt", help="Skip rows without numbers, and report them.")],
     "decimal": Annotated[
         str, Option("--decimal", metavar=".|,", help="Decimal sign of a text, if the file does not determine it.")
     ],
-    "recipe": Annotated[
-        Path | None,
-        Option(
-            metavar="FILE", help="Read by the recipe of an earlier file; options on the command line take precedence."
-        ),
+    "sample_rate": Annotated[str, Option(metavar="RATE", help="For a file without times, such as '1000 Hz'.")],
+    "contraction": Annotated[str, Option(metavar="RATIO", help="Contraction, such as '10 %', if no column gives it.")],
+    "accept": Annotated[
+        list[str] | None, Option(metavar="TOPIC", help="Answer the questions of a topic with yes; repeatable.")
     ],
 }
-_UNITS = {"initial_length": "m", "zero_length": "m", "contraction": "1", "sample_rate": "Hz"}
-_UNITS |= {"slack_force": "N", "largest_force": "N"}
-_UNSET = {"column": None, "skip_corrupt": False, "recipe": None}
+_UNITS = {"initial_length": "m", "ambient": "Pa", "sample_rate": "Hz", "contraction": "1"}
+_UNSET = {"column": None, "read": None, "accept": None}
 
 
 class Reading(NamedTuple):
-    """Reading options of a command: the recipe, and the treatment of corrupt rows."""
+    """Reading options of a command."""
 
     recipe: Recipe
-    on_corrupt: OnCorrupt
 
     def data(self, names: list[str]) -> IsobaricDataset:
         """Data files or a dataset from the catalog; reading and preprocessing are reported on standard error."""
         from mckibben.study.inputs import data_named
 
-        found = data_named(names, self.recipe, skip_corrupt=self.on_corrupt == "report")
-        report_reading(found.table.attrs)
-        for note in found.table.attrs.get("preprocessing", "").splitlines():
+        dataset = data_named(names, self.recipe)
+        report_reading(dataset.table.attrs)
+        for note in dataset.table.attrs.get("preprocessing", "").splitlines():
             echo(f"found in the data: {note}", err=True)
-        return found
+        return dataset
 
 
 def reads_files(*without: str) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Replace a command's keyword `reading`, a `Reading`, by the options that read files, except some."""
-    options = {name: one for name, one in _OF_READING.items() if name not in without}
+    options = {name: option for name, option in _OF_READING.items() if name not in without}
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         @functools.wraps(command)
-        def with_reading(**given: Any) -> None:
-            command(reading=_reading(**{name: given.pop(name) for name in options}), **given)
+        def with_reading(**arguments: Any) -> None:
+            command(reading=_reading(**{name: arguments.pop(name) for name in options}), **arguments)
 
         signature = inspect.signature(command, eval_str=True)
+        kind = inspect.Parameter.KEYWORD_ONLY
         shown: list[inspect.Parameter] = []
-        for one in signature.parameters.values():
-            kind = inspect.Parameter.KEYWORD_ONLY
-            if one.name != "reading":
-                shown.append(one.replace(kind=kind))
+        for parameter in signature.parameters.values():
+            if parameter.name != "reading":
+                shown.append(parameter.replace(kind=kind))
                 continue
             shown += [
                 inspect.Parameter(name, kind, annotation=option, default=_UNSET.get(name, ""))
@@ -205,39 +193,35 @@ def reads_files(*without: str) -> Callable[[Callable[..., None]], Callable[..., 
     return decorate
 
 
-def _reading(*, recipe: Path | None, column: list[str] | None, skip_corrupt: bool, **options: Any) -> Reading:
-    """The recipe of --recipe with the options that were given."""
-    from mckibben.dataset.file_names import check_pattern
-    from mckibben.dataset.reading import check_reading
+def _reading(*, read: Path | None, column: list[str] | None, accept: list[str] | None, **texts: str) -> Reading:
+    """The recipe of --read with the options of the command line."""
     from mckibben.dataset.recipe import Recipe
 
-    given: dict[str, Any] = {
-        name: parse_quantity(f"--{name.replace('_', '-')}", one, _UNITS[name]) if name in _UNITS and one else one
-        for name, one in options.items()
+    recipe = Recipe.read(read) if read else Recipe()
+    options: dict[str, object] = {
+        name: parse_quantity(f"--{name.replace('_', '-')}", text, _UNITS[name]) if name in _UNITS else text
+        for name, text in texts.items()
+        if text
     }
-    columns = parse_columns(column) or {}
-    given["force_sign"] = sign = {"1": 1, "+1": 1, "-1": -1}.get(options["force_sign"], options["force_sign"])
-    check_pattern(given["from_name"])
-    check_reading(sign or 1, given["decimal"], given["displacement"])
-    found = Recipe.read(recipe) if recipe else Recipe()
-    asked = {_quantity(name) for name in columns.values()}
-    kept = {header: name for header, name in (found.columns or {}).items() if _quantity(name) not in asked}
-    given["columns"] = kept | columns or None
-    if found.initial_length is not None and not given["initial_length"]:
-        length = show(found.initial_length, "mm")
+    if recipe.initial_length is not None and "initial_length" not in options:
+        length = show(recipe.initial_length, "mm")
         echo(
             f"initial length {length}, from the recipe; for a muscle of another length, give --initial-length", err=True
         )
-    found = found.model_copy(update={name: one for name, one in given.items() if one not in (None, "")})
-    return Reading(found, "report" if skip_corrupt else "raise")
+    if columns := parse_columns(column):
+        asked = {_quantity(name) for name in columns.values()}
+        others = {header: name for header, name in (recipe.columns or {}).items() if _quantity(name) not in asked}
+        options["columns"] = others | columns
+    if accept:
+        options["accept"] = [*recipe.accept, *accept]
+    return Reading(recipe.with_options(options))
 
 
 def _quantity(name: str) -> str:
     """The quantity of a name such as force_N, or the name itself if it is unknown."""
-    from mckibben.dataset.headers import parse_header
+    from mckibben.dataset.vocabulary import parse_header
 
-    column = parse_header(name)
-    return column.quantity if column else name
+    return parse_header(name.lstrip("-")).quantity or name
 
 
 def report_reading(attributes: Mapping[str, Any]) -> None:

@@ -86,21 +86,22 @@ def points(
         if file is not None:
             check_new(file, *endings)
     pressures = _levels(levels)
-    how = reading.recipe
-    held = how.contraction if isometric else None
-    reader = how.model_copy(update={"contraction": None}) if isometric else how
-    given = {
+    recipe = reading.recipe
+    held = recipe.contraction if isometric else None
+    limits = {
         "gap": parse_optional_quantity("--gap", gap, "s"),
         "contraction_tolerance": parse_optional_quantity("--contraction-tolerance", contraction_tolerance, "1"),
         "pressure_tolerance": parse_optional_quantity("--pressure-tolerance", pressure_tolerance, "Pa"),
     }
-    tolerances = {name: one for name, one in given.items() if one is not None}
+    tolerances = {name: limit for name, limit in limits.items() if limit is not None}
     steady = {
         "force_tolerance": parse_optional_quantity("--force-tolerance", force_tolerance, "N"),
         "dwell": parse_quantity("--dwell", dwell, "s"),
         "settle": parse_quantity("--settle", settle, "s"),
     }
-    read = reader.recording(recording, on_corrupt=reading.on_corrupt)
+    from mckibben.dataset import read_recording
+
+    read = read_recording(recording, recipe.model_copy(update={"contraction": None}) if isometric else recipe)
     if isometric:
         tolerances.pop("pressure_tolerance", None)
         found = read.isometric(pressures, count=count, contraction=held, **tolerances)
@@ -116,8 +117,8 @@ def points(
     if out is not None:
         notify(f"wrote {len(found.dataset)} points to {out}; fit a law with: mckibben identify {out}", json)
     if save_recipe is not None:
-        how.to_yaml(save_recipe)
-        notify(f"wrote {save_recipe}; read the next file with: --recipe {save_recipe}", json)
+        recipe.to_yaml(save_recipe)
+        notify(f"wrote {save_recipe}; read the next file with: --read {save_recipe}", json)
 
 
 def _show_points(read: Recording, found: ExtractedPoints, paths: list[Path], json: bool) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from mckibben.component.calls import CheckedCalls
 from mckibben.component.checks import check_kind, known_numbers
 from mckibben.errors import Problem, RangeError, described, no_attribute, printable, quoted, refuse_problems
-from mckibben.notebook import html_table
+from mckibben.result import Column, Listing
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, factor, show
 
 _LONGEST = 120  # characters of a value
@@ -39,8 +39,8 @@ class Units:
     quantities: tuple[tuple[str, Quantity], ...]
 
     def __init__(self, **types: Any) -> None:
-        found = tuple((name, kind.__metadata__[0]) for name, kind in types.items())
-        object.__setattr__(self, "quantities", found)
+        quantities = tuple((name, kind.__metadata__[0]) for name, kind in types.items())
+        object.__setattr__(self, "quantities", quantities)
 
     def get(self, symbol: str, default: Any = None) -> Any:
         """Return the quantity of a symbol; `default` without one."""
@@ -102,12 +102,14 @@ class Component(Described, eqx.Module, metaclass=_ComponentMeta):  # pyrefly: ig
     if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
 
         def __getattr__(self, name: str) -> Any:
-            if isinstance(found := getattr(type(self), name, None), property):
-                return found.fget(self)  # raises its own error
+            if isinstance(attribute := getattr(type(self), name, None), property):
+                return attribute.fget(self)  # raises its own error
             raise no_attribute(self, name, self.suggestions)
 
     def _repr_html_(self) -> str:
-        return html_table(type(self).__name__, ("field", "value, SI if no unit is given"), _rows(self))
+        names, values = zip(*_rows(self), strict=True) if dataclasses.fields(self) else ((), ())
+        columns = {"field": (Column(), names), "value, SI if no unit is given": (Column(), values)}
+        return Listing(type(self).__name__, columns).to_html()
 
 
 class Checked(Described, metaclass=CheckedCalls):
@@ -121,12 +123,12 @@ class Checked(Described, metaclass=CheckedCalls):
 def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
     """Unit and range of each field of a class that has them, such as ``mass: Mass`` or ``supply: Pressure | None``."""
     marks = {name: {*_marks(hint)} for name, hint in field_hints(kind).items()}
-    return {name: found.pop() for name, found in marks.items() if len(found) == 1}  # not a tuple of several quantities
+    return {name: own.pop() for name, own in marks.items() if len(own) == 1}  # not a tuple of several quantities
 
 
 @dataclasses.dataclass(frozen=True)
 class Inherited:
-    """Marks a field that a file may leave out: it is then taken from the scope, the fields around the component.
+    """Marks a field that a file may leave out: it is then taken from the scope, the fields around the section.
 
     `find` raises `KeyError` if the scope lacks the field; then the default applies, or the field is missing.
     """
@@ -148,51 +150,70 @@ def field_problems(instance: Any) -> list[Problem]:
 
 
 def _problem(instance: Any, error: RangeError) -> Problem:
-    found = Problem.of(error, field=error.field)
-    return dataclasses.replace(found, message=found.message.removeprefix(f"{type(instance).__name__}: {error.field} "))
+    problem, prefix = Problem.of(error, field=error.field), f"{type(instance).__name__}: {error.field} "
+    return dataclasses.replace(problem, message=problem.message.removeprefix(prefix))
 
 
 def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
     """Errors of the fields; `units` are those of symbolic ones, which otherwise pass."""
-    kind, owner = type(instance), type(instance).__name__
-    quantities, kinds, choices, hints = field_quantities(kind), _kinds(kind), _words(kind), field_hints(kind)
+    kind = type(instance)
     for field in dataclasses.fields(instance):
-        name, value, mark = field.name, getattr(instance, field.name), quantities.get(field.name)
-        words = choices.get(name)
+        value = getattr(instance, field.name)
         try:
-            if name in kinds:
-                check_kind(owner, name, value, kinds[name])
-            elif words and value not in words:
-                remedy = f"give one of {', '.join(map(repr, words))}"
-                yield RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
-            elif (
-                isinstance(value, tuple | list) and (mark or hints.get(name) is float) and not _is_sequence(hints[name])
-            ):
-                text, remedy = f"{owner}: {name} is {described(value)}", "give one number"
-                yield RangeError(text, field=name, value=value, remedy=remedy)
-            elif mark and value is None:
-                if NoneType not in get_args(hints[name]) and field.default is not None:
-                    yield RangeError(f"{owner}: {name} is None", field=name, remedy=f"give {mark.range}")
-            elif isinstance(mark, BoundedInt) and isinstance(value, Real) and not _whole(value):
-                yield RangeError(f"{owner}: {name} is {value}, not a whole number", field=name, value=value)
-            elif mark:
-                mark = units.get(mark.unit, mark)
-                shown = mark.shown if isinstance(mark, Quantity) and mark.unit not in SYMBOLS else ""
-                numbers = known_numbers(owner, name, value, shown)
-                if isinstance(field.default, Real):  # infinite: no limit
-                    numbers = numbers[numbers != field.default]
-                if mark.unit not in SYMBOLS and not (right := mark.holds(numbers)).all():
-                    yield _outside(owner, name, float(numbers[~right][0]), mark)
+            _check_field(kind, field, value, units)
         except RangeError as error:
             yield error
         for part in value if isinstance(value, tuple) else (value,):
-            if isinstance(part, Component) and (inner := units_of_part(hints.get(name)) or units):
+            if isinstance(part, Component) and (inner := units_of_part(field_hints(kind).get(field.name)) or units):
                 yield from _errors(part, inner)
     for group in getattr(kind, "together", ()):
         missing = [name for name in group if getattr(instance, name) is None]
         if 0 < len(missing) < len(group):
-            message = f"{owner}: {missing[0]} is missing, which {' and '.join({*group} - {*missing})} needs"
+            message = f"{kind.__name__}: {missing[0]} is missing, which {' and '.join({*group} - {*missing})} needs"
             yield RangeError(message, field=missing[0], remedy="give all of them, or none")
+
+
+def _check_field(kind: type, field: dataclasses.Field[Any], value: Any, units: Units) -> None:
+    """Raise `RangeError` for a component of another class, another word, and what `_check_numbers` refuses."""
+    owner, name = kind.__name__, field.name
+    classes, words = _component_classes(kind).get(name), _words(kind).get(name)
+    if classes is not None:
+        check_kind(owner, name, value, classes)
+    elif words is not None:
+        if value not in words:
+            remedy = f"give one of {', '.join(map(repr, words))}"
+            raise RangeError(f"{owner}: {name} is {quoted(str(value))}", field=name, value=value, remedy=remedy)
+    else:
+        _check_numbers(owner, field, value, field_hints(kind).get(name), field_quantities(kind).get(name), units)
+
+
+def _check_numbers(
+    owner: str,
+    field: dataclasses.Field[Any],
+    value: Any,
+    hint: Any,
+    mark: Quantity | BoundedInt | None,
+    units: Units,
+) -> None:
+    """Raise `RangeError` for a number that is missing, out of range or not whole, or for several in place of one."""
+    name = field.name
+    if isinstance(value, tuple | list) and (mark or hint is float) and not _is_sequence(hint):
+        message, remedy = f"{owner}: {name} is {described(value)}", "give one number"
+        raise RangeError(message, field=name, value=value, remedy=remedy)
+    if mark is None or (value is None and (NoneType in get_args(hint) or field.default is None)):
+        return
+    if value is None:
+        raise RangeError(f"{owner}: {name} is None", field=name, remedy=f"give {mark.range}")
+    whole = isinstance(value, Integral) and not isinstance(value, bool)
+    if isinstance(mark, BoundedInt) and isinstance(value, Real) and not whole:
+        raise RangeError(f"{owner}: {name} is {value}, not a whole number", field=name, value=value)
+    mark = units.get(mark.unit, mark)
+    is_symbolic = mark.unit in SYMBOLS
+    numbers = known_numbers(owner, name, value, "" if is_symbolic or isinstance(mark, BoundedInt) else mark.shown)
+    if isinstance(field.default, Real):  # infinite: no limit
+        numbers = numbers[numbers != field.default]
+    if not is_symbolic and not (inside := mark.holds(numbers)).all():
+        raise _outside(owner, name, float(numbers[~inside][0]), mark)
 
 
 def units_of_part(hint: Any) -> Units:
@@ -201,25 +222,21 @@ def units_of_part(hint: Any) -> Units:
 
 
 def _is_sequence(hint: Any) -> bool:
-    origins = (get_origin(one) for one in (hint, *get_args(hint)))
-    return any(isinstance(one, type) and issubclass(one, Sequence) for one in origins)
-
-
-def _whole(value: Real) -> bool:
-    return isinstance(value, Integral) and not isinstance(value, bool)
+    origins = (get_origin(part) for part in (hint, *get_args(hint)))
+    return any(isinstance(origin, type) and issubclass(origin, Sequence) for origin in origins)
 
 
 @functools.cache
 def field_hints(kind: type) -> dict[str, Any]:
     """Return the types of the fields with their marks, except for those with unknown names."""
-    found = {}
+    hints = {}
     for base in reversed(kind.__mro__):
         for name, hint in get_annotations(base).items():
-            found.pop(name, None)
+            hints.pop(name, None)
             with suppress(Exception):  # an annotation may raise anything
-                one = SimpleNamespace(__annotations__={name: hint})
-                found |= get_type_hints(one, vars(sys.modules[base.__module__]), include_extras=True)
-    return {field.name: found[field.name] for field in dataclasses.fields(kind) if field.name in found}
+                written = SimpleNamespace(__annotations__={name: hint})
+                hints |= get_type_hints(written, vars(sys.modules[base.__module__]), include_extras=True)
+    return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.name in hints}
 
 
 def _marks(hint: Any) -> Iterator[Quantity | BoundedInt]:
@@ -232,16 +249,20 @@ def _marks(hint: Any) -> Iterator[Quantity | BoundedInt]:
 
 
 @functools.cache
-def _kinds(kind: type) -> dict[str, Any]:
-    """Types of the fields that are components."""
-    found = {}
+def _component_classes(kind: type) -> dict[str, Any]:
+    """Classes of the fields that are components: a class, or a union."""
+    components = {}
     for name, hint in field_hints(kind).items():
-        plain = get_args(hint)[0] if get_origin(hint) is Annotated else hint
-        kinds = get_args(plain) if get_origin(plain) in (Union, UnionType) else (plain,)
-        kinds = tuple(get_args(one)[0] if get_origin(one) is Annotated else one for one in kinds)
-        if all(isinstance(one, type) and issubclass(one, Component | NoneType) for one in kinds):
-            found[name] = functools.reduce(operator.or_, kinds)
-    return found
+        plain = _without_marks(hint)
+        options = get_args(plain) if get_origin(plain) in (Union, UnionType) else (plain,)
+        classes = [_without_marks(option) for option in options]
+        if all(isinstance(option, type) and issubclass(option, Component | NoneType) for option in classes):
+            components[name] = functools.reduce(operator.or_, classes)
+    return components
+
+
+def _without_marks(hint: Any) -> Any:
+    return get_args(hint)[0] if get_origin(hint) is Annotated else hint
 
 
 @functools.cache
@@ -259,27 +280,26 @@ def _outside(owner: str, name: str, value: float, mark: Quantity | BoundedInt) -
     return RangeError(text, field=name, value=value, lower=lower, upper=upper, unit=mark.unit, remedy=remedy)
 
 
-def _rows(component: Any) -> Iterator[tuple[str, str]]:
+def _rows(component: Component) -> Iterator[tuple[str, str]]:
+    """Name and value of each field that is set, those of parts below them."""
     for field in dataclasses.fields(component):
-        if not field.repr:
-            continue
         value, mark = getattr(component, field.name), field_quantities(type(component)).get(field.name)
+        if not field.repr or value is None:
+            continue
         if isinstance(value, Component):
             yield field.name, type(value).__name__
             yield from ((f"{field.name}.{name}", text) for name, text in _rows(value))
-            continue
-        try:
-            text = show(float(value), mark.shown) if isinstance(mark, Quantity) else repr(value)
-        except TypeError:  # an array, a tracer or None
-            text = repr(value)
-        yield field.name, printable(" ".join(text.split()), _LONGEST)
+        elif isinstance(mark, Quantity) and isinstance(value, Real):
+            yield field.name, show(float(value), mark.shown)
+        else:
+            yield field.name, printable(" ".join(repr(value).split()), _LONGEST)
 
 
 def member_of(kind: type, name: str, value: Any) -> Any:
     """Value of a field; the member of an enumeration that a file names."""
     hint = field_hints(kind)[name]
-    choices = [hint, *get_args(hint)]
-    members = next((one for one in choices if isinstance(one, type) and issubclass(one, enum.Enum)), None)
+    kinds = (kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and issubclass(kind, enum.Enum))
+    members = next(kinds, None)
     return members[value.upper()] if members and isinstance(value, str) else value
 
 

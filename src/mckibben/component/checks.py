@@ -71,7 +71,7 @@ def check_count(field: str, given: int, count: int, each: str) -> None:
 def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
     """Raise `RangeError` unless a field is of its type, a class or a union: arguments are easily swapped."""
     if not isinstance(value, kind):
-        kinds = [one.__name__ for one in get_args(kind) or (kind,) if one is not NoneType]
+        kinds = [option.__name__ for option in get_args(kind) or (kind,) if option is not NoneType]
         hint, made = "" if isinstance(value, str) else "; are arguments swapped?", kinds[0].lower()
         if callable(getattr(type(value), made, None)):
             hint = f": {type(value).__name__}.{made}() returns one"
@@ -84,10 +84,10 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
 def as_number(value: object, unit: str = "") -> str:
     """Remedy for a value in place of a number in a unit: the number that a text such as '250 mm' means, or another."""
     example = f"3 * {unit}" if unit not in ("", "1") else ""
-    if isinstance(value, str) and (number := NUMBER.match(value)) and (given := value[number.end() :].strip()):
+    if isinstance(value, str) and (number := NUMBER.match(value)) and (written := value[number.end() :].strip()):
         with suppress(UnitError):
-            if dimensions(given) == dimensions(unit or given):
-                example = f"{float(number.group()) * factor(given):g} or {number.group()} * {given}"
+            if dimensions(written) == dimensions(unit or written):
+                example = f"{float(number.group()) * factor(written):g} or {number.group()} * {written}"
     example = example.replace("^", "**").replace("%", "percent")
     remedy = "give a number" if unit == "1" else "give a number in SI units"
     return f"{remedy}, such as {example} with mckibben.units" if example else remedy
@@ -103,10 +103,10 @@ def known_numbers(owner: str, name: str, value: object, unit: str = "") -> NDArr
         raise RangeError(f"{owner}: {name} is {shown}", field=name, value=value, remedy=as_number(value, unit))
     if isinstance(value, Real | np.ndarray):
         return np.asarray(value, float).ravel()
-    if isinstance(value, tuple | list) and all(type(one) is float for one in value):
+    if isinstance(value, tuple | list) and all(type(item) is float for item in value):
         return np.asarray(value, float)
     if isinstance(value, tuple | list):
-        return np.concatenate([np.empty(0), *(known_numbers(owner, name, one, unit) for one in value)])
+        return np.concatenate([np.empty(0), *(known_numbers(owner, name, item, unit) for item in value)])
     if value is None:
         return np.empty(0)
     import jax  # slow; not needed for plain numbers

@@ -33,7 +33,7 @@ _BUILT_IN = "mckibben.catalog.entries"
 def catalog_of(base: type) -> Catalog | None:
     """Return the catalog of a base, or of a class that it derives from."""
     importlib.import_module(_BUILT_IN)
-    return next((_CATALOGS[one] for one in base.__mro__ if one in _CATALOGS), None)
+    return next((_CATALOGS[kind] for kind in base.__mro__ if kind in _CATALOGS), None)
 
 
 def register(base: type, catalog: Catalog) -> None:
@@ -43,18 +43,18 @@ def register(base: type, catalog: Catalog) -> None:
 
 def concrete_subclasses(base: type) -> Iterator[type]:
     """Yield the subclasses of a class that are not abstract, in imported modules."""
-    for one in base.__subclasses__():
-        yield from concrete_subclasses(one)
-        if not inspect.isabstract(one):
-            yield one
+    for kind in base.__subclasses__():
+        yield from concrete_subclasses(kind)
+        if not inspect.isabstract(kind):
+            yield kind
 
 
 def classes_of(base: type) -> dict[str, type]:
     """Return the classes of a base that a file can name, by their name in files, or in full where two share a name."""
-    kinds = {(one.__module__, one.__qualname__): one for one in [*concrete_subclasses(base), base]}
-    found = [one for one in kinds.values() if not (one.__name__.startswith("_") or is_abstract(one))]
-    count = Counter(map(class_name, found))
-    return {class_name(one) if count[class_name(one)] == 1 else full_name(one): one for one in found}
+    kinds = {(kind.__module__, kind.__qualname__): kind for kind in [*concrete_subclasses(base), base]}
+    named = [kind for kind in kinds.values() if not (kind.__name__.startswith("_") or is_abstract(kind))]
+    count = Counter(map(class_name, named))
+    return {class_name(kind) if count[class_name(kind)] == 1 else full_name(kind): kind for kind in named}
 
 
 def is_abstract(kind: type) -> bool:
@@ -83,25 +83,25 @@ def name_in_files(base: type, kind: type) -> str:
 
 def find_class(base: type, name: str) -> type | None:
     """Return the class of a base that a file names; None if there is none, `RangeError` if there are several."""
-    found = _named(base, name)
-    if not found:
+    named = _named(base, name)
+    if not named:
         load_installed()
-        found = _named(base, name)
-    if len(found) > 1:
-        several = " and ".join(f"{module_origin(one.__module__)}:{one.__name__}" for one in found)
+        named = _named(base, name)
+    if len(named) > 1:
+        several = " and ".join(f"{module_origin(kind.__module__)}:{kind.__name__}" for kind in named)
         raise RangeError(f"{quoted(name)} may be {several}", value=name, remedy="write package:Class")
-    return found[0] if found else None
+    return named[0] if named else None
 
 
 def _named(base: type, name: str) -> list[type]:
     """Classes of a base with a name in files, which may follow that of a package, module or file."""
     origin, _, own = name.rpartition(":")
-    found = [one for one in classes_of(base).values() if own in (one.__name__, one.__dict__.get("short_name"))]
-    return [one for one in found if not origin or _is_from(one, origin)]
+    named = [kind for kind in classes_of(base).values() if own in (kind.__name__, kind.__dict__.get("short_name"))]
+    return [kind for kind in named if not origin or _is_from(kind, origin)]
 
 
 def _is_from(kind: type, origin: str) -> bool:
-    return any(f"{one}.".startswith(f"{origin}.") for one in (kind.__module__, module_origin(kind.__module__)))
+    return any(f"{module}.".startswith(f"{origin}.") for module in (kind.__module__, module_origin(kind.__module__)))
 
 
 def default_class(base: type) -> type | None:
@@ -116,7 +116,7 @@ class Keyed:
     """Base of classes whose section may stand below their short name, as in ``isobaric: {repeats: 2}``."""
 
     short_name: ClassVar[str] = ""
-    alone: ClassVar[str] = ""
+    shorthand: ClassVar[str] = ""
     """Field of a section that is one value, as in ``move: 10 %``."""
 
     @classmethod
@@ -130,7 +130,7 @@ class Keyed:
             return value
         if section == "":
             section = {}
-        return {"class": name, **(section if isinstance(section, dict) else {getattr(kind, "alone", ""): section})}
+        return {"class": name, **(section if isinstance(section, dict) else {getattr(kind, "shorthand", ""): section})}
 
     @classmethod
     def to_file(cls, section: dict[str, Any]) -> Any:
@@ -138,10 +138,10 @@ class Keyed:
         if cls.short_name:  # a field of one class
             return section
         name, inner = section.pop("class"), section
-        alone = getattr(find_class(cls, name), "alone", "")
+        shorthand = getattr(find_class(cls, name), "shorthand", "")
         if not inner:
             return name
-        return {name: inner[alone] if list(inner) == [alone] else inner}
+        return {name: inner[shorthand] if list(inner) == [shorthand] else inner}
 
 
 def short_key(written: Any, section: Any) -> tuple[str, ...]:

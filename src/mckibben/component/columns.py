@@ -62,7 +62,7 @@ def labels_of(kind: type) -> dict[str, Label]:
     """Return the labels of the fields of a class, such as ``angle: Annotated[Array, Label("rad", "joint angle")]``."""
     hints = get_type_hints(kind, vars(sys.modules[kind.__module__]), include_extras=True)
     marks = {name: getattr(hint, "__metadata__", ()) for name, hint in hints.items()}
-    return {name: mark for name, found in marks.items() for mark in found if isinstance(mark, Label)}
+    return {name: mark for name, own in marks.items() for mark in own if isinstance(mark, Label)}
 
 
 def labelled(kind: K) -> K:

@@ -65,20 +65,20 @@ def loaded_extensions() -> tuple[str, ...]:
 
 def load_missing(extensions: Sequence[str]) -> None:
     """Load the extensions of another process that this one lacks."""
-    for one in extensions:
-        if one not in _loaded:
-            load_extension(one)
+    for extension in extensions:
+        if extension not in _loaded:
+            load_extension(extension)
 
 
 @functools.cache
 def load_installed() -> tuple[Problem, ...]:
     """Import the modules that installed packages register; return a problem for each that cannot be imported."""
     problems = []
-    for one in metadata.entry_points(group=GROUP):
+    for entry in metadata.entry_points(group=GROUP):
         try:
-            one.load()
+            entry.load()
         except Exception as error:
-            package = one.dist.name if one.dist else one.name
+            package = entry.dist.name if entry.dist else entry.name
             text = f"the package {package} cannot be imported: {type(error).__name__}: {error}"
             problems.append(Problem(text, remedy=f"repair or uninstall {package}"))
     return tuple(problems)
@@ -104,17 +104,17 @@ def package_version(module: str) -> str | None:
 
 def version_differences(recorded: Sequence[str]) -> list[str]:
     """Describe the packages of a file, recorded as by `package_version`, that are missing or of another version."""
-    found = []
-    for one in recorded:
-        name, _, version = one.rpartition(" ")
+    differences = []
+    for entry in recorded:
+        name, _, version = entry.rpartition(" ")
         try:
             here = metadata.version(name)
         except (metadata.PackageNotFoundError, ValueError):
             here = ""
         if here != version:
             text = f"this is {name} {here}" if here else f"{name} is not installed"
-            found.append(f"the file was written with {one}, {text}: its numbers may differ")
-    return found
+            differences.append(f"the file was written with {entry}, {text}: its numbers may differ")
+    return differences
 
 
 @functools.cache

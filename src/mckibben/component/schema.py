@@ -1,7 +1,7 @@
 """Components in files: any class of a base by `class`, with units, checks by line, and text that reads back.
 
-A field of a document, or of a component, that holds a component is marked with `Part`. Its section names the class, by
-name or `short_name`, with the key ``class`` (the base's `default_class` otherwise), and gives the fields of the class.
+A field of a document, or of a component, that holds a component is marked with `ComponentField`. Its section names the
+class, by name or `short_name`, with the key ``class`` (otherwise the base's `default_class`), and gives its fields.
 Instead of a section, or as its key ``from``, a file may give the name of a catalog entry or the path of a file; the
 other keys of the section are then changes to it.
 """
@@ -54,7 +54,7 @@ from mckibben.units import SYMBOLS, BoundedInt, Quantity
 C = TypeVar("C")
 
 Scope = Mapping[str, Any]
-"""Fields around a component that is read, the nearest first."""
+"""Fields of the sections around a component that is read, the nearest first."""
 
 ENDINGS = (".yaml", ".yml")
 """Endings of files that hold a component."""
@@ -67,54 +67,58 @@ class Section(ConfigModel):
     from_: Annotated[Any, Field(alias="from")] = None
 
 
+_NONE = BeforeValidator(lambda value: None if value == "none" else value)
+
+
 @functools.cache
 def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) -> type[Section]:  # noqa: B008
     """Return the model of a class in files; in a `partial` one no field is required."""
-    declared, fields = declared_fields(runtime), {}
-    known = forms(runtime, units)
-    aliased = {name for names in getattr(runtime, "aliases", {}).values() for name in names}
-    for name, form in known.items():
-        field = declared[name]
-        has_default = not field.default is field.default_factory is dataclasses.MISSING
-        if partial or has_default or name in aliased or inherited_from(runtime, name) is not None:
-            optional = form | None
-            if inherited_from(runtime, name) is not None and part_of(form) is None:
-                optional = Annotated[optional, BeforeValidator(lambda value: None if value == "none" else value)]
-            fields[name] = optional, None
+    declared, types = declared_fields(runtime), field_types(runtime, units)
+    aliases = getattr(runtime, "aliases", {})
+    aliased = {name for names in aliases.values() for name in names}
+    fields: dict[str, tuple[Any, Any]] = {}
+    for name, kind in types.items():
+        has_default = not declared[name].default is declared[name].default_factory is dataclasses.MISSING
+        inherits = inherited_from(runtime, name) is not None
+        if not (partial or has_default or name in aliased or inherits):
+            fields[name] = kind, ...
+        elif inherits and component_field(kind) is None:
+            fields[name] = (
+                Annotated[kind | None, BeforeValidator(lambda value: None if value == "none" else value)],
+                None,
+            )
         else:
-            fields[name] = form, ...
-    fields |= {alias: (known[names[0]] | None, None) for alias, names in getattr(runtime, "aliases", {}).items()}
+            fields[name] = kind | None, None
+    fields |= {alias: (types[names[0]] | None, None) for alias, names in aliases.items()}
     with warnings.catch_warnings(action="ignore"):  # a field may have the name of a method of pydantic
-        model = cast(Any, create_model(f"{runtime.__name__}Section", __base__=Section, **fields))
-    model.renamed = getattr(runtime, "renamed", {})
-    return model
+        return cast(Any, create_model)(f"{runtime.__name__}Section", __base__=Section, **fields)
 
 
 @functools.cache
 def declared_fields(runtime: type) -> dict[str, dataclasses.Field]:
     """Return the fields that the constructor of a class takes, by name."""
     taken = inspect.signature(runtime).parameters
-    return {one.name: one for one in dataclasses.fields(cast(Any, runtime)) if one.name in taken}
+    return {field.name: field for field in dataclasses.fields(cast(Any, runtime)) if field.name in taken}
 
 
 @functools.cache
-def forms(runtime: type, units: Units = Units()) -> dict[str, Any]:  # noqa: B008
+def field_types(runtime: type, units: Units = Units()) -> dict[str, Any]:  # noqa: B008
     """Return the annotation of each field of a class that can appear in a file."""
-    hints, found = field_hints(runtime), {}
+    hints, types = field_hints(runtime), {}
     for name in declared_fields(runtime):
-        form = _form(hints.get(name), units)
-        if form is None and hints.get(name) is float:
-            form = Annotated[float, getattr(runtime, "unit_of", _no_unit)(name) or Number()]
-        if form is not None:
-            found[name] = form
-    return found
+        kind = _type_in_files(hints.get(name), units)
+        if kind is None and hints.get(name) is float:
+            unit_of = getattr(runtime, "unit_of", lambda _: None)
+            kind = Annotated[float, unit_of(name) or Number()]
+        if kind is not None:
+            types[name] = kind
+    return types
 
 
 @functools.cache
 def _keys(kind: type) -> frozenset[str]:
     """Keys of a section of a class."""
-    others = (*getattr(kind, "aliases", {}), *getattr(kind, "renamed", {}))
-    return frozenset((*forms(kind), *symbolic_fields(kind), *others))
+    return frozenset((*field_types(kind), *symbolic_fields(kind), *getattr(kind, "aliases", {})))
 
 
 def symbolic_fields(kind: type) -> list[str]:
@@ -123,19 +127,16 @@ def symbolic_fields(kind: type) -> list[str]:
     return [name for name in declared_fields(kind) if name in marks and marks[name].unit in SYMBOLS]
 
 
-def _no_unit(_: str) -> None:
-    """Return no unit, for classes that are not components."""
-
-
-def part_of(form: Any) -> Part | None:
+def component_field(annotation: Any) -> ComponentField | None:
     """Return the mark of a field that holds a component, or a list of them."""
-    marks = (*getattr(form, "__metadata__", ()), *(mark for one in get_args(form) for mark in _marks(one)))
-    return next((mark for mark in marks if isinstance(mark, Part)), None)
+    own = getattr(annotation, "__metadata__", ())
+    marks = (*own, *(mark for part in get_args(annotation) for mark in _marks(part)))
+    return next((mark for mark in marks if isinstance(mark, ComponentField)), None)
 
 
 @functools.cache
 def inherited_from(runtime: type, name: str) -> Inherited | None:
-    """Return the mark of a field that takes its value from around the component if it is not given."""
+    """Return the mark of a field that takes its value from the scope if a file leaves it out."""
     return next((mark for mark in _marks(field_hints(runtime)[name]) if isinstance(mark, Inherited)), None)
 
 
@@ -143,39 +144,43 @@ def _marks(hint: Any) -> tuple[Any, ...]:
     """Marks of a type, also of an optional one."""
     own = getattr(hint, "__metadata__", ())
     union = get_args(hint) if get_origin(hint) in (Union, UnionType) else ()
-    return (*own, *(mark for one in union for mark in _marks(one)))
+    return (*own, *(mark for part in union for mark in _marks(part)))
 
 
-def _form(hint: Any, units: Units) -> Any:
+def _type_in_files(hint: Any, units: Units) -> Any:
     """Annotation of a field in files; None for a field that cannot appear there."""
-    if get_origin(hint) in (Union, UnionType):
-        found = [form for one in get_args(hint) if (form := _form(one, units)) is not None]
-        return found[0] if found else None
-    if get_origin(hint) is Literal:
-        return Annotated[str, OneOf(tuple(word for word in get_args(hint) if word))]
-    if get_origin(hint) in (tuple, Sequence):
-        inner = _form(get_args(hint)[0], units)
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        return next((kind for part in parts if (kind := _type_in_files(part, units)) is not None), None)
+    if origin is Literal:
+        return Annotated[str, OneOf(tuple(filter(None, parts)))]
+    if origin in (tuple, Sequence):
+        inner = _type_in_files(parts[0], units)
         return None if inner is None else tuple[inner, ...]
-    if get_origin(hint) is Annotated:
-        base, *marks = get_args(hint)
-        mark = next((one for one in marks if isinstance(one, Quantity | BoundedInt)), None)
-        if isinstance(mark, Quantity) and mark.unit in SYMBOLS:
-            quantity = units.get(mark.unit)
-            return None if quantity is None else Annotated[float, quantity]
-        if mark is not None:
-            return Annotated[base, mark]
-        return _form(base, next((one for one in marks if isinstance(one, Units)), units))
+    if origin is Annotated:
+        return _annotated_type(*parts, units=units)
     if not isinstance(hint, type):
         return None
     if issubclass(hint, Component | Checked):
-        return Annotated[Any, Part(hint, units)]
+        return Annotated[Any, ComponentField(hint, units)]
     if issubclass(hint, enum.Enum):
         return Annotated[str, OneOf(tuple(member.name.lower() for member in hint))]
     return {bool: Flag, str: Title, Path: FilePath}.get(hint)
 
 
+def _annotated_type(base: Any, *marks: Any, units: Units) -> Any:
+    """Annotation in files of a field with unit and range, or of a component with units of its symbolic fields."""
+    mark = next((mark for mark in marks if isinstance(mark, Quantity | BoundedInt)), None)
+    if isinstance(mark, Quantity) and mark.unit in SYMBOLS:
+        mark = units.get(mark.unit)
+        return None if mark is None else Annotated[float, mark]
+    if mark is not None:
+        return Annotated[base, mark]
+    return _type_in_files(base, next((mark for mark in marks if isinstance(mark, Units)), units))
+
+
 @dataclass(frozen=True)
-class Part:
+class ComponentField:
     """Marks a section of a file that holds a component of a base class; `units` are those of its symbolic fields."""
 
     base: type
@@ -190,123 +195,127 @@ class Part:
         return None if value is None else write(value, self, folder=(info.context or {}).get("folder") or Path())
 
     def read(self, value: Any, info: Any) -> Any:
-        """Return the component of a section."""
+        """Return the component of a section, of the name of a class or catalog entry, or of a path."""
         if value is None or isinstance(value, self.base):
             return value
+        section, key = self._section(value)
+        if section is None:
+            return None
         context = dict(info.context or {})
-        changed, name = context.pop("changed", None), info.field_name or ""
-        given = {key: one for key, one in (info.data or {}).items() if one is not None}
-        scope: Scope = ChainMap({"key": name}, given, *context.get("scope", ()))
-        around = getattr(changed, getattr(changed, "aliases", {}).get(name, (name,))[0], None)
-        written, value = value, self.base.from_file(value)
-        below = short_key(written, value)
-        if isinstance(value, str) and value:
-            if find_class(self.base, value) is not None:
-                value = {"class": value}
-            elif value == "none":
-                return None
-            else:
-                value = {"from": value}
-        if not isinstance(value, dict):
-            fail_validation(*self._expected(value), value=value)
-        if isinstance(value.get("from"), str) and find_class(self.base, value["from"]) is not None:
-            value = {"class": value["from"], **{key: one for key, one in value.items() if key != "from"}}
-        section = {key: one for key, one in value.items() if key != "from"}
-        if "from" in value:
-            if not isinstance(value["from"], str):
-                fail_validation(f"{quoted(value['from'])} is not the name of {self._noun}", "give a name or a path")
-            around = self._from_source(value["from"], context, scope, info)
-            if isinstance(around, dict):  # an entry that lacks fields
-                section, around = {**around, **section}, None
+        default, fields = _default_of(context.pop("changed", None), info.field_name), info.data or {}
+        siblings = {name: field for name, field in fields.items() if field is not None}
+        scope = ChainMap[str, Any]({"key": info.field_name or ""}, siblings, *context.get("scope", ()))
+        if (source := section.pop("from", None)) is not None:
+            default = self._from_source(source, context, scope, info)
+            if isinstance(default, dict):  # an entry that lacks fields
+                section, default = {**default, **section}, None
             elif not section:
-                return around
-        elif "class" in value or not isinstance(around, self.base):
-            around = None
-        fits = around is not None and "class" not in section and set(section) <= _keys(type(around))
-        kind = type(around) if fits else self.class_for(section)
-        if type(around) is not kind:
-            around = None
-        model = section_of(kind, self.units, partial=around is not None)
-        context |= {"scope": scope.maps if isinstance(scope, ChainMap) else (scope,), "changed": around}
+                return default
+        elif "class" in section or not isinstance(default, self.base):
+            default = None
+        changes = default is not None and "class" not in section and set(section) <= _keys(type(default))
+        kind = type(default) if changes else self.class_for(section)
+        default = default if type(default) is kind else None
+        fields = self._fields(kind, section, context | {"scope": scope.maps, "changed": default}, (value, key))
+        return build(kind, fields, scope) if default is None else replaced(default, fields)
+
+    def _fields(
+        self, kind: type, section: dict[str, Any], context: dict[str, Any], written: tuple[Any, tuple[str, ...]]
+    ) -> dict[str, Any]:
+        """Fields of a class that a section gives, which is `written` below a key or by a shorthand."""
+        model, (value, key) = section_of(kind, self.units, partial=context["changed"] is not None), written
         try:
             read = model.model_validate(section, context=context)
         except ValidationError as error:
-            raise located_below(error, below, alone=bool(below) and not isinstance(written[below[0]], dict)) from None
-        fields = {name: getattr(read, name) for name in read.model_fields_set - {"class_"}}
-        for alias, names in getattr(kind, "aliases", {}).items():
-            if alias not in fields:
-                continue
-            if both := [name for name in names if name in fields]:
-                remedy = f"give {alias}, or {' and '.join(names)}"
-                fail_validation(f"has {alias} in addition to {' and '.join(both)}", remedy)
-            fields |= dict.fromkeys(names, fields.pop(alias))
-        fields = {name: member_of(kind, name, one) for name, one in fields.items()}
-        return build(kind, fields, scope) if around is None else replaced(around, fields)
+            raise located_below(error, key, shorthand=bool(key) and not isinstance(value[key[0]], dict)) from None
+        return _expanded(kind, {name: getattr(read, name) for name in read.model_fields_set - {"class_"}})
+
+    def _section(self, written: Any) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+        """A value as keys and values, None of ``none``, and the key below which the fields are written, if any."""
+        value = self.base.from_file(written)  # type: ignore[attr-defined]
+        key = short_key(written, value)
+        if isinstance(value, str) and value:
+            is_class = find_class(self.base, value) is not None
+            if value == "none" and not is_class:
+                return None, key
+            value = {"class" if is_class else "from": value}
+        if not isinstance(value, dict):
+            fail_validation(*self._expected(value), value=value)
+        source = value.get("from", "")
+        if not isinstance(source, str):
+            fail_validation(f"{quoted(source)} is not the name of {self._noun}", "give a name or a path")
+        if "from" in value and find_class(self.base, source) is not None:
+            value = {"class": source, **{name: field for name, field in value.items() if name != "from"}}
+        return dict(value), key
 
     def _from_source(self, name: str, context: dict[str, Any], scope: Scope, info: Any) -> Any:
         """Component of a catalog entry or a file."""
         catalog = catalog_of(self.base)
         if not name.endswith(ENDINGS):
-            classes = classes_of(self.base) if is_abstract(self.base) else ()
-            known = [*(catalog.names() if catalog else ()), *classes]
-            if catalog is None or name not in catalog.names():
+            names = catalog.names() if catalog else ()
+            if catalog is None or name not in names:
+                known = [*names, *(classes_of(self.base) if is_abstract(self.base) else ())]
                 remedy = suggest(name, known) if known else self._expected(name)[1]
                 fail_validation(f"{quoted(name)} is not the name of {self._noun}", remedy, value=name)
-            found = catalog.entry(name)
-        else:
-            path = read_path(name, info, ".yaml")
-            files = (*context.get("files", ()), path)
-            if path in files[:-1]:
-                fail_validation(f"{name} refers to itself", f"give the numbers in {name}")
-            try:
-                if catalog is not None and catalog.read is not None:
-                    found = catalog.read(path)
-                else:
-                    inner = {**context, "files": files, "scope": (scope,)}
-                    found = read_component(self.base, path, key=info.field_name or "", context=inner, units=self.units)
-            except FileError as error:
-                fail_validation(f"{name}: {'; '.join(map(str, error.problems[:5]))}", f"correct {name}")
-            name = str(path)
-        return found if isinstance(found, dict) else _marked(found, origin=name)
+            component = catalog.entry(name)
+            return component if isinstance(component, dict) else _marked(component, origin=name)
+        path = read_path(name, info, ".yaml")
+        files = (*context.get("files", ()), path)
+        if path in files[:-1]:
+            fail_validation(f"{name} refers to itself", f"give the numbers in {name}")
+        try:
+            if catalog is not None and catalog.read is not None:
+                component = catalog.read(path)
+            else:
+                inner = {**context, "files": files, "scope": (scope,)}
+                component = read_component(self.base, path, key=info.field_name or "", context=inner, units=self.units)
+        except FileError as error:
+            fail_validation(f"{name}: {'; '.join(map(str, error.problems[:5]))}", f"correct {name}")
+        return component if isinstance(component, dict) else _marked(component, origin=str(path))
 
     def class_for(self, section: Mapping[str, Any]) -> type:
         """Return the class of a section; reports a mistake where it names none."""
-        known, named = classes_of(self.base), section.get("class")
-        if named is None:
-            kind = default_class(self.base)
-            if kind is not None and set(section) <= _keys(kind):
-                return kind
-            if meant := next((key for key in section if find_class(self.base, key) is not None), ""):
-                fail_validation("lacks the key `class`", f"write `class: {meant}`, and its fields in the same section")
-            shared = {name: len(_keys(one) & set(section)) for name, one in known.items()}
-            most = max(shared.values(), default=0)
-            if most > (0 if kind is None else len(_keys(kind) & set(section))):
-                fitting = " or ".join(name for name, count in shared.items() if count == most)
-                fail_validation("lacks the key `class`", f"write `class: {fitting}`")
-            if section and not most and (remedy := _remedy_without_class(kind, known, set(section))):
-                fail_validation("lacks the key `class`", remedy)
-            if kind is None:
-                fail_validation("lacks the key `class`", f"give one of {', '.join(known)}")
-            return kind
+        if "class" not in section:
+            return self._default_class(section)
+        named = section["class"]
         kind = find_class(self.base, named) if isinstance(named, str) else None
         if kind is None:
-            remedy = suggest(str(named), list(known)) if known else "there is none yet"
+            known = list(classes_of(self.base))
+            remedy = suggest(str(named), known) if known else "there is none yet"
             own = "for a user-defined class, load its module first: `mckibben --extension FILE.py ...`, or a module"
-            broken = (f"{one.message} ({one.remedy})" for one in load_installed())
+            broken = (f"{problem.message} ({problem.remedy})" for problem in load_installed())
             message = f"there is no class {quoted(named)} of {self.base.__name__}"
             fail_validation(message, "; ".join([remedy, own, *broken]), value=named)
+        return kind
+
+    def _default_class(self, section: Mapping[str, Any]) -> type:
+        """The class of a section that names none; if the base has no default, or another fits better, a mistake."""
+        known, kind = classes_of(self.base), default_class(self.base)
+        if kind is not None and set(section) <= _keys(kind):
+            return kind
+        if meant := next((key for key in section if find_class(self.base, key) is not None), ""):
+            fail_validation("lacks the key `class`", f"write `class: {meant}`, and its fields in the same section")
+        shared = {name: len(_keys(candidate) & set(section)) for name, candidate in known.items()}
+        most = max(shared.values(), default=0)
+        if most > (0 if kind is None else len(_keys(kind) & set(section))):
+            fitting = " or ".join(name for name, count in shared.items() if count == most)
+            fail_validation("lacks the key `class`", f"write `class: {fitting}`")
+        is_foreign = section and not most and not any(closest(key, [*_keys(kind)]) for key in section if kind)
+        if kind is None or (is_foreign and len(known) > 1):
+            keys = f"; without it the keys are {', '.join(field_types(kind))}" if kind else ""
+            fail_validation("lacks the key `class`", f"give one of {', '.join(known)}{keys}")
         return kind
 
     def model_for(self, value: Any) -> type[Section] | None:
         """Return the model of a section, for messages; None for one that names no class."""
         with contextlib.suppress(McKibbenError):
-            written, value = value, self.base.from_file(value)
+            written, value = value, self.base.from_file(value)  # type: ignore[attr-defined]
             if isinstance(value, dict) and "class" not in value and "from" in value and len(classes_of(self.base)) > 1:
                 return None
-            if (below := short_key(written, value)) and isinstance(written[below[0]], dict):
-                inner = section_of(self.class_for(value), self.units)
-                return cast(Any, create_model)("Keyed", __base__=Section, **{below[0]: (inner, ...)})
-            return section_of(self.class_for(value if isinstance(value, dict) else {}), self.units)
+            model = section_of(self.class_for(value if isinstance(value, dict) else {}), self.units)
+            if (key := short_key(written, value)) and isinstance(written[key[0]], dict):
+                return cast(Any, create_model)("Keyed", __base__=Section, **{key[0]: (model, ...)})
+            return model
         return None
 
     @property
@@ -316,7 +325,7 @@ class Part:
 
     def _expected(self, value: Any) -> tuple[str, str]:
         kind = default_class(self.base)
-        keys = ", ".join(forms(kind, self.units)) if kind else "`class` and the fields of the class"
+        keys = ", ".join(field_types(kind, self.units)) if kind else "`class` and the fields of the class"
         if value == "":
             return "has no value", "write one, or leave the key out"
         if isinstance(value, Component | Checked):  # in Python
@@ -327,21 +336,25 @@ class Part:
         )
 
 
-def _remedy_without_class(default: type | None, known: Mapping[str, type], keys: set[str]) -> str:
-    """Remedy for keys that no class has: a class with parts that have them, or all keys; none if they are misspelt."""
-    for name, kind in known.items():
-        marks = ((field, part_of(form)) for field, form in forms(kind).items())
-        fields = [one for one, mark in marks if mark and any(keys <= _keys(k) for k in classes_of(mark.base).values())]
-        if fields and kind is not default:
-            return f"write `class: {name}`, with {' and '.join(sorted(keys))} in {' and '.join(fields)}"
-    if default is None or len(known) < 2 or any(closest(key, [*_keys(default)]) for key in keys):
-        return ""
-    others = [name for name, kind in known.items() if kind is not default]
-    return f"without `class`, the keys are {', '.join(forms(default))}; other classes are {', '.join(others)}"
+def _default_of(component: Any, name: str | None) -> Any:
+    """The part of a component under a key of a file; None without one."""
+    key = name or ""
+    return getattr(component, getattr(component, "aliases", {}).get(key, (key,))[0], None)
+
+
+def _expanded(kind: type, fields: dict[str, Any]) -> dict[str, Any]:
+    """Fields of a class from those of its section: one key may give several, and a word may name a member."""
+    for alias, names in getattr(kind, "aliases", {}).items():
+        if alias in fields:
+            if both := [name for name in names if name in fields]:
+                remedy = f"give {alias}, or {' and '.join(names)}"
+                fail_validation(f"has {alias} in addition to {' and '.join(both)}", remedy)
+            fields |= dict.fromkeys(names, fields.pop(alias))
+    return {name: member_of(kind, name, value) for name, value in fields.items()}
 
 
 def build(kind: type, fields: Mapping[str, Any], scope: Scope) -> Any:
-    """Return a component of a class; fields that are not given are inherited from around it, or have their default."""
+    """Return a component of a class; other fields are inherited from the scope, or have their default."""
     inherited = {}
     for name, field in declared_fields(kind).items():
         if name in fields:
@@ -377,13 +390,12 @@ def replaced(component: C, fields: Mapping[str, Any]) -> C:
     """Return a component with other fields, checked again; what it inherited stays inherited."""
     if not fields:
         return component
-    kept = inherited_fields(component) - set(fields)
-    return _marked(_made(component, fields), inherited=kept)
+    return _marked(_made(component, fields), inherited=inherited_fields(component) - set(fields))
 
 
-def _copy(found: Any) -> Any:
+def _copy(value: Any) -> Any:
     """A copy of a component: a controller's model is never the same object as that of the plant."""
-    return _made(found, {}) if isinstance(found, Component) else found
+    return _made(value, {}) if isinstance(value, Component) else value
 
 
 def _made(component: Any, fields: Mapping[str, Any]) -> Any:
@@ -395,20 +407,18 @@ def _made(component: Any, fields: Mapping[str, Any]) -> Any:
 def inherit(component: Any, scope: Scope) -> Any:
     """Return a component whose inherited fields, and those of its parts, are taken from a scope again."""
     if isinstance(component, tuple):
-        return tuple(inherit(one, scope) for one in component)
+        return tuple(inherit(part, scope) for part in component)
     if not isinstance(component, Component):
         return component
-    fields, kind = {}, type(component)
-    names = inherited_fields(component)
-    own = {name: getattr(component, name) for name in declared_fields(kind) if name not in names}
-    around = ChainMap(own, dict(scope))
-    for name in declared_fields(kind):
-        before = getattr(component, name)
+    kind, names = type(component), inherited_fields(component)
+    before = {name: getattr(component, name) for name in declared_fields(kind)}
+    inner = ChainMap({name: value for name, value in before.items() if name not in names}, dict(scope))
+    fields = {}
+    for name, value in before.items():
         mark = inherited_from(kind, name) if name in names else None
-        after = _copy(mark.find(around)) if mark else inherit(before, around)
-        if after is not before:
-            fields[name] = after
-    return _marked(replaced(component, fields), inherited=names) if fields else component
+        fields[name] = _copy(mark.find(inner)) if mark else inherit(value, inner)
+    changed = {name: value for name, value in fields.items() if value is not before[name]}
+    return _marked(replaced(component, changed), inherited=names) if changed else component
 
 
 def independent(component: Any) -> Any:
@@ -417,50 +427,46 @@ def independent(component: Any) -> Any:
         return tuple(map(independent, component))
     if not isinstance(component, Component):
         return component
-    fields = {name: independent(getattr(component, name)) for name in declared_fields(type(component))}
-    changed = {name: one for name, one in fields.items() if one is not getattr(component, name)}
-    if not changed and not inherited_fields(component):
-        return component
-    return _made(component, changed)
+    before = {name: getattr(component, name) for name in declared_fields(type(component))}
+    fields = {name: independent(value) for name, value in before.items()}
+    changed = {name: value for name, value in fields.items() if value is not before[name]}
+    return _made(component, changed) if changed or inherited_fields(component) else component
 
 
-def write(component: Any, part: Part | None = None, *, folder: Path = Path()) -> Any:
+def write(component: Any, field: ComponentField | None = None, *, folder: Path = Path()) -> Any:
     """Return the section of a component, as plain data with units: what differs from the defaults of its class."""
     if origin := origin_of(component):
         return relative_path(Path(origin), folder) if origin.endswith(ENDINGS) else origin
     kind = type(component)
-    part = Part(kind) if part is None else part
-    given: dict[str, Any] = {}
-    explicit_none = []
-    for name in forms(kind, part.units):
-        field, value = declared_fields(kind)[name], getattr(component, name)
-        implied = name in inherited_fields(component) if inherited_from(kind, name) else same(value, field.default)
-        if implied:
-            continue
-        if value is None:
-            explicit_none.append(name)
-        given[name] = plain(value)
+    field = ComponentField(kind) if field is None else field
+    values: dict[str, Any] = {}
+    for name in field_types(kind, field.units):
+        value, default = getattr(component, name), declared_fields(kind)[name].default
+        implied = name in inherited_fields(component) if inherited_from(kind, name) else same(value, default)
+        if not implied:
+            values[name] = plain(value)
+    explicit_none = [name for name, value in values.items() if value is None]
     for alias, (first, *others) in getattr(kind, "aliases", {}).items():
-        if first in given and all(same(given.get(other), given[first]) for other in others):
-            given[alias] = given.pop(first)
-            given = {name: one for name, one in given.items() if name not in others}
-    model = section_of(kind, part.units)
-    named = None if kind is default_class(part.base) else name_in_files(part.base, kind)
+        if first in values and all(same(values.get(other), values[first]) for other in others):
+            values[alias] = values.pop(first)
+            values = {name: value for name, value in values.items() if name not in others}
+    model = section_of(kind, field.units)
+    named = None if kind is default_class(field.base) else name_in_files(field.base, kind)
     try:
-        section = model.model_construct(class_=named, **given).model_dump(
+        section = model.model_construct(class_=named, **values).model_dump(
             mode="json", by_alias=True, exclude_none=True, context={"folder": folder}
         )
     except PydanticSerializationError as error:
         raise McKibbenError(f"this {kind.__name__} cannot be written to a file: {error}") from None
     section |= dict.fromkeys(explicit_none, "none")
-    short = getattr(part.base, "to_file", None)
-    section = section if short is None else short(section)
+    to_file = getattr(field.base, "to_file", None)
+    section = section if to_file is None else to_file(section)
     return named if list(section) == ["class"] else section
 
 
 def write_text(component: Any, *, folder: Path = Path(), base: type | None = None) -> str:
     """Return the text of a file that holds a component."""
-    section = write(component, None if base is None else Part(base), folder=folder)
+    section = write(component, None if base is None else ComponentField(base), folder=folder)
     return to_text(section if isinstance(section, dict) else {"from": section})
 
 
@@ -488,9 +494,8 @@ def parse_component(
     units: Units = Units(),  # noqa: B008
 ) -> C:
     """Return the component of a YAML text; as `read_component`."""
-    part = Part(base, units)
-    model = part.model_for(read_document(text).data) or Section
-    adapter: Any = TypeAdapter(Annotated[Any, part])
+    field = ComponentField(base, units)
+    model = field.model_for(read_document(text).data) or Section
+    validate = TypeAdapter[Any](Annotated[Any, field]).validate_python
     inner = {**(context or {}), "folder": folder}
-    found, _ = parse_text(adapter.validate_python, model, text, source=source, key=key, context=inner)
-    return found
+    return parse_text(validate, model, text, source=source, key=key, context=inner)[0]

@@ -57,13 +57,13 @@ class Document:
 
     def below(self, key: str) -> Document:
         """The document below a key, with the lines of the whole document."""
-        size = 1
+        lines = {place[1:]: line for place, line in self.lines.items() if place[:1] == (key,)}
+        rejected = {place[1:] for place in self.rejected if place[:1] == (key,)}
+        return Document(self.data[key], lines, {}, self.problems, rejected)
 
-        def inner(marks: Mapping[Place, Any]) -> dict[Place, Any]:
-            return {place[size:]: one for place, one in marks.items() if place[:size] == (key,)}
-
-        rejected = {place[size:] for place in self.rejected if place[:size] == (key,)}
-        return Document(self.data[key], inner(self.lines), inner(self.spans), self.problems, rejected)
+    def is_rejected(self, place: Place) -> bool:
+        """Whether a place, or one around it, already has a problem."""
+        return any(place[: len(rejected)] == rejected for rejected in self.rejected)
 
     def reject(self, place: Place, line: int, message: str, remedy: str) -> None:
         """Add a problem for a value that is not allowed."""
@@ -200,12 +200,12 @@ def read_json(text: str, source: str) -> Any:
     """Parse JSON text; ScenarioError if it is not JSON, is too long or too deep, or gives a key twice."""
 
     def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) < len(pairs):
+        mapping = dict(pairs)
+        if len(mapping) < len(pairs):
             keys = [key for key, _ in pairs]
             twice = next(key for key in keys if keys.count(key) > 1)
             raise ValueError(f"the key {_short(twice)!r} is given twice")
-        return found
+        return mapping
 
     problem = None
     if len(text) > LONGEST_TEXT:
@@ -266,7 +266,7 @@ def plain(data: Any) -> Any:
     """The data of a document as mutable dictionaries and lists."""
     if isinstance(data, dict):
         return {key: plain(value) for key, value in data.items()}
-    return [plain(one) for one in data] if isinstance(data, tuple | list) else data
+    return [plain(item) for item in data] if isinstance(data, tuple | list) else data
 
 
 def to_text(data: Mapping[str, Any], comments: Mapping[Place, str] | None = None, *, width: int = 100) -> str:
@@ -301,7 +301,7 @@ class _Writer:
 
     def fits(self, one_line: str, value: dict[str, Any], place: Place) -> bool:
         """Whether a mapping is written on one line."""
-        nested = len(place) == 1 and any(isinstance(one, dict) for one in value.values())
+        nested = len(place) == 1 and any(isinstance(item, dict) for item in value.values())
         commented = any(other[: len(place)] == place != other for other in self.comments)
         return len(one_line) <= self.width and not (nested or commented or _has_rows(value))
 

@@ -73,10 +73,10 @@ def read_path(value: Any, info: ValidationInfo, ending: str) -> Path:
     if (info.context or {}).get("confined") and path.parent != folder.absolute():
         fail_validation(f"{quoted(str(value))} is in another folder", "leave it out, or run it on the command line")
     try:
-        found = path.is_file()
+        exists = path.is_file()
     except (OSError, ValueError):
-        found = False
-    if not found:
+        exists = False
+    if not exists:
         where = folder.absolute()
         fail_validation(
             f"there is no file {quoted(str(value))}", f"paths are relative to the file that names them, here {where}"

@@ -38,10 +38,10 @@ class DocumentModel(ConfigModel):
     kind: ClassVar[str] = "scenario"
     examples: ClassVar[str] = "examples/"
 
-    def __init__(self, /, *given: object, **fields: Any) -> None:
-        if given:
+    def __init__(self, /, *args: object, **fields: Any) -> None:
+        if args:
             name = type(self).__name__
-            remedy = f"to read a file, write {name}.read({given[0]!r:.60})"
+            remedy = f"to read a file, write {name}.read({args[0]!r:.60})"
             raise CallError(f"{name} takes its fields by name", remedy=remedy)
         try:
             super().__init__(**fields)
@@ -78,8 +78,8 @@ class DocumentModel(ConfigModel):
 
     def replace(self, **changes: Any) -> Self:
         """Return a copy with other values of fields, given and checked as those of the constructor."""
-        kept = {field.alias or name: getattr(self, name) for name, field in type(self).model_fields.items()}
-        return type(self)(**{**kept, **changes})
+        fields = {field.alias or name: getattr(self, name) for name, field in type(self).model_fields.items()}
+        return type(self)(**{**fields, **changes})
 
     def __dir__(self) -> list[str]:
         return [name for name in super().__dir__() if name.startswith("_") or not hasattr(BaseModel, name)]
@@ -140,13 +140,13 @@ def fail_validation(
 
 def with_changes(content: Any, section: Mapping[str, Any]) -> Any:
     """Content to which a section's ``from`` refers, with the section's other keys."""
-    return _merged(_with_tuples(content), {key: one for key, one in section.items() if key != "from"})
+    return _merged(_with_tuples(content), {key: field for key, field in section.items() if key != "from"})
 
 
 def _with_tuples(content: Any) -> Any:
     """Tuples in place of lists, as documents are read."""
     if isinstance(content, dict):
-        return {key: _with_tuples(one) for key, one in content.items()}
+        return {key: _with_tuples(field) for key, field in content.items()}
     return tuple(map(_with_tuples, content)) if isinstance(content, list | tuple) else content
 
 
@@ -191,9 +191,9 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
     raise ScenarioError(source, [problem]) from None
 
 
-def located_below(error: ValidationError, place: Place, *, alone: bool = False) -> ValidationError:
-    """Return the mistakes of a validation as those of a section below a place, or of its field that stands `alone`."""
-    details: Any = [{**one, "loc": (*place, *one["loc"][alone:])} for one in error.errors(include_url=False)]
+def located_below(error: ValidationError, place: Place, *, shorthand: bool = False) -> ValidationError:
+    """Return the mistakes of a validation as those of a section below a place, or of a value in place of its field."""
+    details: Any = [{**item, "loc": (*place, *item["loc"][shorthand:])} for item in error.errors(include_url=False)]
     return ValidationError.from_exception_data(error.title, details)
 
 
@@ -227,7 +227,7 @@ def parse_text(
     if isinstance(document.data, dict) and key in document.data:
         document = document.below(key)
     try:
-        found = validate(document.data, context=context)
+        validated = validate(document.data, context=context)
     except ValidationError as error:
         problems = problems_of(error, document, model)
         if not key and (other := kind_of(document.data, _keys_of(model))):
@@ -237,7 +237,7 @@ def parse_text(
         raise ScenarioError(source, problems) from None
     if document.problems:
         raise ScenarioError(source, document.problems)
-    return found, document
+    return validated, document
 
 
 _KINDS = (
@@ -254,8 +254,8 @@ _KINDS = (
 
 def kind_of(data: Any, known: Collection[str] = ()) -> str:
     """Return what a file with this data is, and what reads it; empty if it may be of the kind with the `known` keys."""
-    given = {*data} if isinstance(data, dict) else set()
-    return next((what for keys, what in _KINDS if keys <= given and not keys <= {*known}), "")
+    keys = {*data} if isinstance(data, dict) else set()
+    return next((what for marks, what in _KINDS if marks <= keys and not marks <= {*known}), "")
 
 
 def problems_of(error: ValidationError, document: Document, model: type[BaseModel]) -> list[Problem]:
@@ -268,15 +268,14 @@ def problems_of(error: ValidationError, document: Document, model: type[BaseMode
     problems = []
     for detail, cause in zip(details, causes, strict=True):
         place = detail["loc"]
-        section = getattr(cause, "parent", False) and any(key[:-1] == place[:-1] for key in misspelt)
+        parent = getattr(cause, "parent", False)  # of a section that probably lacks only the key that is misspelt
         follows = (
-            section  # it probably lacks only the key that is misspelt
-            or (detail["type"] == "missing" and place in misspelt)
+            (detail["type"] == "missing" and place in misspelt)
+            or (parent and any(key[:-1] == place[:-1] for key in misspelt))
             or (detail["type"] == "too_short" and any(other["loc"][:-1] == place for other in details))
             or (getattr(cause, "follows", False) and not all_follow)
-            or any(place[: len(rejected)] == rejected for rejected in document.rejected)
         )
-        if not follows:
+        if not follows and not document.is_rejected(place):
             problems.append(_problem(detail, document, model))
     return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
 

@@ -11,23 +11,26 @@ from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Annotated, Any, get_args, get_origin
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import jaxpr_as_fun
+from jax.flatten_util import ravel_pytree
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.component.base import Component, Units, field_hints, field_quantities
 from mckibben.component.classes import name_in_files
 from mckibben.component.extensions import load_extension
-from mckibben.component.schema import Part, declared_fields, parse_component, symbolic_fields, write
+from mckibben.component.schema import ComponentField, declared_fields, parse_component, symbolic_fields, write
 from mckibben.config.document import to_text
-from mckibben.contract.probes import PERIOD, Identity, Probe, Probes, Ranges, plant_scope, probes_of
+from mckibben.contract.probes import PERIOD, Identity, Probes, Ranges, plant_scope, probes_of
 from mckibben.control.base import DiscreteTimeSystem
 from mckibben.control.position_stiffness import AngleDerivativeGain, AngleIntegralGain
 from mckibben.errors import CompilerError, ExportError, McKibbenError, ParameterError, printable
 from mckibben.numerics.compiled import numeric
+from mckibben.result import Column, Listing, Remark, Result
 from mckibben.units import Angle, AngleGain, AngleScale, BoundedInt, Quantity, factor
 
 UNITS = Units(
@@ -57,11 +60,39 @@ class Finding:
     remedy: str = ""
 
 
+class ContractReport(Result):
+    """Findings of all classes of a module."""
+
+    module: str
+    findings: tuple[Finding, ...]
+
+    def verdict(self) -> str:
+        classes, failed = {finding.kind for finding in self.findings}, sum(f.passed is False for f in self.findings)
+        count = f"{len(self.findings)} checks of {len(classes)} classes"
+        return f"{failed} of {count} in {self.module} failed" if failed else f"all {count} in {self.module} passed"
+
+    def remarks(self) -> Iterator[Remark]:
+        for finding in self.findings:
+            if finding.passed is False:
+                text = f"{finding.kind}, {finding.check}: {finding.found}"
+                yield Remark.severe(finding.check, text, finding.remedy)
+
+    def listings(self) -> Iterator[Listing]:
+        words = {True: "passed", False: "failed", None: "not checked"}
+        columns = {
+            "class": [finding.kind for finding in self.findings],
+            "check": [finding.check for finding in self.findings],
+            "result": [words[finding.passed] for finding in self.findings],
+            "reason": [finding.found for finding in self.findings],
+        }
+        yield Listing("Contract", {name: (Column(), values) for name, values in columns.items()})
+
+
 class _BrokenError(Exception):
     """A part of the contract does not hold."""
 
-    def __init__(self, found: str, remedy: str = "") -> None:
-        super().__init__(found)
+    def __init__(self, reason: str, remedy: str = "") -> None:
+        super().__init__(reason)
         self.remedy = remedy
 
 
@@ -74,19 +105,19 @@ def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | N
 
     Raises `ScenarioError` if the module cannot be run, `ParameterError` if it has no component, or none has a field.
     """
-    module = load_extension(named)
+    module, values = load_extension(named), dict(fields or {})
     kinds = list(_own_classes(module))
     if not kinds:
         remedy = "define a class that derives from a base, such as Valve, Geometry or Controller"
         raise ParameterError(f"{os.fspath(named)} does not define a component", value=os.fspath(named), remedy=remedy)
-    given = dict(fields or {})
-    if unknown := [name for name in given if not any(name in declared_fields(kind) for kind in kinds)]:
-        names = ", ".join(dict.fromkeys(name for kind in kinds for name in declared_fields(kind)))
-        raise ParameterError(f"no class has the field {unknown[0]!r}", value=unknown[0], remedy=f"known are {names}")
+    known = list(dict.fromkeys(name for kind in kinds for name in declared_fields(kind)))
+    if unknown := [name for name in values if name not in known]:
+        remedy = f"known are {', '.join(known)}"
+        raise ParameterError(f"no class has the field {unknown[0]!r}", value=unknown[0], remedy=remedy)
     findings = []
     for kind in kinds:
-        own = {name: value for name, value in given.items() if name in declared_fields(kind)}
-        instances = [] if own else [one for one in vars(module).values() if type(one) is kind]
+        own = {name: value for name, value in values.items() if name in declared_fields(kind)}
+        instances = [] if own else [value for value in vars(module).values() if type(value) is kind]
         findings += check_class(kind, own, instances)
     return findings
 
@@ -94,12 +125,12 @@ def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | N
 def _own_classes(module: ModuleType) -> Iterator[type]:
     """Components that a module or its package defines; not abstract bases of its other components."""
     package = module.__name__.partition(".")[0]
-    found = [one for one in vars(module).values() if isinstance(one, type) and issubclass(one, Component)]
-    own = [one for one in dict.fromkeys(found) if one.__module__.partition(".")[0] == package]
-    for one in own:
-        is_base = inspect.isabstract(one) and any(issubclass(other, one) and other is not one for other in own)
-        if not one.__name__.startswith("_") and not is_base:
-            yield one
+    kinds = [kind for kind in vars(module).values() if isinstance(kind, type) and issubclass(kind, Component)]
+    own = [kind for kind in dict.fromkeys(kinds) if kind.__module__.partition(".")[0] == package]
+    for kind in own:
+        is_base = inspect.isabstract(kind) and any(issubclass(other, kind) and other is not kind for other in own)
+        if not kind.__name__.startswith("_") and not is_base:
+            yield kind
 
 
 def check_class(kind: type, fields: Mapping[str, str] | None = None, instances: Sequence[Any] = ()) -> list[Finding]:
@@ -118,29 +149,25 @@ def check_class(kind: type, fields: Mapping[str, str] | None = None, instances: 
         made: list[Any] = []
         findings.append(_finding(kind, "instance", lambda: made.append(_made(kind, fields or {}))))
         instances = made
-    for one in instances:
-        findings += _check_instance(one)
+    for instance in instances:
+        findings += _check_instance(instance)
     worst: dict[str, Finding] = {}
-    for one in findings:
-        if one.check not in worst or (worst[one.check].passed is not False and one.passed is not True):
-            worst[one.check] = one
+    for finding in findings:
+        known = worst.setdefault(finding.check, finding)
+        if known.passed is not False and finding.passed is not True:
+            worst[finding.check] = finding
     return list(worst.values())
 
 
 def _check_instance(component: Any) -> Iterator[Finding]:
     """Findings of a component."""
-    kind = type(component)
-    made: list[Probes] = []
-    if not (prepared := _finding(kind, "arguments", lambda: made.append(probes_of(component)))).passed:
-        yield prepared
-        return
-    probes = made[0]
-    if probes.in_files:
+    kind, probes = type(component), probes_of(component)
+    if probes.in_files and probes.functions:
         yield _finding(kind, "file", lambda: _check_file(component))
     if isinstance(component, DiscreteTimeSystem):
         component = component.with_period(PERIOD)
-    for probe in probes.functions:
-        sampled = _Sampled(component, probe, probes.emitted)
+    for function in probes.functions:
+        sampled = _Sampled(component, probes, function)
         yield (traced := _finding(kind, "batch", lambda sampled=sampled: sampled.values))
         if traced.passed:
             yield (same := _finding(kind, "determinism", sampled.check_program))
@@ -150,29 +177,30 @@ def _check_instance(component: Any) -> Iterator[Finding]:
                 if probes.emitted:
                     yield _finding(kind, "C", sampled.check_native)
     for identity in probes.identities:
-        yield _finding(kind, identity.name, lambda identity=identity: _check_identity(component, identity))
+        ranges = probes.ranges(identity.function, component)
+        yield _finding(kind, identity.name, lambda i=identity, ranges=ranges: _check_identity(component, i, ranges))
 
 
 def _finding(kind: type, check: str, function: Callable[[], object]) -> Finding:
     """Finding of a check, which raises where the contract does not hold."""
-    found = Finding(kind.__name__, check, True)
+    finding = Finding(kind.__name__, check, True)
     try:
         function()
     except _SkippedError as reason:
-        return replace(found, passed=None, found=str(reason))
+        return replace(finding, passed=None, found=str(reason))
     except _BrokenError as error:
-        return replace(found, passed=False, found=str(error), remedy=error.remedy)
+        return replace(finding, passed=False, found=str(error), remedy=error.remedy)
     except jax.errors.ConcretizationTypeError as error:
         remedy = "use jax.numpy: jnp.where in place of `if`, no float() or NumPy function of an argument or a field"
         text = f"uses the value of a traced number{_place(error, kind)}"
-        return replace(found, passed=False, found=text, remedy=remedy)
+        return replace(finding, passed=False, found=text, remedy=remedy)
     except McKibbenError as error:
-        return replace(found, passed=False, found=printable(error.message, _LONGEST), remedy=error.remedy)
+        return replace(finding, passed=False, found=printable(error.message, _LONGEST), remedy=error.remedy)
     except Exception as error:
         text = next(iter(str(error).splitlines()), "")
         text = f"{type(error).__name__}: {text}{_place(error, kind)}"
-        return replace(found, passed=False, found=printable(text, _LONGEST))
-    return found
+        return replace(finding, passed=False, found=printable(text, _LONGEST))
+    return finding
 
 
 def _place(error: BaseException, kind: type) -> str:
@@ -187,7 +215,7 @@ def _place(error: BaseException, kind: type) -> str:
 
 def _base_of(kind: type) -> type:
     """Base class of a component: the one that derives from `Component` directly."""
-    return next((one for one in kind.__mro__ if Component in one.__bases__), kind)
+    return next((base for base in kind.__mro__ if Component in base.__bases__), kind)
 
 
 def _made(kind: type, fields: Mapping[str, str]) -> Any:
@@ -196,11 +224,11 @@ def _made(kind: type, fields: Mapping[str, str]) -> Any:
         missing = ", ".join(sorted(getattr(kind, "__abstractmethods__", ())))
         raise _BrokenError(f"it lacks {missing}", "implement the abstract methods and fields of the base")
     try:
-        given = {"class": name_in_files(_base_of(kind), kind), **fields}
-        return _read(kind, "it:\n" + "".join(f"  {name}: {value}\n" for name, value in given.items()))
+        section = {"class": name_in_files(_base_of(kind), kind), **fields}
+        return _read(kind, "it:\n" + "".join(f"  {name}: {value}\n" for name, value in section.items()))
     except McKibbenError as error:
         problems = getattr(error, "problems", ())
-        text = "; ".join(f"{one.field}: {one.message}".lstrip(": ") for one in problems) or error.message
+        text = "; ".join(f"{item.field}: {item.message}".lstrip(": ") for item in problems) or error.message
         remedy = "define an instance in the module, or give fields: --with 'NAME=VALUE'"
         raise _BrokenError(text, remedy) from error
 
@@ -227,15 +255,15 @@ def _check_units(kind: type) -> None:
 
 def _has_bare_float(hint: Any) -> bool:
     """Whether a type contains a float without a unit."""
-    if get_origin(hint) is Annotated and any(isinstance(one, Quantity | BoundedInt) for one in hint.__metadata__):
+    if get_origin(hint) is Annotated and any(isinstance(mark, Quantity | BoundedInt) for mark in hint.__metadata__):
         return False
-    return hint is float or any(_has_bare_float(one) for one in get_args(hint))
+    return hint is float or any(_has_bare_float(part) for part in get_args(hint))
 
 
 def _check_file(component: Any) -> None:
     """A component that is written to a file and read again is the same."""
     kind = type(component)
-    back = _read(kind, to_text({"it": write(component, Part(_base_of(kind), UNITS))}))
+    back = _read(kind, to_text({"it": write(component, ComponentField(_base_of(kind), UNITS))}))
     if type(back) is not kind:
         raise _BrokenError(f"a file gives a {type(back).__name__}", "give the class another `short_name`")
     for name in declared_fields(kind):
@@ -251,10 +279,10 @@ def _short(value: Any) -> str:
     return printable(" ".join(repr(value).split()), 60)
 
 
-def _is_same(one: Any, other: Any) -> bool:
+def _is_same(before: Any, after: Any) -> bool:
     """Whether two values of a field are equal, number by number."""
-    (leaves, structure), (others, another) = (jax.tree.flatten(numeric(each)) for each in (one, other))
-    return structure == another and all(np.array_equal(*pair) for pair in zip(leaves, others, strict=True))
+    (leaves, structure), (others, other) = (jax.tree.flatten(numeric(value)) for value in (before, after))
+    return structure == other and all(np.array_equal(*pair) for pair in zip(leaves, others, strict=True))
 
 
 def _samples(ranges: Ranges) -> NDArray[np.float64]:
@@ -265,48 +293,43 @@ def _samples(ranges: Ranges) -> NDArray[np.float64]:
 
 
 class _Sampled:
-    """A probe of a component as a function of one vector, of arguments and then of parameters, and its values."""
+    """A function of a component as one of a vector, of its arguments and then of its parameters, and its values."""
 
-    def __init__(self, component: Any, probe: Probe, emitted: bool) -> None:
-        self.component, self.probe, self.emitted = component, probe, emitted
-        self.arguments = _samples(probe.ranges)
-        paths, self._structure = jax.tree_util.tree_flatten_with_path(numeric(component))
-        self._leaves = [leaf for _, leaf in paths]
-        self._free = [n for n, leaf in enumerate(self._leaves) if _is_parameter(leaf)]
-        free = [np.asarray(self._leaves[n], float) for n in self._free]
-        names = [jax.tree_util.keystr(paths[n][0]).lstrip(".") for n in self._free for _ in range(self._leaves[n].size)]
-        self.names = [*probe.ranges, *names]
-        values = np.concatenate([np.empty(0), *map(np.ravel, free)])
+    def __init__(self, component: Any, probes: Probes, function: Callable[..., Any]) -> None:
+        self.component, self.probes, self.function = component, probes, function
+        self.ranges = probes.ranges(function, component)
+        parameters, self._rest = eqx.partition(numeric(component), _is_parameter)
+        vector, self._restore = ravel_pytree(parameters)
+        values, leaves = np.asarray(vector, float), jax.tree_util.tree_leaves_with_path(parameters)
+        names = [jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves for _ in range(np.size(leaf))]
+        self.names = [*self.ranges, *names]
+        self.arguments = _samples(self.ranges)
         self.points = np.concatenate([self.arguments, np.tile(values, (len(self.arguments), 1))], axis=1)
-        widths = [high - low for low, high in probe.ranges.values()]
-        self.scales = np.concatenate([widths, np.abs(values)])
+        self.scales = np.concatenate([[high - low for low, high in self.ranges.values()], np.abs(values)])
         self.moving = np.flatnonzero(self.scales)
-        self.moves = np.eye(len(self.scales))[self.moving] * self.scales[self.moving, None]  # (directions, numbers)
+        moves = np.eye(len(self.scales))[self.moving] * self.scales[self.moving, None]  # (directions, numbers)
         apart = np.random.default_rng(1).uniform(1 - _APART, 1 + _APART, (_ROWS, len(values)))
         self._middle = self.points[:_ROWS] * np.concatenate([np.ones_like(self.arguments[:_ROWS]), apart], axis=1)
-        around = [self._middle[:, None] + sign * _STEP * self.moves for sign in (1, -1)]
-        self._points = np.concatenate([self.points, self._middle, *(x.reshape(-1, len(self.scales)) for x in around)])
+        sides = [self._middle[:, None] + sign * _STEP * moves for sign in (1, -1)]
+        self._points = np.concatenate([self.points, self._middle, *(x.reshape(-1, len(self.scales)) for x in sides)])
 
     def __call__(self, point: Any) -> Any:
         """Results, flat."""
-        count, leaves = len(self.probe.ranges), list(self._leaves)
-        at = count
-        for n in self._free:
-            size, shape = leaves[n].size, leaves[n].shape
-            leaves[n], at = jnp.reshape(point[at : at + size], shape), at + size
-        results = self.probe.function(jax.tree.unflatten(self._structure, leaves), *(point[i] for i in range(count)))
-        return jnp.concatenate([jnp.ravel(jnp.asarray(one, float)) for one in jax.tree.leaves(results)])
+        count = len(self.ranges)
+        component = eqx.combine(self._restore(point[count:]), self._rest)
+        results = self.function(component, *(point[i] for i in range(count)))
+        return jnp.concatenate([jnp.ravel(jnp.asarray(leaf, float)) for leaf in jax.tree.leaves(results)])
 
     def _trace(self) -> Any:
         return jax.jit(lambda point: self(point)).trace(self.points[0])
 
     @functools.cached_property
-    def _alone(self) -> Any:
+    def _single(self) -> Any:
         """The evaluation of a sample as it is traced first; batches and derivatives are made of it."""
         return self._trace()
 
     def _traced(self, point: Any) -> Any:
-        return jaxpr_as_fun(self._alone.jaxpr)(point)[0]
+        return jaxpr_as_fun(self._single.jaxpr)(point)[0]
 
     @functools.cached_property
     def _program(self) -> Any:
@@ -325,30 +348,29 @@ class _Sampled:
     def check_program(self) -> None:
         """The same arguments give the same program and the same results."""
         same = np.array_equal(self._computed, self._program(self._points), equal_nan=True)
-        if not same or _text(self._alone.jaxpr) != _text(self._trace().jaxpr):
+        if not same or _text(self._single.jaxpr) != _text(self._trace().jaxpr):
             remedy = "use no random numbers, clock or counters outside the state: draw by a seed from the state"
             raise _BrokenError("two evaluations with the same arguments differ", remedy)
 
     def check_batch(self) -> None:
         """A batch gives the results of single evaluations, and so does an array of arguments where it broadcasts."""
         if not self._equals_native():
-            single = self._alone.lower().compile(compiler_options=_COMPILER)
+            single = self._single.lower().compile(compiler_options=_COMPILER)
             for row in (0, -2):
                 self._compare(self.values[row], single(self.points[row]), f"in a batch at {self._where(row)}")
-        if self.probe.broadcasts:
-            whole = self.probe.function(self.component, *map(jnp.asarray, self.arguments.T))
-            leaves = jax.tree.leaves(whole)
-            if any(np.shape(one) != (len(self.arguments),) for one in leaves):
+        if self.probes.broadcasts:
+            leaves = jax.tree.leaves(self.function(self.component, *map(jnp.asarray, self.arguments.T)))
+            if any(np.shape(leaf) != (len(self.arguments),) for leaf in leaves):
                 raise _BrokenError("an array of arguments does not give an array of results", "use jax.numpy")
             self._compare(self.values, np.stack(leaves, axis=1), "of an array of arguments")
 
-    def _compare(self, one: Any, other: Any, where: str, remedy: str = "", tolerance: float = _EQUAL) -> None:
-        if (at := _difference(one, other, tolerance, self.values)) is not None:
-            text = f"the result {where} is {at[0]:.6g}, alone {at[1]:.6g}"
-            raise _BrokenError(text, remedy or "the result must not depend on other samples or on their number")
+    def _compare(self, values: Any, single: Any, where: str) -> None:
+        if (pair := _difference(values, single, self.values)) is not None:
+            text = f"the result {where} is {pair[0]:.6g}, that of a single evaluation {pair[1]:.6g}"
+            raise _BrokenError(text, "the result must not depend on other samples or on their number")
 
     def _where(self, row: int) -> str:
-        pairs = zip(self.probe.ranges, np.concatenate([self.points, self._middle])[row], strict=False)
+        pairs = zip(self.ranges, np.concatenate([self.points, self._middle])[row], strict=False)
         return ", ".join(f"{name} {value:.4g}" for name, value in pairs)
 
     def check_derivatives(self) -> None:
@@ -361,46 +383,47 @@ class _Sampled:
             jacobians = self._in_reverse(points)
         except ValueError:  # a loop that ends on a condition supports forward mode only
             jacobians = _compiled(jax.vmap(jax.jacfwd(self._traced)), points)(points)
-        found = np.asarray(jacobians)[..., moving] * self.scales[moving]
-        found = found.swapaxes(1, 2)  # (points, directions, results)
-        bad = (np.isfinite(self._computed[: len(points), None]) & ~np.isfinite(found)).any(axis=2)
+        slopes = (np.asarray(jacobians)[..., moving] * self.scales[moving]).swapaxes(
+            1, 2
+        )  # (points, directions, results)
+        bad = (np.isfinite(self._computed[: len(points), None]) & ~np.isfinite(slopes)).any(axis=2)
         for row, direction in np.argwhere(bad).tolist():
             text = f"the derivative with respect to {self.names[moving[direction]]} is not finite at {self._where(row)}"
             remedy = "keep arguments off the edge: jnp.sqrt(jnp.where(x > 0, x, 1.0)) within jnp.where(x > 0, ..., 0.0)"
             raise _BrokenError(text, remedy)
-        found, here = found[-_ROWS:], self._computed[len(self.points) :][:_ROWS, None]
-        above, below = self._computed[len(self.points) + _ROWS :].reshape(2, *found.shape)
+        slopes, here = slopes[-_ROWS:], self._computed[len(self.points) :][:_ROWS, None]
+        above, below = self._computed[len(self.points) + _ROWS :].reshape(2, *slopes.shape)
         with np.errstate(invalid="ignore"):
             sides = np.sort([(above - here) / _STEP, (here - below) / _STEP], axis=0)
-            allowed = _SLOPE * np.abs([*sides, found]).max(axis=0) + _NOISE * _sizes(values, _ROUNDING / _STEP / _NOISE)
-            wrong = (found < sides[0] - allowed) | (found > sides[1] + allowed)
+            sizes = np.abs([*sides, slopes]).max(axis=0)
+            allowed = _SLOPE * sizes + _NOISE * _sizes(values, _ROUNDING / _STEP / _NOISE)
+            wrong = (slopes < sides[0] - allowed) | (slopes > sides[1] + allowed)
         for row, direction, result in np.argwhere(wrong & np.isfinite(here)).tolist():
             scale = self.scales[moving[direction]]
+            slope, difference = slopes[row, direction, result], sides[:, row, direction, result].mean()
             text = (
-                f"the derivative with respect to {self.names[moving[direction]]} is "
-                f"{found[row, direction, result] / scale:.4g}, finite differences give "
-                f"{sides[:, row, direction, result].mean() / scale:.4g} at {self._where(row)}"
+                f"the derivative with respect to {self.names[moving[direction]]} is {slope / scale:.4g}, "
+                f"finite differences give {difference / scale:.4g} at {self._where(row)}"
             )
             raise _BrokenError(text, "use operations of jax.numpy that have derivatives, no stop_gradient or rounding")
 
     def _in_reverse(self, points: NDArray[np.float64]) -> Any:
         """Jacobians by reverse mode; where C can be compiled, in a fifth of XLA's time for large programs."""
-        pulled = NativeFunction(lambda given, _: jax.vjp(self._traced, given[0])[1](given[1])[0], ("-O0",))
+        pulled = NativeFunction(lambda x, _: jax.vjp(self._traced, x[0])[1](x[1])[0], ("-O0",))
         try:
-            rows = [[pulled((point, one)) for one in np.eye(self.values.shape[1])] for point in points]
+            rows = [[pulled((point, unit)) for unit in np.eye(self.values.shape[1])] for point in points]
             return np.reshape(rows, (len(points), -1, len(self.scales)))
         except ExportError:
             return _compiled(jax.vmap(jax.jacrev(self._traced)), points)(points)
 
     def _native_difference(self) -> tuple[float, float] | None:
         """First results of emitted C, which evaluates samples one by one, and of the batch that differ."""
-        given = self.probe.function, numeric(self.component)
-        emitted = np.array([_flat(_NATIVE((*given, *row))) for row in self.arguments])
-        return _difference(emitted, self.values, _EQUAL, self.values)
+        emitted = [_flat(_NATIVE((self.function, numeric(self.component), *row))) for row in self.arguments]
+        return _difference(np.array(emitted), self.values, self.values)
 
     def _equals_native(self) -> bool:
         try:
-            return self.emitted and compiler() is not None and self._native_difference() is None
+            return self.probes.emitted and compiler() is not None and self._native_difference() is None
         except ExportError:
             return False
 
@@ -409,16 +432,16 @@ class _Sampled:
         if compiler() is None:
             raise _SkippedError("there is no C compiler")
         try:
-            at = self._native_difference()
+            pair = self._native_difference()
         except CompilerError as error:
             raise _SkippedError(str(error)) from None
-        if at is not None:
-            raise _BrokenError(f"emitted C gives {at[0]:.6g}, JAX {at[1]:.6g}", "report it, with the class")
+        if pair is not None:
+            raise _BrokenError(f"emitted C gives {pair[0]:.6g}, JAX {pair[1]:.6g}", "report it, with the class")
 
 
 def _text(program: Any) -> tuple[Any, ...]:
     """Equations of a traced function, and its constants."""
-    return _ADDRESS.sub("", str(program.jaxpr)), *(np.asarray(one).tobytes() for one in program.consts)
+    return _ADDRESS.sub("", str(program.jaxpr)), *(np.asarray(constant).tobytes() for constant in program.consts)
 
 
 def _compiled(function: Callable[[Any], Any], points: NDArray[np.float64]) -> Callable[[NDArray[np.float64]], Any]:
@@ -445,24 +468,24 @@ def _sizes(values: NDArray[np.float64], rounding: float) -> NDArray[np.float64]:
     return np.maximum(sizes, rounding * sizes.max(initial=0.0))
 
 
-def _difference(one: Any, other: Any, tolerance: float, values: NDArray[np.float64]) -> tuple[float, float] | None:
+def _difference(results: Any, others: Any, values: NDArray[np.float64]) -> tuple[float, float] | None:
     """First two results that differ by more than rounding, for the sizes of all `values`; None if there are none."""
-    one, other = np.broadcast_arrays(np.asarray(one, float), np.asarray(other, float))
-    allowed = tolerance * _sizes(values, _ROUNDING / tolerance)
-    wrong = ~np.isclose(one, other, rtol=tolerance, atol=allowed, equal_nan=True)
-    return (float(one[wrong][0]), float(other[wrong][0])) if wrong.any() else None
+    results, others = np.broadcast_arrays(np.asarray(results, float), np.asarray(others, float))
+    allowed = _EQUAL * _sizes(values, _ROUNDING / _EQUAL)
+    wrong = ~np.isclose(results, others, rtol=_EQUAL, atol=allowed, equal_nan=True)
+    return (float(results[wrong][0]), float(others[wrong][0])) if wrong.any() else None
 
 
-def _check_identity(component: Any, identity: Identity) -> None:
+def _check_identity(component: Any, identity: Identity, ranges: Ranges) -> None:
     """Both results of an identity are equal."""
-    rows = _samples(identity.ranges)
+    rows = _samples(ranges)
     pairs = [identity.function(component, *map(jnp.asarray, row)) for row in rows]
-    found, expected = (np.array([_flat(pair[side]) for pair in pairs]) for side in (0, 1))
-    for row, one, other in zip(rows, found, expected, strict=True):
-        if (at := _difference(one, other, identity.tolerance, expected)) is not None:
-            where = ", ".join(f"{name} {value:.4g}" for name, value in zip(identity.ranges, row, strict=True))
-            raise _BrokenError(f"{at[0]:.6g} instead of {at[1]:.6g} at {where}", identity.remedy)
+    results, expected = (np.array([_flat(pair[side]) for pair in pairs]) for side in (0, 1))
+    for row, result, other in zip(rows, results, expected, strict=True):
+        if (pair := _difference(result, other, expected)) is not None:
+            where = ", ".join(f"{name} {value:.4g}" for name, value in zip(ranges, row, strict=True))
+            raise _BrokenError(f"{pair[0]:.6g} instead of {pair[1]:.6g} at {where}", identity.remedy)
 
 
 def _flat(tree: Any) -> NDArray[np.float64]:
-    return np.concatenate([np.empty(0), *(np.ravel(np.asarray(one, float)) for one in jax.tree.leaves(tree))])
+    return np.concatenate([np.empty(0), *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(tree))])

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,6 +14,7 @@ import numpy as np
 from jax import lax
 
 from mckibben import catalog
+from mckibben.actuator import Actuator, FirstOrderValve, Valve
 from mckibben.actuator.base import AirState, AirVolume
 from mckibben.control import Controller, Feedback, Loop, Observer, Reference, Setpoint, Signal
 from mckibben.control.base import DiscreteTimeSystem
@@ -22,48 +24,97 @@ from mckibben.leg.plant import LegMeasurement
 from mckibben.muscle import Creep, ForceLaw, Friction, Muscle
 from mckibben.muscle.creep import CreepState, TensionAt
 from mckibben.numerics.calculus import derivative
-from mckibben.plant import Actuator, Disturbance, FirstOrderValve, JointFriction, Sensors, Valve
+from mckibben.plant import Disturbance, JointFriction, Sensors
 from mckibben.units import bar, mm, ms, percent
 
 Ranges = Mapping[str, tuple[float, float]]
 """Lowest and highest value of each argument in SI, in order."""
 
+Num: TypeAlias = Any
+"""A number of a component's function: a float, an array or a tracer."""
+
+Tree: TypeAlias = Any
+"""Tree of a component: a tree of numbers."""
+
 PERIOD = 1 * ms
 """Control period [s] of the probes."""
+
 _JERK = 2000.0  # rad/s^3: attainable by the actuators
-_PRESSURE, _LENGTH = (0.5 * bar, 5 * bar), (170 * mm, 190 * mm)
-
-
-class Probe(NamedTuple):
-    """A function of a component and numbers; one that `broadcasts` takes arrays of them as well."""
-
-    function: Callable[..., Any]
-    ranges: Ranges
-    broadcasts: bool = False
+_PRESSURE = (0.5 * bar, 5 * bar)
+_RANGES: Ranges = {
+    "angle": (-0.4, 0.4),
+    "command": _PRESSURE,
+    "contraction": (-3 * percent, 25 * percent),
+    "elapsed": (0.5 * ms, 40 * ms),
+    "error": (-0.1, 0.1),
+    "force": (0.0, 100.0),
+    "known": (-20.0, 20.0),
+    "length": (170 * mm, 190 * mm),
+    "measured": (-0.1, 0.1),
+    "move": (-3 * mm, 3 * mm),
+    "output": (-1 * bar, 1 * bar),
+    "path": (150 * mm, 185 * mm),
+    "period": (0.5 * ms, 2 * ms),
+    "pressure": _PRESSURE,
+    "rate": (-0.1, 0.1),
+    "sensitivity": (1e-6, 3e-6),
+    "setpoint": (-0.1, 0.1),
+    "shortfall": (-10.0, 10.0),
+    "slope": (-1e4, 1e4),
+    "step": (-1 * bar, 1 * bar),
+    "stiffness": (12.0, 18.0),
+    "swing": (-0.1, 0.1),
+    "tension": (0.0, 300.0),
+    "time": (0.0, 10.0),
+    "torque": (-20.0, 20.0),
+    "turn": (-2.0, 2.0),
+    "velocity": (-3.0, 3.0),
+}
+"""Range of an argument by its name, without a number at its end."""
 
 
 class Identity(NamedTuple):
     """A promise of a base: two results of a component and numbers that must be equal, and the remedy if they differ."""
 
     name: str
-    function: Callable[..., tuple[Any, Any]]
-    ranges: Ranges
+    function: Callable[..., tuple[Tree, Tree]]
     remedy: str
-    tolerance: float = 1e-8
 
 
 class Probes(NamedTuple):
-    """Functions and identities of a base; whether its components occur in files and in emitted C."""
+    """What the contract evaluates of the components of a base.
 
-    functions: tuple[Probe, ...]
+    Parameters
+    ----------
+    functions
+        Functions of a component and numbers, whose names select their ranges.
+    identities
+        Promises, see `Identity`.
+    broadcasts
+        Whether the functions take arrays.
+    in_files, emitted
+        Whether such components occur in files, and in emitted C.
+    limits
+        Ranges of the arguments of a component that differ from the usual ones.
+    """
+
+    functions: tuple[Callable[..., Tree], ...] = ()
     identities: tuple[Identity, ...] = ()
+    broadcasts: bool = False
     in_files: bool = True
     emitted: bool = True
+    limits: Callable[[Any], Ranges] = lambda _: {}
+
+    def ranges(self, function: Callable[..., Tree], component: object) -> Ranges:
+        """Return the range of each argument of a function, for a component."""
+        limits = self.limits(component)
+        names = list(inspect.signature(function).parameters)[1:]
+        return {name: limits.get(name.rstrip("12"), _RANGES[name.rstrip("12")]) for name in names}
 
 
-def probes_of(component: Any) -> Probes:
+def probes_of(component: object) -> Probes:
     """Return the probes of the nearest base of a component; empty for a class without functions."""
-    return next((_PROBES[base](component) for base in type(component).__mro__ if base in _PROBES), Probes(()))
+    return next((_PROBES[base] for base in type(component).__mro__ if base in _PROBES), Probes())
 
 
 @functools.cache
@@ -88,112 +139,77 @@ def _muscle() -> Muscle:
 # Force laws.
 
 
-def _force(law: ForceLaw, contraction: Any, pressure: Any) -> Any:
-    return law.force(contraction, pressure), law.slope(contraction, pressure)
+def _force(law: ForceLaw, contraction: Num, pressure: Num) -> Tree:
+    force = law.force(contraction, pressure)
+    return force, law.slope(contraction, pressure), law.pressure_for(force, contraction)
 
 
-def _inverse(law: ForceLaw, contraction: Any, pressure: Any) -> Any:
-    return law.pressure_for(law.force(contraction, pressure), contraction)
-
-
-def _inverted(law: ForceLaw, contraction: Any, pressure: Any) -> tuple[Any, Any]:
+def _inverted(law: ForceLaw, contraction: Num, pressure: Num) -> tuple[Tree, Tree]:
     force = law.force(contraction, pressure)
     return law.force(contraction, law.pressure_for(force, contraction)), force
 
 
-def _law(law: ForceLaw) -> Probes:
+def _domain(law: ForceLaw) -> Ranges:
+    """Range of the domain of a law, with finite ends in place of infinite ones."""
     domain = law.domain.intersection(law.formula_domain)
-    box = {
-        "contraction": _finite(domain.contraction_min, domain.contraction_max, -3 * percent, 25 * percent),
-        "pressure": _finite(domain.pressure_min, domain.pressure_max, 0.0, 6 * bar),
+    ends = {
+        "contraction": (domain.contraction_min, domain.contraction_max, *_RANGES["contraction"]),
+        "pressure": (domain.pressure_min, domain.pressure_max, 0.0, 6 * bar),
     }
-    remedy = (
-        "`pressure_for` inverts `force`; `mckibben.muscle.pressure_for(law, force, contraction)` does so numerically"
-    )
-    return Probes(
-        (Probe(_force, box, broadcasts=True), Probe(_inverse, box, broadcasts=True)),
-        (Identity("inverse", _inverted, box, remedy),),
-    )
+    return {name: _finite(*map(float, limits)) for name, limits in ends.items()}
 
 
-def _finite(low: Any, high: Any, least: float, most: float) -> tuple[float, float]:
-    """Range of a domain, with finite ends in place of infinite ones."""
-    low, high = float(low), float(high)
+def _finite(low: float, high: float, least: float, most: float) -> tuple[float, float]:
     low = low if np.isfinite(low) else min(least, high)
     return low, high if np.isfinite(high) else max(most, low)
 
 
 # Friction and creep of a muscle, friction of a joint.
 
-_MOVE = {
-    "length": _LENGTH,
-    "move": (-3 * mm, 3 * mm),
-    "tension": (0.0, 300.0),
-    "pressure": (0.0, 5 * bar),
-    "rate": (-0.1, 0.1),
-}
 
-
-def _moved(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any, rate: Any) -> Any:
+def _moved(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num, rate: Num) -> Tree:
     state = friction.project(friction.initial(length), length + move / 3, tension, pressure)
-    force = friction.force(state, length + move, tension, pressure)
-    return (
-        force,
-        friction.viscous_force(length + move, tension, pressure, rate),
-        friction.half_width_at(tension, pressure),
-    )
+    viscous = friction.viscous_force(length + move, tension, pressure, rate)
+    return friction.force(state, length + move, tension, pressure), viscous, friction.half_width_at(tension, pressure)
 
 
-def _moved_in_two(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any, _: Any) -> tuple[Any, Any]:
+def _moved_in_two(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num) -> tuple[Tree, Tree]:
     start, end = friction.initial(length), length + move
     middle = friction.project(start, length + move / 3, tension, pressure)
     return friction.force(middle, end, tension, pressure), friction.force(start, end, tension, pressure)
 
 
-def _projected(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any, _: Any) -> tuple[Any, Any]:
+def _projected(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num) -> tuple[Tree, Tree]:
     end, start = length + move, friction.initial(length)
     after = friction.project(start, end, tension, pressure)
     return friction.force(after, end, tension, pressure), friction.force(start, end, tension, pressure)
 
 
-def _path(friction: Friction, length: Any, move: Any, tension: Any, pressure: Any, _: Any) -> tuple[Any, Any]:
-    path, force = np.array([length, length + move, length]), []
+def _path(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num) -> tuple[Tree, Tree]:
+    path, forces = np.array([length, length + move, length]), []
     state = friction.initial(length)
     for end in path:
-        force.append(friction.force(state, end, tension, pressure))
+        forces.append(friction.force(state, end, tension, pressure))
         state = friction.project(state, end, tension, pressure)
-    return friction.path_response(path, tension=float(tension), pressure=float(pressure)), np.array(force)
+    return friction.path_response(path, tension=float(tension), pressure=float(pressure)), np.array(forces)
 
 
 _SLIDING = "two moves in one direction must give the force of their sum: keep what the force needs in the state"
 _PROJECTION = "`project` keeps the force: it returns the state after the move"
-
-
-def _friction(_: Friction) -> Probes:
-    return Probes(
-        (Probe(_moved, _MOVE),),
-        (
-            Identity("composition", _moved_in_two, _MOVE, _SLIDING),
-            Identity("projection", _projected, _MOVE, _PROJECTION),
-            Identity("path", _path, _MOVE, "`path_response` gives the force of `force` and `project` along a path"),
-        ),
-    )
-
-
 _AREA = 1e-4  # N/Pa
 
 
-def _crept(creep: Creep, length: Any, pressure: Any, step: Any, tension: Any, rate: Any) -> Any:
+def _crept(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num, rate: Num) -> Tree:
     state, tension_at = _moved_creep(creep, length, pressure, step, tension)
     return creep.force(state, tension, tension_at), creep.rate(state, rate, pressure), creep.project(state, tension)
 
 
-def _creep_projected(creep: Creep, length: Any, pressure: Any, step: Any, tension: Any, _: Any) -> tuple[Any, Any]:
+def _creep_projected(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num) -> tuple[Tree, Tree]:
     state, tension_at = _moved_creep(creep, length, pressure, step, tension)
     return creep.force(creep.project(state, tension), tension, tension_at), creep.force(state, tension, tension_at)
 
 
-def _moved_creep(creep: Creep, length: Any, pressure: Any, step: Any, tension: Any) -> tuple[CreepState, TensionAt]:
+def _moved_creep(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num) -> tuple[CreepState, TensionAt]:
     """State relaxed before a step of the pressure and a move, and the tension over the pressure."""
     relaxed = creep.initial(length, pressure - step)
     rates = creep.rate(relaxed, step / bar, pressure)
@@ -201,115 +217,64 @@ def _moved_creep(creep: Creep, length: Any, pressure: Any, step: Any, tension: A
     return state, lambda at: jnp.maximum(tension + _AREA * (at - pressure), 0.0)
 
 
-def _creep(_: Creep) -> Probes:
-    ranges = {
-        "length": _LENGTH,
-        "pressure": (0.0, 5 * bar),
-        "step": (-1 * bar, 1 * bar),
-        "tension": (0.0, 300.0),
-        "rate": (-0.1, 0.1),
-    }
-    return Probes((Probe(_crept, ranges),), (Identity("projection", _creep_projected, ranges, _PROJECTION),))
+def _turned(friction: JointFriction, angle: Num, swing: Num) -> Tree:
+    return friction.resisting_torque(friction.project(friction.initial(angle), angle + swing / 3), angle + swing)
 
 
-_TURN = {"angle": (-0.2, 0.2), "move": (-0.1, 0.1)}
-
-
-def _turned(friction: JointFriction, angle: Any, move: Any) -> Any:
-    return friction.resisting_torque(friction.project(friction.initial(angle), angle + move / 3), angle + move)
-
-
-def _turned_in_two(friction: JointFriction, angle: Any, move: Any) -> tuple[Any, Any]:
-    return _turned(friction, angle, move), friction.resisting_torque(friction.initial(angle), angle + move)
-
-
-def _joint_friction(_: JointFriction) -> Probes:
-    return Probes((Probe(_turned, _TURN),), (Identity("composition", _turned_in_two, _TURN, _SLIDING),))
+def _turned_in_two(friction: JointFriction, angle: Num, swing: Num) -> tuple[Tree, Tree]:
+    return _turned(friction, angle, swing), friction.resisting_torque(friction.initial(angle), angle + swing)
 
 
 # Tendons, geometries, paths and loads.
 
 
-def _tension(tendon: Tendon, path: Any, pressure: Any, tension: Any) -> Any:
+def _tension(tendon: Tendon, path: Num, pressure: Num, tension: Num) -> Tree:
     muscle = _muscle()
-    return (
-        tendon.extension(tension),
-        tendon.tension(muscle, path, pressure),
-        tendon.pressure_for(muscle, path, tension),
-        tendon.permitted(muscle, path),
-    )
+    pulled = tendon.tension(muscle, path, pressure), tendon.pressure_for(muscle, path, tension)
+    return tendon.extension(tension), *pulled, tendon.permitted(muscle, path)
 
 
-def _equilibrium(tendon: Tendon, path: Any, pressure: Any, _: Any) -> tuple[Any, Any]:
+def _equilibrium(tendon: Tendon, path: Num, pressure: Num) -> tuple[Tree, Tree]:
     muscle = _muscle()
     contraction = tendon.contraction(muscle, path, pressure)
     length = muscle.specimen.length_at(contraction)
     return length + tendon.extension(muscle.tension(contraction, pressure)), path
 
 
-def _tendon(_: Tendon) -> Probes:
-    ranges = {"path": (150 * mm, 185 * mm), "pressure": _PRESSURE, "tension": (0.0, 300.0)}
-    remedy = "`contraction` solves path = muscle length + `extension` at equal tension"
-    return Probes((Probe(_tension, ranges),), (Identity("equilibrium", _equilibrium, ranges, remedy),))
+def _angles(part: Geometry | MusclePath) -> Ranges:
+    low, high = _RANGES["angle"]
+    return {"angle": (max(float(part.angle_range[0]), low), min(float(part.angle_range[1]), high))}
 
 
-def _angles(limits: tuple[float, float]) -> Ranges:
-    return {"angle": (max(float(limits[0]), -0.4), min(float(limits[1]), 0.4))}
-
-
-def _arms(geometry: Geometry, angle: Any) -> Any:
+def _arms(geometry: Geometry, angle: Num) -> Tree:
     return geometry.path_lengths(angle), geometry.moment_arms(angle)
 
 
-def _virtual_work(geometry: Geometry, angle: Any) -> tuple[Any, Any]:
+def _virtual_work(geometry: Geometry, angle: Num) -> tuple[Tree, Tree]:
     slope1, slope2 = (derivative(lambda x, n=n: geometry.path_lengths(x)[n], angle) for n in (0, 1))
     return geometry.moment_arms(angle), (slope1, -slope2)
 
 
-def _geometry(geometry: Geometry) -> Probes:
-    ranges = _angles(geometry.angle_range)
-    remedy = "moment arms are the slopes of the path lengths, that of muscle 2 with the opposite sign"
-    return Probes((Probe(_arms, ranges, broadcasts=True),), (Identity("virtual work", _virtual_work, ranges, remedy),))
-
-
-def _lengths(path: MusclePath, angle: Any) -> Any:
+def _lengths(path: MusclePath, angle: Num) -> Tree:
     return path.length(angle, 1), path.length(angle, -1)
 
 
-def _muscle_path(path: MusclePath) -> Probes:
-    return Probes((Probe(_lengths, _angles(path.angle_range), broadcasts=True),))
-
-
-_MOTION = {"angle": (-0.4, 0.4), "velocity": (-3.0, 3.0), "torque": (-20.0, 20.0)}
-
-
-def _acceleration(load: Load, angle: Any, velocity: Any, torque: Any) -> Any:
+def _acceleration(load: Load, angle: Num, velocity: Num, torque: Num) -> Tree:
     return load.acceleration(angle, velocity, torque), load.gravity_stiffness(angle)
 
 
-def _required(load: Load, angle: Any, velocity: Any, torque: Any) -> tuple[Any, Any]:
+def _required(load: Load, angle: Num, velocity: Num, torque: Num) -> tuple[Tree, Tree]:
     return load.required_torque(angle, velocity, load.acceleration(angle, velocity, torque)), torque
 
 
-def _gravity(load: Load, angle: Any, *_: Any) -> tuple[Any, Any]:
+def _gravity(load: Load, angle: Num) -> tuple[Tree, Tree]:
     return load.gravity_stiffness(angle), -derivative(load.gravity_torque, angle)
-
-
-def _load(_: Load) -> Probes:
-    slope = "`gravity_stiffness` is minus the slope of `gravity_torque`: override both"
-    return Probes(
-        (Probe(_acceleration, _MOTION, broadcasts=True),),
-        (
-            Identity("inverse", _required, _MOTION, "`required_torque` inverts `acceleration`"),
-            Identity("slope", _gravity, _MOTION, slope),
-        ),
-    )
 
 
 # Actuators.
 
 
-def _rates(actuator: Actuator, pressure1: Any, pressure2: Any, command1: Any, command2: Any) -> Any:
+def _rates(actuator: Actuator, pressure1: Num, pressure2: Num, command1: Num, command2: Num) -> Tree:
     pressures, commands = (pressure1, pressure2), (command1, command2)
     states, air = actuator.init_states(pressures), AirVolume(jnp.asarray(1e-4), jnp.asarray(1e-5))
     if actuator.holds_air and isinstance(states, AirState):
@@ -318,170 +283,159 @@ def _rates(actuator: Actuator, pressure1: Any, pressure2: Any, command1: Any, co
     return rates, actuator.after_command(pressure1, command1), actuator.telemetry(states, commands, pressures)
 
 
-def _response(valve: Valve, pressure: Any, command: Any, following: Any, elapsed: Any, rate: Any) -> Any:
-    moving = valve.after(pressure, valve.init(pressure), command, elapsed)
-    return valve.after(*moving, following, elapsed), valve.command_for(pressure, rate)
+def _response(valve: Valve, pressure: Num, command1: Num, command2: Num, elapsed: Num, slope: Num) -> Tree:
+    moving = valve.after(pressure, valve.init(pressure), command1, elapsed)
+    return valve.after(*moving, command2, elapsed), valve.command_for(pressure, slope)
 
 
-def _composed(valve: Valve, pressure: Any, command: Any, following: Any, elapsed: Any, _: Any) -> tuple[Any, Any]:
-    moving = valve.after(pressure, valve.init(pressure), command, elapsed)
-    twice = valve.after(*valve.after(*moving, following, elapsed), following, 1.6 * elapsed)
-    return twice, valve.after(*moving, following, 2.6 * elapsed)
+def _composed(valve: Valve, pressure: Num, command1: Num, command2: Num, elapsed: Num) -> tuple[Tree, Tree]:
+    moving = valve.after(pressure, valve.init(pressure), command1, elapsed)
+    twice = valve.after(*valve.after(*moving, command2, elapsed), command2, 1.6 * elapsed)
+    return twice, valve.after(*moving, command2, 2.6 * elapsed)
 
 
-def _rest(valve: Valve, pressure: Any, _: Any, __: Any, elapsed: Any, ___: Any) -> tuple[Any, Any]:
+def _rest(valve: Valve, pressure: Num, elapsed: Num) -> tuple[Tree, Tree]:
     return valve.after(pressure, valve.init(pressure), valve.command_for(pressure, 0.0), elapsed)[0], pressure
 
 
-def _actuator(actuator: Actuator) -> Probes:
-    command = (-1.0, 1.0) if actuator.direct else _PRESSURE
-    ranges = {"pressure1": _PRESSURE, "pressure2": _PRESSURE, "command1": command, "command2": command}
-    if not actuator.has_closed_form:
-        return Probes((Probe(_rates, ranges),))
-    times = {
-        "pressure": _PRESSURE,
-        "command": command,
-        "next command": command,
-        "elapsed": (0.5 * ms, 40 * ms),
-        "rate": (-1e4, 1e4),
-    }
-    state = (
-        "two intervals must give the result of their sum: the response lacks a state that it needs; return all that it "
-        "depends on from `init` and `after`, as SecondOrderValve does"
-    )
-    start = "`init` is the state at a constant pressure, and `command_for(pressure, 0)` the command that keeps it"
-    return Probes(
-        (Probe(_rates, ranges), Probe(_response, times)),
-        (Identity("composition", _composed, times, state), Identity("rest", _rest, times, start)),
-    )
+_STATE = (
+    "two intervals must give the result of their sum: the response lacks a state that it needs; return all that it "
+    "depends on from `init` and `after`, as SecondOrderValve does"
+)
+_START = "`init` is the state at a constant pressure, and `command_for(pressure, 0)` the command that keeps it"
 
 
-# Sensors, disturbances and references.
+# Sensors and controllers.
 
 
-def _measured(sensors: Sensors, angle: Any, pressure1: Any, pressure2: Any, further: Any) -> Any:
-    first, second = Measurement(angle, (pressure1, pressure2)), Measurement(further, (pressure2, pressure1))
+def _measured(sensors: Sensors, angle1: Num, pressure1: Num, pressure2: Num, angle2: Num) -> Tree:
+    first, second = Measurement(angle1, (pressure1, pressure2)), Measurement(angle2, (pressure2, pressure1))
     state, before = sensors.measure(sensors.init(first), jnp.asarray(0), first)
     return before, sensors.measure(state, jnp.asarray(1), second)[1]
 
 
-def _sensors(_: Sensors) -> Probes:
-    ranges = {"angle": (-0.4, 0.4), "pressure1": _PRESSURE, "pressure2": _PRESSURE, "next angle": (-0.4, 0.4)}
-    return Probes((Probe(_measured, ranges),))
-
-
-def _torque(disturbance: Disturbance, time: Any) -> Any:
-    return disturbance.torque(time)
-
-
-def _value(signal: Signal | Reference, time: Any) -> Any:
-    return signal(time)
-
-
-_TIMES = {"time": (0.0, 10.0)}
-
-
-def _signal(_: Signal | Reference) -> Probes:
-    return Probes((Probe(_value, _TIMES, broadcasts=True),), emitted=False)  # a reference is sampled before a run
-
-
-# Controllers and their parts.
-
-
 def _commands(
-    controller: Controller, angle: Any, further: Any, pressure1: Any, pressure2: Any, target: Any, stiffness: Any
-) -> Any:
-    found = [Measurement(at, (pressure1, pressure2)) for at in (angle, further)]
-    return _stepped(controller, Setpoint(target, stiffness), found)
+    controller: Controller,
+    angle1: Num,
+    angle2: Num,
+    pressure1: Num,
+    pressure2: Num,
+    setpoint: Num,
+    stiffness: Num,
+) -> Tree:
+    measurements = [Measurement(angle, (pressure1, pressure2)) for angle in (angle1, angle2)]
+    return _stepped(controller, Setpoint(setpoint, stiffness), measurements)
 
 
-def _stepped(system: DiscreteTimeSystem, setpoint: Any, measurements: Sequence[Any]) -> Any:
+def _leg_step(part: LegController | LegReference, time: Num, angle: Num, pressure: Num, force: Num) -> Tree:
+    return _stepped(part, time, [LegMeasurement((angle, 0.5 + angle), (pressure,) * 5, force)] * 2)
+
+
+def _stepped(system: DiscreteTimeSystem, setpoint: Tree, measurements: Sequence[Tree]) -> Tree:
     """Outputs for successive measurements, from a start at the first, and telemetry."""
-    rows = jax.tree.map(lambda *each: jnp.stack(each), *measurements)
+    rows = jax.tree.map(lambda *values: jnp.stack(values), *measurements)
     start = system.init(measurements[0])
     state, outputs = lax.scan(lambda state, row: system.step(state, setpoint, row, PERIOD), start, rows)
     return outputs, system.telemetry(state)
 
 
-def _controller(_: Controller) -> Probes:
-    ranges = {
-        "angle": (-0.1, 0.1),
-        "next angle": (-0.1, 0.1),
-        "pressure1": (2 * bar, 4 * bar),
-        "pressure2": (2 * bar, 4 * bar),
-        "reference": (-0.1, 0.1),
-        "stiffness": (12.0, 18.0),
-    }
-    return Probes((Probe(_commands, ranges),))
+def _looped(loop: Loop, setpoint: Num, measured: Num, output: Num, sensitivity: Num) -> Tree:
+    def step(state: Tree, _: None) -> tuple[Tree, Num]:
+        state, asked = loop.step(state, setpoint, measured, sensitivity, PERIOD)
+        return loop.track(state, asked, 0.9 * asked, PERIOD), asked
+
+    state, asked = lax.scan(step, loop.init(setpoint, measured, output), length=2)
+    return asked, loop.telemetry(state)
 
 
-def _looped(loop: Loop, setpoint: Any, measured: Any, output: Any, sensitivity: Any) -> Any:
-    def step(state: Any, _: Any) -> tuple[Any, Any]:
-        state, given = loop.step(state, setpoint, measured, sensitivity, PERIOD)
-        return loop.track(state, given, 0.9 * given, PERIOD), given
-
-    state, given = lax.scan(step, loop.init(setpoint, measured, output), length=2)
-    return given, loop.telemetry(state)
-
-
-def _loop(_: Loop) -> Probes:
-    ranges = {
-        "setpoint": (-0.1, 0.1),
-        "measured": (-0.1, 0.1),
-        "output": (-1 * bar, 1 * bar),
-        "sensitivity": (1e-6, 3e-6),
-    }
-    return Probes((Probe(_looped, ranges),))
-
-
-def _fed_back(feedback: Feedback, error: Any, rate: Any, shortfall: Any) -> Any:
+def _fed_back(feedback: Feedback, error: Num, turn: Num, shortfall: Num) -> Tree:
     state = feedback.track(feedback.init(error), shortfall, PERIOD)
-    return feedback.step(state, error, rate, _JERK, PERIOD)[1], feedback.lag
+    return feedback.step(state, error, turn, _JERK, PERIOD)[1], feedback.lag
 
 
-def _feedback(_: Feedback) -> Probes:
-    return Probes((Probe(_fed_back, {"error": (-0.1, 0.1), "rate": (-2.0, 2.0), "shortfall": (-10.0, 10.0)}),))
-
-
-def _observed(observer: Observer, angle: Any, further: Any, known: Any, period: Any) -> Any:
-    motion = observer.init(angle, known)
-    for now in (further, angle):
-        motion = observer.step(motion, now, known, period)
+def _observed(observer: Observer, angle1: Num, angle2: Num, known: Num, period: Num) -> Tree:
+    motion = observer.init(angle1, known)
+    for angle in (angle2, angle1):
+        motion = observer.step(motion, angle, known, period)
     return tuple(motion), observer.gains(period)
 
 
-def _observer(_: Observer) -> Probes:
-    ranges = {"angle": (-0.1, 0.1), "next angle": (-0.1, 0.1), "known": (-20.0, 20.0), "period": (0.5 * ms, 2 * ms)}
-    return Probes((Probe(_observed, ranges),))
+def _value(signal: Signal | Reference, time: Num) -> Tree:
+    return signal(time)
 
 
-def _leg_step(part: LegController | LegReference, time: Any, angle: Any, pressure: Any, force: Any) -> Any:
-    return _stepped(part, time, [LegMeasurement((angle, 0.5 + angle), (pressure,) * 5, force)] * 2)
+def _torque(disturbance: Disturbance, time: Num) -> Tree:
+    return disturbance.torque(time)
 
 
-def _leg(_: LegController | LegReference) -> Probes:
-    ranges = {"time": (0.0, 1.0), "angle": (-0.1, 0.1), "pressure": (2 * bar, 4 * bar), "force": (0.0, 100.0)}
-    return Probes((Probe(_leg_step, ranges),), in_files=False)
-
-
-_PROBES: dict[type, Callable[[Any], Probes]] = {
-    ForceLaw: _law,
-    Friction: _friction,
-    Creep: _creep,
-    JointFriction: _joint_friction,
-    Tendon: _tendon,
-    Geometry: _geometry,
-    MusclePath: _muscle_path,
-    Load: _load,
-    Actuator: _actuator,
-    Sensors: _sensors,
-    Disturbance: lambda _: Probes((Probe(_torque, _TIMES, broadcasts=True),)),
-    Signal: _signal,
-    Reference: _signal,
-    Controller: _controller,
-    Loop: _loop,
-    Feedback: _feedback,
-    Observer: _observer,
-    LegController: _leg,
-    LegReference: _leg,
+_NARROW: Ranges = {"angle": (-0.1, 0.1), "pressure": (2 * bar, 4 * bar), "time": (0.0, 1.0)}
+_SIGNAL = Probes((_value,), broadcasts=True, emitted=False)  # a reference is sampled before a run
+_LEG = Probes((_leg_step,), in_files=False, limits=lambda _: _NARROW)
+_PROBES: dict[type, Probes] = {
+    ForceLaw: Probes(
+        (_force,),
+        (Identity("inverse", _inverted, "`pressure_for` inverts `force`; mckibben.muscle.pressure_for is numerical"),),
+        broadcasts=True,
+        limits=_domain,
+    ),
+    Friction: Probes(
+        (_moved,),
+        (
+            Identity("composition", _moved_in_two, _SLIDING),
+            Identity("projection", _projected, _PROJECTION),
+            Identity("path", _path, "`path_response` gives the force of `force` and `project` along a path"),
+        ),
+        limits=lambda _: {"pressure": (0.0, 5 * bar)},
+    ),
+    Creep: Probes(
+        (_crept,),
+        (Identity("projection", _creep_projected, _PROJECTION),),
+        limits=lambda _: {"pressure": (0.0, 5 * bar)},
+    ),
+    JointFriction: Probes((_turned,), (Identity("composition", _turned_in_two, _SLIDING),)),
+    Tendon: Probes(
+        (_tension,),
+        (
+            Identity(
+                "equilibrium", _equilibrium, "`contraction` solves path = muscle length + `extension` at equal tension"
+            ),
+        ),
+    ),
+    Geometry: Probes(
+        (_arms,),
+        (
+            Identity(
+                "virtual work",
+                _virtual_work,
+                "moment arms are the slopes of the path lengths, that of muscle 2 with the opposite sign",
+            ),
+        ),
+        broadcasts=True,
+        limits=_angles,
+    ),
+    MusclePath: Probes((_lengths,), broadcasts=True, limits=_angles),
+    Load: Probes(
+        (_acceleration,),
+        (
+            Identity("inverse", _required, "`required_torque` inverts `acceleration`"),
+            Identity("slope", _gravity, "`gravity_stiffness` is minus the slope of `gravity_torque`: override both"),
+        ),
+        broadcasts=True,
+    ),
+    Valve: Probes(
+        (_rates, _response),
+        (Identity("composition", _composed, _STATE), Identity("rest", _rest, _START)),
+        limits=lambda valve: {"command": (-1.0, 1.0)} if valve.direct else {},
+    ),
+    Actuator: Probes((_rates,), limits=lambda actuator: {"command": (-1.0, 1.0)} if actuator.direct else {}),
+    Sensors: Probes((_measured,)),
+    Disturbance: Probes((_torque,), broadcasts=True),
+    Signal: _SIGNAL,
+    Reference: _SIGNAL,
+    Controller: Probes((_commands,), limits=lambda _: _NARROW),
+    Loop: Probes((_looped,)),
+    Feedback: Probes((_fed_back,)),
+    Observer: Probes((_observed,), limits=lambda _: _NARROW),
+    LegController: _LEG,
+    LegReference: _LEG,
 }

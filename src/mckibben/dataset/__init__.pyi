@@ -1,6 +1,11 @@
 from .isobaric import IsobaricDataset as IsobaricDataset
 from .points import ExtractedPoints as ExtractedPoints
+from .reading import read_columns as read_columns
 from .reading import read_dataset as read_dataset
 from .reading import read_recording as read_recording
 from .recipe import Recipe as Recipe
 from .recording import Recording as Recording
+from .table import TOPICS as TOPICS
+from .table import Column as Column
+from .table import Question as Question
+from .table import Table as Table

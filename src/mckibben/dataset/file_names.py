@@ -7,41 +7,32 @@ from pathlib import Path
 
 import numpy as np
 
-from mckibben.dataset.headers import parse_header
-from mckibben.dataset.schema import WORDS
-from mckibben.dataset.sheet import RawColumn, RawTable
-from mckibben.errors import DatasetError, Problem, RangeError
+from mckibben.dataset.raw import RawColumn, RawTable
+from mckibben.dataset.vocabulary import parse_header
+from mckibben.errors import DatasetError, Problem
 
 _FIELD = re.compile(r"\{(\w+)\}")
 _NUMBER = r"([-+]?\d+(?:[.,]\d+)?)"
-_REMEDY = "write a pattern such as 'L{length_mm}mm' for Muscle_L190mm.csv"
 
 
-def check_pattern(pattern: str) -> None:
-    """Raise a `RangeError` unless a pattern is empty or names quantities with units in braces."""
-    names = _FIELD.findall(pattern) if isinstance(pattern, str) else []
-    headers = [parse_header(name) for name in names]
-    if pattern and (not names or not all(one and one.unit and one.quantity not in WORDS for one in headers)):
-        text = f"from_name (command line: --from-name) is {pattern!r:.60}, without a quantity and unit in braces"
-        raise RangeError(text, field="from_name", value=pattern, remedy=_REMEDY)
+def pattern_problem(pattern: str) -> str:
+    """Why a pattern has no quantity with a unit in braces; empty if it is right."""
+    headers = [parse_header(name) for name in _FIELD.findall(pattern)]
+    right = headers and all(header.quantity and header.unit for header in headers)
+    return "" if right else f"{pattern!r:.60} has no quantity and unit in braces"
 
 
-def add_from_name(sheet: RawTable, path: Path, pattern: str) -> RawTable:
-    """A table with a constant column for each number that a pattern finds in the name of its file."""
-    if not pattern or not sheet.channels:
-        return sheet
-    names = _FIELD.findall(pattern)
+def add_from_name(table: RawTable, path: Path, pattern: str) -> None:
+    """Add a constant column for each number that a pattern finds in the name of a file."""
     literal = _FIELD.split(pattern)[::2]
     text = _NUMBER.join(map(re.escape, literal))
     if not literal[0]:
         text = text.replace("[-+]?", "", 1)  # a hyphen before the first number separates it from a word
-    found = {one.groups() for one in re.finditer(text, path.name)}
-    if len(found) != 1:
-        wrong = f"matches {pattern!r} in several places" if found else f"does not match {pattern!r}"
-        raise DatasetError(str(path), [Problem(f"its name {wrong}", remedy=_REMEDY)])
-    (numbers,) = found
-    longest = max(sheet.channels, key=lambda one: len(one.cells))
-    for name, number in zip(names, numbers, strict=True):
-        cells = np.full(len(longest.cells), float(number.replace(",", ".")))
-        sheet.channels.append(RawColumn(f"file name: {name}", cells, longest.lines, short=name))
-    return sheet
+    matches = {match.groups() for match in re.finditer(text, path.name)}
+    if len(matches) != 1:
+        wrong = f"matches {pattern!r} in several places" if matches else f"does not match {pattern!r}"
+        raise DatasetError(str(path), [Problem(f"its name {wrong}", remedy="correct from_name in the recipe")])
+    (numbers,) = matches
+    for name, number in zip(_FIELD.findall(pattern), numbers, strict=True):
+        cells = np.full(len(table.lines), float(number.replace(",", ".")))
+        table.columns.append(RawColumn(f"file name: {name}", cells, label=name))

@@ -1,153 +1,507 @@
-"""Raw tables of files of any format."""
+"""Raw tables of workbooks, MATLAB, HDF5, NetCDF, TDMS and LabVIEW files, and of texts."""
 
 from __future__ import annotations
 
-import functools
-import os
+import io
 import re
-import stat
-from collections.abc import Mapping
+import zipfile
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from mckibben.dataset.child import LIMIT_REMEDY, call_in_child, limit_factor
-from mckibben.dataset.encodings import decode
-from mckibben.dataset.headers import LONGEST_NAME, parse_header
-from mckibben.dataset.large_text import read_large_text
-from mckibben.dataset.lvm import SIGNATURE, read_lvm
-from mckibben.dataset.sheet import RawTable
-from mckibben.dataset.text import read_text
+import numpy as np
+
+from mckibben.dataset.matlab import MatlabReader, Opaque, Value
+from mckibben.dataset.raw import LIMIT_REMEDY, Budget, RawColumn, RawTable, read_bytes, unreadable
+from mckibben.dataset.text import NUMBER, decimal_sign, decode, read_text, score_of
+from mckibben.dataset.vocabulary import dimension_of, parse_header
 from mckibben.errors import DatasetError, Problem
-from mckibben.storage.files import similar_file
 
-_SMALL = 2**20  # bytes: smaller texts are read in this process
-_LARGEST = 2**28  # bytes of a file
-_CELLS = 2**24  # of all columns
-_PROBED = 4096  # bytes of a text searched for lines of JSON
-_SHOWN = 1000  # corrupt rows of a file with few others
+if TYPE_CHECKING:
+    import h5py
+    from openpyxl.worksheet.worksheet import Worksheet
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_SHEET_BYTES = 2**25  # of XML of a workbook
+_TABLE = Problem(
+    "is an object of MATLAB (a table?), which only MATLAB can open",
+    remedy="save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')",
+)
 _OTHER_FORMATS = {
     b"\xd0\xcf\x11\xe0": ("a workbook in the format before 2007", "save it as .xlsx or CSV"),
     b"\x1f\x8b": ("compressed by gzip", "decompress it first"),
-    **dict.fromkeys(
-        (b"<!doctype", b"<html", b"<?xml", b"<table"),
-        ("HTML or XML, which some programs name .xls", "open it in a spreadsheet, and save it as .xlsx or CSV"),
-    ),
+    **dict.fromkeys((b"<!doctype", b"<html", b"<?xml", b"<table"), ("HTML or XML", "save it as .xlsx or CSV")),
     b"sqlite format 3": ("an SQLite database", "export the table as CSV"),
-    b"par1\x15": ("Parquet", "write a table: pandas.read_parquet(...).to_csv(...)"),
+    b"cdf": ("NetCDF of version 3", "save it as NetCDF-4"),
+    b"par1": ("Parquet", "write a table: pandas.read_parquet(...).to_csv(...)"),
     b"%pdf": ("a PDF document", "ask for the table as CSV or .xlsx"),
-    **dict.fromkeys(
-        (b"\x89png", b"\xff\xd8\xff", b"gif8", b"ii*\0", b"mm\0*"),
-        ("an image, not a table", "give the numbers that it shows, as CSV or .xlsx"),
-    ),
+    **dict.fromkeys((b"\x89png", b"\xff\xd8\xff", b"gif8"), ("an image", "give the numbers that it shows as CSV")),
+    **dict.fromkeys((b"{", b"[{", b"[["), ("JSON", "write a table: pandas.DataFrame(...).to_csv(...)")),
 }
-"""First bytes, in small letters, of files that are not read, what they are, and the remedy."""
-_JSON = re.compile(rb"""\s*(?:\{\s*"|\[\s*(?:\{\s*"|\[\s*["0-9.-]))""")  # not a table under [[mm]], say
-_LINES_OF_JSON = re.compile(rb'\s*\{"[^\n]*\}\r?\n\s*\{"')
-_HDF5 = b"\x89HDF\r\n\x1a\n"
+_UNITS = ("units", "unit", "unit_string")
+_PACKING = ("scale_factor", "add_offset", "_fillvalue", "missing_value", "valid_range", "valid_min", "valid_max")
+_SAYS_NOTHING = re.compile(
+    r"class|title|version|name|reference_list|dimension_\w*|flavor|byteorder|field_\d+_\w*|nrows|index|matlab\w*|_nc\w*|"
+    r"_netcdf4\w*|conventions|wf_.*|ni_.*|history|date\w*|author|operator|long_name|standard_name|pandas\w*|encoding|errors",
+    re.IGNORECASE,
+)
 
 
-def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "") -> RawTable:
-    """Columns of a text, .xlsx, .mat, .tdms, .lvm or HDF5 file; `mapping` assigns quantities to its headers.
+def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: str = "") -> RawTable:
+    """Raw columns of a file of any format; `part` names a sheet, group or struct of several.
 
-    Binary files and large texts are read in the child process.
+    Raises
+    ------
+    DatasetError
+        For a file that is missing, damaged, too large, or of a format that is not read.
     """
-    size, start = probe(path)
-    if size > (most := _LARGEST * limit_factor()):
-        problem = Problem(f"has {size / 1e6:.0f} MB, more than {most / 1e6:.0f}", remedy=LIMIT_REMEDY)
-        raise DatasetError(str(path), [problem])
-    if _is_binary(path, start) or size > _SMALL:
-        return call_in_child(path, _read_within_limits, dict(mapping), decimal)
-    return _read(path, mapping, decimal)
+    data = read_bytes(path)
+    head, budget = data[:64].lstrip().lower(), Budget(path)
+    if data.startswith(b"PK\x03\x04"):
+        return _read_workbook(path, data, mapping, part, budget)
+    if data.startswith(_HDF5) or data[512:520] == _HDF5:
+        return _read_hdf5(path, data, part, mapping, budget)
+    if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
+        return _read_matlab(path, data, part, mapping, budget)
+    if data.startswith(b"TDSm"):
+        return _read_tdms(path, data, part, mapping, budget)
+    for start, (what, remedy) in _OTHER_FORMATS.items():
+        if head.startswith(start) and not head.startswith(b"[mm"):
+            raise DatasetError(str(path), [Problem(f"is {what}", remedy=remedy)])
+    text = decode(data, path)
+    del data
+    if path.suffix.lower() in (".yaml", ".yml"):
+        raise DatasetError(str(path), [Problem("is YAML", remedy="give a file of measurements")])
+    if text.startswith("LabVIEW Measurement"):
+        return _read_lvm(text, path, mapping, decimal)
+    return read_text(text, path, mapping, decimal)
 
 
-FILES_REMEDY = "name its files, several for one test: DIR/*.csv, in Python sorted(Path('DIR').glob('*.csv'))"
+# Workbooks
 
 
-def probe(path: Path) -> tuple[int, bytes]:
-    """Size and first bytes of a file; raises a `DatasetError` unless it is a regular file that can be read."""
+def _read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str, budget: Budget) -> RawTable:
+    """Columns of the only sheet with a header (formulas as saved values)."""
     try:
-        found = path.stat()
-        if stat.S_ISREG(found.st_mode):
-            with path.open("rb") as file:
-                return found.st_size, file.read(520)
-    except FileNotFoundError:
-        remedy = FILES_REMEDY if "*" in path.name else similar_file(path)
-        raise DatasetError(str(path), [Problem("there is no such file", remedy=remedy)]) from None
-    except (OSError, ValueError) as error:
-        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
-    if stat.S_ISDIR(found.st_mode):
-        raise DatasetError(str(path), [Problem("is a directory", remedy=FILES_REMEDY)])
-    raise DatasetError(str(path), [Problem("is a pipe or a device", remedy="save its content in a file")])
-
-
-def _is_binary(path: Path, start: bytes) -> bool:
-    binary = (b"TDSm", b"PK\x03\x04", _HDF5, b"MATLAB 5.0", b"MATLAB 7.3")
-    return start.startswith(binary) or start[512:] == _HDF5 or path.suffix.lower() == ".mat"
-
-
-def _read_within_limits(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
-    """Columns of a file, read in the child process."""
-    table = _read(path, mapping, decimal)
-    table.channels = [replace(one, unit=one.unit[:LONGEST_NAME]) for one in table.channels]  # a text may have 30 MB
-    cells, most = sum(len(channel.cells) for channel in table.channels), _CELLS * limit_factor()
-    if cells > most:
-        raise DatasetError(str(path), [Problem(f"has {cells} cells, more than {most:.0f}", remedy=LIMIT_REMEDY)])
-    corrupt, rows = len(table.corrupt), max((len(channel.cells) for channel in table.channels), default=0)
-    if corrupt > max(rows, _SHOWN):  # a list of all would take the parent process much memory
-        text = f"{corrupt} of {corrupt + rows} rows are corrupt: more than half cannot be left out"
-        raise DatasetError(str(path), [Problem(text), *table.corrupt[:_SHOWN]])
+        from openpyxl import load_workbook
+    except ImportError:
+        remedy = 'pip install "mckibben[excel]", or save the sheet as CSV'
+        raise DatasetError(str(path), [Problem("needs openpyxl, which is not installed", remedy=remedy)]) from None
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            names = archive.namelist()
+            size = sum(info.file_size for info in archive.infolist())
+        if "[Content_Types].xml" not in names:
+            raise DatasetError(str(path), [Problem("is a ZIP archive, not a workbook", remedy="extract it")])
+        if size > _SHEET_BYTES:
+            text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
+            raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
+        book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
+    except DatasetError:
+        raise
+    except Exception as error:  # openpyxl raises nearly any exception on a damaged workbook
+        raise unreadable(path, "a workbook", error) from error
+    tables: dict[str, RawTable] = {}
+    others: list[tuple[int | None, str]] = []
+    for sheet in book.worksheets:
+        budget.spend()
+        if part and sheet.title != part:
+            continue
+        if (table := _sheet(sheet, mapping, budget)) is not None:
+            tables[sheet.title] = table
+        else:
+            others += [
+                (None, text) for row in sheet.iter_rows(values_only=True, max_row=200) if (text := _text_of(row))
+            ]
+    if not tables:
+        text = f"no sheet has a header that is understood; it has {', '.join(book.sheetnames[:20])}"
+        remedy = "name the columns: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
+        raise DatasetError(str(path), [Problem(text, remedy=remedy)])
+    if len(tables) > 1:
+        raise DatasetError(str(path), [several("sheets", list(tables))])
+    (table,) = tables.values()
+    table.words += others
     return table
 
 
-def _read(path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
-    """Columns of a file, read in this process."""
+def several(what: str, names: Sequence[str]) -> Problem:
+    """Question of which of several parts of a file is to be read."""
+    remedy = f"choose one: part={names[0]!r} in Python or in a recipe (command line: --read FILE.yaml)"
+    return Problem(f"has several {what} of measurements: {', '.join(names[:20])}", remedy=remedy)
 
-    @functools.cache
-    def known(header: str, unit: str) -> bool:
-        return header in mapping or parse_header(header, unit, loose=True) is not None
 
+def _text_of(row: Sequence[object]) -> str:
+    return " ".join(str(cell) for cell in row if cell is not None).strip()
+
+
+def _sheet(sheet: Worksheet, mapping: Mapping[str, str], budget: Budget) -> RawTable | None:
+    """Columns of a sheet; None without a header."""
+    budget.spend(rows=sheet.max_row, columns=sheet.max_column, size=8 * sheet.max_row * sheet.max_column)
+    grid = [list(row) for row in sheet.iter_rows(values_only=True)]
+    texts = [["" if cell is None else str(cell).strip() for cell in row] for row in grid[:100]]
+    scores = [score_of(row, mapping) for row in texts]
+    if not scores or max(scores) < 1:
+        return None
+    at = int(np.argmax(scores))
+    table = RawTable()
+    table.words += [(number, text) for number, row in enumerate(grid[:at], 1) if (text := _text_of(row))]
+    header, first = texts[at], at + 1
+    units = [""] * len(header)
+    if (
+        first < len(texts)
+        and any(map(dimension_of, texts[first]))
+        and not any(isinstance(cell, int | float) for cell in grid[first])
+    ):
+        units, first = [cell.strip("[]()") for cell in texts[first]], first + 1
+    places = [column for column, name in enumerate(header) if name]
+    rows = []
+    for number, row in enumerate(grid[first:], first + 1):
+        filled = [row[column] for column in places if row[column] is not None and str(row[column]).strip()]
+        if not filled:
+            continue
+        if any(isinstance(cell, int | float) or NUMBER.fullmatch(str(cell)) for cell in filled):
+            rows.append((number, row))
+        elif [str(cell) for cell in filled] != [name for name in header if name]:
+            table.words.append((number, _text_of(row)))
+    table.lines = [number for number, _ in rows]
+    table.decimal, table.ambiguous = decimal_sign(
+        [[str(row[column]) for _, row in rows if isinstance(row[column], str)] for column in places], ";"
+    )
+    for column in range(len(header)):
+        cells = [row[column] for _, row in rows]
+        if column in places:
+            table.columns.append(_column_of_cells(header[column], cells, units[column], sheet, table.lines, column))
+        elif any(cell is not None for cell in cells):
+            table.words += [
+                (number, str(cell)) for number, cell in zip(table.lines, cells, strict=True) if cell is not None
+            ]
+    _ask_of_layout(table, sheet, {*places}, at)
+    return table
+
+
+def _column_of_cells(
+    name: str, cells: Sequence[object], unit: str, sheet: Worksheet, lines: Sequence[int], column: int
+) -> RawColumn:
+    """Numbers of cells, or texts; a number format that shows a unit gives it."""
+    formats = {str(sheet.cell(line, column + 1).number_format) for line in lines[:200]}
+    shown = {match[1] for text in formats if (match := re.search(r'"\s*([^"]+)"', text)) and dimension_of(match[1])}
+    percent = {text.rstrip().endswith("%") for text in formats}
+    if len(shown) == 1 and len(formats) == 1 and not unit:
+        unit = next(iter(shown))
+    if percent == {True} and not unit and parse_header(name).quantity == "contraction":
+        unit = "ratio"  # 0.05 is shown as 5 %
+        name = re.sub(r"\s*[\[(]\s*%\s*[\])]", "", name)
+    if all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells):
+        return RawColumn(name, np.array(cells, np.float64), unit=unit)
+    texts = ["" if cell is None else str(cell).strip() for cell in cells]
+    return RawColumn(name, texts, unit=unit)
+
+
+def _ask_of_layout(table: RawTable, sheet: Worksheet, places: set[int], header: int) -> None:
+    """Questions about hidden, merged, struck-out or noted cells, which a table of numbers cannot show."""
+    remedy = "accept=['layout'] reads these cells as they are (command line: --accept layout)"
+    hidden = [str(row) for row in table.lines if sheet.row_dimensions[row].hidden] if sheet.row_dimensions else []
+    hidden += [letter for letter, column in sheet.column_dimensions.items() if column.hidden]
+    found = []
+    if hidden or sheet.sheet_state != "visible":
+        found.append(f"rows or columns are hidden: {', '.join(hidden[:5]) or 'the sheet'}")
+    wide = [
+        area
+        for area in sheet.merged_cells.ranges
+        if area.max_row >= header and area.max_col - area.min_col + 1 < max(len(places), 2)
+    ]
+    if wide:
+        found.append(f"cells are merged: {', '.join(map(str, wide[:5]))}")
+    marked: Counter[str] = Counter()
+    for line in table.lines[:5000]:
+        for column in places:
+            cell = sheet.cell(line, column + 1)
+            marked["struck out"] += bool(cell.font and cell.font.strike)
+            marked["noted"] += cell.comment is not None
+            marked["coloured"] += bool(cell.fill and cell.fill.fill_type == "solid")
+    if marked["coloured"] == len(table.lines) * len(places):
+        marked["coloured"] = 0
+    found += [f"{count} cells are {word}" for word, count in marked.items() if count]
+    table.problems += [Problem(text, field="layout", remedy=remedy) for text in found]
+
+
+# Binary files of channels
+
+
+def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
+    """Columns of HDF5, NetCDF-4 and MATLAB 7.3 files, with scale, offset and fill values applied."""
+    import h5py
+
+    table = RawTable()
+    matlab = data.startswith(b"MATLAB 7.3")
     try:
-        if path.stat().st_size > _SMALL and (table := read_large_text(path, known, decimal)) is not None:
-            return table
-        with path.open("rb") as file:
-            data = file.read(os.fstat(file.fileno()).st_size)  # not what is added meanwhile
-    except OSError as error:
-        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
+        with h5py.File(io.BytesIO(data), "r") as file:
+            table.words += _attributes(file)
+            for name, node in _nodes(file, "." if matlab else "/", budget):
+                table.words += [(None, f"{name}: {text}") for _, text in _attributes(node)]
+                if isinstance(node, h5py.Dataset):
+                    _add_node(table, name, node, matlab, budget)
+    except DatasetError:
+        raise
+    except Exception as error:  # h5py raises nearly any exception on a damaged file
+        raise unreadable(path, "an HDF5 file", error) from error
+    return _one_group(path, table, part, mapping)
 
-    if data.startswith(b"TDSm"):
-        from mckibben.dataset.logger_files import read_tdms
 
-        return read_tdms(path, data)
-    if data.startswith(b"PK\x03\x04") and b"[Content_Types].xml" not in data:
-        remedy = "extract it, or save the sheet as .xlsx or CSV"
-        raise DatasetError(
-            str(path), [Problem("is a ZIP archive or an OpenDocument file, not a workbook", remedy=remedy)]
-        )
-    if data.startswith(b"PK\x03\x04"):
-        from mckibben.dataset.logger_files import read_excel
+def _nodes(file: h5py.Group, separator: str, budget: Budget) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
+    """Groups and datasets, each once; links to other files are not followed."""
+    import h5py
 
-        return read_excel(path, data, known)
-    if data.startswith(_HDF5) or data[512:520] == _HDF5:
-        from mckibben.dataset.matlab import read_hdf5
+    visited: set[object] = set()
+    waiting: list[tuple[str, h5py.Group]] = [("", file)]
+    while waiting:
+        prefix, group = waiting.pop(0)
+        for key in group:
+            budget.spend(columns=len(visited))
+            if key.startswith("#") or not isinstance(group.get(key, getlink=True), h5py.HardLink):
+                continue
+            node = group[key]
+            address = h5py.h5o.get_info(node.id).addr
+            if address in visited:
+                continue
+            visited.add(address)
+            name = f"{prefix}{separator}{key}" if prefix else key
+            yield name, node
+            if isinstance(node, h5py.Group):
+                waiting.append((name, node))
 
-        return read_hdf5(path, data)
-    if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
-        from mckibben.dataset.matlab import read_matlab
 
-        return read_matlab(path, data)
-    head = data[:64].lstrip().lower()
-    found = next((kind for start, kind in _OTHER_FORMATS.items() if head.startswith(start)), None)
-    if _JSON.match(data) and not _LINES_OF_JSON.match(data[:_PROBED]):
-        found = "JSON", "write a table: pandas.DataFrame(...).to_csv(...)"
-    if found:
-        raise DatasetError(str(path), [Problem(f"is {found[0]}", remedy=found[1])])
-    text, zeros = decode(data, str(path))
-    del data  # a large text is in memory once
-    if path.suffix.lower() in (".yaml", ".yml"):
-        from mckibben.config.document import read_document
-        from mckibben.config.model import kind_of
+def _attributes(node: h5py.Group | h5py.Dataset) -> list[tuple[None, str]]:
+    """Attributes that may say something of the numbers."""
+    texts = []
+    for key in list(node.attrs)[:200]:
+        if key.lower() in (*_UNITS, *_PACKING) or (
+            _SAYS_NOTHING.fullmatch(key) and not key.lower().endswith("long_name")
+        ):
+            continue
+        value = node.attrs[key]
+        if np.size(value) <= 8:
+            texts.append((None, f"{key}: {_decoded(value)}"))
+    return texts
 
-        if kind := kind_of(read_document(text).data):
-            raise DatasetError(str(path), [Problem(f"is {kind}", remedy="give a file of measurements")])
-    read = read_lvm if text.startswith(SIGNATURE) else read_text
-    return read(text, str(path), known, zeros=zeros, decimal=decimal)
+
+def _decoded(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return " ".join(map(_decoded, value.ravel().tolist()))
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budget: Budget) -> None:
+    """Add the columns of a dataset, or its single number or text as words."""
+    if node.shape is None or node.is_virtual or node.external or node.ndim > 2:
+        return
+    budget.spend(size=node.nbytes)
+    kind = _decoded(node.attrs.get("MATLAB_class", ""))
+    if kind in ("table", "timetable", "string", "datetime", "duration"):
+        table.problems.append(replace(_TABLE, field=name))
+    elif node.dtype.names and node.ndim == 1:
+        records = node[()]
+        for key in records.dtype.names:
+            if records[key].dtype.kind in "iuf":
+                table.columns.append(RawColumn(f"{name}/{key}", records[key].astype(np.float64), label=key))
+    elif kind == "char":
+        table.words.append((None, f"{name}: {''.join(map(chr, np.ravel(node[()]).tolist()))[:1000]}"))
+    elif node.dtype.kind in "OS" and node.size == 1:
+        table.words.append((None, f"{name}: {_decoded(np.ravel(node[()])[0])}"))
+    elif node.dtype.kind in "OS" and node.ndim == 1 and not node.attrs.get("MATLAB_class"):
+        table.columns.append(RawColumn(name, [_decoded(text) for text in node[()].tolist()]))
+    elif node.dtype.kind in "biuf":
+        values = node[()] if matlab else _unpacked(node)
+        unit = next((_decoded(node.attrs[key]) for key in node.attrs if key.lower() in _UNITS), "")
+        _add_matrix(table, name, values.T if matlab else values, unit)
+
+
+def _unpacked(node: h5py.Dataset) -> np.ndarray:
+    """Values by the conventions of NetCDF: scale and offset applied, missing and invalid ones NaN."""
+    attributes = {key.lower(): np.ravel(np.asarray(node.attrs[key])) for key in node.attrs if key.lower() in _PACKING}
+    raw = np.asarray(node[()])
+    values = raw.astype(np.float64)
+    for key in ("_fillvalue", "missing_value"):
+        values[np.isin(raw, attributes.get(key, []))] = np.nan
+    low, high = attributes.get(
+        "valid_range", [*attributes.get("valid_min", [-np.inf]), *attributes.get("valid_max", [np.inf])]
+    )
+    values[(values < low) | (values > high)] = np.nan
+    return values * attributes.get("scale_factor", [1.0])[0] + attributes.get("add_offset", [0.0])[0]
+
+
+def _add_matrix(table: RawTable, name: str, array: np.ndarray, unit: str = "") -> None:
+    """Add the columns of a vector or matrix, numbered as in MATLAB; a single number as words."""
+    array = np.atleast_1d(np.asarray(array, np.float64))
+    if array.size == 1:
+        table.words.append((None, f"{name}: {array.item():g}"))
+        return
+    matrix = array.reshape(-1, 1) if array.ndim == 1 or 1 in array.shape else array
+    if matrix.ndim == 2 and matrix.shape[1] <= 64:
+        for at, values in enumerate(matrix.T):
+            full = name if matrix.shape[1] == 1 else f"{name}(:,{at + 1})"
+            table.columns.append(
+                RawColumn(full, np.ascontiguousarray(values), label=re.split(r"[./]", full)[-1], unit=unit)
+            )
+
+
+def _read_matlab(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
+    """Columns of versions 4 to 7: vectors, fields (``rig.p``), columns of matrices (``rig(:,2)``)."""
+    table = RawTable()
+    try:
+        if data.startswith(b"MATLAB 5.0"):
+            variables = dict(MatlabReader(data, budget).variables())
+        else:
+            from scipy.io import loadmat
+
+            variables = {key: value for key, value in loadmat(io.BytesIO(data)).items() if not key.startswith("__")}
+    except DatasetError:
+        raise
+    except Exception as error:  # a damaged file raises nearly any exception
+        raise unreadable(path, "a MATLAB file", error) from error
+    for name, value in variables.items():
+        _add_variable(table, name, value)
+    return _one_group(path, table, part, mapping)
+
+
+def _add_variable(table: RawTable, name: str, value: Value, unit: str = "") -> None:
+    """Add the columns of a variable of MATLAB: also Simulink's time and signals, and dSPACE's X and Y."""
+    if isinstance(value, Opaque):
+        table.problems.append(replace(_TABLE, field=name))
+    elif isinstance(value, str):
+        table.words.append((None, f"{name}: {value}"))
+    elif isinstance(value, dict):
+        label = next((value[key] for key in ("label", "Name", "name") if isinstance(value.get(key), str)), "")
+        content = next((key for key in ("values", "Data") if isinstance(value.get(key), np.ndarray)), "")
+        if content and (label or name.endswith(".signals")):
+            unit = next((value[key] for key in ("unit", "Unit", "units") if isinstance(value.get(key), str)), "")
+            path = f"{name.removesuffix('.signals')}"
+            _add_matrix(table, f"{path}.{label}" if label else path, value[content], unit)
+            return
+        units = next((value[key] for key in _UNITS if isinstance(value.get(key), dict)), {})
+        for key, field in value.items():
+            said = units.get(key, "") if isinstance(units, dict) else ""
+            said = "s" if key == "time" and "signals" in value else said  # of Simulink
+            _add_variable(table, f"{name}.{key}", field, said if isinstance(said, str) else "")
+    elif isinstance(value, list):
+        if value and all(isinstance(cell, str) for cell in value):
+            table.columns.append(RawColumn(name, [str(cell) for cell in value], label=name.rpartition(".")[2]))
+        elif all(isinstance(cell, dict) for cell in value):
+            for number, cell in enumerate(value, 1):
+                _add_variable(table, f"{name}({number})", cell)
+    else:
+        _add_matrix(table, name, value, unit)
+
+
+def _read_tdms(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
+    """Columns of the channels of a TDMS file, with units and sampling interval of their properties."""
+    try:
+        from nptdms import TdmsFile
+    except ImportError:
+        remedy = 'pip install "mckibben[tdms]", or export the file as CSV'
+        raise DatasetError(str(path), [Problem("needs npTDMS, which is not installed", remedy=remedy)]) from None
+    table = RawTable()
+    intervals, starts = set(), set()
+    try:
+        with TdmsFile.open(io.BytesIO(data)) as file:
+            table.words += _properties("", file.properties)
+            for group in file.groups():
+                table.words += _properties(group.name, group.properties)
+                for channel in group.channels():
+                    budget.spend(size=8 * len(channel), rows=len(channel), columns=len(table.columns))
+                    name, said = f"{group.name}/{channel.name}", channel.properties
+                    table.words += _properties(name, said)
+                    if channel.dtype is not None and channel.dtype.kind in "iuf":
+                        unit = next((str(said[key]) for key in said if key.lower() in _UNITS), "")
+                        table.columns.append(RawColumn(name, np.asarray(channel[:], np.float64), channel.name, unit))
+                    elif channel.dtype is not None and len(channel):
+                        table.columns.append(RawColumn(name, [str(cell) for cell in channel[:]], channel.name))
+                    intervals.add(said.get("wf_increment"))
+                    starts.add((said.get("wf_start_time"), said.get("wf_start_offset")))
+    except DatasetError:
+        raise
+    except Exception as error:  # npTDMS raises nearly any exception on a damaged file
+        raise unreadable(path, "a TDMS file", error) from error
+    if len(intervals) == 1 and isinstance(step := intervals.pop(), float) and step > 0:
+        table.interval = step
+    if len(starts) > 1:
+        text = "channels begin at different times: their rows do not belong together"
+        table.problems.append(Problem(text, field="layout", remedy="accept=['layout'] (command line: --accept layout)"))
+    return _one_group(path, table, part, mapping)
+
+
+def _properties(name: str, properties: Mapping[str, object]) -> list[tuple[None, str]]:
+    return [
+        (None, f"{name} {key}: {value}")
+        for key, value in properties.items()
+        if key.lower() not in _UNITS and not _SAYS_NOTHING.fullmatch(key)
+    ]
+
+
+def _one_group(path: Path, table: RawTable, part: str, mapping: Mapping[str, str]) -> RawTable:
+    """Table of the columns of the longest length, of one group of measurements."""
+    if part:
+        chosen = re.compile(rf"{re.escape(part)}(?:[/.(]|$)")
+        table.columns = [column for column in table.columns if chosen.match(column.name)]
+    if not table.columns:
+        if table.problems:
+            raise DatasetError(str(path), table.problems)
+        what = f"no column in {part!r}" if part else "no column of numbers"
+        raise DatasetError(str(path), [Problem(f"has {what}", remedy=LIMIT_REMEDY if part else "give another file")])
+    read = [
+        column
+        for column in table.columns
+        if column.name in mapping or parse_header(column.label or column.name, column.unit).quantity
+    ]
+    groups = {re.split(r"[/.(][^/.(]*$", column.name)[0] for column in read if re.search(r"[/.(]", column.name)}
+    lengths = {len(column.cells) for column in read} or {max(len(column.cells) for column in table.columns)}
+    if len(lengths) > 1:
+        names = sorted(groups)
+        sizes = ", ".join(f"{column.name} ({len(column.cells)})" for column in read[:12])
+        problem = several("groups", names) if len(names) > 1 else Problem(f"has columns of unequal length: {sizes}")
+        raise DatasetError(str(path), [problem])
+    (length,) = lengths
+    shorter = [column for column in table.columns if len(column.cells) != length]
+    table.words += [(None, f"{column.name}: {column.cells[:8]}") for column in shorter]
+    table.columns = [column for column in table.columns if len(column.cells) == length]
+    table.lines = range(1, length + 1)
+    return table
+
+
+def _read_lvm(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
+    """Columns of a LabVIEW measurement of one segment, with units from ``Y_Unit_Label``."""
+    end = "***End_of_Header***"
+    parts = text.split(end)
+    if len(parts) != 3:
+        problem = Problem(f"has {max(len(parts) - 2, 0)} segments", remedy="write one segment to a file, or give TDMS")
+        raise DatasetError(str(path), [problem])
+    separator = "," if "Separator,Comma" in parts[0] else "\t"
+    fields = [line.rstrip().split(separator) for line in parts[1].splitlines() if line.strip()]
+    said = {cells[0]: cells[1:] for cells in fields}
+    body = parts[2].partition("\n")[2]
+    header, _, rows = body.partition("\n")
+    names = header.rstrip("\r\n").split(separator)
+    units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
+    if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
+        units["X_Value"] = "s"
+    header = separator.join(
+        f"{name} [{units[name]}]" if units.get(name) else name for name in names if name != "Comment"
+    )
+    blank = "\n" * text[: text.rindex(end)].count("\n")
+    comments = [
+        line.split(separator, len(names) - 1)[-1].strip()
+        for line in rows.splitlines()
+        if line.count(separator) >= len(names) - 1
+    ]
+    if names[-1] == "Comment":
+        rows = "\n".join(separator.join(line.split(separator)[: len(names) - 1]) for line in rows.splitlines())
+    table = read_text(f"{blank}\n{header}\n{rows}", path, mapping, decimal)
+    table.words += [(None, comment) for comment in comments if comment and names[-1] == "Comment"]
+    table.words += [
+        (None, " ".join(cells))
+        for cells in fields
+        if cells[0] in ("Notes", "Description", "UserName", "Y_Dimension_Label")
+    ]
+    return table

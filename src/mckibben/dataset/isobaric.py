@@ -11,7 +11,6 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.plausibility import check_pressures, implied_diameter
 from mckibben.dataset.preprocessing import with_slack_force
 from mckibben.dataset.schema import (
     VARIABLES,
@@ -20,10 +19,11 @@ from mckibben.dataset.schema import (
     format_range,
     write_csv,
 )
-from mckibben.errors import DatasetError, RangeError
+from mckibben.errors import DatasetError, Problem, RangeError
 from mckibben.notebook import draw
-from mckibben.units import bar, mm, percent
+from mckibben.units import bar, percent
 
+_LOWEST = 0.08 * bar  # highest pressure of a muscle test
 _BLOCK = 32768  # samples per block: 256 KiB of floats stay in a core's cache
 
 
@@ -77,6 +77,14 @@ def format_list(values: np.ndarray, most: int = 24) -> str:
     """Numbers or words as text, abbreviated if there are many."""
     shown = [value if isinstance(value, str) else f"{value:g}" for value in values[:most].tolist()]
     return ", ".join(shown) + (f", ... ({len(values)} in all)" if len(values) > most else "")
+
+
+def _of_pressures(highest: float) -> list[Problem]:
+    """Problem of pressures that are not in Pa, as their highest shows."""
+    if not 0 < highest < _LOWEST:
+        return []
+    text = f"the highest pressure is {highest:.4g} Pa, too low for a muscle test"
+    return [Problem(text, field="pressure", remedy="check the unit: arrays are in Pa", value=highest, unit="Pa")]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -168,9 +176,7 @@ class IsobaricDataset(MeasuredTable):
         }
         table, problems = assemble(variables, VARIABLES)
         if not problems and (set_pressure is None or (table["set_pressure"] > 0).any()):  # not a test at 0 bar only
-            highest = float(table["pressure"].to_numpy().max(initial=0.0))
-            if highest < 1 * bar:  # `read_dataset` performs further checks
-                problems += [problem for problem, impossible in check_pressures(highest) if impossible]
+            problems += _of_pressures(float(table["pressure"].to_numpy().max(initial=0.0)))
         if problems:
             raise DatasetError("dataset", problems)
         attrs = {"specimen": specimen, "source": source, "slack_force": 0.0 if slack_force is None else slack_force}
@@ -229,8 +235,6 @@ class IsobaricDataset(MeasuredTable):
             count = f"{len(levels)} pressure{'s' if len(levels) > 1 else ''}"
             parts.append(f"{count} {format_range(levels)} bar")
             parts.append(f"contraction {format_range(contraction)} %")
-            if "columns_read" in self.table.attrs and (diameter := implied_diameter(self.pressure, self.force)):
-                parts.append(f"force of a muscle of about {diameter / mm:.2g} mm diameter")
         if len(self.directions):
             parts.append(" and ".join(self.directions))
         if len(self.phases):

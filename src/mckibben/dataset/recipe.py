@@ -1,24 +1,18 @@
-"""Recipe for reading the files of a logger: assigned columns, sign and zero, kept for the next file."""
+"""Recipe for reading files: every option of a reader in one place, for Python, the command line, the page and the next file."""
 
 from __future__ import annotations
 
 import os
-import warnings
+from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator
+from pydantic import AfterValidator, BeforeValidator
 
-from mckibben.component.calls import user_level
 from mckibben.config.fields import OneOf
 from mckibben.config.model import DocumentModel, fail_validation
-from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.quantities import OnCorrupt
-from mckibben.dataset.reading import FilePaths, read_dataset, read_recording
-from mckibben.dataset.recording import Recording
-from mckibben.errors import McKibbenWarning
-from mckibben.units import BoundedInt, Contraction, Force, Length, SampleRate
-
-_OF_SAMPLES = ("contraction", "sample_rate")
+from mckibben.dataset.file_names import pattern_problem
+from mckibben.dataset.table import TOPICS
+from mckibben.units import BoundedInt, Contraction, Force, Length, Pressure, SampleRate
 
 
 def _check_sign(value: int) -> int:
@@ -27,19 +21,59 @@ def _check_sign(value: int) -> int:
     return value
 
 
-class Recipe(DocumentModel):
-    """Settings for reading the files of a logger: the arguments of `read_dataset` and `read_recording`, in SI units.
+def _check_pattern(pattern: str) -> str:
+    if problem := pattern_problem(pattern):
+        fail_validation(problem, "write a pattern such as 'L{length_mm}mm' for Muscle_L190mm.csv")
+    return pattern
 
-    `read` and `to_yaml` know the units. `contraction` and `sample_rate` apply to recordings only. A `ScenarioError`
-    lists all mistakes of a file, or of the arguments.
+
+def _as_tuple(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
+
+
+class Recipe(DocumentModel):
+    """Options of `read_dataset` and `read_recording`, in SI units; `read` and `to_yaml` know the units.
+
+    A `ScenarioError` lists all mistakes of a file, or of the arguments.
+
+    Attributes
+    ----------
+    columns
+        Header to a quantity with its unit: ``{"Druck [bar]": "pressure_bar"}``; ``"-force_N"`` turns the sign,
+        ``"pressure_kPa_abs"`` is absolute, ``"shortening_mm"`` and ``"lengthening_mm"`` say the direction of a
+        displacement, ``"ignore"`` leaves a column out. Without a header, columns have numbers from 1. A word such as
+        ``{"up": "unloading"}`` gives the meaning of a cell.
+    part
+        Sheet, group or struct to be read, of several.
+    initial_length
+        Length of the deflated muscle [m], for lengths and displacements.
+    displacement, zero_length
+        Direction of positive displacements, "shortening" or "lengthening", and the length [m] at displacement 0;
+        default: `initial_length`.
+    ambient
+        Ambient pressure [Pa], subtracted from absolute pressures.
+    contraction, sample_rate
+        Of a recording: its contraction [-], if no column has it, and the rate of its samples [Hz], if it has no times.
+    slack_force, largest_force
+        Force [N] up to which the muscle counts as slack (default: estimated), and from which on rows are left out.
+    force_sign
+        -1 for a load cell that reads a pull as negative.
+    decimal
+        Decimal sign of a text, "." or ",", if its numbers do not determine it.
+    specimen
+        Name of the specimen.
+    from_name
+        Pattern of the files' names with a quantity in braces: ``"L{length_mm}mm"`` reads the length of L190mm.csv.
+    accept
+        Topics of questions that are answered with yes: `mckibben.dataset.TOPICS` lists them.
 
     Examples
     --------
-    >>> recipe = Recipe(columns={"Weg [mm]": "displacement_mm"}, displacement="shortening", initial_length=0.3)
+    >>> recipe = Recipe(columns={"Weg [mm]": "shortening_mm"}, initial_length=0.3, accept=["words"])
     >>> print(recipe.dumps())
-    columns: {"Weg [mm]": displacement_mm}
+    columns: {"Weg [mm]": shortening_mm}
     initial_length: 300 mm
-    displacement: shortening
+    accept: [words]
     <BLANKLINE>
     """
 
@@ -47,9 +81,11 @@ class Recipe(DocumentModel):
     examples = "docs/files.md"
 
     columns: dict[str, str] | None = None
+    part: str | None = None
     initial_length: Length | None = None
     displacement: Annotated[str, OneOf(("shortening", "lengthening"))] | None = None
     zero_length: Length | None = None
+    ambient: Pressure | None = None
     contraction: Contraction | None = None
     sample_rate: SampleRate | None = None
     slack_force: Force | None = None
@@ -57,7 +93,8 @@ class Recipe(DocumentModel):
     force_sign: Annotated[int, BoundedInt(-1, 1), AfterValidator(_check_sign)] | None = None
     decimal: Annotated[str, OneOf((".", ","))] | None = None
     specimen: str | None = None
-    from_name: str | None = None
+    from_name: Annotated[str, AfterValidator(_check_pattern)] | None = None
+    accept: Annotated[tuple[Annotated[str, OneOf(tuple(TOPICS))], ...], BeforeValidator(_as_tuple)] = ()
 
     @classmethod
     def parse(cls, text: str, *, source: str = "", folder: str | os.PathLike[str] = ".") -> Self:
@@ -66,22 +103,12 @@ class Recipe(DocumentModel):
             return cls()
         return super().parse(text, source=source, folder=folder)
 
-    def dataset(self, path: FilePaths, *, on_corrupt: OnCorrupt = "raise") -> IsobaricDataset:
-        """Read points, see `read_dataset`; warns of `contraction` and `sample_rate`, which have no effect."""
-        if unused := [name for name in _OF_SAMPLES if getattr(self, name) is not None]:
-            text = f"the recipe has settings that apply to recordings only, not to points: {', '.join(unused)}"
-            warnings.warn(text, McKibbenWarning, stacklevel=user_level())
-        return read_dataset(path, on_corrupt=on_corrupt, **self._arguments(*_OF_SAMPLES))
-
-    def recording(self, path: FilePaths, *, on_corrupt: OnCorrupt = "raise") -> Recording:
-        """Read samples over time, see `read_recording`."""
-        return read_recording(path, on_corrupt=on_corrupt, **self._arguments())
-
-    def _arguments(self, *without: str) -> dict[str, Any]:
-        return self.model_dump(exclude_none=True, exclude=set(without))
+    def with_options(self, options: Mapping[str, object]) -> Self:
+        """Recipe with further options, which are checked as its own."""
+        return type(self)(**{**self.model_dump(exclude_defaults=True), **options}) if options else self
 
     def __repr__(self) -> str:
         return f"<Recipe: {', '.join(self.dumps().splitlines())}>"
 
     def _written(self, folder: Any) -> dict[str, Any]:
-        return {key: one for key, one in super()._written(folder).items() if one is not None}
+        return {key: value for key, value in super()._written(folder).items() if value not in (None, [], ())}

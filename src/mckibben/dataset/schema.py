@@ -9,16 +9,13 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.formats import probe
-from mckibben.dataset.netcdf import NUMERIC, write_variables
-from mckibben.dataset.netcdf_check import check_netcdf
-from mckibben.dataset.sheet import unreadable
-from mckibben.errors import DatasetError, FileError, Problem, no_attribute, with_article
+from mckibben.dataset.raw import Budget, check_regular, unreadable
+from mckibben.errors import DatasetError, FileError, Problem
 from mckibben.storage.files import atomic_write, check_seal, sealed
 
 if TYPE_CHECKING:
@@ -229,14 +226,7 @@ def format_range(values: np.ndarray) -> str:
 
 
 def write_netcdf(table: xr.Dataset, path: Path) -> None:
-    """Write a table, samples included, atomically and with a checksum at its end."""
-    if all(values.dtype.kind in NUMERIC for values in table.variables.values()):
-        columns = {
-            str(name): (values.dims, values.to_numpy(), values.attrs) for name, values in table.variables.items()
-        }
-        write_variables(cast(Any, columns), cast(Any, table.attrs), path)
-        return
-    # Texts and times need the conventions of xarray; in memory, as HDF5 crashes on a full disk.
+    """Write a table atomically, with a checksum at its end; encoded in memory, as HDF5 crashes on a full disk."""
     encoding = {str(name): {"_FillValue": None} for name, values in table.variables.items() if values.dtype.kind == "f"}
     content = table.to_netcdf(engine="h5netcdf", encoding=encoding)
     with atomic_write(path, overwrite=True) as sibling:
@@ -244,13 +234,19 @@ def write_netcdf(table: xr.Dataset, path: Path) -> None:
 
 
 def load_netcdf(path: Path, *, lazy: bool = False) -> xr.Dataset:
-    """Read a NetCDF file, or open it (`lazy`); raises a `DatasetError` if it is missing or damaged."""
+    """Read a NetCDF file, or open it (`lazy`).
+
+    Raises
+    ------
+    DatasetError
+        If the file is missing, damaged or changed, refers to other files, or claims more values than it may have.
+    """
     import xarray as xr
 
     try:
-        probe(path)
+        size = check_regular(path)
         check_seal(path)
-        check_netcdf(path)
+        _check_netcdf(path, size)
         if lazy:
             return xr.open_dataset(path, engine="h5netcdf", decode_times=False, cache=False)
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()
@@ -259,7 +255,47 @@ def load_netcdf(path: Path, *, lazy: bool = False) -> xr.Dataset:
     except ImportError:
         raise
     except Exception as error:  # h5py and h5netcdf raise nearly every kind on a damaged file
-        raise unreadable(path, "NetCDF", error, "") from error
+        raise unreadable(path, "NetCDF", error) from error
+
+
+def _check_netcdf(path: Path, size: int) -> None:
+    """Check sizes and links of a file before its values are read."""
+    import h5py
+
+    budget = Budget(path, most=max(2**28, 4 * size))
+    with h5py.File(path, "r") as file:
+        visited: set[object] = set()
+        waiting: list[tuple[str, h5py.Group]] = [("", file)]
+        while waiting:
+            prefix, group = waiting.pop()
+            for key in group:
+                budget.spend()
+                if not isinstance(group.get(key, getlink=True), h5py.HardLink):
+                    raise DatasetError(str(path), [Problem("is a link", field=f"{prefix}/{key}")])
+                node = group[key]
+                if isinstance(node, h5py.Group):
+                    address = h5py.h5o.get_info(node.id).addr
+                    if address in visited:
+                        raise DatasetError(str(path), [Problem("is a group in itself", field=f"{prefix}/{key}")])
+                    visited.add(address)
+                    waiting.append((f"{prefix}/{key}", node))
+                elif isinstance(node, h5py.Dataset) and node.shape is not None:
+                    if node.external or node.is_virtual:
+                        raise DatasetError(str(path), [Problem("refers to other files", field=f"{prefix}/{key}")])
+                    budget.spend(size=node.nbytes)
+
+
+def holds_own_table(path: Path) -> bool:
+    """Whether a file is NetCDF that this program wrote, as its attributes say."""
+    if path.suffix.lower() != ".nc" or not path.is_file():
+        return False
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            return "slack_force" in file.attrs and "force" in file
+    except Exception:  # h5py raises nearly every kind on a damaged file; the reader names the mistake
+        return True
 
 
 Held = TypeVar("Held")
@@ -292,10 +328,6 @@ class FileLines(NamedTuple):
     file: str = ""
 
 
-_MEANT = dict.fromkeys(("fit", "identify"), "mk.identify(mk.ExponentialLaw, data)") | {"save": "to_netcdf(path)"}
-"""Suggestions for unknown attributes of a dataset."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class MeasuredTable:
     """Base of datasets: a table of measured points or samples that fits its schema.
@@ -315,15 +347,6 @@ class MeasuredTable:
 
     table: xr.Dataset
     lines: tuple[FileLines, ...] = ()
-
-    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
-
-        def __getattr__(self, name: str) -> Any:
-            raise no_attribute(self, name, _MEANT)
-
-        def __getitem__(self, key: Any) -> Any:
-            part = f"[{key!r}]" if isinstance(key, str) else f".isel({next(iter(self.table.sizes))}={key!r})"
-            raise TypeError(f"{with_article(type(self).__name__)} has no items, its table has: write data.table{part}")
 
     def __post_init__(self) -> None:
         table, problems = normalize(self.table, self.schema)
@@ -399,13 +422,6 @@ def write_csv(table: xr.Dataset, path: Path) -> None:
 
 OF_FILE = ("repairs", "ignored_columns", "columns_read")
 """Attributes that describe the reading of a file."""
-
-
-def written_by_us(header: Sequence[str], comments: Iterable[str]) -> bool:
-    """True if a file has the header and the comments of `write_csv`, so that it is not preprocessed again."""
-    return {"specimen", "source", "slack_force", "preprocessing"} <= set(comments) and set(header) <= set(
-        CSV_COLUMNS.values()
-    )
 
 
 def quote(text: str) -> str:

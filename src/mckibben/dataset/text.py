@@ -1,496 +1,378 @@
-"""Delimited text files."""
+"""Tables of rows and cells: texts with any declared separator, and sheets of a workbook."""
 
 from __future__ import annotations
 
 import csv
+import io
 import re
-from collections.abc import Callable, Iterator, Sequence
-from itertools import islice
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.dataset.arrangement import labelled, titles
-from mckibben.dataset.columns import SUBTRACT
-from mckibben.dataset.headers import ABSOLUTE, is_unit, named_quantity, parse_header, same_unit
-from mckibben.dataset.sheet import (
-    COMMENTS,
-    MENTIONED,
-    NOT_APPLIED,
-    RawColumn,
-    RawTable,
-    evidence,
-    numeric_bytes,
-    parse_numbers,
-)
+from mckibben.dataset.raw import Budget, Floats, RawColumn, RawTable
+from mckibben.dataset.vocabulary import dimension_of, parse_header
 from mckibben.errors import DatasetError, Problem
 
-_DELIMITERS = (",", ";", "\t", "|")
-_PREAMBLE = 60  # lines searched for a header
-_MOST_COLUMNS = 4096
-_OF_PRESSURE = re.compile(r"press|druck|presi|(?<![a-z])(?:bar|psi|[km]?pa)(?![a-z])", re.IGNORECASE)
-_LONGEST_HEADER = 2**18  # characters of a line searched for a header
-_SHOWN = 80  # characters of a line in a message
-_FIRST = 5  # lines in a message
-_SEEN = 2**14  # texts of cells that are stored once
-_PROBED = 200  # rows in which a cell may determine the decimal sign of a text of numbers
-_JOINED = 20  # lines that a quoted cell may span
-_NUMBER = re.compile(r"\s*[+-]?[.,]?[0-9][0-9.,]*(?:[eE][+-]?[0-9]+)?\s*")
-_LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")
-_ROW_NUMBER = re.compile(r"\s*[0-9]{1,15}\s*")
-_TIME_STAMP = re.compile(r"^[0-9]{2}:[0-9]{2}:[0-9]{2}\.[0-9]{3} -> ", re.MULTILINE)  # of the Arduino IDE
-_QUOTED = re.compile(r"""(?<![^;,\t|\n])(?:'([^'"\n]*)'|="([^"\n]*)"|""\"([^"\n]*)""\")(?=[;,\t|\r\n]|$)""")
-_APOSTROPHE = re.compile(r"(?<![^;,\t|\n])'(?=[-+]?[.,]?[0-9][^';\t|\n]*(?:[;\t|\n]|$))")  # a number as text in Excel
-_WORDS = re.compile(r"[^\W\d_]+|[^\s#:;,.()\[\]]")
-_PLAIN = frozenset("hint note units unit in is are and all values hinweis einheit einheiten und".split())
-_SPACED = re.compile(r"\"[^\"]*\"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+")
-
-_Known = Callable[[str, str], bool]
+_MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe\0\0", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
+_SEPARATORS = ("\t", ";", ",", "|", " ")
+_COMMENT = ("#", "%", "//", "'", "!", "*")
+_SEARCHED = 300  # lines in which a header is looked for
+_SAMPLED = 20_000  # cells of a column that may determine the decimal sign
+_LONGEST = 2**16  # characters of a line
+_STAMP = re.compile(r"(\d\d:\d\d:\d\d\.\d{3}) -> ")
+_SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
+_TYPOGRAPHY = str.maketrans("\u2212\uff0d\uff0e\uff0c" + "".join(map(chr, range(0xFF10, 0xFF1A))), "--.,0123456789")
+_DASH = re.compile(r"(?<![^\s;,|\"])(?:\u2013|([+-])\s+)(?=[0-9.,])")
+NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?")
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:([.,])\d+)?")
+_WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
+_PROCESSED = frozenset(("", "smp", "avg", "ts", "rn", "sample", "mean", "no.", "no"))
+_PLAIN = re.compile(r"[0-9+\-.eE\n]*")
+KEYS = ("specimen", "source", "initial_length", "slack_force", "preprocessing", "repairs")
 
 
-def read_text(text: str, source: str, known: _Known, *, zeros: int = 0, decimal: str = "") -> RawTable:
-    """Columns of a text: header after comments and preamble, an optional row of units, then rows."""
-    if _TIME_STAMP.match(text):
-        text = _TIME_STAMP.sub("", text)
-    if _QUOTED.search(text, 0, _LONGEST_HEADER) or _APOSTROPHE.search(text, 0, _LONGEST_HEADER):
-        text = _QUOTED.sub(r'"\1\2\3"', _APOSTROPHE.sub("", text))
-    comments: dict[str, tuple[int, str]] = {}
-    number = 0
-    if table := labelled(text):
-        text, number = table, -1
-    stream = _Lines(text)
-    named = ""  # the last comment, which is the header of a table of numbers, as numpy.savetxt writes it
-    for line in stream:
-        number += 1
-        stripped = line.strip()
-        if stripped and not stripped.startswith(("#", "%")):
-            break
-        named = stripped.lstrip("#% ") or named
-        key, colon, value = stripped.lstrip("#%").partition(":")
-        if colon and (name := key.strip().lower().replace(" ", "_")) in COMMENTS:
-            comments[name] = (number, value.strip())
-    else:
-        raise DatasetError(source, [Problem("is empty" if not number else "has no header and no rows")])
+class Layout(NamedTuple):
+    """Place of the header, and how its cells are separated."""
 
-    if len(line) > _LONGEST_HEADER:
-        raise DatasetError(source, [_too_wide(f"{len(line)} characters", number)])
-    lines, number = _header(line, stream, number, known)
-    lines += islice(stream, max(0, 2 - len(lines)))
-    if positions := _positions(lines[0]):
-        if len(named) <= _LONGEST_HEADER and sum(known(one, "") for one in _split(named, _delimiter(named, known))) > 1:
-            positions = ""
-        lines, number = [positions or f"{named}\n", *lines], number - 1
-    delimiter = _delimiter(lines[0], known)
-    if (others := _delimiter_of_rows(lines, delimiter)) != delimiter:
-        lines[0], delimiter = f"{others.join(_split(lines[0], delimiter))}\n", others
-    if (count := len(_split(lines[0], delimiter))) > _MOST_COLUMNS:
-        raise DatasetError(source, [_too_wide(f"{count} columns", number)])
-    sheet = RawTable(header_line=number or None, comments=comments, delimiter=delimiter, has_header=not positions)
-    if (numbers := _numbers(lines, stream, number, sheet, decimal, known)) is None:
-        used = _cells(lines, stream, number, sheet, known)
-    else:
-        sheet.channels, used = numbers, set[int]()
-    used |= {at for at, _ in comments.values()}
-    mentioned: list[str] = []
-    for at, line in enumerate(islice(_Lines(text), max(0, number - 1)), 1):
-        if ABSOLUTE.search(line) and _OF_PRESSURE.search(line):
-            words = repr(line.strip()[:_SHOWN])
-            sheet.suspect.append(f"line {at} says {words}: pressures are read as gauge pressures; {SUBTRACT}")
-        elif NOT_APPLIED.search(line) and at not in used:
-            sheet.suspect.append(f"line {at} says {line.strip()[:_SHOWN]!r}, which is not applied to the numbers")
-        elif MENTIONED.search(line) and at not in used and not _repeats_units(line, sheet):
-            mentioned.append(f"{at} says {line.strip()[:_SHOWN]!r}")
-    if mentioned:  # such as a load cell: in one warning, as most are harmless
-        more = f" and {len(mentioned) - _FIRST} more lines" if len(mentioned) > _FIRST else ""
-        shown = ", line ".join(mentioned[:_FIRST])
-        sheet.suspect.append(f"line {shown}{more}: not applied to the numbers")
-    sheet.suspect += split_numbers(sheet, known)
-    check_last_line(text, text.count("\n") + 1, zeros, sheet)
-    if not any(len(channel.cells) for channel in sheet.channels) and not sheet.problems and not sheet.corrupt:
-        raise DatasetError(source, [Problem("has a header and no rows", line=sheet.header_line)])
-    return sheet
+    row: int
+    separator: str
+    header: list[str]
+    score: float
 
 
-def _repeats_units(line: str, sheet: RawTable) -> bool:
-    """True for a line of quantities and units of the columns alone, such as: Hint: force in N, pressure in bar."""
-    columns = [parse_header(each.label, each.unit) for each in sheet.channels]
-    units = {column.unit for column in columns if column}
-    words = [word for word in _WORDS.findall(line[:_SHOWN]) if word.lower() not in _PLAIN]
-    stated = [word for word in words if not MENTIONED.fullmatch(word)]
-    agree = all(any(same_unit(word, unit, "pressure") for unit in units) for word in stated)
-    return len(line) <= _SHOWN and bool(stated) and agree
-
-
-class _Lines:
-    """Iterator of the lines of a text with their ends; `at` is the position of the next one."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-        self.at = 0
-
-    def __iter__(self) -> Iterator[str]:
-        return self
-
-    def __next__(self) -> str:
-        if (match := _LINE.match(self.text, self.at)) is None:
-            raise StopIteration
-        self.at = match.end()
-        return match[0]
-
-
-def _positions(line: str) -> str:
-    """Column positions, from 1, as the header for a line of numbers; else empty."""
-    for delimiter in (";", "\t", ",", " "):
-        cells = _split(line, delimiter)
-        if len(cells) > 1 and all(map(_NUMBER.fullmatch, cells)):
-            return f"{delimiter.join(map(str, range(1, len(cells) + 1)))}\n"
-    return ""
-
-
-def _too_wide(size: str, line: int) -> Problem:
-    remedy = f"give a file of at most {_MOST_COLUMNS} columns, with a header of at most {_LONGEST_HEADER} characters"
-    return Problem(f"the header has {size}", line=line, remedy=remedy)
-
-
-def _header(line: str, stream: _Lines, number: int, known: _Known) -> tuple[list[str], int]:
-    """Lines read from the stream, from the header on, and the line number of the header."""
-    if _score(line, _delimiter(line, known), known)[0]:
-        return [line], number
-    lines = [line, *islice(stream, _PREAMBLE)]
-    unitless = 0  # line of two quantities without units
-    for index, candidate in enumerate(lines):
-        if len(candidate) > _LONGEST_HEADER:
-            break
-        delimiter = _delimiter(candidate, known)
-        cells = _split(candidate, delimiter)
-        if index and _score(candidate, delimiter, known)[0] + sum(map(_known_word(lines, index, known), cells)) >= 2:
-            return lines[index:], number + index
-        if index and _is_units(above := _split(lines[index - 1], delimiter)) and sum(map(known, cells, above)) >= 2:
-            return [candidate, lines[index - 1], *lines[index + 1 :]], number + index - 1  # units over the names
-        numbered = not index and cells == [str(at) for at in range(1, len(cells) + 1)]  # columns, above their names
-        if not numbered and max(3, len(cells) / 2) <= sum(bool(_NUMBER.fullmatch(cell)) for cell in cells):
-            alike = [len(_split(line, delimiter)) == len(cells) for line in lines[:index]]
-            unitless = unitless or next((at for at in range(index) if all(alike[at:])), 0)
-            break  # a row: the header is among the lines above it that are as wide
-        unitless = unitless or (index if sum(bool(named_quantity(cell)) for cell in cells) >= 2 else 0)
-    return lines[unitless:], number + unitless
-
-
-def _known_word(lines: Sequence[str], index: int, known: _Known) -> Callable[[str], bool]:
-    """Predicate: a cell is a known name with the unit under it."""
-    below = lines[index + 1] if index + 1 < len(lines) else ""
-    delimiter = _delimiter(lines[index], known)
-    under = dict(zip(_split(lines[index], delimiter), _split(below, delimiter), strict=False))
-    return lambda cell: not known(cell, "") and known(cell, under.get(cell, ""))
-
-
-def _delimiter(header: str, known: _Known) -> str:
-    best = max(_DELIMITERS, key=lambda delimiter: _score(header, delimiter, known))
-    words = _score(header, " ", known)
-    return best if _score(header, best, known)[1] > 1 or words[1] < 2 else " "
-
-
-def _delimiter_of_rows(lines: Sequence[str], delimiter: str) -> str:
-    """Delimiter of a row of numbers as long as the header, where it is not that of the header."""
-    names, row = _split(lines[0], delimiter), "".join(lines[1:2])
-
-    def fits(one: str) -> bool:
-        cells = _split(row, one)
-        return len(cells) == len(names) > 1 and all(map(_NUMBER.fullmatch, cells))
-
-    others = (one for one in _DELIMITERS if one not in lines[0] and fits(one))
-    return delimiter if fits(delimiter) else next(others, delimiter)
-
-
-def _score(header: str, delimiter: str, known: _Known) -> tuple[int, int]:
-    cells = _split(header, delimiter)
-    return sum(known(cell, "") for cell in cells), len(cells)
-
-
-def _split(line: str, delimiter: str) -> list[str]:
-    """Cells of a line, stripped; none if it cannot be parsed."""
+def decode(data: bytes, path: Path) -> str:
+    """Text by its byte order mark, else UTF-16 by its zeros, else UTF-8, else Windows-1252."""
+    encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "")
+    if not encoding:
+        data = data if b"\0" in data[:2] else data.rstrip(b"\0")
+        probe = data[:4096]
+        if len(probe) > 1 and probe[1::2].count(0) > 0.9 * len(probe[1::2]):
+            encoding = "utf-16-le"
+        elif probe.count(0) > 0.01 * len(probe):
+            raise DatasetError(str(path), [Problem("is a binary file", remedy="give text, .xlsx, .h5, .mat or .tdms")])
     try:
-        return [cell.strip() for cell in _parsed([line], delimiter)[0]]
-    except csv.Error:
-        return []
+        return data.decode(encoding or "utf-8")
+    except UnicodeDecodeError as error:
+        if encoding:
+            raise DatasetError(str(path), [Problem(f"is not {encoding}: {error}", remedy="save it as UTF-8")]) from None
+        return data.decode("cp1252", "replace")
 
 
-def _parsed(lines: Sequence[str], delimiter: str) -> tuple[list[str], int]:
-    """Cells of the row that begins at the first line, and its number of lines."""
-    if delimiter == " ":
-        return [word.strip('"') for word in _SPACED.findall(lines[0])], 1
-    if '"' not in lines[0]:
-        return lines[0].rstrip("\r\n").split(delimiter), 1
-    reader = csv.reader(lines, delimiter=delimiter)
-    return next(reader, []), reader.line_num
-
-
-def _numbers(
-    lines: list[str], stream: _Lines, first: int, sheet: RawTable, decimal: str, known: _Known
-) -> list[RawColumn] | None:
-    """Columns of a purely numeric file, read by NumPy; None for any other file."""
-    header, under = _split(lines[0], sheet.delimiter), _split("".join(lines[1:2]), sheet.delimiter)
-    skipped = 1 + _is_units(under)
-    body = "".join(lines[skipped:]) + stream.text[stream.at :]
-    probed = [_split(line, sheet.delimiter) for line in islice(_Lines(body), _PROBED)]
-    sign = "," if "," in body and sheet.delimiter != "," else "."
-    if '"' in lines[0] or not body.isascii() or body.encode().translate(None, numeric_bytes(sheet.delimiter, sign)):
-        return None
-    if sign in body and sheet.delimiter != "," and not decimal and not _decided(header, under, probed, known):
-        return None  # 1.234 may be 1234
-    if decimal not in ("", sign) and sign in body:
-        return None
-    raw = body.encode()
-    del body  # of a large text
-    try:
-        numbers = parse_numbers(raw, sheet.delimiter, sign, len(header))
-    except ValueError:  # an empty cell, or rows of unequal length: parsed one by one
-        return None
-    count = len(numbers)
-    units = under if skipped > 1 else [""] * len(header)
-    rows = range(first + skipped, first + skipped + count)
-    columns = np.ascontiguousarray(numbers.T)
-    return [
-        RawColumn(name, column, rows, unit=unit) for name, column, unit in zip(header, columns, units, strict=False)
-    ]
-
-
-def _decided(header: Sequence[str], units: Sequence[str], rows: Sequence[Sequence[str]], known: _Known) -> bool:
-    """True if a cell of a known column in these rows determines the decimal sign; of any column if none is known."""
-    spelled = [*units, *[""] * len(header)]
-    read = [at for at, name in enumerate(header) if known(name, spelled[at])] or range(len(header))
-    return any(evidence(row[at]) in (".", ",") for row in rows for at in read if at < len(row))
-
-
-class _Row(NamedTuple):
-    """Row with its first line."""
-
-    cells: list[str]
-    line: int
-
-
-def _cells(lines: list[str], stream: _Lines, first: int, sheet: RawTable, known: _Known) -> set[int]:
-    """Columns of any other file, and its corrupt rows; returns the lines of titles above blocks."""
-    lines = [*lines, *_LINE.findall(stream.text, stream.at)]
-    rows, comments = [], []
-    for row in _rows(lines, first, sheet):
-        if len(rows) == 1 and all(map(_RULER.fullmatch, map(str.strip, row.cells))):
-            continue  # under the names, as in Markdown
-        (comments if _COMMENT.match(row.cells[0].lstrip()) else rows).append(row)
-    if not rows:
-        return set()
-    header = [cell.strip() for cell in rows[0].cells]
-    sheet.header_line = rows[0].line or None
-    skipped = 1 + (len(rows) > 1 and _is_units(rows[1].cells))
-    if skipped > 1 and len(rows) > 2 and _has_no_number(rows[2]):  # the comments of Origin, under names and units
-        sheet.suspect.append(f"line {rows[2].line} has no number; it is left out")
-        del rows[2]
-    while len(rows) > skipped and _is_remark(rows[-1], len(header)):
-        sheet.suspect.append(f"line {rows[-1].line}, after the last row, has no number; it is left out")
-        del rows[-1]
-    units = [cell.strip() for cell in rows[1].cells] if skipped > 1 else []
-    repeated = [header, units] if units else [header]
-    above = [_Row([line.strip()], at) for at, line in enumerate(islice(_Lines(stream.text), max(0, first - 1)), 1)]
-    preamble = {row.cells[0] for row in above}
-    headed = titles(above, rows[skipped:], known) if len(header) > 1 else {}
-    lonely = [row for row in rows[skipped:] if len(row.cells) == 1 < len(header)]
-    words = [] if headed else [row for row in lonely if _WORD.match(row.cells[0].lstrip())]
-    sheet.suspect += _remarks(sorted([*comments, *words], key=lambda row: row.line), rows[1:], sheet.delimiter)
-    left_out = {row.line for row in words} | {*headed}
-    rows = [
-        row
-        for row in rows[skipped:]
-        if row.line not in left_out
-        if row.cells[0].strip() not in {one[0] for one in repeated}
-        or [cell.strip() for cell in row.cells] not in repeated
-    ]
-    rows = [row for row in rows if not preamble or sheet.delimiter.join(row.cells).strip() not in preamble]
-    others = {row.line for row in rows if _is_other_header(row, known)}
-    for line in sorted(others):
-        remedy = "split the file there, and read the parts one by one"
-        sheet.problems.append(Problem("is another header or row of units", line=line, remedy=remedy))
-    rows = [row for row in rows if row.line not in others] if others else rows
-    if rows and all(len(row.cells) == len(header) + 1 and _ROW_NUMBER.fullmatch(row.cells[0]) for row in rows):
-        index = [int(row.cells[0]) for row in rows]
-        counts = np.array_equal(np.diff(index), np.ones(len(rows) - 1)) and index[0] in (0, 1) and len(rows) > 1
-        quoted = all(lines[row.line - first].lstrip().startswith('"') for row in rows)
-        if counts and (sheet.delimiter not in ", " or quoted or not _may_be_split(rows, sheet.delimiter)):
-            header = ["", *header]  # row numbers, which some programs write without a name
-    del lines  # of a large text
-    good: list[_Row] = []
-    filled = sheet.delimiter != "," or known(header[-1], units[-1] if len(units) == len(header) else "")
-    names = zip(header, [*units, *[""] * len(header)], strict=False)
-    note_last = [known(name, unit) for name, unit in names] == [True] * (len(header) - 1) + [False]
-    for row in rows:
-        if len(row.cells) > len(header) and (filled or not _may_be_split([row], ",")):
-            while len(row.cells) > len(header) and not row.cells[-1].strip():
-                row.cells.pop()
-        found, expected = len(row.cells), len(header)
-        if note_last and found > expected and not _may_be_split([row], sheet.delimiter):
-            row.cells[expected - 1 :] = [sheet.delimiter.join(row.cells[expected - 1 :])]  # a note with delimiters
-            found = expected
-        if found == expected:
-            good.append(row)
+def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
+    """Columns of a text: words, a header, at most three rows of units, then one line per row."""
+    budget = Budget(path)
+    text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\ufeff", "").translate(_TYPOGRAPHY)
+    text = _DASH.sub(lambda match: match[1] or "-", text)
+    lines = text.split("\n")
+    budget.spend(rows=len(lines))
+    if max(map(len, lines)) > _LONGEST:
+        raise DatasetError(str(path), [Problem(f"has a line of more than {_LONGEST} characters", remedy="save rows")])
+    stamps = [match[1] if (match := _STAMP.match(line)) else "" for line in lines[:_SEARCHED]]
+    stamped = sum(map(bool, stamps)) > len([line for line in lines[:_SEARCHED] if line.strip()]) / 2
+    lines = [_STAMP.sub(r"", line, count=1) for line in lines] if stamped else lines
+    layout = _find_layout(lines, mapping)
+    table = RawTable(place="line")
+    if layout is None:
+        raise DatasetError(str(path), [_no_header(lines)])
+    header, first = [*layout.header], layout.row + 1
+    _take_words(table, enumerate(lines[: layout.row], 1), path)
+    for row in range(first, min(first + 4, len(lines))):
+        cells = _split(lines[row], layout.separator)
+        if not lines[row].strip():
             continue
-        decimals = found > expected and sheet.delimiter == ","
-        remedy = "decimal commas need semicolons between the columns" if decimals else ""
-        message = f"has {found} cell{'s' if found != 1 else ''}, the header {expected}"
-        sheet.corrupt.append(Problem(message, line=row.line, remedy=remedy))
-    sheet.corrupt.sort(key=lambda problem: problem.line or 0)
-    columns = list(zip(*(row.cells for row in good), strict=True)) or [()] * len(header)
-    numbers = [row.line for row in good]
-    units += [""] * (len(header) - len(units))
-    sheet.channels = [
-        RawColumn(name, cells, numbers, unit=unit) for name, cells, unit in zip(header, columns, units, strict=False)
-    ]
-    if headed:
-        starts = sorted(headed)
-        values = [headed[starts[at]].value for at in np.searchsorted(starts, numbers) - 1]
-        name, unit, _ = headed[starts[0]]
-        sheet.channels.append(RawColumn(name, values, numbers, unit=unit))
-    return {*headed}
+        if not (units := _units_row(cells, len(header))):
+            break
+        header = [f"{name} [{unit}]" if unit else name for name, unit in zip(header, units, strict=True)]
+        first = row + 1
+    rows = _body(table, lines, first, layout, len(header))
+    if not rows:
+        raise DatasetError(str(path), [Problem("has a header, and no rows of numbers", line=layout.row + 1)])
+    rows, header = _aligned(table, rows, header, lines, layout.separator)
+    if not rows:
+        raise DatasetError(str(path), table.corrupt)
+    budget.spend(rows=len(rows), columns=len(header), size=8 * len(rows) * len(header))
+    table.lines = [number for number, _ in rows]
+    names = _distinct(header, layout.header)
+    _parse_cells(table, [line for _, line in rows], names, layout.separator, decimal)
+    if not text.endswith("\n") and _is_cut(
+        _split(rows[-1][1], layout.separator), [_split(line, layout.separator) for _, line in rows[-50:-1]]
+    ):
+        table.corrupt.append(
+            Problem("its last number has fewer digits than all others: was the file truncated?", line=rows[-1][0])
+        )
+    if stamped:
+        original = text.split("\n")
+        found = [_STAMP.match(original[number - 1]) for number in table.lines]
+        table.columns.append(RawColumn("time stamp", [match[1] if match else "" for match in found]))
+    return table
 
 
-def _is_other_header(row: _Row, known: _Known) -> bool:
-    """True for a row that changes names or units in the middle of a file."""
-    if not _has_no_number(row):
-        return False
-    cells = [cell.strip() for cell in row.cells]
-    return sum(known(cell, "") for cell in cells) > 1 or (
-        _is_units(cells) and any(is_unit(cell) and cell != "-" for cell in cells)
+def _is_cut(last: Sequence[str], others: Sequence[Sequence[str]]) -> bool:
+    """Whether the last cell of a file has fewer decimals than all others of its column, which have the same number."""
+    decimals = {
+        len(re.split("[.,]", cells[-1])[-1]) if re.search("[.,]", cells[-1]) else 0 for cells in others if cells
+    }
+    own = len(re.split("[.,]", last[-1])[-1]) if re.search("[.,]", last[-1]) else 0
+    return len(others) > 3 and len(decimals) == 1 and own < decimals.pop()
+
+
+def _split(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return [cell.strip('"') for cell in _SPACED.findall(line)]
+    if '"' in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    return [cell.strip() for cell in line.split(separator)]
+
+
+def score_of(cells: Sequence[str], mapping: Mapping[str, str]) -> float:
+    """Sum over the cells of a row of 1 for a header that is understood, and 1/2 for a name without a unit."""
+    total, quantities = 0.0, set()
+    for cell in cells[:200]:
+        header = parse_header(cell) if cell else None
+        if cell in mapping:
+            total += 1
+        elif header and header.quantity:
+            total += 1 if header.unit and header.quantity not in quantities else 0.5
+            quantities.add(header.quantity)
+    return total if len(quantities) > 1 or total > 1 else 0.0
+
+
+def _find_layout(lines: Sequence[str], mapping: Mapping[str, str]) -> Layout | None:
+    """Layout by the row with most headers that are understood; by positions where the mapping has numbers."""
+    best: Layout | None = None
+    if mapping and all(key.isdigit() for key in mapping):
+        for row, line in enumerate(lines[:_SEARCHED]):
+            for separator in _SEPARATORS:
+                cells = _split(line, separator)
+                if len(cells) >= max(map(int, mapping)) and all(NUMBER.fullmatch(cell) for cell in cells if cell):
+                    return Layout(row - 1, separator, [str(at + 1) for at in range(len(cells))], 1.0)
+    for row, line in enumerate(lines[:_SEARCHED]):
+        bare = line.lstrip("#%/ \t") if line.lstrip().startswith(_COMMENT[:3]) else line
+        for separator in _SEPARATORS:
+            cells = _split(bare, separator) if separator in bare.strip() or separator == " " else []
+            if separator == " " and "  " in bare.strip():
+                wide = [cell.strip() for cell in re.split(r"\s{2,}", bare.strip())]
+                cells = wide if score_of(wide, mapping) >= score_of(cells, mapping) else cells
+            if any(NUMBER.fullmatch(cell) for cell in cells) or len(cells) < 2:
+                continue
+            cells = _named_channels(cells, lines[:row], separator)
+            score = score_of(cells, mapping)
+            if bare is not line and score and not _precedes_rows(lines, row, separator, len(cells)):
+                continue
+            if score > (best.score if best else 0.5):
+                best = Layout(row, separator, cells, score)
+    return best
+
+
+def _precedes_rows(lines: Sequence[str], row: int, separator: str, count: int) -> bool:
+    following = next((line for line in lines[row + 1 :] if line.strip()), "")
+    cells = following.split() if separator == " " else _split(following, separator)
+    return len(cells) == count and any(NUMBER.fullmatch(cell) for cell in cells)
+
+
+def _no_header(lines: Sequence[str]) -> Problem:
+    shown = next((line.strip() for line in lines if line.strip()), "")
+    if not shown:
+        return Problem("is empty", remedy="give a file with a header and rows")
+    remedy = (
+        "name its columns by header or, without one, by position: columns={'HEADER': 'force_N', '2': 'pressure_bar'} "
+        "(command line: --column 'HEADER=force_N' --column '2=pressure_bar')"
     )
+    return Problem(f"has no header that is understood; it begins with {shown[:80]!r}", remedy=remedy)
 
 
-_RULER = re.compile(r":?[-=+]{2,}:?|")
-_WORD = re.compile(r"[A-Za-z]{3}")
-_COMMENT = re.compile(r"#(?!N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
+def _units_row(cells: Sequence[str], count: int) -> list[str]:
+    """Units in a row below the header; empty texts for a row of words that say nothing; [] for any other row."""
+    if len(cells) > count or not cells:
+        return []
+    bare = [cell.strip("[]() \"'") for cell in cells] + [""] * (count - len(cells))
+    if any(NUMBER.fullmatch(cell) for cell in bare if cell != "1"):
+        return []
+    units = [cell if dimension_of(cell) or cell in ("-", "1") else "" for cell in bare]
+    if any(unit not in ("", "-", "1") for unit in units):
+        return units
+    return [""] * count if all(cell.lower() in _PROCESSED for cell in bare) and any(bare) else []
 
 
-def _remarks(comments: Sequence[_Row], rows: Sequence[_Row], delimiter: str) -> Iterator[str]:
-    """Warnings of comments that look like rows, and of others among the rows; an error of Excel is not a comment."""
-    among = []
-    for row in comments:
-        rest = [row.cells[0].lstrip(" #"), *row.cells[1:]]
-        if len(rest) > 1 and all(map(_NUMBER.fullmatch, rest)):
-            yield f"line {row.line} is a comment and looks like a row; it is left out"
-        elif rows and rows[0].line < row.line < rows[-1].line and any(map(str.strip, rest)):
-            among.append(row)
-    for row in comments:
-        words = delimiter.join(row.cells).strip()[:_SHOWN]
-        if rows and row.line > rows[-1].line and (MENTIONED.search(words) or NOT_APPLIED.search(words)):
-            yield f"line {row.line} says {words!r}, which is not applied to the numbers"
-    if among:
-        words = repr(delimiter.join(among[0].cells).strip()[:_SHOWN])
-        yield f"line {among[0].line} is a comment among the rows, the first of {len(among)}, and not applied: {words}"
+def _named_channels(cells: Sequence[str], preamble: Sequence[str], separator: str) -> list[str]:
+    """Header with the names that a block above the table gives to its channels (CH1, Force)."""
+    if not any(re.fullmatch(r"CH ?\d+", cell) for cell in cells):
+        return [*cells]
+    rows = [_split(line, separator) for line in preamble]
+    named = {row[0]: row[1] for row in rows if len(row) > 2 and parse_header(row[1]).quantity}
+    return [named.get(cell, cell) for cell in cells]
 
 
-def _is_remark(row: _Row, columns: int) -> bool:
-    """True for a row without a number that has another count of cells, or words in the first one alone."""
-    alone = columns > 1 and not any(map(str.strip, row.cells[1:]))
-    return _has_no_number(row) and (len(row.cells) != columns or alone) and not _positions(" ".join(row.cells))
+def _take_words(table: RawTable, lines: Iterator[tuple[int, str]] | Sequence[tuple[int, str]], path: Path) -> None:
+    """Keep the words beside the table; keys that this program writes are comments."""
+    for number, line in lines:
+        bare = line.strip().lstrip("#%").strip()
+        key, colon, value = bare.partition(":")
+        if line.lstrip().startswith("#") and colon and key.strip() in KEYS:
+            table.comments[key.strip()] = value.strip()
+        elif bare:
+            table.words.append((number, bare))
 
 
-def _has_no_number(row: _Row) -> bool:
-    return not any(map(_NUMBER.fullmatch, row.cells))
+def _body(table: RawTable, lines: Sequence[str], first: int, layout: Layout, count: int) -> list[tuple[int, str]]:
+    """Rows with their line numbers; comments and lines of words are kept as words."""
+    rows, words = [], []
+    repeated = layout.header
+    for number, line in enumerate(lines[first:], first + 1):
+        if not line.strip(" \t;,|\0"):
+            continue
+        if line.lstrip().startswith(_COMMENT) and not NUMBER.fullmatch(line.lstrip()[:1]):
+            words.append((number, line))
+        elif any(character.isdigit() for character in line) and (
+            line[0].isdigit() or any(NUMBER.fullmatch(cell) for cell in _split(line, layout.separator))
+        ):
+            rows.append((number, line))
+        elif _split(line, layout.separator) != repeated and not _units_row(_split(line, layout.separator), count):
+            (rows if len(_split(line, layout.separator)) == count > 1 else words).append((number, line))
+    _take_words(table, words, Path())
+    return rows
 
 
-def _may_be_split(rows: Sequence[_Row], delimiter: str) -> bool:
-    """True if two neighbouring cells of some row can be one number, as 1,5 or 1,234 or 1 234.
+def _aligned(
+    table: RawTable, rows: list[tuple[int, str]], header: list[str], lines: Sequence[str], separator: str
+) -> tuple[list[tuple[int, str]], list[str]]:
+    """Rows with as many cells as the header; a column of row numbers without a name gets one; others are corrupt."""
+    if separator == " ":
+        counts = np.array([len(line.split()) for _, line in rows])
+    else:
+        counts = np.array(
+            [len(_split(line, separator)) if '"' in line else line.count(separator) + 1 for _, line in rows]
+        )
+    width = len(header)
+    if counts.min() > width:
+        ends = [_split(line, separator) for _, line in rows[:1000]]
+        if all(not any(cells[width:]) for cells in ends):
+            rows = [(number, separator.join(_split(line, separator)[:width])) for number, line in rows]
+            counts[:] = width
+        elif (counts == width + 1).all() and [cells[0] for cells in ends] in (
+            [str(at) for at in range(1, len(ends) + 1)],
+            [str(at) for at in range(len(ends))],
+        ):
+            if separator != "," or any("." in line for _, line in rows):
+                header, width = ["row number", *header], width + 1
+    for at in np.flatnonzero(counts != width):
+        number, line = rows[at]
+        text = f"has {counts[at]} cell{'s' if counts[at] != 1 else ''}, the header {width}"
+        if number == len(lines):
+            text += ", and no line end: the file was truncated here"
+        table.corrupt.append(Problem(text, line=number))
+    return [row for row, count in zip(rows, counts, strict=True) if count == width], header
 
-    For several rows, only their first two cells are compared, and one row in which these are two numbers decides.
-    """
-    rest = re.compile(r"[0-9]{3}(?:[.][0-9]*)?" if delimiter == " " else r"[0-9]+|[0-9]{3}[.][0-9]*")
-    pairs = [
-        pair
-        for row in rows
-        for pair in list(zip(row.cells, row.cells[1:], strict=False))[: 1 if len(rows) > 1 else None]
-    ]
-    found = [bool(re.fullmatch(r"[+-]?[0-9]+", a.strip()) and rest.fullmatch(b.strip())) for a, b in pairs]
-    return all(found) if len(rows) > 1 else any(found)
+
+def _distinct(header: Sequence[str], original: Sequence[str]) -> list[RawColumn]:
+    """Columns without cells: names as in the file, labels with their units; a repeated name is numbered."""
+    offset = len(header) - len(original)
+    columns: list[RawColumn] = []
+    for at, label in enumerate(header):
+        name = original[at - offset] if at >= offset else label
+        repeats = sum(column.name.partition(" (")[0] == name for column in columns) if name else 0
+        unit = label[len(name) :].strip(" []") if label.startswith(name) else ""
+        columns.append(
+            RawColumn(
+                f"{name} ({at + 1})" if repeats else name or f"column {at + 1}",
+                (),
+                label=name if unit else label,
+                unit=unit,
+            )
+        )
+    return columns
 
 
-def split_numbers(sheet: RawTable, known: _Known) -> Iterator[str]:
-    """Warnings of thousands that the delimiter may have split: whole numbers up to 99, then three digits, not read."""
-    if sheet.delimiter not in ", ":
+def _parse_cells(table: RawTable, rows: Sequence[str], columns: list[RawColumn], separator: str, decimal: str) -> None:
+    """Add the cells of all columns, as numbers where all are."""
+    import pandas as pd
+
+    if not rows:
         return
-    for one, after in zip(sheet.channels, sheet.channels[1:], strict=False):
-        if known(one.name, one.unit) and not known(after.name, after.unit):
-            pairs: Any = (one.cells, after.cells)
-            if not all(isinstance(cells, np.ndarray) for cells in pairs):
-                pairs = [(a, b) for a, b in zip(*pairs, strict=True) if str(b).strip()]
-                try:
-                    pairs = np.array(pairs, np.float64).reshape(-1, 2).T
-                except ValueError:
-                    continue
-            a, b = pairs
-            if len(a) and np.all((a % 1 == 0) & (a >= 1) & (a <= 99) & (b % 1 == 0) & (b >= 0) & (b <= 999)):
-                found = f"{a[0]:.0f}{b[0]:03.0f}"
-                yield f"{one.name!r} and {after.name!r} may be one number, {found}, split by the delimiter"
+    read = pd.read_csv(
+        io.StringIO("\n".join(rows)),
+        sep=r"\s+" if separator == " " else separator,
+        header=None,
+        index_col=False,
+        names=range(len(columns)),
+        dtype=str,
+        na_filter=False,
+        skipinitialspace=True,
+        quoting=csv.QUOTE_MINIMAL if all(row.count('"') % 2 == 0 for row in rows) else csv.QUOTE_NONE,
+        engine="c",
+    )
+    texts = [[cell.strip() for cell in read[at].tolist()] for at in range(len(columns))]
+    bare = [_common_unit(cells) for cells in texts]
+    measured = [
+        cells
+        for column, (_, cells) in zip(columns, bare, strict=True)
+        if parse_header(column.label, column.unit).quantity != "time"
+    ]
+    table.decimal, table.ambiguous = (decimal, "") if decimal else decimal_sign(measured, separator)
+    for column, (unit, cells) in zip(columns, bare, strict=True):
+        numbers = to_numbers(cells, table.decimal, certain=bool(decimal))
+        table.columns.append(
+            replace(column, cells=cells if np.isnan(numbers).any() else numbers, unit=column.unit or unit)
+        )
 
 
-def _rows(lines: list[str], first: int, sheet: RawTable) -> Iterator[_Row]:
-    """Non-blank rows; lines with an unclosed quotation mark are corrupt, the lines after them are not."""
-    at = width = 0
-    seen: dict[str, str] = {}  # each text once, as many rows repeat those of others
-    while at < len(lines):
-        try:
-            if sheet.delimiter == " " or '"' in lines[at]:
-                cells, count = _parsed(lines[at : at + _JOINED], sheet.delimiter)
+def _common_unit(cells: Sequence[str]) -> tuple[str, Sequence[str]]:
+    """The unit that stands behind each number of a column, and the numbers alone."""
+    first = _WITH_UNIT.fullmatch(cells[0]) if cells else None
+    if first is None or not dimension_of(first[2]):
+        return "", cells
+    matches = [_WITH_UNIT.fullmatch(cell) for cell in cells]
+    if any(match is None or match[2] != first[2] for match in matches):
+        return "", cells
+    return first[2], [match[1] for match in matches if match]
+
+
+def decimal_sign(columns: Sequence[Sequence[str]], separator: str) -> tuple[str, str]:
+    """Decimal sign of the numbers of a text, and a number that may be read with either sign, if no other settles it."""
+    settled, ambiguous = set(), ""
+    for cells in columns:
+        for cell in cells if len(cells) <= _SAMPLED else cells[:: len(cells) // _SAMPLED]:
+            signs = [character for character in cell if character in ".,"]
+            if not signs or not (NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell)):
+                continue
+            whole, _, rest = cell.lstrip("+-").partition(signs[0])
+            if len(set(signs)) == 2:
+                settled.add(signs[-1])
+            elif len(signs) > 1:
+                settled.add("," if signs[0] == "." else ".")
+            elif not re.fullmatch(r"[1-9]\d{0,2}", whole) or not re.fullmatch(r"\d{3}", rest):
+                settled.add(signs[0])
             else:
-                cells, count = lines[at].rstrip("\r\n").split(sheet.delimiter), 1
-            blank = not (cells and ((cells[0] and not cells[0].isspace()) or "".join(cells).strip()))
-            swallows = count > 1 and width and (len(cells) != width or _inner(lines, at, count, sheet) >= width - 1)
-            if swallows or (blank and lines[at].count('"') % 2):
-                raise csv.Error("a quotation mark is not closed")
-        except csv.Error as error:
-            count = 1
-            sheet.corrupt.append(Problem(f"cannot be read: {error}", line=first + at))
-        else:
-            if not blank:
-                width = width or len(cells)
-                same = seen.setdefault if len(seen) < _SEEN else seen.get
-                yield _Row([same(cell, cell) for cell in cells], first + at)
-        at += count
+                ambiguous = ambiguous or cell
+    if separator == "," and not settled:
+        return ".", ambiguous if "," in ambiguous else ""
+    if len(settled) == 1:
+        (sign,) = settled
+        return sign, ambiguous if ambiguous and sign not in ambiguous else ""
+    return ".", (ambiguous or "numbers with decimal points and with commas") if settled or ambiguous else ""
 
 
-def _inner(lines: list[str], at: int, count: int, sheet: RawTable) -> int:
-    """Largest number of delimiters in the lines after the first of a row."""
-    return max(line.count(sheet.delimiter) for line in lines[at + 1 : at + count])
-
-
-def _is_units(row: Sequence[str]) -> bool:
-    """True if a row has units instead of numbers."""
-    cells = [cell.strip() for cell in row if cell.strip()]
-    found = sum(map(is_unit, cells))
-    return 2 * found >= len(cells) > 0 < found and not any(_NUMBER.fullmatch(cell) for cell in cells)
-
-
-def check_last_line(text: str, last: int, zeros: int, sheet: RawTable) -> None:
-    """Report a truncated last line, with number `last`, of a text or of its end."""
-    lengths = [channel.lines[-1] for channel in sheet.channels if len(channel.lines)]
-    ends = max([*lengths, *(problem.line or 0 for problem in sheet.corrupt)], default=0)
-    if zeros and text.endswith(("\n", "\r")):
-        sheet.suspect.append(f"the file ends in {zeros} zero bytes after line {last - 1}: rows may be missing")
-    elif zeros:
-        message = f"the file ends in {zeros} zero bytes: it was truncated while being written"
-        sheet.corrupt.append(Problem(message, line=last))
-    if text.endswith(("\n", "\r")) or ends < last:
-        return
-    if sheet.corrupt and sheet.corrupt[-1].line == last and not zeros:
-        cut = sheet.corrupt[-1]
-        if "has" in cut.message and not cut.remedy:
-            sheet.corrupt[-1] = Problem(f"{cut.message}, and no line end: the file was truncated here", line=last)
-    elif sheet.channels and not zeros and (short := _short(text, sheet.delimiter)):
-        sheet.suspect.append(f"line {last} has no line end and {short}; the file may be truncated there")
-
-
-def _short(text: str, delimiter: str) -> str:
-    """Evidence of a truncated last number: fewer decimals than all above; empty if there is none."""
-    tail = [
-        re.search(r"\.([0-9]+)\s*$" if delimiter == "," else r"[.,]([0-9]+)\s*$", line)
-        for line in text.rsplit("\n", 12)[-12:]
-    ]
-    decimals = [len(match[1]) if match else 0 for match in tail]
-    if len(decimals) < 5 or len(set(decimals[:-1])) > 1 or decimals[-1] >= decimals[0]:
-        return ""
-    return f"its last number has {decimals[-1]} decimals where others have {decimals[0]}"
+def to_numbers(cells: Sequence[str], decimal: str, *, certain: bool = False) -> Floats:
+    """Numbers of texts, NaN where a cell is none; groups of thousands where their sign cannot be the decimal one."""
+    other = {".": ",", ",": "."}[decimal]
+    joined = "\n".join(cells).replace(decimal, ".") if other not in "".join(cells[:1000]) else "?"
+    if cells and _PLAIN.fullmatch(joined) and "" not in cells and not (other in joined and other == ","):
+        with suppress(ValueError):
+            if decimal == "." or not any("." in cell for cell in cells):
+                return np.array(joined.split("\n"), dtype=np.float64)
+    grouped = certain or any(match and match[2] == decimal for match in map(_GROUPED.fullmatch, cells[:100_000]))
+    values = np.empty(len(cells))
+    for at, cell in enumerate(cells):
+        text = cell
+        if NUMBER.fullmatch(text) is None or other in text:
+            match = _GROUPED.fullmatch(text)
+            if match is None or (match[1] in ".," and not (grouped and match[1] == other)) or match[1] == decimal:
+                values[at] = np.nan
+                continue
+            text = text.replace(match[1], "")
+        values[at] = float(text.replace(",", ".").replace("D", "e").replace("d", "e"))
+    return values

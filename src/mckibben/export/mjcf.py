@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import ArrayLike, PyTree
 
 import mckibben
+from mckibben.actuator import Actuator
 from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError
@@ -33,7 +34,7 @@ from mckibben.joint import (
 )
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import Actuator, JointPlant, Plant, PlantState
+from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 from jaxtyping import PyTree
 
 import mckibben
+from mckibben.actuator import IdealValve
 from mckibben.codegen.graph import FOLDED as NUMERIC
 from mckibben.errors import ExportError
 from mckibben.export.evaluation import evaluate, find_function
@@ -27,7 +28,7 @@ from mckibben.export.mjcf import (
 from mckibben.export.targets import Exported, filled
 from mckibben.muscle.creep import NoCreep
 from mckibben.muscle.friction import NoFriction
-from mckibben.plant import IdealValve, JointPlant
+from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario
 from mckibben.units import bar
 

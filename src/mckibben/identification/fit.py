@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -14,22 +14,23 @@ from numpy.typing import ArrayLike
 
 from mckibben.component.calls import CheckedCalls, checked_call, user_level
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import text_table
 from mckibben.errors import DomainWarning, IdentificationError, no_attribute, printable
-from mckibben.identification.intervals import (
-    ForceIntervals,
+from mckibben.identification.estimator import (
+    Bools,
+    Floats,
     Interval,
-    RobustErrors,
     check_level,
-    force_gradients,
+    correlated_pairs,
     parameter_interval,
     t_interval,
 )
-from mckibben.identification.regression import Regression
-from mckibben.identification.uncertainty import Bools, Floats, Grouping, correlated_pairs
+from mckibben.identification.grouping import Grouping
+from mckibben.identification.least_squares import force_gradients
+from mckibben.identification.regression import ForceIntervals, Regression, RobustErrors
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.muscle.base import check_point
-from mckibben.notebook import draw, html_table
+from mckibben.notebook import draw
+from mckibben.result import Column, Listing, Remark, Result, Severity, column
 from mckibben.units import bar, factor, percent, show
 
 
@@ -90,24 +91,25 @@ class Outlier:
 
 
 _LISTED, _LISTED_ROWS = 3, 12  # outliers in full, and rows of others, in warnings
-KEEP_OUTLIERS = "; to keep such points, give robust=False"
+KEEP_OUTLIERS = "to keep such points, give robust=False (command line: --keep-outliers)"
 
 
-def left_out(outliers: Sequence[Outlier]) -> list[str]:
-    """Warnings of points that an identification leaves out: the first few, and the rows of the others."""
-    shown, more = outliers[:_LISTED], [one.place or f"row {one.row}" for one in outliers[_LISTED:]]
-    found = [f"left out: off the smooth surface through the other points; check it: {one}" for one in shown]
-    if found:
-        found[0] += f"{KEEP_OUTLIERS} (command line: --keep-outliers)"
+def left_out(outliers: Sequence[Outlier]) -> list[Remark]:
+    """Remarks on points that an identification leaves out: the first few, and the rows of the others."""
+    shown, more = outliers[:_LISTED], [outlier.place or f"row {outlier.row}" for outlier in outliers[_LISTED:]]
+    text = "left out: off the smooth surface through the other points; check it"
+    found = [Remark.warning("force", f"{text}: {outlier}", KEEP_OUTLIERS) for outlier in shown[:1]]
+    found += [Remark.warning("force", f"{text}: {outlier}") for outlier in shown[1:]]
     if more:
         rows = ", ".join(more[:_LISTED_ROWS]) + (", ..." if len(more) > _LISTED_ROWS else "")
-        found.append(f"left out, off that surface too: {len(more)} more points: {rows}")
+        found.append(Remark.warning("force", f"left out, off that surface too: {len(more)} more points: {rows}"))
     return found
 
 
-def counted(texts: Sequence[str]) -> str:
-    """Number of warnings for a repr; empty without any."""
-    return f", {len(texts)} warning{'s' if len(texts) > 1 else ''}" if texts else ""
+def warning_texts(notes: Iterable[Remark]) -> list[str]:
+    """Texts of remarks that are not mere details."""
+    shown = [note for note in notes if note.severity is not Severity.NOTE]
+    return [f"{note.text}; {note.remedy}" if note.remedy else note.text for note in shown]
 
 
 def domain_of(points: IsobaricDataset) -> Domain:
@@ -159,8 +161,7 @@ def wrong_slopes(force: Floats) -> tuple[Bools, Bools]:
     return rises, (force[:, :-1] > 0) & (-np.diff(force, axis=1) > rounding)
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Fit(metaclass=CheckedCalls):
+class Fit(Result, metaclass=CheckedCalls):
     """Force law identified from data, by `identify`.
 
     Attributes
@@ -174,13 +175,13 @@ class Fit(metaclass=CheckedCalls):
     rmse, max_error
         Root mean square and largest absolute residual [N].
     leave_one_pressure_out
-        Cross-validation errors; None if unavailable, as a warning explains.
-    warnings, dataset
+        Cross-validation errors; None if unavailable, as a note explains.
+    notes, dataset
         Reasons not to rely on the results, and summary of the data.
     residuals
         Shape (points_used,): measured minus fitted force [N]; None if read from a file without points.
     robust
-        Cluster-robust standard errors, the basis of the intervals; None with too few groups, as a warning explains.
+        Cluster-robust standard errors, the basis of the intervals; None with too few groups, as a note explains.
     regression
         Points and least-squares solution; None if read from a file without points.
     outliers
@@ -190,7 +191,7 @@ class Fit(metaclass=CheckedCalls):
     suggestions: ClassVar[Mapping[str, str]] = {
         "force": "predict(contraction, pressure)",
         "simulate": "Scenario.simulate(), with the fit's file as the law of a muscle",
-        "summary": "report()",
+        "summary": "to_text()",
         "parameters": "estimates",
         "save": "to_yaml(path)",
         "muscle": "mk.Muscle(specimen, fit.law); `identify_with_friction` gives one",
@@ -199,12 +200,12 @@ class Fit(metaclass=CheckedCalls):
     law: ForceLaw
     standard_errors: Mapping[str, float]
     correlations: Floats
-    rmse: float
-    max_error: float
-    points_used: int
-    points_slack: int
+    rmse: float = column("N", "root mean square residual", digits=3)
+    max_error: float = column("N", "largest residual", digits=3)
+    points_used: int = column("", "points used")
+    points_slack: int = column("", "slack points left out")
     leave_one_pressure_out: LeaveOnePressureOut | None
-    warnings: tuple[str, ...]
+    notes: tuple[Remark, ...]
     dataset: DatasetSummary
     residuals: Floats | None = None
     robust: RobustErrors | None = None
@@ -252,7 +253,7 @@ class Fit(metaclass=CheckedCalls):
             warnings.warn(f"{text}; the law is extrapolated there", DomainWarning, stacklevel=user_level())
         return np.maximum(forces(self.law, contraction, pressure), 0.0)
 
-    def plot(self, data: IsobaricDataset | None = None) -> Any:
+    def plot(self, data: IsobaricDataset | None = None) -> Any:  # pyrefly: ignore[bad-override]
         """Return a figure of points, fitted curves and residuals, see `mckibben.report.isobaric`.
 
         Default: the points of the fit; `IdentificationError` if it was read from a file, which has none.
@@ -341,67 +342,66 @@ class Fit(metaclass=CheckedCalls):
         names = [name for name, one in zip(self.estimates, free, strict=True) if one]
         return correlated_pairs(names, self.correlations[np.ix_(free, free)])[:count]
 
-    def report(self, level: float = 0.95) -> str:
-        """Fit as text: parameters in published units, errors, intervals, correlations, warnings."""
-        levels = np.array(self.dataset.pressures) / bar
-        lines = [
-            f"{type(self.law).__name__}: {self.law.equation}",
-            f"{self.dataset.specimen or 'unnamed specimen'}: {self.points_used} points used, "
-            f"{self.points_slack} slack left out; {len(levels)} pressures {levels.min():g}..{levels.max():g} bar",
-            f"domain: {self.law.domain}",
-            "",
-            *text_table(self._rows(level), (0, 3, 4, 5)),
-            *self.deviations(),
-            self._error_note(),
-            "",
-            f"residuals: RMSE {self.rmse:.3g} N, maximum {self.max_error:.3g} N",
-        ]
+    def verdict(self) -> str:
+        """Return how well the law describes the points, and points at pressures that were left out."""
+        name, lopo = self.dataset.specimen or "unnamed specimen", self.leave_one_pressure_out
+        share = f" ({100 * self.rmse / self.largest_force:.2g} % of the largest)" if self.largest_force else ""
+        unseen = f"; {lopo.rmse:.3g} N at pressures left out" if lopo else ""
+        law = type(self.law).__name__
+        return f"{law} describes {self.points_used} points of {name} to {self.rmse:.3g} N{share}{unseen}"
+
+    @property
+    def largest_force(self) -> float:
+        """Largest fitted force [N] at the points; 0 if the fit was read from a file without them."""
+        regression = self.regression
+        return float((regression.points.force - regression.solution.residuals).max()) if regression else 0.0
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Texts of the notes that are not mere details."""
+        return tuple(warning_texts(self.notes))
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return the notes, and what the standard errors and the scatter are."""
+        yield from self.notes
+        yield Remark.note("law", f"{self.law.equation}; domain: {self.law.domain}")
+        yield Remark.note("standard_errors", self._about_errors())
+        if count := sum(p.penalised for p in type(self.law).parameters()):
+            text = f"deviations from Eq. 2: {count} coefficients, in `estimates` and the file"
+            if self.regression:
+                text += f"; {self.regression.solution.effective_parameters:.1f} effective parameters in total"
+            yield Remark.note("law", text)
         if self.regression and self.regression.scatter_growth:
-            largest = float((self.regression.points.force - self.regression.solution.residuals).max())
-            scatter = self.rmse * np.sqrt(self.regression.relative_variance(np.array([0.0, largest])))
-            lines.append(
-                f"scatter grows with the force: {scatter[0]:.3g} N at 0 N, {scatter[1]:.3g} N at {largest:.3g} N"
-            )
-        if lopo := self.leave_one_pressure_out:
-            lines.append(f"leave-one-pressure-out: RMSE {lopo.rmse:.3g} N, maximum {lopo.max_error:.3g} N")
+            small, large = self.rmse * np.sqrt(self.regression.relative_variance(np.array([0.0, self.largest_force])))
+            text = f"scatter grows with the force: {small:.3g} N at 0 N, {large:.3g} N at {self.largest_force:.3g} N"
+            yield Remark.note("residuals", text)
         if pairs := self.strongest_correlations():
-            lines.append("strongest correlations: " + ", ".join(f"{a}, {b} {r:+.4f}" for a, b, r in pairs))
-        lines += [f"warning: {warning}" for warning in self.warnings]
-        return "\n".join(lines)
+            listed = ", ".join(f"{a}, {b} {r:+.4f}" for a, b, r in pairs)
+            yield Remark.note("correlations", f"strongest correlations: {listed}")
 
-    def _rows(self, level: float) -> list[tuple[str, ...]]:
+    def listings(self) -> Iterable[Listing]:
+        """Return the numbers of the fit, and the parameters in published units with 95 % intervals."""
+        yield from super().listings()
+        yield self.parameter_table()
+
+    def parameter_table(self, level: float = 0.95) -> Listing:
+        """Parameters in published units, with intervals of a confidence level."""
         errors, intervals = self._errors(None)[0], self.intervals(level)
-        rows: list[tuple[str, ...]] = [
-            ("parameter", "estimate", "standard error", "unit", f"{100 * level:g} % interval", "meaning")
-        ]
-        for p in type(self.law).parameters():
-            if p.penalised:
-                continue
-            scale = factor(p.shown)
-            error, (low, high) = errors[p.name] / scale, intervals[p.name]
-            known = bool(np.isfinite(error))
-            rows.append(
-                (
-                    p.name,
-                    f"{self.estimates[p.name] / scale:.6g}",
-                    f"{error:.2g}" if known else "at its bound",
-                    p.shown,
-                    f"{low / scale:.5g} .. {high / scale:.5g}" if known else "-",
-                    p.meaning,
-                )
-            )
-        return rows
+        shown = [p for p in type(self.law).parameters() if not p.penalised]
+        scale = [factor(p.shown) for p in shown]
+        numbers: dict[str, list[float]] = {
+            "estimate": [self.estimates[p.name] / size for p, size in zip(shown, scale, strict=True)],
+            "standard error": [errors[p.name] / size for p, size in zip(shown, scale, strict=True)],
+            f"{100 * level:g} % from": [intervals[p.name].lower / size for p, size in zip(shown, scale, strict=True)],
+            "to": [intervals[p.name].upper / size for p, size in zip(shown, scale, strict=True)],
+        }
+        digits = {"estimate": 6, "standard error": 2}
+        columns: dict[str, tuple[Column, Sequence[object]]] = {"parameter": (Column(), [p.name for p in shown])}
+        columns |= {name: (Column(digits=digits.get(name, 5)), values) for name, values in numbers.items()}
+        columns |= {"unit": (Column(), [p.shown for p in shown]), "meaning": (Column(), [p.meaning for p in shown])}
+        return Listing("parameters", columns)
 
-    def deviations(self) -> list[str]:
-        """Return a line on the penalised parameters, which have no meaning one by one; none without them."""
-        count = sum(p.penalised for p in type(self.law).parameters())
-        if not count:
-            return []
-        solution = self.regression and self.regression.solution
-        effective = f"; {solution.effective_parameters:.1f} effective parameters in total" if solution else ""
-        return [f"deviations from Eq. 2: {count} coefficients, in `estimates` and the file{effective}"]
-
-    def _error_note(self) -> str:
+    def _about_errors(self) -> str:
         if self.robust is None:
             return "standard errors: classical, for independent points"
         names = [p.name for p in type(self.law).parameters() if not p.penalised]
@@ -412,17 +412,6 @@ class Fit(metaclass=CheckedCalls):
             f"({self.robust.by.counted(self.robust.groups)}, {np.nanmin(freedom):.1f}..{np.nanmax(freedom):.1f} "
             f"degrees of freedom); {np.nanmin(ratios):.2g}..{np.nanmax(ratios):.2g} times the classical ones"
         )
-
-    def __repr__(self) -> str:
-        name = f" of {self.dataset.specimen}" if self.dataset.specimen else ""
-        lopo = self.leave_one_pressure_out
-        unseen = f", leave-one-pressure-out {lopo.rmse:.3g} N" if lopo else ""
-        law = type(self.law).__name__
-        return f"<Fit {law}{name}: {self.points_used} points, RMSE {self.rmse:.3g} N{unseen}{counted(self.warnings)}>"
-
-    def _repr_html_(self) -> str:
-        header, *rows = self._rows(0.95)
-        return html_table(repr(self), header, rows, (*self.deviations(), self._error_note(), *self.warnings))
 
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write everything to a file that `from_yaml` reads back exactly, with the points if there are at most 5000."""

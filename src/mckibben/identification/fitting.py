@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,16 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import (
+    CONDITION_LIMIT,
+    Bools,
+    Floats,
+    Ints,
+    condition_number,
+    correlated_pairs,
+    standard_errors,
+    unidentifiable,
+)
 from mckibben.identification.fit import (
     DatasetSummary,
     Fit,
@@ -19,26 +30,17 @@ from mckibben.identification.fit import (
     left_out,
     off_levels,
 )
+from mckibben.identification.grouping import Grouping, row_numbers
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
 from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, prior_of, prior_rows
-from mckibben.identification.uncertainty import (
-    CONDITION_LIMIT,
-    Bools,
-    Floats,
-    Grouping,
-    Ints,
-    condition_number,
-    correlated_pairs,
-    row_numbers,
-    uncertainty,
-    unidentifiable,
-)
 from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, SmoothLaw
+from mckibben.result import Remark
 from mckibben.units import percent, show
 
 _STRONG_CORRELATION = 0.999
+_GOOD = 0.005  # RMSE of the largest force up to which a misspecified law is a detail
 _FRICTION = 1.0  # of the RMSE: a larger difference between the directions dominates the residuals
 _CONTRACTION_NOISE = 0.1 * percent  # excess beyond a law's validity that counts as measurement noise
 
@@ -79,13 +81,11 @@ def identify(
     (40.0, 1.07, 1.34)
     """
     if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
-        both = (law_type,) if dataset is None else (law_type, dataset)
-        given = [f"class {one.__name__}" if isinstance(one, type) else type(one).__name__ for one in both]
-        law = next((one for one in given if one.endswith("Law")), "ExponentialLaw").removeprefix("class ")
-        data = "data" if IsobaricDataset in map(type, (law_type, dataset)) else "read_dataset('rig.csv')"
+        values = (law_type,) if dataset is None else (law_type, dataset)
+        kinds = [f"class {value.__name__}" if isinstance(value, type) else type(value).__name__ for value in values]
         raise IdentificationError(
-            f"identify takes the class of a law and a dataset, not {'only ' * (dataset is None)}{' and '.join(given)}",
-            remedy=f"write identify({law}, {data})",
+            f"identify takes the class of a law and a dataset, not {' and '.join(kinds)}",
+            remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
         )
     means = dataset.plateau_means()
     return fit_means(law_type, means, find_outliers(means) if robust else (), domain)
@@ -122,28 +122,33 @@ def fit_means(
             remedy="look for wrong units in the data",
         )
     residuals = solution.residuals
-    errors, correlations = uncertainty(solution.augmented[1], solution.augmented[0], at_bound)
+    errors, correlations = standard_errors(solution.augmented[1], solution.augmented[0], at_bound)
     regression = Regression(points, problem, solution, at_bound, refit)
     grouping, ungrouped = regression.default_grouping
 
-    warnings = [f"the law is Eq. 2 alone: {simpler}"] if simpler else []
-    warnings += _bound_warnings(law_type, solution, at_bound)
+    fitted = points.force - residuals
+    good = float(np.sqrt(np.mean(residuals**2))) < _GOOD * float(fitted.max())
+    doubt = Remark.note if good else Remark.warning  # a law that describes the points may be misspecified
+    notes = [Remark.note("law", f"the law is Eq. 2 alone: {simpler}")] if simpler else []
+    notes += _bound_remarks(law_type, solution, at_bound, doubt)
     strong = [
         f"{a} and {b} ({correlation:+.5f})"
         for a, b, correlation in correlated_pairs(problem.names, correlations)
         if abs(correlation) > _STRONG_CORRELATION and problem.prior is None
     ]
     if strong:
-        warnings.append(f"the data determine combinations of correlated parameters, each poorly: {', '.join(strong)}")
+        text = f"the data determine combinations of correlated parameters, each poorly: {', '.join(strong)}"
+        notes.append(Remark.note("correlations", text))
     if off := off_levels(points):
         text = f"measured pressures are up to {show(off, 'bar')} off the set ones"
-        warnings.append(f"{text}: the domain is the range of the measured pressures")
-    warnings += _friction_warnings(points, residuals, grouping)
-    warnings += left_out(outliers)
-    warnings += regression.warnings
-    warnings += [f"the standard errors are for independent points: {ungrouped}"] if ungrouped else []
+        notes.append(Remark.warning("pressure", f"{text}: the domain is the range of the measured pressures"))
+    notes += _friction_remarks(points, residuals, grouping)
+    notes += left_out(outliers)
+    notes += [doubt("law", text) for text in regression.warnings]
+    if ungrouped:
+        notes.append(Remark.note("standard_errors", f"the standard errors are for independent points: {ungrouped}"))
     lopo, reason = _leave_one_pressure_out(regression)
-    warnings += [reason] if reason else []
+    notes += [Remark.note("leave_one_pressure_out", reason)] if reason else []
     return Fit(
         law=dataclasses.replace(problem.law(solution.values), domain=domain or domain_of(points)),
         standard_errors={p.name: float(error) for p, error in zip(parameters, errors, strict=True)},
@@ -153,7 +158,7 @@ def fit_means(
         points_used=len(points),
         points_slack=len(means) - len(points),
         leave_one_pressure_out=lopo,
-        warnings=tuple(warnings),
+        notes=tuple(notes),
         dataset=DatasetSummary.of(points),
         residuals=residuals,
         robust=None if grouping is Grouping.POINT else regression.robust_errors(grouping),
@@ -246,31 +251,32 @@ def _check_determined(problem: FitProblem, solution: Solution, at_bound: Bools, 
         )
 
 
-def _bound_warnings(law_type: type[ForceLaw], solution: Solution, at_bound: Bools) -> list[str]:
-    warnings = []
+def _bound_remarks(
+    law_type: type[ForceLaw], solution: Solution, at_bound: Bools, doubt: Callable[[str, str, str], Remark]
+) -> Iterator[Remark]:
     for p, value, bound in zip(law_type.parameters(), solution.values, at_bound, strict=True):
-        low, high = show(p.lower, p.shown), show(p.upper, p.shown)
+        span = f"{show(p.lower, p.shown)} .. {show(p.upper, p.shown)}"
         if bound:
-            doubt = ", and the law is probably misspecified: see how others fit (mk.rank, or --law all)"
-            cause = "" if solution.problem.prior is not None else doubt
-            warnings.append(f"{p.name} is at the bound of its range {low} .. {high}: it has no standard error{cause}")
+            remedy = "the law is probably misspecified: see how others fit (mk.rank, or --law all)"
+            text = f"{p.name} is at the bound of its range {span}: it has no standard error"
+            yield doubt(p.name, text, "" if solution.problem.prior is not None else remedy)
         elif not p.lower <= value <= p.upper:
-            warnings.append(f"{p.name} = {show(value, p.shown)} is outside its range {low} .. {high}")
-    return warnings
+            yield Remark.warning(p.name, f"{p.name} = {show(value, p.shown)} is outside its range {span}")
 
 
-def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Grouping) -> list[str]:
-    """Warnings of residuals that differ by direction or phase, and so are not independent."""
-    warnings = []
+def _friction_remarks(points: IsobaricDataset, residuals: Floats, grouping: Grouping) -> Iterator[Remark]:
+    """Remarks on residuals that differ by direction or phase, and so are not independent."""
     rms = float(np.sqrt(np.mean(residuals**2)))
     for column, words in (("direction", points.directions), ("phase", points.phases)):
-        if len(words) < 2:
+        labels = points.table[column].to_numpy() if len(words) > 1 else None
+        gap = 0.0 if labels is None else float(np.ptp([np.mean(residuals[labels == word]) for word in words]))
+        if labels is None or gap < _FRICTION * rms:
             continue
-        own = points.table[column].to_numpy()
-        gap = float(np.ptp([np.mean(residuals[own == word]) for word in words]))
-        if gap < _FRICTION * rms:
-            continue
-        consequence = (
+        text = (
+            f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is not "
+            "independent from point to point, so "
+        )
+        text += (
             "the classical standard errors are not valid; standard errors by stroke treat each pass as one error"
             if grouping is Grouping.STROKE
             else "the standard errors are not valid"
@@ -279,15 +285,11 @@ def _friction_warnings(points: IsobaricDataset, residuals: Floats, grouping: Gro
         if column == "direction" and "friction" not in points.table.attrs:
             remedy = WITH_FRICTION
         elif column == "phase":
-            remedy = "; to identify the friction, record strokes in both directions at constant pressures as well"
-        warnings.append(
-            f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is not "
-            f"independent from point to point, so {consequence}{remedy}"
-        )
-    return warnings
+            remedy = "to identify the friction, record strokes in both directions at constant pressures as well"
+        yield Remark.warning("friction", text, remedy)
 
 
-WITH_FRICTION = "; identify the friction with identify_hysteresis (command line: --hysteresis)"
+WITH_FRICTION = "identify the friction with identify_hysteresis (command line: --friction on)"
 _NO_CROSS_VALIDATION = "there is no cross-validation by pressure"
 
 

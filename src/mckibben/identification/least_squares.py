@@ -17,7 +17,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification.uncertainty import Bools, Floats, tsqr_r
+from mckibben.identification.estimator import Bools, Floats, least_squares, tsqr_r
 from mckibben.muscle import Domain, ForceLaw, Parameter
 from mckibben.notebook import stop_check
 from mckibben.numerics.compiled import jit
@@ -58,6 +58,17 @@ def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, p
         return np.empty((len(contraction), 0))
     values = np.array([float(getattr(law, name)) for name in names])
     return np.asarray(_columns(law, values, contraction, pressure, names=tuple(names))).T
+
+
+def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> Floats:
+    """Derivative of the force by the named parameters, (points, parameters); padded to a power of two."""
+    contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
+    count = contraction.size
+    if not count:
+        return np.empty((0, len(free)))
+    pad = (0, max(128, 1 << (count - 1).bit_length()) - count)
+    padded = (np.pad(column.ravel(), pad, mode="edge") for column in (contraction, pressure))
+    return design_matrix(law, free, *padded)[:count]
 
 
 @jit
@@ -293,27 +304,15 @@ class Solution:
         return self.problem.response(self.values)
 
 
-@dataclass(frozen=True, eq=False)
-class Projection:
-    """Linear least-squares solution at one shape, and the projected problem around it."""
+class Projection(NamedTuple):
+    """Linear least-squares solution at a shape, and the projected problem: its residuals and their derivative."""
 
     position: Floats
     values: Floats
     cost: float
     triangle: Floats
     residuals: Floats
-    following: Floats
-
-    @property
-    def derivative(self) -> Floats:
-        """Projected Jacobian, shape (shape, shape)."""
-        linear = len(self.following)
-        return self.triangle[linear:, linear:]
-
-    @property
-    def descent(self) -> Floats:
-        """Negative half gradient of the cost, shape (shape,)."""
-        return self.derivative.T @ self.residuals
+    derivative: Floats
 
 
 def project(problem: FitProblem, position: Floats, guess: Floats | None = None) -> Projection:
@@ -323,17 +322,16 @@ def project(problem: FitProblem, position: Floats, guess: Floats | None = None) 
     rows = problem.with_prior(problem.columns_and_residuals(values), values)
     if not np.isfinite(rows).all():
         zeros = np.zeros((linear + shape, linear + shape))
-        return Projection(position, values, np.inf, zeros, np.zeros(shape), np.zeros((linear, shape)))
+        return Projection(position, values, np.inf, zeros, np.full(shape + 1, np.inf), np.zeros((shape + 1, shape)))
     # R of [linear columns, shape columns, residuals]: the block below the linear columns is the projected problem.
     factor = tsqr_r(rows.T)
     factor[:, linear:-1] *= problem.cube.rates(position)
     lengths = np.linalg.norm(factor[:, :linear], axis=0)  # pressures are in Pa: columns differ by 1e5
     lengths[lengths == 0] = 1.0
-    solved = np.linalg.lstsq(factor[:linear, :linear] / lengths, factor[:linear, linear:], rcond=None)[0]
-    solved /= lengths[:, None]
-    values[:linear] += solved[:, -1]
+    solved = np.linalg.lstsq(factor[:linear, :linear] / lengths, factor[:linear, -1], rcond=None)[0] / lengths
+    values[:linear] += solved
     rest = factor[linear:, -1]
-    return Projection(position, values, float(rest @ rest), factor[:-1, :-1], rest[:-1], -solved[:, :-1])
+    return Projection(position, values, float(rest @ rest), factor[:-1, :-1], rest, factor[linear:, linear:-1])
 
 
 def grid_search(problem: FitProblem) -> Floats:
@@ -358,123 +356,35 @@ def grid_costs(problem: FitProblem, positions: Floats) -> Floats:
     return costs
 
 
-def solve(problem: FitProblem, start: Floats, *, fixed: int | None = None) -> Solution:
-    """Gauss-Newton on the projected residual with a secant second-order term, else a trust region."""
-    solution = _gauss_newton(problem, start, fixed)
-    if solution.converged or not np.isfinite(solution.cost):
-        return solution
-    return min((solution, _trust_region(problem, solution.position, fixed)), key=lambda s: (not s.converged, s.cost))
-
-
-_MAX_STEPS = 100
-_MAX_HALVINGS = 30
-_SMALL_STEP = 1e-11  # in the unit cube
-_ROUNDING = 1e-13  # of the measured forces: a smaller expected gain is rounding
-_COST_ROUNDING = 1e-14  # relative
-
-
-def _gauss_newton(problem: FitProblem, start: Floats, fixed: int | None) -> Solution:
-    linear = problem.linear
-    best = project(problem, start, project(problem, start).values[:linear] if linear else None)
-    curvature, drift = np.zeros((len(start), len(start))), np.zeros((linear, len(start)))
-    size = float(np.linalg.norm(problem.force[problem.kept]))
-    converged = False
-    for _ in range(_MAX_STEPS if np.isfinite(best.cost) else 0):
-        step = _step(best, curvature, fixed)
-        longest = float(np.abs(step).max(initial=0.0))
-        if longest < _SMALL_STEP or float(np.linalg.norm(best.derivative @ step)) <= _ROUNDING * size:
-            converged = True
-            break
-        trial = _line_search(problem, best, step, drift)
-        if trial is None:
-            converged = longest < 1e-6
-            break
-        moved = trial.position - best.position
-        curvature = curvature + _secant_update(curvature, trial, trial.descent - best.descent, moved)
-        followed = trial.values[:linear] - best.values[:linear]
-        if moved.any():
-            drift = drift + np.outer(followed - (trial.following + drift) @ moved, moved) / (moved @ moved)
-        best = trial
-    return Solution(problem, best.values, best.position, best.cost, best.triangle, converged)
-
-
-def _step(at: Projection, curvature: Floats, fixed: int | None) -> Floats:
-    """Newton step with the secant curvature, or Gauss-Newton step if that Hessian is not positive definite."""
-    free = ~(((at.position <= 0) & (at.descent < 0)) | ((at.position >= 1) & (at.descent > 0)))  # active bounds
-    if fixed is not None:
-        free[fixed] = False
-    derivative = at.derivative[:, free]
-    hessian = derivative.T @ derivative + curvature[np.ix_(free, free)]
-    step = np.zeros_like(at.position)
-    if curvature.any() and np.linalg.eigvalsh(hessian).min(initial=np.inf) > 0:
-        step[free] = np.linalg.solve(hessian, at.descent[free])
-    else:
-        step[free] = np.linalg.lstsq(derivative, at.residuals, rcond=None)[0]
-    return step
-
-
-def _secant_update(curvature: Floats, at: Projection, change: Floats, moved: Floats) -> Floats:
-    """Symmetric rank-one update of the second-order term of the Hessian."""
-    missing = -change - at.derivative.T @ (at.derivative @ moved) - curvature @ moved
-    scale = float(missing @ moved)
-    if abs(scale) <= 1e-8 * float(np.linalg.norm(missing) * np.linalg.norm(moved)):
-        return np.zeros_like(curvature)
-    return np.outer(missing, missing) / scale
-
-
-def _line_search(problem: FitProblem, at: Projection, step: Floats, drift: Floats) -> Projection | None:
-    """Halve the step until the cost does not rise."""
-    for _ in range(_MAX_HALVINGS):
-        position = np.clip(at.position + step, 0.0, 1.0)
-        guess = at.values[: problem.linear] + (at.following + drift) @ (position - at.position)
-        trial = project(problem, position, guess)
-        if trial.cost <= (1 + _COST_ROUNDING) * at.cost:
-            return trial
-        step = step / 2
-    return None
-
-
-_INSIDE = 1e-9  # the trust region starts off the faces of the cube
+_INSIDE = 1e-9  # a search starts off the faces of the cube
 _FACE = 1e-4  # it stays inside the cube: this close to a face counts as on the face
-_MAX_EVALUATIONS = 300
 
 
-def _trust_region(problem: FitProblem, start: Floats, fixed: int | None) -> Solution:
-    """Trust region with Kaufman's approximation of the projected Jacobian (BIT 15, 1975, 49-57)."""
-    from scipy.optimize import least_squares  # takes 0.3 s to import, and few fits need it
+def solve(problem: FitProblem, start: Floats) -> Solution:
+    """Least squares over the shape, from a start in the unit cube.
 
-    free = np.delete(np.arange(len(start)), [] if fixed is None else fixed)
+    The projected Jacobian is Kaufman's approximation (BIT 15, 1975, 49-57).
+    """
 
-    def at(part: Floats) -> Floats:
-        position = start.copy()
-        position[free] = part
-        return position
+    def projection(position: Floats) -> Projection:
+        """Projection with derivatives at the linear parameters of the solution, computed once per position."""
+        if position.tobytes() not in latest:
+            guess = project(problem, position).values[: problem.linear]
+            latest.clear()
+            latest[position.tobytes()] = project(problem, position, guess)
+        return latest[position.tobytes()]
 
-    def response(part: Floats) -> tuple[Floats, Floats]:
-        return problem.response(project(problem, at(part)).values)
-
-    def jacobian(part: Floats) -> Floats:
-        columns = response(part)[1]
-        linear, shape = columns[:, : problem.linear], columns[:, problem.linear :] * problem.cube.rates(at(part))
-        lengths = np.linalg.norm(linear, axis=0)
-        q, _ = np.linalg.qr(linear / np.where(lengths > 0, lengths, 1.0))
-        return q @ (q.T @ shape[:, free]) - shape[:, free]
-
-    found = least_squares(
-        lambda part: response(part)[0],
-        np.clip(start[free], _INSIDE, 1 - _INSIDE),
-        jacobian,
-        bounds=(0.0, 1.0),
-        x_scale="jac",
-        xtol=1e-12,
-        ftol=1e-12,
-        gtol=1e-12,
-        max_nfev=_MAX_EVALUATIONS,
-    )
-    position = at(found.x)
-    faces = at(np.where(found.x < _FACE, 0.0, np.where(found.x > 1 - _FACE, 1.0, found.x)))
-    inside, on_face = (
-        project(problem, end, project(problem, end).values[: problem.linear]) for end in (position, faces)
-    )
-    best = on_face if on_face.cost * (1 - 1e-9) <= inside.cost else inside
-    return Solution(problem, best.values, best.position, best.cost, best.triangle, found.status > 0)
+    latest: dict[bytes, Projection] = {}
+    best, converged = projection(start), True
+    if len(start) and np.isfinite(best.cost):
+        search = least_squares(
+            lambda position: projection(position).residuals,
+            np.clip(start, _INSIDE, 1 - _INSIDE),
+            lambda position: -projection(position).derivative,
+            (np.zeros(len(start)), np.ones(len(start))),
+        )
+        faces = np.where(search.values < _FACE, 0.0, np.where(search.values > 1 - _FACE, 1.0, search.values))
+        inside, on_face = projection(search.values), projection(faces)
+        best = on_face if on_face.cost * (1 - 1e-9) <= inside.cost else inside
+        converged = search.converged
+    return Solution(problem, best.values, best.position, best.cost, best.triangle, converged and np.isfinite(best.cost))

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.least_squares import design_matrix
-from mckibben.identification.uncertainty import Bools, Floats, Ints
-from mckibben.muscle import ForceLaw, MaxwellSlip, forces
-from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
+from mckibben.identification.estimator import Bools, Floats, Ints
 from mckibben.units import show
 
 _SAME_LEVEL = 1.0  # Pa
@@ -31,6 +27,7 @@ _PAIRED = 0.5  # share of the points of a direction that were measured at positi
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
 _AGAINST = 0.1  # of a step: a smaller move against the stroke may be a position measured twice
 _FAR = 1.0  # m: exceeds any presliding length
+_AT_REST = 1e-3  # of the highest rate
 _SLACK = 2  # fewest slack points that determine the sensor's zero of a path
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
 
@@ -108,7 +105,10 @@ class LoadingPaths:
                 return None
             for stroke in np.split(rows, np.flatnonzero(np.diff(strokes[rows])) + 1):
                 rate[stroke] = np.gradient(self.length[stroke], time[stroke]) if len(stroke) > 1 else 0.0
-        slow, fast = np.quantile(np.abs(rate), [0.25, 0.75])
+        moving = moving_rates(rate)
+        if not len(moving):
+            return None
+        slow, fast = np.quantile(moving, [0.25, 0.75])
         return rate if fast > _SPEEDS * slow else None
 
     def scattered(self, values: Floats) -> Floats:
@@ -150,18 +150,13 @@ class LoadingPaths:
         count = int(np.count_nonzero(moved))
         backwards = float(np.sqrt(np.mean((length - measured) ** 2)))
         reversals = sum(int(np.count_nonzero(np.diff(loading[path]))) for path in paths)
-        for found, largest, text in (
-            (
-                backwards,
-                _BACKWARDS * np.ptp(measured),
-                f"the length moves against the direction of the points, by {show(backwards, 'mm', 3)} (RMS)",
-            ),
-            (reversals, _REVERSALS * count, f"the direction changes {reversals} times in {count} moves"),
-        ):
-            if found > largest or not count:
-                raise IdentificationError(
-                    f"{text}: the rows are not in the order of the test", value=found, remedy=_ORDER_REMEDY
-                )
+        text = ""
+        if backwards > _BACKWARDS * np.ptp(measured):
+            text = f"the length moves against the direction of the points, by {show(backwards, 'mm', 3)} (RMS)"
+        elif reversals > _REVERSALS * count or not count:
+            text = f"the direction changes {reversals} times in {count} moves"
+        if text:
+            raise IdentificationError(f"{text}: the rows are not in the order of the test", remedy=_ORDER_REMEDY)
         longest = max(map(len, paths))
         place = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths], axis=1)
         side = np.array([-1.0 if loading[path[0]] else 1.0 for path in paths])
@@ -177,6 +172,12 @@ class LoadingPaths:
         forwards = np.concatenate([np.diff(measured[part]) * (1 if loading[part[0]] else -1) for part in strokes])
         against = float(np.mean(forwards < -_AGAINST * step)) if forwards.size else 0.0
         return cls(place, counts, side, length, step, turns, against=against)
+
+
+def moving_rates(rate: Floats) -> Floats:
+    """Absolute rates [m/s] of the points at which the muscle moves: it may rest at most of them."""
+    speed = np.abs(rate)
+    return speed[speed > _AT_REST * speed.max(initial=0.0)]
 
 
 def _monotone(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
@@ -278,158 +279,3 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
         remedy = "exchange the directions: loading is being stretched, unloading is shortening"
         raise ReversedDirectionsError(message, value=middle, unit="N", remedy=remedy)
     return middle / 2
-
-
-FRICTION = (
-    *("half_width", "growth", "tension_growth", "viscous", "viscous_growth", "viscous_length_growth"),
-    *("rate_growth", "log_rate_speed", "log_presliding"),
-)
-"""Friction parameters in SI, as in `MaxwellSlip`, with the logarithms of rate speed [m/s] and presliding length [m]."""
-
-_TENSION_STEP = 1e-4  # N: of difference quotients
-_RELATIVE_STEP = 1e-6
-_WIDEST = 1e5  # N
-_FASTEST_GROWTH = 100.0  # of the half width
-_BEYOND = 3.0  # times the rates of the points
-_LONGEST = 0.25  # of the range of lengths: with a longer presliding length friction would never fully reverse
-
-
-@dataclass(frozen=True, eq=False)
-class PathDependentModel:
-    """Force along loading paths: law, Maxwell-slip friction (`MaxwellSlip.along`), and sensor drift."""
-
-    template: ForceLaw
-    paths: LoadingPaths
-    means: IsobaricDataset = field(repr=False)
-    drift: DriftBasis = field(repr=False)
-    used: Bools = field(repr=False)
-    reference_pressure: float
-    elements: int
-    reference_tension: float = 0.0
-    rate: Floats | None = None
-
-    @property
-    def law_names(self) -> tuple[str, ...]:
-        """Parameters of the law, linear ones first; penalised ones are fixed at the fit of the law alone."""
-        return tuple(p.name for p in type(self.template).parameters() if not p.penalised)
-
-    def law(self, values: Mapping[str, float]) -> ForceLaw:
-        """Law with the values of its parameters."""
-        return dataclasses.replace(self.template, **{name: values[name] for name in self.law_names if name in values})  # pyrefly: ignore[bad-argument-type]
-
-    def friction(self, values: Mapping[str, float]) -> MaxwellSlip:
-        """Friction model with the given parameters."""
-        optional = ("tension_growth", "viscous_growth", "viscous_length_growth", "rate_growth")
-        return MaxwellSlip(
-            values["half_width"],
-            float(np.exp(values["log_presliding"])),
-            growth=values["growth"],
-            reference_pressure=self.reference_pressure,
-            reference_tension=self.reference_tension if values["tension_growth"] else 0.0,
-            viscous=values["viscous"],
-            reference_length=self.reference_length if values["viscous_length_growth"] else None,
-            rate_speed=float(np.exp(values["log_rate_speed"])) if values["rate_growth"] else None,
-            elements=self.elements,
-            **{name: values[name] or None for name in optional},
-        )
-
-    @property
-    def reference_length(self) -> float:
-        """Mean length [m] of the points used."""
-        return float(self.paths.length[self.used].mean())
-
-    @property
-    def shortest(self) -> float:
-        """Logarithm of the presliding length [m] that reverses within one step: shorter ones are equivalent."""
-        share, stiffness = polygon(self.elements)
-        return float(np.log(self.paths.step / (2 * (share / stiffness).max())))
-
-    def bounds(self, names: Sequence[str]) -> tuple[Floats, Floats]:
-        """Lower and upper bounds of the named parameters."""
-        given = {p.name: (p.lower, p.upper) for p in type(self.template).shape_parameters}
-        given |= {
-            "half_width": (MIN_HALF_WIDTH, _WIDEST),
-            "tension_growth": (-1.0, 1.0),
-            "viscous": (0.0, np.inf),
-            "rate_growth": (0.0, _FASTEST_GROWTH),
-            "log_rate_speed": self._log_speeds,
-            "log_presliding": (self.shortest, float(np.log(_LONGEST * np.ptp(self.paths.length)))),
-        }
-        lower, upper = zip(*(given.get(name, (-np.inf, np.inf)) for name in names), strict=True)
-        return np.array(lower, float), np.array(upper, float)
-
-    @property
-    def _log_speeds(self) -> tuple[float, float]:
-        """Logarithms of the lowest and highest rate speed [m/s] that the rates of the points may determine."""
-        rates = np.abs(np.zeros(1) if self.rate is None else self.rate[self.used])
-        slow, fast = np.maximum(np.quantile(rates, [0.05, 1.0]), 1e-9)
-        return float(np.log(slow / _BEYOND)), float(np.log(_BEYOND * fast))
-
-    def components(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
-        """Tension of the law and friction force [N] at each row, shape (rows,)."""
-        tension = self._tension(values)
-        return tension, self._friction(tension[:, None], [values])[:, 0]
-
-    def band_side(self, values: Mapping[str, float]) -> Floats:
-        """Friction of a taut muscle relative to its half width at each row, from -1 to 1, shape (rows,)."""
-        unit = {**dict.fromkeys(FRICTION, 0.0), "half_width": 1.0}
-        # Half width and presliding length determine the stiffness of the elements.
-        unit["log_presliding"] = values["log_presliding"]
-        return self._friction(np.full((len(self.means), 1), _WIDEST), [unit])[:, 0]
-
-    def residuals(self, values: Mapping[str, float], offsets: Floats) -> Floats:
-        """Modelled minus measured force [N] at the points used."""
-        tension, friction = self.components(values)
-        return (tension + friction + self.drift.points @ offsets - self.means.force)[self.used]
-
-    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> Floats:
-        """Derivative of the modelled force with respect to the named parameters and drift amplitudes."""
-        tension = self._tension(values)
-        of_law = [name for name in names if name in self.law_names]
-        columns = design_matrix(self.law(values), of_law, self.means.contraction, self.means.pressure)
-        columns = columns * (tension > 0)[:, None]
-        others = [name for name in names if name not in self.law_names]
-        # All difference quotients of the friction in one pass along the paths.
-        by_law = _TENSION_STEP / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
-        sizes = {
-            "growth": float(np.abs(self.means.pressure - self.reference_pressure).max()),
-            "tension_growth": float(np.abs(tension - self.reference_tension).max()),
-            "viscous": 1.0 if self.rate is None else float(np.abs(self.rate).max()),
-        }
-        sizes["viscous_growth"] = sizes["viscous"] * sizes["growth"]
-        sizes["viscous_length_growth"] = sizes["viscous"] * float(np.ptp(self.paths.length))
-        steps = np.array([*by_law, *(_RELATIVE_STEP / max(sizes.get(name, 1.0), 1e-9) for name in others)])
-        moved = [dict(values) for _ in names]
-        for k, name in enumerate(others):
-            moved[len(of_law) + k][name] += steps[len(of_law) + k]
-        tensions = np.repeat(tension[:, None], len(names) + 1, axis=1)
-        tensions[:, 1 : len(of_law) + 1] += columns * steps[: len(of_law)]
-        friction = self._friction(np.maximum(tensions, 0.0), [values, *moved])
-        slopes = (friction[:, 1:] - friction[:, :1]) / steps
-        slopes[:, : len(of_law)] += columns
-        return np.concatenate([slopes, self.drift.points], axis=1)[self.used]
-
-    def _tension(self, values: Mapping[str, float]) -> Floats:
-        return np.maximum(forces(self.law(values), self.means.contraction, self.means.pressure), 0.0)
-
-    def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
-        """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
-        half_width, growth, by_tension, viscous, by_pressure, by_length, by_rate, log_speed, log_presliding = (
-            np.array([values[name] for values in sets]) for name in FRICTION
-        )
-        above = self.means.pressure - self.reference_pressure
-        width = half_width + growth * above[:, None] + by_tension * (tension - self.reference_tension)
-        limit = smooth_limit(width, tension, np)
-        share, stiffness = polygon(self.elements)
-        stiffness = stiffness * (half_width / np.exp(log_presliding))[:, None]
-        deflections = play_response(
-            self.paths.travel[..., None], limit[self.paths.place], stiffness, share, side=self.paths.side[:, None]
-        )
-        force = self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
-        if self.rate is None or not (viscous.any() or by_rate.any()):
-            return force
-        half, rate = np.maximum(tension / 2, 1e-9), self.rate[:, None]
-        longer = (self.paths.length - self.reference_length)[:, None]
-        damping = np.maximum(viscous + by_pressure * above[:, None] + by_length * longer, 0.0)
-        drag = damping * rate + by_rate * limit * np.tanh(rate / np.exp(log_speed))
-        return force + half * np.tanh(drag / half)

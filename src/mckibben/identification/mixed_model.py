@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.identification.uncertainty import Floats, tsqr_r
+from mckibben.identification.estimator import Floats, tsqr_r
 
 _RANK = 1e-10  # of the largest singular value: fixed columns below it are combinations of the others
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,15 +15,15 @@ from mckibben.component.calls import user_level
 from mckibben.component.checks import check_positive
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.identification.estimator import Floats, Ints, t_quantile
 from mckibben.identification.fit import Fit, left_out
 from mckibben.identification.fitting import identify
-from mckibben.identification.intervals import t_quantile
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.smooth import SMOOTH_LAWS
-from mckibben.identification.uncertainty import Floats, Ints
 from mckibben.muscle import ExponentialLaw, ForceLaw, Specimen, forces
-from mckibben.units import mm, show
+from mckibben.result import Column, Listing, Remark, Result, column
+from mckibben.units import show
 
 _AS_GOOD = 1.05  # times the lowest error
 _LONGEST, _SHORTEST = 0.3, -0.1  # bounds of the dead length, of the shortest specimen
@@ -71,8 +71,7 @@ class LeftOutSpecimen(NamedTuple):
     inside: float
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class PooledFit:
+class PooledFit(Result):
     """Law of a make, by `identify_pooled`.
 
     Attributes
@@ -94,27 +93,43 @@ class PooledFit:
     fit: Fit
     form: PoolForm
     errors: dict[str, float]
-    dead_length: float
-    dead_length_error: float
-    strengths: Floats = field(repr=False)
+    dead_length: float = column("m", "dead length", "mm", digits=3)
+    dead_length_error: float = column("m", "its standard error", "mm", digits=2)
+    strengths: Floats
     left_out: tuple[LeftOutSpecimen, ...]
-    strength_scatter: float
-    scatter: float
+    strength_scatter: float = column("1", "scatter of the strength among specimens", "%", digits=2)
+    scatter: float = column("N", "remaining scatter among specimens", digits=2)
 
-    def numbers(self) -> dict[str, Any]:
-        """Pool as plain data."""
-        return {
-            "form": self.form.name,
-            "errors_N": self.errors,
-            "rmse_N": self.fit.rmse,
-            "parameters": {name: float(getattr(self.law, name)) for name in self.fit.standard_errors},
-            "dead_length_mm": self.dead_length / mm,
-            "dead_length_standard_error_mm": self.dead_length_error / mm,
-            "strengths": self.strengths.tolist(),
-            "strength_scatter": self.strength_scatter,
-            "scatter_N": self.scatter,
-            "specimens": [one._asdict() for one in self.left_out],
+    def verdict(self) -> str:
+        """Return the form, and the error at lengths that are left out."""
+        law, count = type(self.law).__name__, len(self.left_out)
+        unseen = f"{self.errors[self.form.name]:.3g} N at left-out lengths"
+        return f"{law} of {count} specimens of one make, with {self.form.name}: {self.fit.rmse:.3g} N, {unseen}"
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return the remarks of the fit."""
+        return self.fit.notes
+
+    def listings(self) -> Iterable[Listing]:
+        """Return the numbers of the pool, the left-out specimens, the parameters, and the errors by form."""
+        yield from super().listings()
+        columns = {
+            "name": Column("", "specimen"),
+            "length": Column("m", "length", "mm"),
+            "points": Column("", "points"),
+            "rmse": Column("N", "error when left out", digits=3),
+            "lengths_rmse": Column("N", "error at left-out lengths", digits=3),
+            "strength": Column("1", "strength"),
+            "inside": Column("1", "within 95 % intervals", "%", digits=3),
         }
+        specimens = zip(columns.items(), zip(*self.left_out, strict=True), strict=True)
+        yield Listing("left-out specimens", {name: (mark, values) for (name, mark), values in specimens})
+        yield self.fit.parameter_table()
+        forms = {
+            "form": (Column(), list(self.errors)),
+            "rmse": (Column("N", "error at left-out lengths", digits=3), list(self.errors.values())),
+        }
+        yield Listing("forms", forms, detail=True)
 
     @property
     def law(self) -> ForceLaw:
@@ -139,35 +154,19 @@ class PooledFit:
         half = _half_width(force, self.strength_scatter, self.scatter, len(self.left_out), level)
         return force, force - half, force + half
 
-    def report(self) -> str:
-        """Pool as text."""
-        lines = [
-            f"{type(self.law).__name__} of {len(self.left_out)} specimens of one make, with {self.form.name}",
-            "",
-            f"{'specimen':20}  {'length':>8}  {'points':>6}  {'left out':>8}  {'lengths':>8}  strength  inside 95 %",
-        ]
-        lines += [
-            f"{one.name[:20]:20}  {show(one.length, 'mm', 4):>8}  {one.points:6}  {one.rmse:6.3g} N  "
-            f"{one.lengths_rmse:6.3g} N  {one.strength:8.3f}  {100 * one.inside:.0f} %"
-            for one in self.left_out
-        ]
-        lines.append("")
-        if self.form.dead_length:
-            error = self.dead_length_error / mm
-            lines.append(f"dead length: {self.dead_length / mm:.3g} mm, standard error {error:.2g} mm")
-        lines.append(
-            f"another specimen: strength +- {100 * self.strength_scatter:.2g} %, and {self.scatter:.2g} N, "
-            "as standard deviations"
-        )
-        lines.append("error at left-out lengths by form:")
-        best = min(self.errors.values())
-        for name, rmse in sorted(self.errors.items(), key=lambda item: item[1]):
-            lines.append(f"  {name:28}  {rmse:.3g} N{'' if rmse == best else f' ({rmse / best:.2f} times the lowest)'}")
-        return "\n".join(lines)
-
-    def __repr__(self) -> str:
-        count = len(self.left_out)
-        return f"<PooledFit {type(self.law).__name__}: {count} specimens, {self.form.name}, RMSE {self.fit.rmse:.3g} N>"
+    def prediction(self, length: float) -> Listing:
+        """Forces of a specimen of another length [m] at the highest pressure, with 95 % intervals."""
+        domain, ratio = self.law.domain, 1 - self.dead_length / length
+        contraction = np.linspace(max(domain.contraction_min * ratio, 0.0), domain.contraction_max * ratio, 4)
+        pressure = float(domain.pressure_max)
+        force, low, high = self.predict(contraction, pressure, length)
+        columns = {
+            "contraction": (Column("1", "contraction", "%"), contraction),
+            "force": (Column("N", "force"), force),
+            "lower": (Column("N", "95 % from"), low),
+            "upper": (Column("N", "to"), high),
+        }
+        return Listing(f"force of {show(length, 'mm')} at {show(pressure, 'bar', 3)}", columns)
 
 
 def identify_pooled(law: type[ForceLaw], datasets: Sequence[IsobaricDataset], *, robust: bool = True) -> PooledFit:
@@ -278,7 +277,7 @@ class _Pool:
             means = data.plateau_means()
             outliers = find_outliers(means) if robust else ()
             for text in left_out(outliers):
-                warnings.warn(f"dataset {number + 1}: {text}", McKibbenWarning, stacklevel=user_level())
+                warnings.warn(f"dataset {number + 1}: {text.text}", McKibbenWarning, stacklevel=user_level())
             parts.append(without_outliers(means, outliers).taut)
         specimen = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
         blocks, first = [], 0

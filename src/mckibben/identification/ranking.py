@@ -6,7 +6,7 @@ import dataclasses
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
@@ -25,7 +25,8 @@ from mckibben.identification.regression import (
 )
 from mckibben.identification.with_friction import shows_hysteresis
 from mckibben.muscle import LAWS, ForceLaw, GaussianProcessLaw, SmoothLaw
-from mckibben.notebook import Progress, html_table, notebook_progress
+from mckibben.notebook import Progress, notebook_progress
+from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.units import show
 
 _RECORDED = ("direction", "phase", "repeat")
@@ -83,26 +84,8 @@ class RankedLaw:
         """Number of parameters."""
         return len(self.fit.estimates if self.fit else LAWS[self.law].parameters() if self.law in LAWS else ())
 
-    def record(self) -> dict[str, Any]:
-        """Results for JSON; forces in N."""
-        fit, correlation = self.fit, self.residual_correlation
-        return {
-            "law": self.law,
-            "parameters": self.parameters,
-            "refused": self.refused or None,
-            "rmse_N": fit.rmse if fit else None,
-            "max_N": fit.max_error if fit else None,
-            **{f"unseen_{name.replace(' ', '_')}_rmse_N": found.rmse for name, found in self.cross_validation.items()},
-            "aicc": self.aicc,
-            "residual_correlation_along_contraction": correlation.along_contraction if correlation else None,
-            "residual_correlation_along_pressure": correlation.along_pressure if correlation else None,
-            "flags": list(self.flags),
-            "remarks": list(self.remarks),
-        }
 
-
-@dataclass(frozen=True, repr=False)
-class Ranking:
+class Ranking(Result):
     """Laws by cross-validation error, the best first and the refused last.
 
     Ordered by the geometric mean of the RMSE at blocks of pressure, contraction, and, where recorded, direction, phase
@@ -119,9 +102,11 @@ class Ranking:
         Points left out of all fits because they are off the smooth surface through the others.
     """
 
+    figures: ClassVar = ("ranking",)
+
     entries: tuple[RankedLaw, ...]
     points: IsobaricDataset
-    slack: int
+    slack: int = column("", "slack points left out")
     missing: dict[str, str]
     outliers: tuple[Outlier, ...] = ()
 
@@ -151,37 +136,58 @@ class Ranking:
         ranked = ", ".join(entry.law for entry in self.entries)
         raise IdentificationError(f"{law!r} was not ranked", value=law, remedy=f"ranked are {ranked}")
 
-    def remarks(self) -> list[str]:
-        """Remarks on points and tests that are left out, and on a choice other than the first law."""
-        found = left_out(self.outliers)
+    def verdict(self) -> str:
+        """Return the best law and its errors."""
+        fitted = [entry for entry in self.entries if entry.fit]
+        refused = f" ({len(self.entries) - len(fitted)} refused)" if len(fitted) < len(self.entries) else ""
+        best = f": best {self.best.law}, RMSE {self.best.fit.rmse:.3g} N" if fitted and self.best.fit else ""
+        return f"{len(fitted)} laws{refused} at {len(self.points)} taut points, by {self.criterion}{best}"
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return remarks on points and tests that are left out, on the choice, and on each law."""
+        yield from left_out(self.outliers)
         if not any(entry.fit for entry in self.entries):
-            return found
+            return
         best, first = self.best.law, self.entries[0].law
         if shows_hysteresis(self.points):
-            found.append(
-                f"loading and unloading differ; laws are ranked without friction; fit {best} alone, with friction "
-                f"(command line: --law {best.removesuffix('Law')})"
-            )
+            text = "loading and unloading differ; laws are ranked without friction"
+            remedy = f"fit {best} alone, with friction (command line: --law {best.removesuffix('Law')})"
+            yield Remark.warning("friction", text, remedy)
+        if best != first:
+            yield Remark.note("law", f"selected: {best}; {first} is flagged and not substantially better")
         alike: dict[tuple[str, ...], list[str]] = {}
         for entry in self.entries:
             if entry.fit:
-                errors = (entry.fit, *entry.cross_validation.values())
-                alike.setdefault(tuple(f"{one.rmse:.2f}" for one in errors), []).append(entry.law)
-        found += [
-            f"{', '.join(laws)}: equal errors to the digits shown; the data do not distinguish these laws"
-            for laws in alike.values()
-            if len(laws) > 1
-        ]
-        found += [f"no cross-validation over {name}s: {reason}" for name, reason in self.missing.items()]
-        if not self.blocks:
-            found.append("no block of points could be held out: ranked by AICc")
-        if best != first:
-            found.append(f"selected: {best}; {first} is flagged and not substantially better")
-        return found
+                errors = (entry.fit.rmse, *(cross.rmse for cross in entry.cross_validation.values()))
+                alike.setdefault(tuple(f"{error:.2f}" for error in errors), []).append(entry.law)
+        for laws in alike.values():
+            if len(laws) > 1:
+                yield Remark.note("law", f"{', '.join(laws)}: equal errors to the digits shown")
+        for name, reason in self.missing.items():
+            yield Remark.note("cross_validation", f"no cross-validation over {name}s: {reason}")
+        for entry in self.entries:
+            for what, texts in (("not fitted", [entry.refused]), ("flagged", entry.flags), ("note on", entry.remarks)):
+                if any(texts):
+                    yield Remark.note(entry.law, f"{what} {entry.law.removesuffix('Law')}: {'; '.join(texts)}")
 
-    def records(self) -> list[dict[str, Any]]:
-        """One dictionary per law, in order."""
-        return [entry.record() for entry in self.entries]
+    def listings(self) -> Iterable[Listing]:
+        """Return the laws with their errors, the best first."""
+        yield from super().listings()
+        fitted = [entry for entry in self.entries if entry.fit]
+        least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
+        newtons = [Column("N", f"held-out {name}s", digits=3) for name in self.blocks]
+        patterns = [entry.residual_correlation for entry in fitted]
+        columns: dict[str, tuple[Column, list[object]]] = {
+            "law": (Column(), [entry.law.removesuffix("Law") for entry in fitted]),
+            "parameters": (Column(), [entry.parameters for entry in fitted]),
+            "rmse": (Column("N", "RMSE", digits=3), [entry.fit.rmse for entry in fitted if entry.fit]),
+        }
+        for name, mark in zip(self.blocks, newtons, strict=True):
+            crosses = [entry.cross_validation.get(name) for entry in fitted]
+            columns[name] = mark, [cross.rmse if cross else math.nan for cross in crosses]
+        columns["aicc"] = Column("", "AICc difference"), [entry.aicc - least for entry in fitted]
+        columns["pattern"] = Column("", "residual pattern"), [(p.pattern if p else "") or "-" for p in patterns]
+        yield Listing("laws", columns)
 
     @property
     def blocks(self) -> tuple[str, ...]:
@@ -192,27 +198,6 @@ class Ranking:
     def criterion(self) -> str:
         """Ranking criterion: "cross-validation RMSE", or "AICc" without blocks."""
         return "cross-validation RMSE" if self.blocks else "AICc"
-
-    def __repr__(self) -> str:
-        fitted = [entry for entry in self.entries if entry.fit]
-        best = f", best {self.best.law}" if fitted else ""
-        refused = len(self.entries) - len(fitted)
-        return f"<Ranking of {len(fitted)} laws ({refused} refused) by {self.criterion}{best}>"
-
-    def _repr_html_(self) -> str:
-        header = ("law", "parameters", "RMSE [N]", *(f"{name} CV [N]" for name in self.blocks), "AICc", "flags")
-        rows = [
-            (
-                entry.law,
-                entry.parameters,
-                f"{entry.fit.rmse:.2f}" if entry.fit else "refused",
-                *(f"{cv[name].rmse:.2f}" if name in (cv := entry.cross_validation) else "-" for name in self.blocks),
-                f"{entry.aicc:.1f}",
-                "; ".join(entry.flags) or entry.refused,
-            )
-            for entry in self.entries
-        ]
-        return html_table(repr(self), header, rows)
 
 
 @checked_call
@@ -240,15 +225,14 @@ def rank(
     >>> ranking = rank(catalog.dataset("dmsp-10-250-martens2017"), [ReynoldsLaw, ExponentialLaw])
     >>> [(e.law, round(e.cross_validation["pressure"].rmse, 2)) for e in ranking.entries]
     [('ExponentialLaw', 1.34), ('ReynoldsLaw', 32.37)]
-    >>> ranking
-    <Ranking of 2 laws (0 refused) by cross-validation RMSE, best ExponentialLaw>
+    >>> ranking.best.law
+    'ExponentialLaw'
     """
     if not isinstance(dataset, IsobaricDataset):
-        given = getattr(dataset, "__name__", type(dataset).__name__)
         remedy = "write rank(read_dataset('rig.csv'), [ExponentialLaw, SmoothLaw])"
-        raise IdentificationError(f"rank takes a dataset first, not {given}", remedy=remedy)
+        raise IdentificationError(f"rank takes a dataset first, not {described(dataset)}", remedy=remedy)
     kinds = list(laws)
-    if wrong := [one for one in kinds if not isinstance(one, type)]:
+    if wrong := [kind for kind in kinds if not isinstance(kind, type)]:
         remedy = "give classes, such as [ExponentialLaw, SmoothLaw]; without them, all laws are ranked"
         raise IdentificationError(f"{described(wrong[0])} is not a class of laws", remedy=remedy)
     means = dataset.plateau_means()

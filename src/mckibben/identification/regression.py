@@ -12,27 +12,46 @@ from numpy.typing import ArrayLike, NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import group_pressures, nominal_pressures
 from mckibben.errors import IdentificationError
-from mckibben.identification.intervals import RobustErrors
-from mckibben.identification.least_squares import FitProblem, Solution, solve
-from mckibben.identification.uncertainty import (
+from mckibben.identification.estimator import (
     CONDITION_LIMIT,
     Bools,
     ClusterRobustErrors,
     ErrorModel,
     Floats,
-    Grouping,
     IndependentErrors,
+    IntervalEstimate,
     Ints,
     condition_number,
-    finest_grouping,
-    group_labels,
     scatter_growth,
 )
+from mckibben.identification.grouping import Grouping, finest_grouping, group_labels
+from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.units import percent
 
 MOST_BLOCKS = 200
 _BLOCKS = 8  # number of blocks of equal width if all pressures differ
 _IN_BLOCK = 5  # points at least, on average
+
+
+@dataclass(frozen=True)
+class RobustErrors:
+    """Cluster-robust standard errors [SI] and degrees of freedom by parameter; NaN at a bound."""
+
+    by: Grouping
+    groups: int
+    standard_errors: Mapping[str, float] = field(repr=False)
+    degrees_of_freedom: Mapping[str, float] = field(repr=False)
+
+
+@dataclass(frozen=True, eq=False)
+class ForceIntervals:
+    """Intervals of the force at new pressures and contractions (confidence), and of a plateau mean there (prediction).
+
+    In N, for the same muscle and rig. Systematic errors of the rig are in neither.
+    """
+
+    confidence: IntervalEstimate
+    prediction: IntervalEstimate
 
 
 @dataclass(frozen=True, eq=False)

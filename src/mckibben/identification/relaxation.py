@@ -1,215 +1,153 @@
-"""Relaxation curves of the force within plateaus, and the fit of a Maxwell element to them."""
+r"""Fit of one Maxwell element to the course of the force within plateaus.
+
+The blocks of all plateaus, less the mean of their plateau, are :math:`y = \beta\, c(\tau) + v t` with an amplitude
+beta, the column c of one time constant, and a common rate v such as that of sensor drift. Errors are correlated within
+plateaus. Both kinds of creep are such a fit: they differ in the column.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError
-from mckibben.identification.intervals import minimum_near
-from mckibben.identification.loading_path import LoadingPaths
-from mckibben.identification.uncertainty import Bools, Floats, Ints
-from mckibben.muscle.creep import retained_fraction
+from mckibben.identification.estimator import ClusterRobustErrors, Floats, Ints, profile_interval, t_quantile
 
-_BLOCKS = 16  # blocks to which the samples of a plateau are averaged: an exponential is smooth
-_CLOCK_ERROR = 0.05  # s, of the times of points
+_FINE = 41  # time constants between two of the grid
+GRID = 61
+"""Number of time constants of a search."""
 
 
 @dataclass(frozen=True, eq=False)
-class TimedLoadingPaths:
-    """Loading paths with the durations of moves and plateaus [s]."""
+class RelaxationFit:
+    """Least-squares fit of an amplitude, a common rate and a time constant to blocks of plateaus.
 
-    paths: LoadingPaths
-    moving: Floats = field(repr=False)
-    before: Floats = field(repr=False)
-    slack: Bools = field(repr=False)
-    dwell: float
+    Attributes
+    ----------
+    values, line
+        Force [N] and time [s] by block, shape (blocks,), without what is free for each plateau.
+    weight, owner
+        Weight and plateau of each block.
+    columns
+        Function of time constants [s], shape (m,), that returns the columns, shape (blocks, m).
+    grid
+        Ascending time constants [s] of the search.
+    removed
+        Number of directions that are free for each plateau, such as its mean.
+    """
 
-    @classmethod
-    def of(cls, means: IsobaricDataset, dwell: float, speed: float, acquisition: float) -> TimedLoadingPaths:
-        """Paths of plateau means, with dwell and duration of the samples [s], and speed of the moves [m/s]."""
-        if len(means.directions) < 2:
-            raise IdentificationError(
-                "the dataset lacks one direction: sensor drift cannot be distinguished from creep",
-                remedy="measure while stretching and while shortening, and give the direction of each point",
-            )
-        paths = LoadingPaths.of(means)
-        moving = np.abs(paths.displacement) / speed
-        before = moving + dwell + acquisition
-        if "time" in means.table:
-            time = means.table["time"].to_numpy()[paths.place]
-            elapsed = np.diff(time, axis=0, prepend=time[:1])
-            real = np.arange(len(time))[:, None] < paths.counts
-            real[0] = False
-            lacking = float((before - elapsed)[real].max(initial=-math.inf))
-            if lacking > _CLOCK_ERROR:
-                message = f"move, wait and samples take {lacking:.3g} s longer than the time between two points"
-                remedy = "check interval, dwell, speed and the times of the points"
-                raise IdentificationError(message, value=lacking, unit="s", remedy=remedy)
-            before = np.where(real, elapsed, before)
-        return cls(paths, moving, before, means.slack[paths.place], dwell)
+    values: Floats = field(repr=False)
+    line: Floats = field(repr=False)
+    weight: Floats = field(repr=False)
+    owner: Ints = field(repr=False)
+    columns: Callable[[Floats], Floats]
+    grid: Floats
+    removed: int
 
     @property
-    def longest(self) -> float:
-        """Duration of the longest path [s]."""
-        return float(self.before.sum(axis=0).max())
+    def freedom(self) -> int:
+        """Number of blocks less that of free parameters."""
+        return max(len(self.owner) - self.removed * (int(self.owner.max()) + 1) - 3, 1)
 
-    @property
-    def sides(self) -> Floats:
-        """Sign of the last move, shape (rows,): 1 stretching, -1 shortening, 0 none."""
-        displacement = self.paths.displacement
-        return self.paths.scattered(np.sign(np.where(np.abs(displacement) > 1e-9, displacement, 0.0)))
+    @cached_property
+    def grid_costs(self) -> Floats:
+        """Sum of squares [N^2] at each time constant of the search."""
+        return self._costs(self.grid)
 
-    def deflection(self, time_constant: float) -> Floats:
-        """Deflection [m] of a Maxwell element's spring at the first sample, shape (rows,)."""
-        decay = np.exp(-self.before / time_constant)
-        added = self.paths.displacement * retained_fraction(self.moving, time_constant)
-        deflections = np.empty_like(added)
-        now = np.zeros(added.shape[1])
-        for k in range(len(added)):
-            now = np.where(self.slack[k], 0.0, now * decay[k] + added[k])
-            deflections[k] = now
-        return self.paths.scattered(deflections) * math.exp(-self.dwell / time_constant)
+    @cached_property
+    def time_constant(self) -> float:
+        """Least-squares time constant [s]: from a grid, a finer one, and a parabola."""
+        at = int(np.argmin(self.grid_costs))
+        fine = np.geomspace(self.grid[max(at - 1, 0)], self.grid[min(at + 1, len(self.grid) - 1)], _FINE)
+        costs = self._costs(fine)
+        at = int(np.argmin(costs))
+        if not 0 < at < _FINE - 1:
+            return float(fine[at])
+        before, here, after = costs[at - 1 : at + 2]
+        bend = before - 2 * here + after
+        shift = (before - after) / (2 * bend) if bend > 0 else 0.0
+        return float(fine[at] * (fine[1] / fine[0]) ** shift)
 
-    def stiffness(self, means: IsobaricDataset, used: Bools) -> float:
-        """Median stiffness of the muscle over the moves between used points [N/m]."""
-        place = self.paths.place
-        displacement = self.paths.displacement[1:]
-        both = used[place][1:] & used[place][:-1] & (np.abs(displacement) > 1e-9)
-        return float(np.median(np.diff(means.force[place], axis=0)[both] / displacement[both]))
+    @cached_property
+    def solution(self) -> tuple[float, float, Floats, float]:
+        """Amplitude, rate [N/s], residuals [N] by block, and sum of their squares."""
+        values, residuals, cost = self.least_squares(self._jacobian[:, :2])
+        return float(values[0]), float(values[1]), residuals, cost
 
+    def least_squares(self, columns: Floats) -> tuple[Floats, Floats, float]:
+        """Coefficients of columns, shape (blocks, k), residuals, and the weighted sum of their squares."""
+        root = np.sqrt(self.weight)
+        values = np.linalg.lstsq(columns * root[:, None], self.values * root, rcond=None)[0]
+        residuals = self.values - columns @ values
+        return np.asarray(values, np.float64), residuals, float(self.weight @ residuals**2)
 
-class RelaxationCurves(NamedTuple):
-    """Samples of each plateau, averaged in blocks, less their mean."""
+    def errors(self, columns: Floats, residuals: Floats) -> tuple[Floats, Floats]:
+        """Variances of the coefficients of columns and their degrees of freedom, errors correlated in a plateau."""
+        root = np.sqrt(self.weight)
+        model = ClusterRobustErrors.of(columns * root[:, None], residuals * root, self.owner)
+        variance, freedom = model.variance(np.eye(columns.shape[1]))
+        return variance, np.maximum(freedom, 1.0)
 
-    values: Floats
-    weight: Floats
-    edges: Ints
-    times: Floats
+    @cached_property
+    def error(self) -> tuple[float, float, float]:
+        """Standard errors of the amplitude and of the logarithm of the time constant, and degrees of freedom."""
+        variance, freedom = self.errors(self._jacobian, self.solution[2])
+        return math.sqrt(variance[0]), math.sqrt(variance[2]), float(freedom[0])
 
-    @classmethod
-    def of(cls, samples: NDArray, interval: float) -> RelaxationCurves:
-        """Curves of raw samples, shape (rows, samples), at a sampling interval [s]."""
-        count = samples.shape[1]
-        edges = np.unique(np.linspace(0, count, min(_BLOCKS, count) + 1).astype(np.int64))
-        sizes = np.diff(edges)
-        blocks = np.add.reduceat(samples, edges[:-1], axis=1, dtype=np.float64) / sizes
-        weight = sizes / count
-        return cls(blocks - (blocks @ weight)[:, None], weight, edges[:-1], np.arange(count) * interval)
+    @cached_property
+    def inflation(self) -> float:
+        """Variance of the amplitude with errors correlated in plateaus, in that of independent ones; at least 1."""
+        columns = self._jacobian[:, :2]
+        information = (columns * self.weight[:, None]).T @ columns
+        independent = np.linalg.pinv(information)[0, 0] * self.solution[3] / self.freedom
+        return max(1.0, float(self.errors(columns, self.solution[2])[0][0]) / independent)
 
-    @property
-    def duration(self) -> float:
-        """Time from the first sample to the last [s]."""
-        return float(self.times[-1])
+    @cached_property
+    def p_value(self) -> float:
+        """Upper bound of the probability of the reduction of the squares by creep, over all time constants.
 
-    def blocks(self, curve: Floats) -> Floats:
-        """Curve over the samples, averaged in the same blocks, less its mean."""
-        blocks = np.add.reduceat(curve, self.edges) / (self.weight * len(self.times))
-        return blocks - blocks @ self.weight
+        The time constant does not exist without creep: R. B. Davies, "Hypothesis testing when a nuisance parameter is
+        present only under the alternative", Biometrika 74 (1987) 33-43. Its bound holds for squares of normal
+        variables: each F statistic is replaced by the one of equal probability.
+        """
+        from scipy.special import chdtri, fdtrc
 
-    @property
-    def slopes(self) -> Floats:
-        """Slope of the least-squares line through each plateau [N/s], shape (rows,)."""
-        line = self.blocks(self.times)
-        return self.values @ (self.weight * line) / (line**2 @ self.weight)
+        scale = self.solution[3] / self.freedom * self.inflation
+        without = self.least_squares(self.line[:, None])[2]
+        statistics = np.maximum(without - np.append(self.grid_costs, self.solution[3]), 0) / scale
+        chances = fdtrc(1, self.error[2], statistics)
+        equivalents = chdtri(1, np.maximum(chances, 1e-300))
+        variation = float(np.abs(np.diff(np.sqrt(equivalents[:-1]))).sum())
+        return min(float(chances[-1]) + variation * math.exp(-equivalents[-1] / 2) / math.sqrt(2 * math.pi), 1.0)
 
+    @cached_property
+    def time_constant_interval(self) -> tuple[float, float]:
+        """95 % profile interval of the time constant [s]; 0 or infinite where the data impose no bound."""
+        least, place = self.solution[3], int(np.searchsorted(self.grid, self.time_constant))
+        grid, costs = (
+            np.insert(values, place, here)
+            for values, here in ((self.grid, self.time_constant), (self.grid_costs, least))
+        )
+        roots = np.sqrt(np.maximum(costs / least - 1, 0) * self.freedom / self.inflation)
+        limit = float(t_quantile(0.95, self.error[2]))
+        low, high = profile_interval(np.log(grid), roots, limit, place, -math.inf)
+        return math.exp(low), math.exp(high)
 
-_CHI_SQUARE = 3.84  # 95 % point with one degree of freedom
-_GRID = 61
+    def root_mean_square(self, values: Floats) -> float:
+        """Weighted root mean square of values by block."""
+        return math.sqrt(float(np.average(values**2, weights=self.weight)))
 
+    def _costs(self, time_constants: Floats) -> Floats:
+        columns = self.columns(time_constants).T
+        return np.array([self.least_squares(np.column_stack([column, self.line]))[2] for column in columns])
 
-@dataclass(frozen=True, eq=False)
-class MaxwellElementFit:
-    """Least-squares fit of a Maxwell element and a common drift rate to relaxation curves."""
-
-    curves: RelaxationCurves
-    paths: TimedLoadingPaths
-
-    def stiffness_and_rate(self, tau: float, used: Bools) -> tuple[float, float]:
-        """Stiffness [N/m], at least 0, and common rate [N/s] for a time constant [s]."""
-        stiffness, rate = self._fit(tau, used)[1].tolist()
-        return stiffness, rate
-
-    def cost(self, tau: float, used: Bools) -> float:
-        """Sum over the plateaus of the mean squared residual [N^2]."""
-        return float((self._fit(tau, used)[2] ** 2 @ self.curves.weight).sum())
-
-    def stiffness_error(self, tau: float, used: Bools) -> float:
-        """Standard error of the stiffness [N/m] at a given time constant [s]."""
-        columns, _, residuals = self._fit(tau, used)
-        return math.sqrt(_covariance(columns, residuals, self.curves.weight)[0][0, 0])
-
-    def time_constant(self, used: Bools, lower: float, upper: float) -> float:
-        """Least-squares time constant [s]: from a grid, then refined."""
-        grid = np.linspace(math.log(lower), math.log(upper), _GRID).tolist()
-
-        def cost(log_tau: float) -> float:
-            return self.cost(math.exp(log_tau), used)
-
-        return math.exp(minimum_near(cost, grid, list(map(cost, grid)), 1e-6))
-
-    def uncertainty(self, tau: float, used: Bools) -> tuple[dict[str, float], float]:
-        """Standard errors of stiffness and time constant, and the variance inflation."""
-        small = 1e-4
-        after, before = (self._by_stiffness(tau * math.exp(sign * small)) for sign in (1, -1))
-        columns, found, residuals = self._fit(tau, used)
-        by_log_tau = found[0] * (after - before)[used] / (2 * small)
-        every = np.concatenate([columns, by_log_tau[..., None]], axis=-1)
-        covariance, classical = _covariance(every, residuals, self.curves.weight)
-        deviations = np.sqrt(np.diag(covariance))
-        errors = {"stiffness": float(deviations[0]), "time_constant": float(deviations[2]) * tau}
-        return errors, float(covariance[2, 2] / classical[2, 2])
-
-    def time_constant_interval(
-        self, tau: float, used: Bools, lower: float, upper: float, inflation: float
-    ) -> tuple[float, float]:
-        """95 % profile interval of the time constant; 0 or infinite where the data impose no bound."""
-        from scipy.optimize import brentq
-
-        least = self.cost(tau, used)
-        freedom = int(used.sum()) * (len(self.curves.weight) - 1) - 3
-
-        def excess(log_tau: float) -> float:
-            worse = max(self.cost(math.exp(log_tau), used) / least - 1, 0.0) * freedom
-            return math.sqrt(worse / max(inflation, 1.0)) - math.sqrt(_CHI_SQUARE)
-
-        ends: list[float] = []
-        for end, open_end in ((lower, 0.0), (upper, math.inf)):
-            if excess(math.log(end)) <= 0:
-                ends.append(open_end)
-                continue
-            steps = np.linspace(math.log(tau), math.log(end), _GRID)
-            first = next(k for k in range(1, _GRID) if excess(steps[k]) > 0)
-            ends.append(math.exp(brentq(excess, steps[first - 1], steps[first], xtol=1e-4)))  # type: ignore[arg-type]
-        return ends[0], ends[1]
-
-    def _by_stiffness(self, tau: float) -> Floats:
-        return self.paths.deflection(tau)[:, None] * self.curves.blocks(np.exp(-self.curves.times / tau))
-
-    def _fit(self, tau: float, used: Bools) -> tuple[Floats, Floats, Floats]:
-        """Columns (plateaus, blocks, 2), stiffness and common rate, and residuals (plateaus, blocks)."""
-        values, root = self.curves.values[used], np.sqrt(self.curves.weight)
-        line = np.broadcast_to(self.curves.blocks(self.curves.times), values.shape)
-        columns = np.stack([self._by_stiffness(tau)[used], line], axis=-1)
-        weighted, target = (columns * root[:, None]).reshape(-1, 2), (values * root).ravel()
-        found: Any = np.linalg.lstsq(weighted, target, rcond=None)[0]
-        if found[0] < 0:  # a passive element has no negative stiffness
-            found = np.array([0.0, weighted[:, 1] @ target / (weighted[:, 1] @ weighted[:, 1])])
-        return columns, found, values - columns @ found
-
-
-def _covariance(columns: Floats, residuals: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Covariance with residuals correlated within plateaus, and with independent ones."""
-    plateaus, blocks, count = columns.shape
-    size = np.sqrt(np.einsum("pbi,pbi,b->i", columns, columns, weight))
-    scaled = columns / size
-    bread = np.linalg.pinv(np.einsum("pbi,pbj,b->ij", scaled, scaled, weight))
-    score = np.einsum("pbi,pb,b->pi", scaled, residuals, weight)
-    variance = float((residuals**2 @ weight).sum()) / (plateaus * (blocks - 1) - count)
-    correlated = bread @ (score.T @ score) @ bread * plateaus / (plateaus - count)
-    return correlated / np.outer(size, size), bread * variance / np.outer(size, size)
+    @cached_property
+    def _jacobian(self) -> Floats:
+        """Columns of amplitude, rate and logarithm of the time constant."""
+        small = 1e-3
+        centre, after, before = self.columns(self.time_constant * np.exp([0.0, small, -small])).T
+        amplitude = self.least_squares(np.column_stack([centre, self.line]))[0][0]
+        return np.column_stack([centre, self.line, amplitude * (after - before) / (2 * small)])

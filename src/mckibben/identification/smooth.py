@@ -33,12 +33,12 @@ from numpy.typing import NDArray
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import group_pressures
 from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import CONDITION_LIMIT, Bools, Floats, condition_number
 from mckibben.identification.fit import domain_of, unphysical
 from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.monotone import monotone
 from mckibben.identification.regression import RESOLUTION, contraction_blocks, pressure_blocks
-from mckibben.identification.uncertainty import CONDITION_LIMIT, Bools, Floats, condition_number
 from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.gaussian_process import ORDER
 from mckibben.muscle.smooth import DEGREE

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import ClusterRobustErrors, Floats, minimum_near, profile_interval, t_quantile
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify, residual_correlation
-from mckibben.identification.intervals import minimum_near, profile_interval, t_quantile
+from mckibben.identification.grouping import finest_grouping, group_labels
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.smooth import SMOOTH_LAWS
-from mckibben.identification.uncertainty import ClusterRobustErrors, Floats, finest_grouping, group_labels
 from mckibben.muscle import ForceLaw
 from mckibben.muscle.threshold import ThresholdLaw, effective_pressure
+from mckibben.result import Remark, Result, column
 from mckibben.units import bar, kPa, show
 
 _LOWEST = 1 * kPa
@@ -30,8 +32,7 @@ _ONE_GROUP = 1e3  # ratio of variances above which one group determines the thre
 _STEP = 1e-3  # of the threshold, of a derivative
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ThresholdFit:
+class ThresholdFit(Result):
     """Pressure threshold of a law, or its absence; returned by `identify_threshold`.
 
     Attributes
@@ -48,18 +49,18 @@ class ThresholdFit:
         errors common to a stroke or a pressure). The threshold is significant below 0.01.
     residual, residual_without
         Root mean square error [N] with the threshold and without one.
-    warnings
+    notes
         Structure of the residuals, and other reasons not to rely on the result.
     """
 
     fit: Fit
     law: ForceLaw
-    threshold: float
+    threshold: float = column("Pa", "pressure threshold", "bar", digits=3)
     interval: tuple[float, float]
-    p_value: float
-    residual: float
-    residual_without: float
-    warnings: tuple[str, ...]
+    p_value: float = column("1", "probability without a threshold", digits=2)
+    residual: float = column("N", "RMSE with it", digits=3)
+    residual_without: float = column("N", "RMSE without it", digits=3)
+    notes: tuple[Remark, ...]
 
     def effective(self, dataset: IsobaricDataset) -> IsobaricDataset:
         """Plateau means of a dataset at the pressures that the law sees."""
@@ -70,33 +71,17 @@ class ThresholdFit:
         """True if the threshold is significant."""
         return isinstance(self.law, ThresholdLaw)
 
-    def records(self) -> dict[str, object]:
-        """Results as plain data in SI units."""
-        return {
-            "significant": self.is_significant,
-            "threshold": {"value": self.threshold, "interval": list(self.interval), "unit": "Pa"},
-            "p_value": self.p_value,
-            "residual": self.residual,
-            "residual_without": self.residual_without,
-            "warnings": list(self.warnings),
-        }
-
-    def report(self) -> str:
-        """Result as text."""
+    def verdict(self) -> str:
+        """Return the threshold and its interval, or that there is none."""
+        if not self.is_significant:
+            return f"no significant threshold (p = {self.p_value:.2g}): the law is fitted without one"
         low, high = self.interval
         upper = "unbounded" if high == math.inf else show(high, "bar", 3)
-        lines = [
-            f"pressure threshold  {show(self.threshold, 'bar', 3)}, 95 % interval {low / bar:.3g} .. {upper}",
-            f"RMSE {show(self.residual, 'N', 3)}, without a threshold {show(self.residual_without, 'N', 3)} "
-            f"(p = {self.p_value:.2g})",
-        ]
-        if not self.is_significant:
-            lines.append(f"no significant threshold (p = {self.p_value:.2g}): the law is fitted without one")
-        return "\n".join([*lines, *(f"warning: {one}" for one in self.warnings)])
+        return f"pressure threshold {show(self.threshold, 'bar', 3)}, 95 % interval {low / bar:.3g} .. {upper}"
 
-    def __repr__(self) -> str:
-        found = show(self.threshold, "bar", 3) if self.is_significant else "not significant"
-        return f"<ThresholdFit: {found}, {type(self.fit.law).__name__}>"
+    def remarks(self) -> Iterable[Remark]:
+        """Return the notes."""
+        return self.notes
 
 
 def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, robust: bool = True) -> ThresholdFit:
@@ -119,8 +104,8 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, ro
     >>> pressure, contraction = map(np.ravel, np.meshgrid(np.arange(13) * 0.25 * bar, np.linspace(-0.03, 0.1, 9)))
     >>> force = np.asarray(law.force(contraction, pressure)) + np.random.default_rng(1).normal(0, 0.5, 117)
     >>> data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=2.0)
-    >>> identify_threshold(ExponentialLaw, data)
-    <ThresholdFit: 0.399 bar, ExponentialLaw>
+    >>> round(identify_threshold(ExponentialLaw, data).threshold / bar, 3)
+    0.399
     """
     if law_type in SMOOTH_LAWS:
         raise IdentificationError(
@@ -131,8 +116,8 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, ro
     points = without_outliers(means, find_outliers(means) if robust else ()).taut
     profile = _Profile(law_type, points)
     grid = np.geomspace(_LOWEST, _HIGHEST * float(points.pressure.max()), _GRID)
-    without, solutions = profile.solution(0.0), [profile.solution(one) for one in grid]
-    reached = [one.cost for one in solutions]
+    without, solutions = profile.solution(0.0), [profile.solution(threshold) for threshold in grid]
+    reached = [solution.cost for solution in solutions]
     log = minimum_near(lambda log: profile.solution(math.exp(log)).cost, np.log(grid).tolist(), reached, 1e-4)
     threshold = math.exp(log)
     best = profile.solution(threshold)
@@ -146,15 +131,17 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, ro
     limit = best.cost + scale * float(t_quantile(0.95, freedom)) ** 2
     interval = _interval(np.append(0.0, grid), costs, threshold, best.cost, limit)
     significant = p_value < _SIGNIFICANT
-    fit, law, warnings = plain, plain.law, list[str]()
+    fit, law, notes = plain, plain.law, list[Remark]()
     if significant:
         fit = identify(law_type, _shifted(dataset, threshold), robust=robust)
         law = ThresholdLaw(law=fit.law, threshold=threshold)  # type: ignore[call-issue]
     if inflation > _ONE_GROUP:
-        warnings.append("the points of one pressure determine the threshold: measure at several low pressures")
+        text = "the points of one pressure determine the threshold"
+        notes.append(Remark.warning("threshold", text, "measure at several low pressures"))
     pattern = residual_correlation(points, (best if significant else without).residuals).pattern
     if pattern:
-        warnings.append(f"the residuals are structured along {pattern}: the form of the law is not that of the muscle")
+        text = f"the residuals are structured along {pattern}: the form of the law is not that of the muscle"
+        notes.append(Remark.warning("law", text))
     return ThresholdFit(
         fit=fit,
         law=law,
@@ -163,7 +150,7 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, ro
         p_value=p_value,
         residual=_root_mean_square(best.residuals),
         residual_without=_root_mean_square(without.residuals),
-        warnings=tuple(warnings),
+        notes=tuple(notes),
     )
 
 

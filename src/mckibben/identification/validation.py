@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.schema import text_table
 from mckibben.errors import IdentificationError, RangeError, printable
+from mckibben.identification.estimator import Bools
 from mckibben.identification.fit import Fit
-from mckibben.identification.uncertainty import Bools
 from mckibben.muscle import ForceLaw, forces
-from mckibben.notebook import html_table
-from mckibben.units import bar
+from mckibben.result import Column, Listing, Result, column
 
 
 @dataclass(frozen=True)
@@ -42,15 +40,14 @@ class ErrorStatistics:
     outside: int
 
 
-@dataclass(frozen=True, repr=False)
-class Validation:
+class Validation(Result):
     """Errors of laws at the taut points of a dataset.
 
     Per law: over all points, per direction, per pressure, and per pressure and direction.
     """
 
     errors: tuple[ErrorStatistics, ...]
-    slack: int
+    slack: int = column("", "slack points left out")
     specimen: str
 
     @property
@@ -69,43 +66,28 @@ class Validation:
         message = f"there are no errors of {law} at pressure {pressure} Pa, direction {direction}"
         raise RangeError(message, value=pressure, unit="Pa", remedy=f"the laws are {', '.join(self.laws)}")
 
-    def records(self) -> list[dict[str, str | float | int | None]]:
-        """One dictionary per group of points, in SI units."""
-        return [asdict(e) for e in self.errors]
+    def verdict(self) -> str:
+        """Return the error of each law over all points."""
+        errors = ", ".join(f"{law} {self.of(law).rmse:.3g} N" for law in self.laws)
+        return f"RMSE at the taut points of {self.specimen or 'an unnamed specimen'}: {errors}"
 
-    def report(self) -> str:
-        """Table as text."""
-        return "\n".join([self._title, *text_table([_HEADER, *map(_row, self.errors)], (0, 2))])
-
-    @property
-    def _title(self) -> str:
-        return f"{self.specimen or 'unnamed specimen'}: taut points; {self.slack} slack left out"
-
-    def __str__(self) -> str:
-        return self.report()
-
-    def __repr__(self) -> str:
-        found = ", ".join(f"{law} RMSE {self.of(law).rmse:.3g} N" for law in self.laws)
-        return f"<Validation on {self.specimen or 'unnamed specimen'}: {found}>"
-
-    def _repr_html_(self) -> str:
-        return html_table(self._title, _HEADER, map(_row, self.errors))
+    def listings(self) -> Iterable[Listing]:
+        """Return the errors, a row per law, pressure and direction; without a pressure or direction: over all."""
+        yield from super().listings()
+        columns = {name: (mark, [getattr(row, name) for row in self.errors]) for name, mark in _COLUMNS.items()}
+        yield Listing("errors", columns)
 
 
-_HEADER = ("law", "pressure", "direction", "points", "RMSE [N]", "max [N]", "bias [N]", "outside domain")
-
-
-def _row(e: ErrorStatistics) -> tuple[str, ...]:
-    return (
-        e.law,
-        "all" if e.pressure is None else f"{e.pressure / bar:.4g} bar",
-        e.direction or "all",
-        f"{e.points}",
-        f"{e.rmse:.2f}",
-        f"{e.max_error:.2f}",
-        f"{e.bias:+.2f}",
-        f"{e.outside}" if e.outside else "-",
-    )
+_COLUMNS = {
+    "law": Column(),
+    "pressure": Column("Pa", "pressure", "bar"),
+    "direction": Column(),
+    "points": Column(),
+    "rmse": Column("N", "RMSE"),
+    "max_error": Column("N", "largest"),
+    "bias": Column("N", "bias"),
+    "outside": Column("", "outside the domain"),
+}
 
 
 @checked_call

@@ -2,33 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
-from html import escape
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from numpy.typing import ArrayLike
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError, no_attribute
-from mckibben.identification.fit import Fit
+from mckibben.identification.estimator import Floats
+from mckibben.identification.fit import Fit, warning_texts
 from mckibben.identification.fitting import WITH_FRICTION, fit_means, identify
-from mckibben.identification.friction_forms import FrictionForm
-from mckibben.identification.hysteresis import HysteresisFit, identify_hysteresis
+from mckibben.identification.friction import HysteresisFit, identify_hysteresis
+from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.loading_path import ReversedDirectionsError, loop_half_width
 from mckibben.identification.outliers import find_outliers
-from mckibben.identification.uncertainty import Floats
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
+from mckibben.result import Listing, Remark, Result
 
 
-class FitWithFriction(NamedTuple):
+class FitWithFriction(Result):
     """Result of `identify_with_friction`.
 
     Attributes
     ----------
     fit
-        Law fitted to `points`: without friction, to the given ones.
+        Law fitted to `points`: without friction, to the measured ones.
     hysteresis
         Friction and drift of the force sensor; None if the law was fitted without them.
     points
@@ -37,10 +38,28 @@ class FitWithFriction(NamedTuple):
         The choice between both, in words; empty if there was none.
     """
 
+    figures: ClassVar = ("fit",)
+
     fit: Fit
     hysteresis: HysteresisFit | None
     points: IsobaricDataset
     note: str = ""
+
+    def verdict(self) -> str:
+        """Return the verdict of the law, and that of the friction."""
+        return ". ".join(part.verdict() for part in (self.fit, self.hysteresis) if part)
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return the remarks of the law and of the friction, and the choice between both."""
+        if self.note:
+            yield Remark.note("friction", self.note) if self.hysteresis else Remark.warning("friction", self.note)
+        yield from self.fit.remarks()
+        yield from self.hysteresis.notes if self.hysteresis else ()
+
+    def listings(self) -> Iterable[Listing]:
+        """Return the tables of the law and of the friction."""
+        yield from titled(self.fit.listings(), "law")
+        yield from titled(self.hysteresis.listings(), "law and friction") if self.hysteresis else ()
 
     @property
     def friction(self) -> MaxwellSlip | None:
@@ -49,25 +68,13 @@ class FitWithFriction(NamedTuple):
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Reasons not to rely on the results, of the law and of the friction."""
-        return self.fit.warnings + (self.hysteresis.warnings if self.hysteresis else ())
-
-    def report(self) -> str:
-        """Return law, friction and the choice between both as text."""
-        found = self.hysteresis
-        return "\n\n".join(filter(None, [self.fit.report(), found.report() if found else "", self.note]))
+        """Texts of the remarks on law and friction that are not mere details."""
+        return tuple(warning_texts([*self.fit.notes, *(self.hysteresis.notes if self.hysteresis else ())]))
 
     if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
 
         def __getattr__(self, name: str) -> Any:
-            raise no_attribute(self, name, {one: f"fit.{one}" for one in dir(self.fit) if not one.startswith("_")})
-
-    def __repr__(self) -> str:
-        return f"<FitWithFriction: {self.fit}, {self.hysteresis or 'without friction'}>"
-
-    def _repr_html_(self) -> str:
-        found = self.hysteresis
-        return self.fit._repr_html_() + (found._repr_html_() if found else "") + f"<p>{escape(self.note)}</p>"
+            raise no_attribute(self, name, {own: f"fit.{own}" for own in dir(self.fit) if not own.startswith("_")})
 
     def muscle(
         self, specimen: Specimen | None = None, *, diameter: float | None = None, fill: float | None = None
@@ -107,6 +114,11 @@ class FitWithFriction(NamedTuple):
         return self.fit.plot(self.points)
 
 
+def titled(listings: Iterable[Listing], title: str) -> Iterable[Listing]:
+    """Listings of a part of a result, those without a title with the name of the part."""
+    return [replace(listing, title=listing.title or title) for listing in listings]
+
+
 @checked_call
 def identify_with_friction(
     law: type[ForceLaw],
@@ -133,39 +145,42 @@ def identify_with_friction(
     IdentificationError
         As `identify` and, with `friction`, `identify_hysteresis`.
     """
-    note, found, gap = "", None, 0.0
+    note, hysteresis, gap = "", None, 0.0
     try:
         gap = _half_gap(dataset) if friction is None else 0.0
     except ReversedDirectionsError as error:
         note = f"fitted without friction: {error}"
     if friction or gap:
         try:
-            found = identify_hysteresis(law, dataset, drift=drift, form=form, robust=robust)
+            hysteresis = identify_hysteresis(law, dataset, drift=drift, form=form, robust=robust)
         except IdentificationError as error:
             if friction:
                 raise
             note = f"loading and unloading differ, but the friction is not identified: {error}"
-    if found and gap and found.rmse > gap:
+    if hysteresis and gap and hysteresis.rmse > gap:
         note = (
             f"loading and unloading differ from their mean by {gap:.3g} N, but {law.__name__} leaves residuals of "
-            f"{found.rmse:.3g} N, too large to identify friction: fitted without it; try a law that fits better, such "
-            "as SmoothLaw (command line: --law smooth)"
+            f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; try a law that fits better, "
+            "such as SmoothLaw (command line: --law smooth)"
         )
         if drift and "time" not in dataset.table:
             note += ", or give the time of each point: without times, sensor drift is confounded with friction"
-        found = None
-    points = found.corrected(dataset) if found else dataset
+        hysteresis = None
+    if not hysteresis:
+        fit = identify(law, dataset, robust=robust)
+        if note:  # it says why there is no friction
+            advised = [replace(n, remedy="") if n.remedy == WITH_FRICTION else n for n in fit.notes]
+            fit = replace(fit, notes=tuple(advised))
+        return FitWithFriction(fit, None, dataset, note)
+    points = hysteresis.corrected(dataset)
     # the misfit of the friction, which is largest behind reversals, does not make a point an outlier
-    outliers = find_outliers(dataset.plateau_means()) if robust else ()
-    fit = fit_means(law, points, outliers) if found else identify(law, points, robust=robust)
-    if note and not found:  # it says why there is no friction
-        fit = replace(fit, warnings=tuple(one.replace(WITH_FRICTION, "") for one in fit.warnings))
-    if found and gap:
+    fit = fit_means(law, points, find_outliers(dataset.plateau_means()) if robust else ())
+    if gap:
         note = (
-            f"loading and unloading differ: fitted with friction, RMSE {found.rmse:.3g} N; without friction it is "
+            f"loading and unloading differ: fitted with friction, RMSE {hysteresis.rmse:.3g} N; without friction it is "
             f"{identify(law, dataset, robust=robust).rmse:.3g} N"
         )
-    return FitWithFriction(fit, found, points, note)
+    return FitWithFriction(fit, hysteresis, points, note)
 
 
 def shows_hysteresis(dataset: IsobaricDataset) -> bool:

@@ -149,16 +149,16 @@ class AntagonisticJoint(Component):
     def remarks(self) -> list[str]:
         """Remarks on extrapolated laws and on friction, in words, for tables and figures of stiffness."""
         muscles = self.muscle1, self.muscle2
-        found = list(dict.fromkeys(muscle.extrapolation for muscle in muscles if muscle.extrapolation))
+        remarks = list(dict.fromkeys(muscle.extrapolation for muscle in muscles if muscle.extrapolation))
         if self.has_friction:
-            names = [f"muscle{number}" for number, one in enumerate(muscles, 1) if one.has_friction]
+            names = [f"muscle{number}" for number, muscle in enumerate(muscles, 1) if muscle.has_friction]
             have = "have" if len(names) > 1 else "has"
-            found.append(
+            remarks.append(
                 f"{' and '.join(names)} {have} friction, which the isobaric stiffness leaves out; the small-motion "
                 f"stiffness, of motion by {SMALL_MOTION / deg:g} deg, includes it and depends on the presliding "
                 "length, a guess where the comments of muscle.yaml say so"
             )
-        return found
+        return remarks
 
     @property
     def springs(self) -> tuple[bool, bool]:
@@ -276,15 +276,15 @@ class AntagonisticJoint(Component):
         pressure1, pressure2 = pressure_pair(pressures)
         (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
 
-        def one(muscle: Muscle, state: MuscleState, path: Array, arm: Array, pressure: ArrayLike) -> Pair:
+        def pull(muscle: Muscle, state: MuscleState, path: Array, arm: Array, pressure: ArrayLike) -> Pair:
             contraction = self.tendon.contraction(muscle, path, pressure, state)
             tension = muscle.tension(contraction, pressure, state)
             if velocity is not None:
                 tension = tension + muscle.viscous_force(contraction, pressure, arm * floating(velocity), state)
             return tension, contraction
 
-        tension1, contraction1 = one(self.muscle1, states[0], path1, arm1, pressure1)
-        tension2, contraction2 = one(self.muscle2, states[1], path2, -arm2, pressure2)
+        tension1, contraction1 = pull(self.muscle1, states[0], path1, arm1, pressure1)
+        tension2, contraction2 = pull(self.muscle2, states[1], path2, -arm2, pressure2)
         return MuscleForces((tension1, tension2), tension2 * arm2 - tension1 * arm1, (contraction1, contraction2))
 
     def friction_torque(self, angle: ArrayLike, velocity: Any, pressures: Pressures, states: MuscleStates) -> Array:
@@ -461,9 +461,9 @@ class AntagonisticJoint(Component):
             Amplitude [rad] of motion for `secant_stiffness`, evaluated at 33 tensions. Default: the isobaric stiffness.
         """
         attainable.check_angle(angle)
-        found = attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension, amplitude)
-        attainable.warn_unattainable(self, angle, torque, found[0], pressure_limits, minimum_tension)
-        return found
+        band = attainable.stiffness_range(self, angle, torque, pressure_limits, minimum_tension, amplitude)
+        attainable.warn_unattainable(self, angle, torque, band[0], pressure_limits, minimum_tension)
+        return band
 
     @checked_call
     def pressures_for(self, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None = None) -> Pair:

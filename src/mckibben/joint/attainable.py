@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -21,16 +21,13 @@ from jaxtyping import Array, ArrayLike
 from mckibben.component.calls import user_level
 from mckibben.component.checks import known_numbers
 from mckibben.errors import McKibbenWarning, RangeError, UnreachableError
-from mckibben.joint.geometry import Pair
-from mckibben.joint.tendon import RigidTendon
+from mckibben.joint.geometry import Geometry, Pair
+from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import jit, jit_inline
 from mckibben.numerics.elementary import floating
 from mckibben.units import deg
-
-if TYPE_CHECKING:
-    from mckibben.joint.antagonistic import AntagonisticJoint as Joint
 
 _SCANNED = 401
 _SCANNED_FRICTION = 33
@@ -38,6 +35,24 @@ _TOLERANCE = 1e-6  # relative tolerance of a stiffness
 _ROUNDING = 1e-12  # relative tolerance of a tension
 _TURN = 2 * math.pi
 _INSIDE = 1e-9  # margin at the ends of a segment, as a fraction: at the end itself a muscle is slack
+
+
+class Joint(Protocol):
+    """What the attainable set needs of a joint, see `AntagonisticJoint`."""
+
+    @property
+    def geometry(self) -> Geometry: ...
+    @property
+    def muscle1(self) -> Muscle: ...
+    @property
+    def muscle2(self) -> Muscle: ...
+    @property
+    def tendon(self) -> Tendon: ...
+    @property
+    def springs(self) -> tuple[bool, bool]: ...
+    def contractions(self, angle: ArrayLike, pressures: Pair) -> Pair: ...
+    def evaluate(self, angle: ArrayLike, pressures: Pair) -> Pair: ...
+    def secant_stiffness(self, angle: ArrayLike, pressures: Pair, amplitude: ArrayLike) -> Array: ...
 
 
 def check_angle(angle: ArrayLike) -> None:
@@ -106,12 +121,12 @@ def pressures_for(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: 
     wanted = math.nan if stiffness is None else stiffness
     numbers = np.broadcast_arrays(*(np.asarray(x, float) for x in (angle, torque, wanted)))
     shape = numbers[0].shape
-    found = _solve_many(joint, *map(np.ravel, numbers)) if shape else solve_static(joint, *numbers)
-    missing = np.flatnonzero(~np.asarray(found.exists))
+    solution = _solve_many(joint, *map(np.ravel, numbers)) if shape else solve_static(joint, *numbers)
+    missing = np.flatnonzero(~np.asarray(solution.exists))
     if missing.size:
-        first = jax.tree.map(lambda x: np.ravel(x)[missing[0]], found)
+        first = jax.tree.map(lambda x: np.ravel(x)[missing[0]], solution)
         raise_unattainable(joint, first, *(float(np.ravel(x)[missing[0]]) for x in numbers))
-    return found.pressures[0].reshape(shape), found.pressures[1].reshape(shape)
+    return solution.pressures[0].reshape(shape), solution.pressures[1].reshape(shape)
 
 
 def check_finite(**numbers: ArrayLike) -> None:
@@ -121,10 +136,12 @@ def check_finite(**numbers: ArrayLike) -> None:
             raise RangeError(f"the {name} is {value}", value=value, remedy="give a finite number")
 
 
-def raise_unattainable(joint: Joint, found: StaticSolution, angle: float, torque: float, stiffness: float) -> NoReturn:
+def raise_unattainable(
+    joint: Joint, solution: StaticSolution, angle: float, torque: float, stiffness: float
+) -> NoReturn:
     """Raise an error that says why a static state does not exist; a stiffness of NaN stands for any."""
     where = f"at {angle / deg:.4g} deg with a torque of {torque + 0.0:.4g} N*m"
-    low, high = float(found.lowest), float(found.highest)
+    low, high = float(solution.lowest), float(solution.highest)
     if not low <= high:
         raise unattainable(joint, angle, torque)
     attainable = {"value": stiffness, "lower": low, "upper": high, "unit": "N*m/rad"}
@@ -195,7 +212,7 @@ def warn_unattainable(joint: Joint, angle: ArrayLike, torque: ArrayLike, lowest:
     """Warn of a direct call without any attainable stiffness, and say why there is none at the first angle."""
     if isinstance(lowest, Tracer) or not lowest.size or not jnp.isnan(lowest).all():
         return
-    first = jax.tree.map(lambda one: float(np.ravel(one)[0]), (angle, torque, *limits))
+    first = jax.tree.map(lambda values: float(np.ravel(values)[0]), (angle, torque, *limits))
     text = f"no stiffness is attainable: {unattainable(joint, *first)}"
     warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
@@ -223,26 +240,28 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
     wanted = jnp.where(unspecified, 0.0, stiffness)
 
     # Bracket by neighbours. A spring that reaches its stop makes the stiffness jump: take the smallest step.
-    def scan(found: _Scan, fraction: Array) -> tuple[_Scan, None]:
+    def scan(scanned: _Scan, fraction: Array) -> tuple[_Scan, None]:
         value = stiffness_at(fraction)
         held = lax.stop_gradient(value)
-        step = jnp.abs(held - found.value)
-        nearer = ((held - wanted) * (found.value - wanted) <= 0) & (step < found.step)
-        bracket = found.fraction, fraction, held > found.value
-        kept = (jnp.where(nearer, new, old) for new, old in zip((step, *bracket), found[4:], strict=True))
-        return _Scan(fraction, held, jnp.minimum(found.lowest, value), jnp.maximum(found.highest, value), *kept), None
+        step = jnp.abs(held - scanned.value)
+        nearer = ((held - wanted) * (scanned.value - wanted) <= 0) & (step < scanned.step)
+        bracket = scanned.fraction, fraction, held > scanned.value
+        bracketed = (jnp.where(nearer, new, old) for new, old in zip((step, *bracket), scanned[4:], strict=True))
+        return _Scan(
+            fraction, held, jnp.minimum(scanned.lowest, value), jnp.maximum(scanned.highest, value), *bracketed
+        ), None
 
     infinite, unknown = jnp.full_like(fractions[0], jnp.inf), jnp.full_like(fractions[0], jnp.nan)
     start = _Scan(fractions[0], unknown, infinite, -infinite, infinite, fractions[0], fractions[1], jnp.asarray(False))
-    found, _ = lax.scan(scan, start, fractions)
+    scanned, _ = lax.scan(scan, start, fractions)
 
     def bisect(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
         low, high = bracket
         middle = (low + high) / 2
-        beyond = (stiffness_at(middle) >= wanted) == found.increasing
+        beyond = (stiffness_at(middle) >= wanted) == scanned.increasing
         return jnp.where(beyond, low, middle), jnp.where(beyond, middle, high)
 
-    low, high = lax.fori_loop(0, 60, bisect, (found.low, found.high))
+    low, high = lax.fori_loop(0, 60, bisect, (scanned.low, scanned.high))
     root = lax.stop_gradient((low + high) / 2)
     # One Newton step makes the root differentiable with respect to the joint's parameters.
     value, slope = value_and_derivative(stiffness_at, root)
@@ -252,9 +271,9 @@ def _solve(profile: Profile, feasible: Array, stiffness: ArrayLike, fractions: A
     met = jnp.abs(reached - wanted) <= _TOLERANCE * jnp.abs(wanted)
     return StaticSolution(
         pressures,
-        feasible & (unspecified | (jnp.isfinite(found.step) & met)),
-        jnp.where(feasible, found.lowest, jnp.nan),
-        jnp.where(feasible, found.highest, jnp.nan),
+        feasible & (unspecified | (jnp.isfinite(scanned.step) & met)),
+        jnp.where(feasible, scanned.lowest, jnp.nan),
+        jnp.where(feasible, scanned.highest, jnp.nan),
     )
 
 
@@ -264,11 +283,11 @@ def _range(segment: Segment, profile: Profile, amplitude: ArrayLike | None = Non
     if amplitude is not None:  # the band of friction narrows where a muscle is nearly slack
         fractions = jnp.linspace(fractions[0], fractions[-1], _SCANNED_FRICTION)
 
-    def wider(found: Pair, fraction: Array) -> tuple[Pair, None]:
+    def wider(extremes: Pair, fraction: Array) -> tuple[Pair, None]:
         pressures, stiffness = profile(fraction)
         if amplitude is not None:
             stiffness = segment.joint.secant_stiffness(segment.angle, pressures, amplitude)
-        return (jnp.minimum(found[0], stiffness), jnp.maximum(found[1], stiffness)), None
+        return (jnp.minimum(extremes[0], stiffness), jnp.maximum(extremes[1], stiffness)), None
 
     infinite = jnp.full_like(segment.angle, jnp.inf)
     (lowest, highest), _ = lax.scan(wider, (infinite, -infinite), fractions)

@@ -150,6 +150,6 @@ class ScaledArms(Geometry):
         return self.geometry.angle_range
 
     def path_lengths(self, angle: ArrayLike) -> Pair:
-        found, fixed = self.geometry.path_lengths(angle), self.geometry.path_lengths(self.angle)
-        one, two = (at + self.scale * (now - at) for now, at in zip(found, fixed, strict=True))
-        return one, two
+        lengths, fixed = self.geometry.path_lengths(angle), self.geometry.path_lengths(self.angle)
+        first, second = (at + self.scale * (now - at) for now, at in zip(lengths, fixed, strict=True))
+        return first, second

@@ -61,9 +61,9 @@ class Mechanism:
         known = geometry.angle_range
         low, high = max(known[0], -_SWING), min(known[1], _SWING)
         grid = np.linspace(min(low, *angles), max(high, *angles), 241)
-        ends = [None if one is None else np.asarray(one, float) for one in geometry.anchors(min(max(0.0, low), high))]
-        self.straight = [one is not None for one in ends]
-        anchored = np.sum([one[0] for one in ends if one is not None], axis=0)
+        ends = [None if end is None else np.asarray(end, float) for end in geometry.anchors(min(max(0.0, low), high))]
+        self.straight = [end is not None for end in ends]
+        anchored = np.sum([end[0] for end in ends if end is not None], axis=0)
         quarter = round(math.atan2(anchored[1], anchored[0]) / (math.pi / 2)) % 4 if np.any(anchored) else 1
         cosine, sine = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter]
         self.up = np.array([cosine, sine])
@@ -75,10 +75,10 @@ class Mechanism:
             for side, arm, slope in zip((-1, 1), arms, slopes, strict=True)
         ]
         self.height = max(
-            float(one[0] @ self.up)
-            if one is not None
+            float(end[0] @ self.up)
+            if end is not None
             else float(np.max(path)) * (1 + _CLEARANCE) - float(cam.slopes.min())
-            for one, path, cam in zip(ends, paths, self._cams, strict=True)
+            for end, path, cam in zip(ends, paths, self._cams, strict=True)
         )
         """Distance [m] of the highest fixed end from the hinge, along the fixed limb."""
 

@@ -10,7 +10,7 @@ import equinox as eqx
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.actuator import AirActuator
+from mckibben.actuator import AirActuator, IdealValve
 from mckibben.component.columns import attributes
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
@@ -21,7 +21,6 @@ from mckibben.leg.simulate import simulate_legs
 from mckibben.leg.study_journal import StudyJournal, StudyKind, check_continued
 from mckibben.leg.uncertainty import drawn_air, drawn_plant, take
 from mckibben.notebook import Progress, silent
-from mckibben.plant import IdealValve
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import Batch

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from mckibben.component.schema import Part, parse_component
+from mckibben.actuator import IdealValve
+from mckibben.component.schema import ComponentField, parse_component
 from mckibben.config.document import to_text
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation
@@ -18,7 +19,7 @@ from mckibben.leg.ground import Ground
 from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import LegPlant
 from mckibben.muscle import SpringLaw
-from mckibben.plant import IdealValve, PerfectSensors
+from mckibben.plant import PerfectSensors
 from mckibben.scenario.scenario import RunSettings, SensorsPart, Substeps, ValvePart
 from mckibben.simulation.accuracy import ACCURACY
 from mckibben.units import (
@@ -190,9 +191,9 @@ class LegScenario(RunSettings):
     examples = "examples/leg/"
 
     name: Title
-    leg: Annotated[Leg, Part(Leg)]
+    leg: Annotated[Leg, ComponentField(Leg)]
     valve: ValvePart = IdealValve()
-    ground: Annotated[Ground, Part(Ground)] = Ground()
+    ground: Annotated[Ground, ComponentField(Ground)] = Ground()
     sensors: SensorsPart = PerfectSensors()
     command_delay: CommandDelay | None = None
     landing: LandingSettings | None = None

@@ -1,6 +1,8 @@
 """Muscles: force laws, specimen, and the internal state of friction and creep."""
 
-from mckibben.component.classes import concrete_subclasses
+from collections.abc import Iterator, Mapping
+
+from mckibben.component.classes import classes_of
 from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, pressure_for, scaled_law
 from mckibben.muscle.chou import ChouLaw
 from mckibben.muscle.corrected import ForceCorrection, corrected_law
@@ -18,10 +20,28 @@ from mckibben.muscle.threshold import ThresholdLaw
 from mckibben.muscle.tondu_lopez import TonduLopezLaw, TonduLopezVariableLaw
 from mckibben.muscle.tsagarakis_caldwell import TsagarakisCaldwellLaw
 
-LAWS: dict[str, type[ForceLaw]] = {
-    name: law for name, law in sorted((law.__name__, law) for law in concrete_subclasses(ForceLaw)) if law.parameters()
-}
-"""Force laws with parameters to identify, by the name used in files and on the command line, sorted."""
+
+class _Laws(Mapping[str, type[ForceLaw]]):
+    """Force laws with parameters to identify, of this package and of any module that is imported, by name, sorted."""
+
+    def _known(self) -> dict[str, type[ForceLaw]]:
+        laws = {name: law for name, law in classes_of(ForceLaw).items() if law.parameters()}
+        own = __name__.partition(".")[0]
+        named = ((law.__name__ if law.__module__.partition(".")[0] == own else name, law) for name, law in laws.items())
+        return dict(sorted(named))
+
+    def __getitem__(self, name: str) -> type[ForceLaw]:
+        return self._known()[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._known())
+
+    def __len__(self) -> int:
+        return len(self._known())
+
+
+LAWS = _Laws()
+"""Force laws by the name used in files and on the command line."""
 
 __all__ = [
     "LAWS",

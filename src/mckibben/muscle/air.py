@@ -103,18 +103,22 @@ def volume_terms(law: ForceLaw, initial_length: float, volume: float, degree: in
     check_positive("volume_terms", "m", initial_length=initial_length)
     check_positive("volume_terms", "m^3", volume=volume)
     box = law.domain.intersection(law.formula_domain)
-    bounds = [float(one) for one in (box.contraction_min, box.contraction_max, box.pressure_min, box.pressure_max)]
+    bounds = [
+        float(number) for number in (box.contraction_min, box.contraction_max, box.pressure_min, box.pressure_max)
+    ]
     if not all(map(math.isfinite, bounds)):
         raise RangeError(f"the domain of the law, {box.bounds()}, is not finite", remedy="give the law a domain")
     contraction = np.linspace(min(bounds[0], 0.0), bounds[1], 201)
     gain = np.asarray(derivative(lambda p: law.force(contraction, p), jnp.full(contraction.shape, np.mean(bounds[2:]))))
-    given = math.sqrt(4 * volume / (math.pi * initial_length))
+    diameter = math.sqrt(4 * volume / (math.pi * initial_length))
     implied = implied_diameter(max(float(np.interp(0.0, contraction, gain)), 0.0))
-    if not USUAL_DIAMETERS[0] <= implied / given <= USUAL_DIAMETERS[1]:
-        text = f"the volume is that of a diameter of {given / mm:.3g} mm, the force that of about {implied / mm:.2g} mm"
+    if not USUAL_DIAMETERS[0] <= implied / diameter <= USUAL_DIAMETERS[1]:
+        text = (
+            f"the volume is that of a diameter of {diameter / mm:.3g} mm, the force that of about {implied / mm:.2g} mm"
+        )
         warnings.warn(f"{text}: check the unit of the diameter, or of the volume", McKibbenWarning, stacklevel=2)
     work = np.polynomial.Polynomial.fit(contraction, gain, degree - 1).convert().integ()
-    return tuple(float(one) for one in (work * initial_length + volume).coef)
+    return tuple(float(number) for number in (work * initial_length + volume).coef)
 
 
 def flow_share(critical: Any, ratio: Any, xp: Any = jnp) -> Any:

@@ -74,17 +74,17 @@ class ForceLaw(Component):
 
     @classmethod
     def unit_of(cls, name: str) -> Quantity | None:
-        known = {one.name: one for one in (*cls.parameters(), *cls.constants)}
+        known = {parameter.name: parameter for parameter in (*cls.parameters(), *cls.constants)}
         return Quantity(known[name].unit, known[name].shown, -1e40, 1e40) if name in known else None
 
     @classmethod
-    def check_equation(cls, given: Any, version: str | None = None) -> None:
+    def check_equation(cls, equation: Any, version: str | None = None) -> None:
         """Raise `RangeError` if a file, written with a version of the law's package, has another equation."""
-        if given != cls.equation:
+        if equation != cls.equation:
             made = f" (version {version})" if version else ""
-            message = f"is {quoted(given)}, that of {cls.__module__}.{cls.__qualname__} is {quoted(cls.equation)}"
+            message = f"is {quoted(equation)}, that of {cls.__module__}.{cls.__qualname__} is {quoted(cls.equation)}"
             remedy = f"import the law that the file was made with{made}, or identify it again"
-            raise RangeError(message, field="equation", value=given, remedy=remedy)
+            raise RangeError(message, field="equation", value=equation, remedy=remedy)
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
@@ -94,7 +94,7 @@ class ForceLaw(Component):
         kind = find_class(cls, str(value.get("class")))
         if kind is not None:
             kind.check_equation(value["equation"])
-        return {key: one for key, one in value.items() if key != "equation"}
+        return {key: field for key, field in value.items() if key != "equation"}
 
     @classmethod
     def to_file(cls, section: dict[str, Any]) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class ForceLaw(Component):
 
 
 LEAST_PRESSURE = 1e3  # Pa: a lower maximum was given in bar or kPa
-ZERO_PRESSURE = 1e-6  # Pa: a lower pressure is 0, rounded
+ZERO_PRESSURE = 0.01  # Pa: a lower pressure is 0, from a solver for pressures of some bar
 _POSSIBLE = -0.5, 0.8  # contractions
 
 
@@ -153,7 +153,7 @@ def _as_array(numbers: Any) -> Any:
     """Array of a list, which may be nested and hold tracers; other numbers as they are."""
     if not isinstance(numbers, list | tuple):
         return numbers
-    traced = any(isinstance(one, Tracer) for one in jax.tree.leaves(numbers))
+    traced = any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(numbers))
     return (jnp if traced else np).asarray(numbers)
 
 
@@ -197,7 +197,7 @@ def pressure_for(law: ForceLaw, force: ArrayLike, contraction: ArrayLike) -> Flo
     Within the pressures of the domain it need not rise beyond them, as the extrapolation of a fitted law may not.
     """
     force, contraction = jnp.asarray(force), jnp.asarray(contraction)
-    least, most = (jnp.clip(one, 0.0, _HIGHEST) for one in (law.domain.pressure_min, law.domain.pressure_max))
+    least, most = (jnp.clip(pressure, 0.0, _HIGHEST) for pressure in (law.domain.pressure_min, law.domain.pressure_max))
     ends = _LOWEST, 0.0, least * (1 - _ROUNDING), most * (1 + _ROUNDING), _HIGHEST
     low, high = ends[:2]
     for start, end in itertools.pairwise(ends[1:]):

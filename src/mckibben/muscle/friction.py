@@ -142,11 +142,14 @@ class MaxwellSlip(Friction):
     the band is at most half the law's tension :math:`T`, so the muscle never pushes; the model is dissipative for any
     path of length and pressure. The parameters of the elements follow from their number: their sum is the polygon
     nearest to :math:`f = B(1 - e^{-2s/s_0})`, the response of an unstressed muscle to a displacement s (within 1.1 % of
-    B with six). The part that follows the rate of the length, without presliding, is :math:`(T/2) \tanh(2 v / T)`,
+    B with six). The part that follows the rate of the length, without presliding, is
 
     .. math::
 
-        v = c\,\dot l + w A \tanh(\dot l/v_0), \qquad c = c_0 + c_1 (p - p_0) + c_2 (l - l_r) \ge 0
+        v = c\,\dot l + w A \tanh(\dot l/v_0), \qquad c = c_0 + c_1 (p - p_0) + c_2 (l - l_r) \ge 0,
+        \qquad |v| \le T - A,
+
+    where the bound is that the muscle never pushes: it acts only where the band and v together reach the tension.
 
     Properties and identification: docs/hysteresis.md.
 
@@ -237,12 +240,12 @@ class MaxwellSlip(Friction):
     def viscous_force(
         self, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike, rate: ArrayLike
     ) -> Float[Array, "..."]:
-        half, rate = jnp.asarray(tension) / 2, jnp.asarray(rate)
-        taut = half > _LEAST
+        rate, half_width = jnp.asarray(rate), self.half_width_at(tension, pressure)
         force = self._damping(jnp.asarray(length), jnp.asarray(pressure), jnp) * rate
         if self.rate_growth is not None and self.rate_speed is not None:
-            force = force + self.rate_growth * self.half_width_at(tension, pressure) * jnp.tanh(rate / self.rate_speed)
-        return jnp.where(taut, half * jnp.tanh(force / jnp.where(taut, half, 1.0)), 0.0)
+            force = force + self.rate_growth * half_width * jnp.tanh(rate / self.rate_speed)
+        limit = jnp.maximum(jnp.asarray(tension) - half_width, 0.0)
+        return jnp.clip(force, -limit, limit)
 
     @property
     def follows_rate(self) -> bool:
@@ -253,7 +256,7 @@ class MaxwellSlip(Friction):
 
     def steepest_damping(self, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
         """Return the largest slope [N*s/m] of `viscous_force` over the rate, in NumPy."""
-        length, tension, pressure = (np.asarray(each, np.float64) for each in (length, tension, pressure))
+        length, tension, pressure = (np.asarray(column, np.float64) for column in (length, tension, pressure))
         damping = self._damping(length, pressure, np)
         if self.rate_growth is not None:
             damping = damping + self.rate_growth * self._width(tension, pressure) / self.rate_speed

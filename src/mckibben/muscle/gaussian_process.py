@@ -104,7 +104,7 @@ def _basis(position: Array) -> list[Array]:
     """T_0, ..., T_5 at g(v), for a position in the window."""
     v = jnp.clip(position, -1.0, 1.0)
     g = v * (1.5 - 0.5 * v * v)
-    found = [jnp.ones_like(g), g]
-    while len(found) < ORDER:
-        found.append(2.0 * g * found[-1] - found[-2])
-    return found
+    polynomials = [jnp.ones_like(g), g]
+    while len(polynomials) < ORDER:
+        polynomials.append(2.0 * g * polynomials[-1] - polynomials[-2])
+    return polynomials

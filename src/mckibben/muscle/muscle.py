@@ -68,7 +68,7 @@ class Muscle(Component):
             return value
         specimen = {"name": "return spring", "domain": {"pressure_min": "0 bar", "pressure_max": "0 bar"}}
         specimen |= {"volume_terms": ("1 cm^3",), "initial_length": value.get("free_length", "")}
-        spring = {key: one for key, one in value.items() if key not in ("class", "free_length")}
+        spring = {key: field for key, field in value.items() if key not in ("class", "free_length")}
         return {"specimen": specimen, "law": {"class": "spring", **spring}}
 
     @property
@@ -119,8 +119,8 @@ class Muscle(Component):
         """Raise `RangeError` if neither specimen nor law limits the pressure, or if the limit is in bar."""
         highest = self.domain.pressure_max
         if isinstance(highest, Real) and not (highest <= 0 or LEAST_PRESSURE <= highest < jnp.inf):
-            given = "unknown" if highest == jnp.inf else f"{highest:g} Pa; numbers are in SI"
-            message = f"the highest pressure of the muscle {self.specimen.name!r} is {given}"
+            stated = "unknown" if highest == jnp.inf else f"{highest:g} Pa; numbers are in SI"
+            message = f"the highest pressure of the muscle {self.specimen.name!r} is {stated}"
             remedy = "give the specimen a domain with its pressure_max, such as 6 * bar"
             raise RangeError(message, field="pressure_max", value=float(highest), unit="Pa", remedy=remedy)
 
@@ -221,8 +221,8 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
     texts = [
         (f"muscle {muscle.specimen.name!r}", muscle.domain.describe_outside(*values)) for muscle, *values in points
     ]
-    if found := dict.fromkeys(f"{name}: {text}" for name, text in texts if text):
-        text = f"{'; '.join(found)}; the law is extrapolated there"
+    if outside := dict.fromkeys(f"{name}: {text}" for name, text in texts if text):
+        text = f"{'; '.join(outside)}; the law is extrapolated there"
         warnings.warn(text, DomainWarning, stacklevel=user_level())
 
 
@@ -237,14 +237,14 @@ def half_widths(of: Friction, tension: ArrayLike, pressure: ArrayLike) -> NDArra
     return _at_points(_half_width, of, tension, pressure)
 
 
-def _at_points(function: Callable[..., Array], of: Any, *columns: ArrayLike) -> NDArray[np.float64]:
+def _at_points(function: Callable[..., Array], of: Any, *arguments: ArrayLike) -> NDArray[np.float64]:
     """Values at points, padded to a power of two so that datasets of different sizes share compiled code."""
-    given = np.broadcast_arrays(*(np.asarray(column, float) for column in columns))
-    shape, points = given[0].shape, given[0].size
+    columns = np.broadcast_arrays(*(np.asarray(column, float) for column in arguments))
+    shape, points = columns[0].shape, columns[0].size
     pad = (0, max(128, 1 << (points - 1).bit_length()) - points) if points else (0, 0)
-    padded = (np.pad(column.ravel(), pad, mode="edge") if points else column for column in given)
-    found = np.asarray(function(of, *padded))
-    return found.ravel()[:points].reshape(shape)
+    padded = (np.pad(column.ravel(), pad, mode="edge") if points else column for column in columns)
+    values = np.asarray(function(of, *padded))
+    return values.ravel()[:points].reshape(shape)
 
 
 @jit

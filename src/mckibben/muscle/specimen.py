@@ -123,11 +123,11 @@ def _array(value: ArrayLike) -> Any:
     return value if isinstance(value, Array) else np.asarray(value)
 
 
-def _tightest(pick: Callable[..., Any], one: float | Array, other: float | Array) -> float | Array:
-    if isinstance(one, Real) and isinstance(other, Real):
-        return pick(one, other)
-    module: Any = jnp if isinstance(one, Array) or isinstance(other, Array) else np  # NumPy compiles nothing
-    return (module.maximum if pick is max else module.minimum)(one, other)
+def _tightest(pick: Callable[..., Any], limit: float | Array, other: float | Array) -> float | Array:
+    if isinstance(limit, Real) and isinstance(other, Real):
+        return pick(limit, other)
+    module: Any = jnp if isinstance(limit, Array) or isinstance(other, Array) else np  # NumPy compiles nothing
+    return (module.maximum if pick is max else module.minimum)(limit, other)
 
 
 class Specimen(Component):

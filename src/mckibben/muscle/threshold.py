@@ -66,7 +66,7 @@ class ThresholdLaw(ForceLaw):
     def domain(self) -> Domain:  # type: ignore[override]
         """Domain of the law, at the pressures of which it sees the effective ones."""
         domain = self.law.domain.intersection(self.law.formula_domain)
-        low, high = (self._measured(one) for one in (domain.pressure_min, domain.pressure_max))
+        low, high = (self._measured(pressure) for pressure in (domain.pressure_min, domain.pressure_max))
         return Domain(domain.contraction_min, domain.contraction_max, low, high)
 
     def _measured(self, effective: Any) -> Any:

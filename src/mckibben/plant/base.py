@@ -87,7 +87,7 @@ class Motion(NamedTuple):
     def of(cls, state: State) -> Motion:
         """Return the integrated part of a state."""
         pressures = state.pressures if isinstance(state.air, AirState) else ()
-        return cls(state[0], state[1], tuple(one.creep for one in state.muscles), pressures, state.air)
+        return cls(state[0], state[1], tuple(muscle.creep for muscle in state.muscles), pressures, state.air)
 
     def applied_to(self, state: S, pressures: tuple[Scalar, ...]) -> S:
         """Return a state with this motion, and other pressures [Pa] unless they are part of it."""
@@ -209,7 +209,7 @@ class Plant(Component):
     @property
     def has_ideal_io(self) -> bool:
         """Whether sensors are perfect and there is no disturbance."""
-        quiet = all(isinstance(one, NoDisturbance) for one in self.disturbances)
+        quiet = all(isinstance(disturbance, NoDisturbance) for disturbance in self.disturbances)
         return isinstance(self.sensors, PerfectSensors) and quiet
 
     def with_period(self, period: float) -> Self:
@@ -230,15 +230,17 @@ class Plant(Component):
     def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Any, ...]:
         """Return the commands [Pa] within the rated pressures and the supply, or openings within -1..1."""
         rated = (muscle.specimen.domain for muscle in self.muscles)
-        each = enumerate(zip(commands, rated, strict=False))  # `clip_commands` of each plant checks the count
-        return tuple(self._valve.for_muscle(i).clip_command(*one) for i, one in each)
+        muscles = enumerate(zip(commands, rated, strict=False))  # `clip_commands` of each plant checks the count
+        return tuple(self._valve.for_muscle(i).clip_command(*muscle) for i, muscle in muscles)
 
     def apply_commands(self, state: S, commands: Sequence[ArrayLike]) -> S:
         """Return the state right after new commands [Pa]."""
         if self._valve.holds_air:
             return state
-        each = enumerate(zip(state.pressures, commands, strict=True))
-        return state._replace(pressures=tuple(self._valve.for_muscle(i).after_command(*one) for i, one in each))
+        muscles = enumerate(zip(state.pressures, commands, strict=True))
+        return state._replace(
+            pressures=tuple(self._valve.for_muscle(i).after_command(*muscle) for i, muscle in muscles)
+        )
 
     def arriving(self, state: State, commands: Sequence[ArrayLike], period: ArrayLike) -> tuple[Any, ...]:
         """Return the mean commands [Pa] at the valves in a control period [s], at whose start new ones are sent."""
@@ -294,12 +296,12 @@ class Plant(Component):
 
     def commands_for(self, state: State, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite if there are none."""
-        given = enumerate(zip(state.pressures, rates, strict=True))
+        muscles = enumerate(zip(state.pressures, rates, strict=True))
         valve = self._valve
         if not valve.holds_air:
-            return tuple(valve.for_muscle(i).command_for(*pair) for i, pair in given)
+            return tuple(valve.for_muscle(i).command_for(*muscle) for i, muscle in muscles)
         volumes = self.air_volumes(state)
-        return tuple(valve.for_muscle(i).command_for(*pair, volumes[i]) for i, pair in given)
+        return tuple(valve.for_muscle(i).command_for(*muscle, volumes[i]) for i, muscle in muscles)
 
     def complete_state(self, state: S) -> S:
         """Return a state with initial values for the internal states, the io state and the commands that it lacks."""
@@ -325,5 +327,5 @@ class Plant(Component):
         return zeros if self._valve.direct else self.clip_commands(self.commands_for(state, zeros))
 
 
-def _given_or(given: tuple[Array, ...], initial: tuple[Array, ...]) -> tuple[Array, ...]:
-    return given if len(given) else initial
+def _given_or(values: tuple[Array, ...], initial: tuple[Array, ...]) -> tuple[Array, ...]:
+    return values if len(values) else initial

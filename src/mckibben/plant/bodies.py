@@ -56,7 +56,9 @@ def _in_axes(principal: Vector, axes: Rotation) -> Tensor:
     x, y, z = principal
     if x is y:  # symmetric about the z axis
         return Tensor.diagonal(x) + Tensor.dyad(axes.z.scaled(difference(z, x)), axes.z)
-    along_x, along_y, along_z = (Tensor.dyad(axis.scaled(one), axis) for axis, one in zip(axes, principal, strict=True))
+    along_x, along_y, along_z = (
+        Tensor.dyad(axis.scaled(moment), axis) for axis, moment in zip(axes, principal, strict=True)
+    )
     return along_x + along_y + along_z
 
 
@@ -78,10 +80,10 @@ class Frame(NamedTuple):
 
 def frames_of(base: Frame, hinges: Sequence[Hinge]) -> list[Frame]:
     """Return the frames of the base and of the body on each hinge, with one rotation about successive parallel axes."""
-    found = [base]
+    frames = [base]
     before, axis, angle = base.axes, ZERO, 0.0
     for hinge in hinges:
-        above = found[-1]
+        above = frames[-1]
         if hinge.axis == axis:
             angle = angle + hinge.angle
         elif hinge.axis == -axis:
@@ -92,8 +94,8 @@ def frames_of(base: Frame, hinges: Sequence[Hinge]) -> list[Frame]:
         world, arm = above.axes.apply(hinge.axis), above.axes.apply(hinge.place)
         velocity = above.velocity + above.rate.cross(arm)
         rate = above.rate + world.scaled(hinge.rate if hinge.free else 0.0)
-        found.append(Frame(turned, rate, above.position + arm, velocity, world, arm))
-    return found
+        frames.append(Frame(turned, rate, above.position + arm, velocity, world, arm))
+    return frames
 
 
 class Equations(NamedTuple):
@@ -111,19 +113,19 @@ def equations(
     slides: Sequence[Vector],  # directions in which the base moves without turning
     hinges: Sequence[Hinge],
     bodies: Sequence[Body],  # of the base and on each hinge
-    found: Sequence[Frame],  # their frames
+    frames: Sequence[Frame],  # their frames
     gravity: Any,  # downwards [m/s^2]
     force: Vector = ZERO,  # on the last body [N]
     arm: Vector = ZERO,  # of its point from the hinge [m]
 ) -> Equations:
     """Return the equations of motion of a chain."""
-    moving = _velocity_accelerations(found, gravity)
+    moving = _velocity_accelerations(frames, gravity)
     load, moment = -force, -arm.cross(force)
     mass, first, second = 0.0, ZERO, Tensor.diagonal(0.0)  # of the bodies from here on, about the hinge
     columns: list[list[Any]] = []
     bias: list[Any] = []
-    for index in range(len(found) - 1, -1, -1):
-        frame, body, (spin, linear) = found[index], bodies[index], moving[index]
+    for index in range(len(frames) - 1, -1, -1):
+        frame, body, (spin, linear) = frames[index], bodies[index], moving[index]
         if body is not MASSLESS:
             own, inertia = frame.axes.z.scaled(body.moment), body.inertia_about_hinge(frame.axes)
             load += linear.scaled(body.mass) + spin.cross(own) + frame.rate.cross(frame.rate.cross(own))
@@ -133,7 +135,7 @@ def equations(
             break
         if hinges[index - 1].free:
             bias.append(frame.axis.dot(moment))
-            columns.append(_column(slides, hinges, found, index, frame.axis.cross(first), second.apply(frame.axis)))
+            columns.append(_column(slides, hinges, frames, index, frame.axis.cross(first), second.apply(frame.axis)))
         moment += frame.arm.cross(load)
         # about the hinge above
         second += Tensor.diagonal(product(2.0, frame.arm.dot(first))) + Tensor.dyad(first.scaled(-2.0), frame.arm)
@@ -145,11 +147,11 @@ def equations(
     return Equations([*base, *reversed(columns)], [*(slide.dot(load) for slide in slides), *reversed(bias)])
 
 
-def _velocity_accelerations(found: Sequence[Frame], gravity: Any) -> list[tuple[Vector, Vector]]:
+def _velocity_accelerations(frames: Sequence[Frame], gravity: Any) -> list[tuple[Vector, Vector]]:
     """Angular and linear acceleration of each frame without those of the motions, and with gravity as one upwards."""
     spin, linear = ZERO, Z.scaled(gravity)
     moving = [(spin, linear)]
-    for above, frame in pairwise(found):
+    for above, frame in pairwise(frames):
         linear = linear + spin.cross(frame.arm) + above.rate.cross(above.rate.cross(frame.arm))
         spin = spin + above.rate.cross(frame.rate - above.rate)
         moving.append((spin, linear))
@@ -159,17 +161,17 @@ def _velocity_accelerations(found: Sequence[Frame], gravity: Any) -> list[tuple[
 def _column(
     slides: Sequence[Vector],
     hinges: Sequence[Hinge],
-    found: Sequence[Frame],
+    frames: Sequence[Frame],
     index: int,
     momentum: Vector,
     moment: Vector,
 ) -> list[Any]:
     """Row of the mass matrix for a hinge, from the momentum of a unit rate and its moment about the hinge."""
-    upwards = [found[index].axis.dot(moment)]
+    upwards = [frames[index].axis.dot(moment)]
     for above in range(index - 1, 0, -1):
-        moment = moment + found[above + 1].arm.cross(momentum)
+        moment = moment + frames[above + 1].arm.cross(momentum)
         if hinges[above - 1].free:
-            upwards.append(found[above].axis.dot(moment))
+            upwards.append(frames[above].axis.dot(moment))
     return [*(slide.dot(momentum) for slide in slides), *reversed(upwards)]
 
 
@@ -187,9 +189,9 @@ def solve_symmetric(matrix: Sequence[Sequence[Any]], right: Sequence[Any]) -> li
             right[i] = difference(right[i], product(below[place], right[k]))
         factors.append(below)
         inverses.append(inverse)
-    found: list[Any] = [None] * size
+    solution: list[Any] = [None] * size
     for k in range(size - 1, -1, -1):
-        found[k] = product(right[k], inverses[k])
+        solution[k] = product(right[k], inverses[k])
         for place, i in enumerate(range(k + 1, size)):
-            found[k] = difference(found[k], product(factors[k][place], found[i]))
-    return found
+            solution[k] = difference(solution[k], product(factors[k][place], solution[i]))
+    return solution

@@ -159,8 +159,8 @@ class JointPlant(Plant):
 
     def find_equilibrium(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
         """Return the state of `equilibrium` and whether it exists, for traced numbers; NaN for no given stiffness."""
-        state, _, found = _equilibrium(self, angle, stiffness)
-        return state, found.exists
+        state, _, solution = _equilibrium(self, angle, stiffness)
+        return state, solution.exists
 
     def equilibrium(self, angle: float = 0.0, *, stiffness: float | None = None) -> PlantState:
         """Return the equilibrium at an angle [rad] with both muscles taut, relaxed and unstressed by friction.
@@ -177,16 +177,16 @@ class JointPlant(Plant):
         """
         check_finite(angle=angle, stiffness=0.0 if stiffness is None else stiffness)
         wanted = math.nan if stiffness is None else stiffness
-        state, torque, found = _equilibrium(self, angle, wanted)
-        if not found.exists:
-            if not found.lowest <= found.highest and solve_static(self.joint, angle, torque, math.nan).exists:
+        state, torque, solution = _equilibrium(self, angle, wanted)
+        if not solution.exists:
+            if not solution.lowest <= solution.highest and solve_static(self.joint, angle, torque, math.nan).exists:
                 raise UnreachableError(
                     f"the supply of the valves is too low to hold the joint at {float(angle) / deg:.4g} deg; the rated "
                     "pressures would",
                     field="supply",
                     remedy="raise the supply, or choose another angle",
                 )
-            raise_unattainable(self.supplied_joint, found, float(angle), float(torque), float(wanted))
+            raise_unattainable(self.supplied_joint, solution, float(angle), float(torque), float(wanted))
         return state
 
 
@@ -246,5 +246,5 @@ def _extremes(angles: ArrayLike) -> NDArray[np.float64]:
 def _equilibrium(plant: JointPlant, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Array, StaticSolution]:
     """Return the equilibrium, the muscles' torque [N*m] in it, and the static solution, from one program."""
     torque = -plant.load.gravity_torque(angle)
-    found = solve_static(plant.supplied_joint, angle, torque, stiffness)
-    return plant.init_state(angle, found.pressures), torque, found
+    solution = solve_static(plant.supplied_joint, angle, torque, stiffness)
+    return plant.init_state(angle, solution.pressures), torque, solution

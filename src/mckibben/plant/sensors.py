@@ -83,7 +83,9 @@ class SampledSensors(Sensors):
         key = jax.random.fold_in(jax.random.key(self.seed), jnp.asarray(index).astype(jnp.uint32))
         noise = jax.random.normal(key, (len(true.pressures),), jnp.float32)  # the same in either precision
         pressures = zip(map(floating, true.pressures), noise, strict=True)
-        measured: Any = tuple(one + error.astype(one.dtype) * self.pressure_noise for one, error in pressures)
+        measured: Any = tuple(
+            pressure + error.astype(pressure.dtype) * self.pressure_noise for pressure, error in pressures
+        )
         return Measurement(jax.tree.map(self._quantised, true.angle), measured)
 
     def _quantised(self, angle: ArrayLike) -> Array:

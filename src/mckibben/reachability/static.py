@@ -125,10 +125,10 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
     infeasible = np.asarray(np.isnan(stiffness).all(axis=0))
     low = np.argmin(np.where(np.isnan(stiffness), np.inf, stiffness), axis=0)
     high = np.argmax(np.where(np.isnan(stiffness), -np.inf, stiffness), axis=0)
-    each = np.arange(count)
+    column = np.arange(count)
 
     def pressures(index: NDArray[np.int_]) -> Values:
-        return np.where(infeasible, np.nan, np.stack([pressure1[index, each], pressure2[index, each]]))
+        return np.where(infeasible, np.nan, np.stack([pressure1[index, column], pressure2[index, column]]))
 
     grid = _torque_grid(angles, limits, *((81, 33) if affine else (33, 17)))
     ends = pressures(low), pressures(high)
@@ -141,7 +141,7 @@ def static_envelope(plant: JointPlant, *, about: float = 0.0) -> StaticEnvelope:
         angles,
         torque,
         AttainableRange(*limits),
-        AttainableRange(stiffness[low, each], stiffness[high, each]),
+        AttainableRange(stiffness[low, column], stiffness[high, column]),
         *ends,
         *_contiguous_range(plant, angles, infeasible, about, points),
         *grid,

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from mckibben.component.base import Checked
 from mckibben.component.classes import Keyed
-from mckibben.component.schema import Part, section_of
+from mckibben.component.schema import ComponentField, section_of
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel
 from mckibben.plant import JointPlant, PlantState
@@ -118,7 +118,7 @@ class JointRig(DocumentModel):
     examples: ClassVar[str] = "examples/rig/joint-rig.yaml"
 
     name: Title = Field("simulated joint", examples=["knee on the bench"])
-    rig: Annotated[JointHardware, Part(JointHardware)] = Field(examples=["simulated"])
+    rig: Annotated[JointHardware, ComponentField(JointHardware)] = Field(examples=["simulated"])
     limits: JointLimitsSettings = JointLimitsSettings()
     approach: ApproachSettings = ApproachSettings()
     patience: Duration = 0.1

@@ -8,16 +8,14 @@ from .figures import ReportFigure as ReportFigure
 from .figures import figures as figures
 from .identification import force_bands as force_bands
 from .identification import loops as loops
-from .identification import profile_likelihood as profile_likelihood
 from .identification import ranking as ranking
-from .identification import relaxation as relaxation
 from .joint import attainable_stiffness as attainable_stiffness
 from .joint import calibration as calibration
-from .joint import design as design
 from .joint import envelope as envelope
 from .joint import selection as selection
 from .joint import stiffness as stiffness
 from .joint import torque_stiffness_map as torque_stiffness_map
+from .joint import valve_calibration as valve_calibration
 from .leg import foot_ellipses as foot_ellipses
 from .leg import jump_traces as jump_traces
 from .leg import landing_forces as landing_forces

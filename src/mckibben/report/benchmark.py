@@ -17,11 +17,11 @@ from mckibben.report.page import embedded, style_sheet, template_of, write_page
 from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.report.tables import Table, number
 from mckibben.report.tracking import tracking
-from mckibben.study.compare.statistics import FAILED, failed_runs
+from mckibben.study.compare.result import FAILED, failed_runs
 from mckibben.units import deg
 
 if TYPE_CHECKING:
-    from mckibben.study.compare import BenchmarkResult
+    from mckibben.study.compare import CompareResult
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
 _PAGE = "comparison.html"
@@ -30,7 +30,7 @@ _NARROW = 3.0  # a smaller ratio gets a linear axis
 
 
 @styled
-def benchmark_errors(result: BenchmarkResult) -> Figure:
+def benchmark_errors(result: CompareResult) -> Figure:
     """Cumulative distribution of the angle and stiffness errors over the unseen runs, by controller."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots(1, 2, sharey=True)
@@ -56,7 +56,7 @@ def _marker(look: Mapping[str, Any]) -> str:
 
 
 @styled
-def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+def benchmark_references(result: CompareResult, numbers: Mapping[str, Any]) -> Figure:
     """Median errors by reference and controller, from `statistics` of the result."""
     references = list(result.suite.references)
     figure = blank(DOUBLE, 0.9 + 0.42 * len(references))
@@ -85,7 +85,7 @@ def benchmark_references(result: BenchmarkResult, numbers: Mapping[str, Any]) ->
 
 
 @styled
-def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+def benchmark_air(result: CompareResult, numbers: Mapping[str, Any]) -> Figure:
     """Angle error over air consumption: median and 90 % range of the runs."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
@@ -107,7 +107,7 @@ def benchmark_air(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure
 
 
 @styled
-def benchmark_front(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figure:
+def benchmark_front(result: CompareResult, numbers: Mapping[str, Any]) -> Figure:
     """Pareto front of median angle error and air consumption among the tuning trials, by controller."""
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
@@ -123,7 +123,7 @@ def benchmark_front(result: BenchmarkResult, numbers: Mapping[str, Any]) -> Figu
     return figure
 
 
-def write_benchmark(result: BenchmarkResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
+def write_benchmark(result: CompareResult, numbers: Mapping[str, Any], folder: str | os.PathLike[str]) -> Path:
     """Write `comparison.html`, self-contained, and its figures in `figures/`; return its path."""
     folder = Path(folder)
     text = template_of("benchmark.html.jinja").render(
@@ -147,7 +147,7 @@ def write_benchmark(result: BenchmarkResult, numbers: Mapping[str, Any], folder:
     return write_page(folder / _PAGE, text)
 
 
-def _figures(result: BenchmarkResult, numbers: Mapping[str, Any]) -> list[ReportFigure]:
+def _figures(result: CompareResult, numbers: Mapping[str, Any]) -> list[ReportFigure]:
     runs = numbers["runs"] - numbers["no_start"]
     errors = (
         f"Cumulative distribution of the root mean square error over the {runs} unseen runs. Grey: median and 95th "
@@ -285,7 +285,7 @@ def _dependence(numbers: Mapping[str, Any]) -> Table:
     )
 
 
-def _tuned(result: BenchmarkResult) -> Table:
+def _tuned(result: CompareResult) -> Table:
     rows = []
     for name, values in result.tuned.items():
         costs = result.training_cost.get(name)

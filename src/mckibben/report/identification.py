@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,14 +11,10 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
-from mckibben.identification.loading_path import LoadingPaths
 from mckibben.identification.ranking import EXTRAPOLATION
-from mckibben.identification.relaxation import RelaxationCurves
-from mckibben.muscle import MaxwellCreep
 from mckibben.report.style import (
     BAND,
     BLACK,
@@ -30,7 +25,6 @@ from mckibben.report.style import (
     LOADING,
     ORANGE,
     PURPLE,
-    SINGLE,
     UNLOADING,
     VERMILLION,
     beside,
@@ -42,13 +36,11 @@ from mckibben.report.style import (
     pressure_colours,
     styled,
 )
-from mckibben.units import bar, factor, percent
+from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
-    from mckibben.identification import Fit, Grouping, Profile, RankedLaw, Ranking
-    from mckibben.identification.creep import CreepFit
-    from mckibben.identification.hysteresis import HysteresisFit
+    from mckibben.identification import Fit, Grouping, HysteresisFit, RankedLaw, Ranking
 
 _SHOWN = 6  # laws whose residuals are drawn
 _LOOKS: dict[str, dict[str, Any]] = {
@@ -190,39 +182,6 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
     return figure
 
 
-@styled
-def profile_likelihood(profile: Profile, fit: Fit) -> Figure:
-    """Signed root of the profile likelihood of a shape parameter, its interval, and the Wald approximation."""
-    parameter = next(p for p in type(fit.law).shape_parameters if p.name == profile.name)
-    scale = factor(parameter.shown)
-    values = profile.values / scale
-    figure = blank(SINGLE + 0.4, 2.8)
-    axes = figure.subplots()
-    axes.axhspan(-profile.threshold, profile.threshold, color=BAND, zorder=0)
-    axes.plot(values, profile.root, color=BLUE, label="profile", zorder=4)
-    estimate = profile.estimate / scale
-    if np.all(np.isfinite(profile.wald)):
-        error = (profile.wald.upper - profile.wald.lower) / 2 / profile.threshold / scale
-        line = (values - estimate) / error
-        axes.plot(
-            values, line, color=VERMILLION, linestyle=(0, (4, 2)), linewidth=0.9, label="standard error", zorder=3
-        )
-    axes.plot([estimate], [0.0], "o", color="#222222", markersize=3.5, zorder=5)
-    for end in profile.interval:
-        if np.isfinite(end):
-            axes.axvline(end / scale, color="#666666", linewidth=0.7, zorder=2)
-    low, high = (f"{end / scale:.4g}" if np.isfinite(end) else "not bounded" for end in profile.interval)
-    axes.set_title(f"{100 * profile.level:g} % interval {low} .. {high} {parameter.shown}")
-    reach = 1.3 * max(float(np.abs(profile.root).max()), profile.threshold)
-    axes.set(
-        xlabel=f"{parameter.meaning}, {parameter.name} [{parameter.shown}]",
-        ylabel="signed root of the profile [-]",
-        ylim=(-min(reach, 3 * profile.threshold), min(reach, 3 * profile.threshold)),
-    )
-    axes.legend(loc="upper left")
-    return figure
-
-
 def _points(axes: Axes, points: IsobaricDataset, value: NDArray[np.float64]) -> None:
     for direction, mask in by_direction(points):
         look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"})
@@ -315,97 +274,3 @@ def _passes(means: IsobaricDataset) -> list[NDArray[np.int64]]:
     time = means.table["time"].to_numpy() if "time" in means.table else np.arange(len(means))
     order = np.argsort(time, kind="stable")
     return np.split(order, np.flatnonzero(np.abs(np.diff(means.levels[order])) > 1.0) + 1)
-
-
-_CREEP_MODEL: dict[str, Any] = {"color": BLACK, "linewidth": 0.9, "zorder": 4}
-_MOST_MOVES = 20  # since the reversal
-
-
-@styled
-def relaxation(dataset: IsobaricDataset, found: CreepFit) -> Figure:
-    """Relaxation of the force within plateaus: mean over time, and slope by moves since the last reversal.
-
-    Bars are one standard error over plateaus; the common drift is subtracted. Raises `RangeError` if the dataset is not
-    the identified one.
-    """
-    if len(dataset) != len(found.initial_force) or "force_samples" not in dataset.table:
-        raise RangeError(
-            f"the creep was identified from samples of {len(found.initial_force)} points, "
-            f"the dataset has {len(dataset)} points"
-            + (" and no samples" if "force_samples" not in dataset.table else ""),
-            remedy="use the dataset of the identification",
-        )
-    means = dataset.plateau_means()
-    measured = RelaxationCurves.of(dataset.table["force_samples"].to_numpy(), found.interval)
-    modelled = RelaxationCurves.of(found.relaxation(measured.times), found.interval)
-    taut = ~means.slack
-    side, moves = _since_turn(LoadingPaths.of(means))
-    figure = blank(DOUBLE, 2.7)
-    courses, slopes = figure.subplots(1, 2)
-    sides = {sign: taut & (side == sign) for sign in (1, -1)}
-    _courses(courses, measured, modelled, found, sides)
-    _slopes(slopes, measured, modelled, found, sides, moves)
-    return figure
-
-
-def _since_turn(strokes: LoadingPaths) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Sign of the last move, and number of consecutive moves of that sign; shape (rows,), 0 if none."""
-    sides = np.sign(np.where(np.abs(strokes.displacement) > 1e-9, strokes.displacement, 0.0))
-    counts = np.zeros(sides.shape)
-    rows, run = np.zeros(sides.shape[1]), np.zeros(sides.shape[1])
-    for k, now in enumerate(sides):
-        run = np.where(now == 0, run, np.where(now == rows, run + 1, 1))
-        rows = np.where(now == 0, rows, now)
-        counts[k] = np.where(now == 0, 0, run)
-    return strokes.scattered(sides), strokes.scattered(counts).astype(np.int64)
-
-
-def _courses(
-    axes: Axes,
-    measured: RelaxationCurves,
-    modelled: RelaxationCurves,
-    found: CreepFit,
-    sides: Mapping[int, NDArray[np.bool_]],
-) -> None:
-    edges = np.append(measured.edges, len(measured.times)) * found.interval
-    times = (edges[:-1] + edges[1:] - found.interval) / 2
-    common = found.common_rate * measured.blocks(measured.times)
-    for sign, look in ((1, LOADING), (-1, UNLOADING)):
-        here = sides[sign]
-        values = measured.values[here] - common
-        error = values.std(axis=0, ddof=1) / np.sqrt(len(values))
-        axes.errorbar(times, values.mean(axis=0) * 1e3, error * 1e3, linestyle="none", markersize=3, **look)
-        axes.plot(times, modelled.values[here].mean(axis=0) * 1e3, **_CREEP_MODEL)
-    axes.set(xlabel="time since the first sample [s]", ylabel="force minus its mean [mN]")
-    letter(axes, 0, "mean over plateaus")
-
-
-def _slopes(
-    axes: Axes,
-    measured: RelaxationCurves,
-    modelled: RelaxationCurves,
-    found: CreepFit,
-    sides: Mapping[int, NDArray[np.bool_]],
-    moves: NDArray[np.int64],
-) -> None:
-    slope, model = measured.slopes - found.common_rate, modelled.slopes
-    for sign, look, label in ((-1, UNLOADING, "after shortening"), (1, LOADING, "after stretching")):
-        here = sides[sign]
-        counts = [n for n in range(1, _MOST_MOVES + 1) if np.count_nonzero(here & (moves == n)) > 1]
-        groups = [slope[here & (moves == n)] * 1e3 for n in counts]
-        errors = [group.std(ddof=1) / np.sqrt(len(group)) for group in groups]
-        heights = [group.mean() for group in groups]
-        axes.errorbar(counts, heights, errors, linestyle="none", markersize=3, label=label, **look)
-        modelled_heights = [model[here & (moves == n)].mean() * 1e3 for n in counts]
-        axes.plot(counts, modelled_heights, label="Maxwell element" if sign > 0 else None, **_CREEP_MODEL)
-    axes.axhline(0.0, color="#999999", linewidth=0.5, zorder=0)
-    axes.set(xlabel="moves since the reversal", ylabel="slope within a plateau [mN/s]")
-    creep = found.creep
-    title = (
-        f"{creep.stiffness / 1e3:.3g} N/mm, {creep.time_constant:.3g} s"
-        if isinstance(creep, MaxwellCreep)
-        else "no creep detected"
-    )
-    axes.legend(title=title, title_fontsize=7.5, alignment="left", loc="center right")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    letter(axes, 1, "relaxation rate")

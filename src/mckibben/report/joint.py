@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 
 from mckibben.control import Constant, Sine
 from mckibben.reachability import (
-    Design,
     Envelope,
-    FeasibleReference,
-    Preserved,
     Selection,
     StaticEnvelope,
     static_envelope,
@@ -28,9 +25,7 @@ from mckibben.report.style import (
     BLUE,
     DESIRED,
     DOUBLE,
-    GREEN,
     ORANGE,
-    PURPLE,
     VERMILLION,
     beside,
     blank,
@@ -48,7 +43,8 @@ from mckibben.study.stiffness import CLOSED, CONTROLLED, HELD, SHOWN, StiffnessT
 from mckibben.units import bar, deg, kPa, mm
 
 if TYPE_CHECKING:
-    from mckibben.calibration import JointCalibration, JointRecording, ValveCalibration
+    from mckibben.calibration import ValveCalibration
+    from mckibben.calibration.estimation import CalibratedJoint
     from mckibben.paper.identification import JointMap
     from mckibben.simulation import SimulationResult
 
@@ -167,22 +163,12 @@ def _path(result: SimulationResult, reference: str) -> Sequence[tuple[str, NDArr
     ]
 
 
-_STATIC, _DYNAMIC, _NEAREST = "#DCE9F2", "#9CC3E0", "#BFE3D5"
-_NAMES = {
-    Preserved.ANGLE: "nearest, angle preserved",
-    Preserved.AMPLITUDE: "nearest, amplitude preserved",
-    Preserved.STIFFNESS: "nearest, stiffness preserved",
-}
-_LOOKS: dict[Preserved, dict[str, Any]] = {
-    Preserved.ANGLE: {"color": GREEN, "linestyle": "-", "linewidth": 1.3},
-    Preserved.AMPLITUDE: {"color": ORANGE, "linestyle": (0, (5, 1.2)), "linewidth": 1.3},
-    Preserved.STIFFNESS: {"color": PURPLE, "linestyle": (0, (3, 1, 1, 1)), "linewidth": 1.3},
-}
+_STATIC, _DYNAMIC = "#DCE9F2", "#9CC3E0"
 
 
 @styled
 def envelope(found: Envelope) -> Figure:
-    """Attainable set of a scenario's joint, its reference, and the nearest feasible references."""
+    """Attainable set of a scenario's joint, and its reference."""
     figure = blank(DOUBLE, 5.8)
     (torque, stiffness), (over_time, angle) = figure.subplots(2, 2)
     _torque(figure, torque, found)
@@ -226,9 +212,6 @@ def _over_angle(axes: Axes, found: Envelope) -> None:
     else:
         axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
     axes.plot(motion.angle / deg, motion.stiffness, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
-    for near in found.nearest:
-        moved, kind = near.trackability.trajectory, near.preserved
-        axes.plot(moved.angle / deg, moved.stiffness, label=_NAMES[kind], zorder=4, **_LOOKS[kind])
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     if holds.small_motion is None:
         _limits(axes, *(edge[inside] for edge in holds.stiffness), motion.stiffness)
@@ -256,15 +239,7 @@ def _over_time(axes: Axes, found: Envelope) -> None:
     look = {"color": _DYNAMIC, "label": "attainable, reference motion", "zorder": 1}
     draw_band(axes, times, *(edge[shown] for edge in bands.rate_limited), **look)
     edges = [edge[shown] for edge in (*bands.static, *bands.rate_limited)]
-    if found.nearest:
-        following = found.nearest[0].trackability
-        kept = following.trajectory.times <= times[-1]
-        low, high = (edge[kept] for edge in following.bands.rate_limited)
-        draw_band(axes, following.trajectory.times[kept], low, high, color=_NEAREST, label="attainable, nearest motion")
-        edges += [low, high]
     axes.plot(times, motion.stiffness[shown], label="reference", **DESIRED)
-    for near in found.nearest:
-        _along(axes, near, near.trackability.trajectory.stiffness, times[-1])
     axes.set(xlabel="time [s]", ylabel=_STIFFNESS)
     axes.set_xlim(times[0], times[-1])
     _limits(axes, *edges, motion.stiffness[shown])
@@ -277,8 +252,6 @@ def _angle(axes: Axes, found: Envelope) -> None:
     if holds.angle_min <= holds.angle_max:
         axes.axhspan(holds.angle_min / deg, holds.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
     axes.plot(times, motion.angle[shown] / deg, label="reference", **DESIRED)
-    for near in found.nearest:
-        _along(axes, near, near.trackability.trajectory.angle / deg, times[-1])
     axes.set(xlabel="time [s]", ylabel=_ANGLE)
     axes.set_xlim(times[0], times[-1])
 
@@ -289,12 +262,6 @@ def _shown(found: Envelope) -> slice:
     if not (isinstance(sine, Sine) and sine.frequency and isinstance(found.scenario.signals.stiffness, Constant)):
         return slice(None)
     return slice(0, max(int(np.searchsorted(times, times[0] + 2 / sine.frequency)), 2))
-
-
-def _along(axes: Axes, found: FeasibleReference, values: np.ndarray, until: float) -> None:
-    times = found.trackability.trajectory.times
-    kept = times <= until
-    axes.plot(times[kept], values[kept], label=_NAMES[found.preserved], zorder=4, **_LOOKS[found.preserved])
 
 
 def _limits(axes: Axes, *curves: np.ndarray) -> None:
@@ -316,7 +283,7 @@ def stiffness(found: StiffnessTests) -> Figure:
     if found.closed_dynamic is not None:
         below = [figure.add_subplot(grid[1, part]) for part in (slice(panels), slice(panels, None))]
         _closed_valves(below, found, found.closed_dynamic, panels)
-    amplitudes = found.amplitudes / deg
+    amplitudes = found.amplitude / deg
     forms = ((HELD, found.secant, found.isobaric, BLUE), (CLOSED, found.closed_secant, found.closed_valve, VERMILLION))
     for name, secant, slope, color in forms:
         first.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
@@ -363,31 +330,7 @@ def _closed_valves(both: list[Axes], found: StiffnessTests, closed: np.ndarray, 
         axes.plot(test.frequency, simulated[:, 0], label="simulated", **look)
         axes.set(xscale="log", xlabel="rate [Hz]", ylabel=_STIFFNESS)
         plain_numbers(axes.xaxis)
-        letter(axes, panels + i, f"closed valves, {name}, {found.amplitudes[0] / deg:.2g} deg")
-
-
-@styled
-def design(found: Design, before: StaticEnvelope) -> Figure:
-    """Attainable stiffness of a joint before and after sizing, and the design target."""
-    figure = blank(DOUBLE, 3.2)
-    axes = figure.subplots()
-    _band(axes, found.envelope, color=_DYNAMIC, label="attainable after sizing")
-    inside = before.inside
-    for edge in before.stiffness:
-        label = "attainable before" if edge is before.stiffness.lowest else None
-        axes.plot(before.angles[inside] / deg, edge[inside], color="#777777", linestyle=(0, (3, 1.5)), label=label)
-    (low, high), (first, last) = found.target.stiffness, (angle / deg for angle in found.target.angles)
-    box = Rectangle((first, low), last - first, high - low, fill=False, edgecolor=BLACK, linewidth=1.4, label="target")
-    axes.add_patch(box)
-    if found.target.torque_reserve:
-        draw_band(axes, found.angles / deg, *found.stiffness, color=BLUE, alpha=0.5, label="with the torque margin")
-    axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    reached = found.envelope.inside
-    _limits(axes, *(edge[reached] for edge in found.envelope.stiffness), np.array([low, high]))
-    lengths = (f"{name.replace('_', ' ')} {value * 1e3:.4g} mm" for name, value in found.lengths.items())
-    letter(axes, 0, ", ".join(lengths))
-    legend_above(figure, axes)
-    return figure
+        letter(axes, panels + i, f"closed valves, {name}, {found.amplitude[0] / deg:.2g} deg")
 
 
 @styled
@@ -415,19 +358,19 @@ def selection(found: Selection) -> Figure:
         axes.set_xlim(*(need.middle / deg + side * _SHOWN_RANGE * need.amplitude / deg for side in (-1, 1)))
     left.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
     right.set(xlabel=_ANGLE, ylabel=_TORQUE)
-    letter(left, 0, f"{joint.make.name}, {joint.length / mm:g} mm")
-    letter(right, 1, f"pulleys of {joint.radius / mm:g} mm")
+    letter(left, 0, joint.name)
+    letter(right, 1, ", ".join(f"{name} {length / mm:.4g} mm" for name, length in list(joint.lengths.items())[:2]))
     legend_above(figure, left, right)
     return figure
 
 
 @styled
-def calibration(found: JointCalibration, recordings: Sequence[JointRecording]) -> Figure:
+def calibration(found: CalibratedJoint) -> Figure:
     """Model stiffness before and after calibration over recording time, with 95 % intervals, and its change."""
     figure = blank(DOUBLE, 2.9)
     over_time, over_angle = figure.subplots(1, 2, width_ratios=(2, 1))
     start = 0.0
-    for number, one in enumerate(recordings):
+    for number, one in enumerate(found.recordings):
         angle, pressures = one.angle[::_SAMPLES_APART], one.pressures[::_SAMPLES_APART]
         pair = pressures[:, 0], pressures[:, 1]
         before, wide = found.prior_stiffness(angle, pair)
@@ -455,8 +398,9 @@ def calibration(found: JointCalibration, recordings: Sequence[JointRecording]) -
 
 
 @styled
-def valve_calibration(found: ValveCalibration, recordings: Sequence[JointRecording]) -> Figure:
+def valve_calibration(found: ValveCalibration) -> Figure:
     """Commands, measured and simulated pressures of both muscles over a few seconds of each recording, and errors."""
+    recordings = found.recordings
     figure = blank(DOUBLE, 1.9 * len(recordings) + 0.8)
     rows = figure.subplots(len(recordings), 2, squeeze=False, width_ratios=(2, 1))
     number = 0

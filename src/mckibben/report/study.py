@@ -34,21 +34,20 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.sweep.ranks import spearman
-from mckibben.study.sweep.result import main_metrics
+from mckibben.study.ranks import spearman
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import bar, factor, percent
 
 if TYPE_CHECKING:
     from mckibben.experiment_design import ExperimentPlan, PlannedPoint
     from mckibben.study.sweep import SweepResult
-    from mckibben.study.tune import TuningResult
+    from mckibben.study.tune import TuneResult
 
 _FEW = 12  # labelled parameters
 
 
 @styled
-def tuning(tuned: TuningResult) -> Figure:
+def tuning(tuned: TuneResult) -> Figure:
     """Cost over the evaluated points, and the best values within their ranges."""
     figure = blank(DOUBLE, 2.9)
     costs_axes, places_axes = figure.subplots(1, 2, width_ratios=(1.35, 1))
@@ -125,7 +124,7 @@ def sweep(swept: SweepResult) -> Figure:
     Runs are points or hexagonal bins, with the running median and a band of 90 % of the runs; the last row shows the
     share of unstable runs.
     """
-    metrics, lost = main_metrics(swept), swept.failed
+    metrics, lost = swept.main_metrics, swept.failed
     inputs = _strongest(swept, metrics)
     rows = [*metrics, *([None] if lost.any() or not metrics else [])]
     heights = [1.0 if metric else 0.5 for metric in rows]
@@ -287,7 +286,7 @@ def planned(found: ExperimentPlan) -> Figure:
         mappable, ax=[left, right], label="standard error of the force [N]", fraction=0.04, pad=0.01
     )
     log_ticks(shades.ax.yaxis, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
-    figure.suptitle(_wrapped(found.summary()), fontsize=8, fontweight="normal")
+    figure.suptitle(_wrapped(found.verdict()), fontsize=8, fontweight="normal")
     return figure
 
 

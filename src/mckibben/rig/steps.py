@@ -59,7 +59,7 @@ class Move(ProtocolStep):
     """Move of the motor to a contraction."""
 
     short_name = "move"
-    alone = "to"
+    shorthand = "to"
 
     to: Contraction
     speed: Speed = SPEED
@@ -73,7 +73,7 @@ class Dwell(ProtocolStep):
     """Wait for a duration [s]."""
 
     short_name = "dwell"
-    alone = "duration"
+    shorthand = "duration"
 
     duration: WaitTime
 
@@ -86,7 +86,7 @@ class Pressurise(ProtocolStep):
     """Change of the set pressure, until the muscle has it; or shut off from then on, for a test with a shut valve."""
 
     short_name = "pressurise"
-    alone = "pressure"
+    shorthand = "pressure"
 
     pressure: SetPressure
     rate: PressureRate | None = None  # of the set pressure; a step unless given
@@ -114,7 +114,7 @@ class HoldForce(ProtocolStep):
     """Move until the muscle has a force, by feedback of the force."""
 
     short_name = "hold_force"
-    alone = "force"
+    shorthand = "force"
 
     force: Tension
     tolerance: Tension = 2 * N  # of the mean over a cycle
@@ -202,7 +202,7 @@ class Steps(Protocol):
     """Steps one after another."""
 
     short_name = "steps"
-    alone = "steps"
+    shorthand = "steps"
 
     steps: tuple[ProtocolStep, ...]
 

@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 
 from mckibben.component.base import Component, Units
 from mckibben.component.classes import class_name
-from mckibben.component.schema import declared_fields, forms, inherited_fields, part_of
+from mckibben.component.schema import component_field, declared_fields, field_types, inherited_fields
 from mckibben.config.fields import OneOf
 from mckibben.control import Constant, Signal
 from mckibben.errors import ParameterError, closest, quoted
@@ -82,7 +82,7 @@ class _Parameters:
             if all(other == first for other in others):
                 shared.update(keys)
                 self._add_part(_Part(first, part.units, f"{part.name}.{alias}", part.within(*keys), part.listed))
-        for key, form in forms(type(part.component), part.units).items():
+        for key, form in field_types(type(part.component), part.units).items():
             if (mark := _mark(form)) is not None:
                 self._add_number(part, key, mark)
             elif key in inherited_fields(part.component):
@@ -105,7 +105,7 @@ class _Parameters:
     def _add_other(self, part: _Part, key: str, form: Any, *, listed: bool) -> None:
         """Add the component, or the list of components or of numbers of a signal, in a field; refuse other fields."""
         name, value, places = f"{part.name}.{key}", getattr(part.component, key), part.within(key)
-        inside, items = part_of(form), value if isinstance(value, tuple) else ()
+        inside, items = component_field(form), value if isinstance(value, tuple) else ()
         mark = _mark(get_args(form)[0]) if items and isinstance(part.component, Signal) else None
         if inside is not None and isinstance(value, Component):
             self._add_part(_Part(value, inside.units, name, places, listed))

@@ -15,10 +15,11 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
+from mckibben.actuator import Actuator, IdealValve
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import whole_periods
 from mckibben.component.extensions import package_version, version_differences
-from mckibben.component.schema import Part, independent, inherit, write
+from mckibben.component.schema import ComponentField, independent, inherit, write
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.control import Controller, Reference
@@ -32,17 +33,7 @@ from mckibben.errors import (
     no_attribute,
 )
 from mckibben.joint import AntagonisticJoint, Load
-from mckibben.plant import (
-    Actuator,
-    Disturbance,
-    IdealValve,
-    JointFriction,
-    JointPlant,
-    NoDisturbance,
-    PerfectSensors,
-    PlantState,
-    Sensors,
-)
+from mckibben.plant import Disturbance, JointFriction, JointPlant, NoDisturbance, PerfectSensors, PlantState, Sensors
 from mckibben.simulation import ACCURACY, AtRest, Margins, SimulationResult, margins, needed_substeps, run_quietly
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
@@ -53,14 +44,14 @@ _MEANT = {"stiffness": "joint.stiffness(angle, pressures)", "muscle": "joint.mus
 """What is meant by names that users try."""
 Substeps = Annotated[int, BoundedInt(1, 1000)]
 
-JointPart = Annotated[AntagonisticJoint, Part(AntagonisticJoint)]
-LoadPart = Annotated[Load, Part(Load)]
-ValvePart = Annotated[Actuator, Part(Actuator)]
-SensorsPart = Annotated[Sensors, Part(Sensors)]
-DisturbancePart = Annotated[Disturbance, Part(Disturbance)]
-FrictionPart = Annotated[JointFriction, Part(JointFriction)]
-ControllerPart = Annotated[Controller, Part(Controller)]
-ReferencePart = Annotated[Reference, Part(Reference)]
+JointPart = Annotated[AntagonisticJoint, ComponentField(AntagonisticJoint)]
+LoadPart = Annotated[Load, ComponentField(Load)]
+ValvePart = Annotated[Actuator, ComponentField(Actuator)]
+SensorsPart = Annotated[Sensors, ComponentField(Sensors)]
+DisturbancePart = Annotated[Disturbance, ComponentField(Disturbance)]
+FrictionPart = Annotated[JointFriction, ComponentField(JointFriction)]
+ControllerPart = Annotated[Controller, ComponentField(Controller)]
+ReferencePart = Annotated[Reference, ComponentField(Reference)]
 T = TypeVar("T")
 
 
@@ -215,7 +206,7 @@ class Scenario(RunSettings):
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
         written = _with_steps_once(handler(self))
-        usual = {"sensors": write(PerfectSensors(), Part(Sensors)), "disturbance": "none"}
+        usual = {"sensors": write(PerfectSensors(), ComponentField(Sensors)), "disturbance": "none"}
         return {key: value for key, value in written.items() if usual.get(key) != value}
 
     def __getattr__(self, name: str) -> Any:
@@ -269,15 +260,15 @@ class Scenario(RunSettings):
 
     @checked_call
     def compare(
-        self, controllers: Mapping[str, Controller] | None = None, *, folder: Path | None = None, **settings: Any
+        self, controllers: Mapping[str, Controller] | None = None, *, out: Path | None = None, **settings: Any
     ) -> Any:
         """Tune and compare controllers by name with that of the scenario, on its reference and in `conditions`.
 
         Defaults: as for `mckibben.study.compare.Suite.of`. `settings` are attributes of a `Suite`; see
         `mckibben.study.compare.compare`.
         """
-        comparison = _above("study.compare")
-        return comparison.compare(comparison.Suite.of(self, controllers, **settings), folder=folder)
+        study = _above("study.compare")
+        return study.compare(study.Suite.of(self, controllers, **settings), out=out)
 
     @checked_call
     def margins(self, points: int = 20) -> Margins:

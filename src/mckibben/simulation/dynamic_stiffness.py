@@ -12,6 +12,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
+from mckibben.actuator import FlowValve
 from mckibben.component.checks import check_positive
 from mckibben.control.base import Controller, Setpoint
 from mckibben.control.open_loop import OpenLoopControl
@@ -19,7 +20,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import Load
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import jit_arrays, numeric
-from mckibben.plant import FlowValve, JointPlant, PlantState
+from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import LoopState, control_period, initial_loop
 from mckibben.units import bar
 

@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import ArrayLike
 
 from mckibben import catalog
-from mckibben.component.schema import Part, write
+from mckibben.component.schema import ComponentField, write
 from mckibben.config.document import to_text
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Cam, Geometry, KneeGeometry, PairedPaths, Pulley, TwoBonePath
@@ -224,7 +224,9 @@ def muscles(fitted: Muscle | None) -> dict[str, Muscle]:
 def scenario_lines(design: JointDesign, muscle: Muscle) -> str:
     """The section `joint` of a scenario."""
     made_of = "muscle.yaml" if design.muscle == YOURS else {"specimen": design.muscle, "law": _MUSCLES[design.muscle]}
-    return to_text({"joint": {"geometry": write(joint_of(design, muscle).geometry, Part(Geometry)), "muscle": made_of}})
+    return to_text(
+        {"joint": {"geometry": write(joint_of(design, muscle).geometry, ComponentField(Geometry)), "muscle": made_of}}
+    )
 
 
 def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[Any, Any]) -> str:

@@ -392,8 +392,6 @@ class _Page(JobPage[IdentificationState]):
                 shown = f"{low / scale:.4g} to {high / scale:.4g}" if np.isfinite(low + high) else "at its bound"
                 rows.append((p.name, p.meaning, f"{fit.estimates[p.name] / scale:.5g}", shown, p.shown))
             table(("parameter", "meaning", "estimate", "95 % interval", "unit"), rows, left=2)
-            for text in fit.deviations():
-                quiet(text)
             unseen = fit.leave_one_pressure_out
             held_out = f"; {unseen.rmse:.3g} N at left-out pressures" if unseen else ""
             ui.label(
@@ -415,8 +413,8 @@ class _Page(JobPage[IdentificationState]):
         if found.note:
             ui.label(printable(found.note, 500)).classes("quiet number").mark("friction")
         if found.hysteresis is not None:
-            rows = found.hysteresis.rows()
-            table(("friction", "estimate", "standard error", "unit"), rows, left=1)
+            listing = next(listing for listing in found.hysteresis.listings() if listing.title)
+            table([title for title, _ in listing.header()], listing.rows(), left=1)
             show_warnings(one for one in found.hysteresis.warnings if one not in found.fit.warnings)
 
     def show_ranking(self, found: Ranking) -> None:
@@ -437,8 +435,8 @@ class _Page(JobPage[IdentificationState]):
                 ("law", "parameters", "RMSE [N]", *(f"held-out {name} [N]" for name in blocks), "remarks"), rows
             )
             made.columns[-1]["align"] = "left"
-            for text in found.remarks():
-                quiet(printable(self.named(text), 500))
+            for remark in found.remarks():
+                quiet(printable(self.named(str(remark)), 500))
 
     def download(self) -> None:
         """Offer fit.yaml, the recipe of a file and, if the length is known, muscle.yaml for download."""

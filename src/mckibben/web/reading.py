@@ -7,21 +7,23 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mckibben.dataset import IsobaricDataset, Recipe
+from mckibben.dataset import IsobaricDataset, Recipe, read_dataset
 from mckibben.errors import DatasetError, ParameterError, ScenarioError
 from mckibben.units import show
 
 TEXTS = {
     "initial_length": "initial length, such as 180 mm",
+    "ambient": "ambient pressure, such as 101.3 kPa, if pressures are absolute",
     "zero_length": "zero length: at displacement 0, if another",
     "from_name": "from file names, such as {pressure_bar}bar",
     "slack_force": "slack force, such as 4 N, if not estimated",
     "largest_force": "largest force, if the sensor is saturated there",
     "decimal": "decimal sign, if the file does not tell",
     "specimen": "name of the muscle",
+    "accept": "questions that are answered with yes, such as words",
 }
 """Labels of the fields for texts, by the names of a recipe."""
-_UNITS = {"initial_length": "mm", "zero_length": "mm", "slack_force": "N", "largest_force": "N"}
+_UNITS = {"ambient": "kPa", "initial_length": "mm", "zero_length": "mm", "slack_force": "N", "largest_force": "N"}
 DISPLACEMENTS = {"": "not given", "shortening": "shortening", "lengthening": "lengthening"}
 
 
@@ -30,6 +32,7 @@ class ReadingFields:
     """Reading options, as texts of the fields of the page."""
 
     initial_length: str = ""
+    ambient: str = ""
     displacement: str = ""
     zero_length: str = ""
     from_name: str = ""
@@ -37,6 +40,7 @@ class ReadingFields:
     largest_force: str = ""
     decimal: str = ""
     specimen: str = ""
+    accept: str = ""
     negative: bool = False
     skip: bool = False
     columns: str = ""
@@ -52,10 +56,11 @@ class ReadingFields:
         self.clear()
         for name in (*TEXTS, "displacement"):
             if (given := getattr(recipe, name)) is not None:
-                setattr(self, name, show(given, _UNITS[name], 12) if name in _UNITS else given)
+                text = ", ".join(given) if name == "accept" else given
+                setattr(self, name, show(given, _UNITS[name], 12) if name in _UNITS else text)
         self.negative = recipe.force_sign == -1
         self.columns = "\n".join(f"{header} = {name}" for header, name in (recipe.columns or {}).items())
-        kept = {"contraction", "sample_rate", *(["force_sign"] if recipe.force_sign == 1 else [])}
+        kept = {"contraction", "sample_rate", "part", *(["force_sign"] if recipe.force_sign == 1 else [])}
         self.others = recipe.model_dump(include=kept, exclude_none=True)
 
     def recipe(self) -> Recipe:
@@ -64,7 +69,14 @@ class ReadingFields:
         given: dict[str, Any] = {name: text for name, text in texts.items() if text}
         given |= {"columns": names} if (names := column_names(self.columns)) else {}
         given |= self.others | ({"force_sign": -1} if self.negative else {})
+        if accepted := [*_topics(self.accept), *(["corrupt"] if self.skip else [])]:
+            given["accept"] = accepted
         return Recipe(**given)
+
+
+def _topics(text: str) -> list[str]:
+    """Topics of questions, separated by commas."""
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def rows_read(text: str) -> tuple[list[tuple[str, ...]], str]:
@@ -96,6 +108,7 @@ def refusal(name: str, text: str | None) -> str | None:
     """Reason why a text is not a value of a recipe's field; None if it is valid or empty."""
     try:
         given: dict[str, Any] = {name: text.strip()} if text and text.strip() else {}
+        given = {"accept": _topics(given["accept"])} if "accept" in given else given
         Recipe(**given)
     except ScenarioError as error:
         return "; ".join(filter(None, (error.problems[0].message, error.problems[0].remedy)))
@@ -105,6 +118,6 @@ def refusal(name: str, text: str | None) -> str | None:
 def read(paths: Sequence[Path], fields: ReadingFields) -> IsobaricDataset:
     """The points of the files of a test, read as the fields say; errors name them without their folder."""
     try:
-        return fields.recipe().dataset(paths, on_corrupt="report" if fields.skip else "raise")
+        return read_dataset(paths, fields.recipe())
     except DatasetError as error:
         raise DatasetError(Path(error.source).name.removeprefix("data-"), error.problems) from None

@@ -12,17 +12,17 @@ import numpy as np
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.study.compare import Suite, compare
-from mckibben.study.compare.statistics import FAILED, failed_runs, left_out_at_air, statistics
+from mckibben.study.compare.result import FAILED, failed_runs, left_out_at_air
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import Method, parse_cost, parse_ranges, tune
-from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins
+from mckibben.study.tune.margin import DISK_MARGIN
 from mckibben.study.tune.objective import UNSTABLE_COST
 from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
 from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
 
 MOST_STEPS = 5e9
 """Most integration steps of a study of the page."""
-MOST_RUNS, MOST_GENERATIONS, MOST_STARTS, MOST_ITERATIONS, MOST_SEED = 512, 30, 8, 60, 2**31 - 1
+MOST_RUNS, MOST_GENERATIONS, MOST_ITERATIONS, MOST_SEED = 512, 30, 60, 2**31 - 1
 _TRAINING, _POPULATION = 16, 8
 _TITLES = {
     "angle_rmse_deg": "angle RMSE [°]",
@@ -52,7 +52,6 @@ class TuningRequest:
     gain_margin: float = DEFAULT_MARGIN
     over: str = ""
     method: str = AUTOMATIC
-    starts: int = 2
     iterations: int = 20
     seed: int = 0
     disk_margin: str = ""
@@ -129,28 +128,26 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     progress("compiling", 0.0)
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
-    method = None if request.method == AUTOMATIC else Method(request.method)
+    method = Method.CMA if request.method == AUTOMATIC else Method(request.method)
     try:
         margin = float(request.disk_margin) if request.disk_margin.strip() else None
     except ValueError:
         message = f"disk margin: {request.disk_margin!r:.60} is not a number"
         raise ParameterError(message, field="disk_margin", remedy=f"give one such as {DISK_MARGIN}") from None
-    runs = request.starts * (1 + len(ranges)) if method is Method.GRADIENT else _POPULATION
+    runs = 2 if method is Method.LOCAL else _POPULATION
     _check_budget(scenario, 2 * request.iterations * runs)
     found = tune(
         scenario,
         ranges,
         parse_cost(request.cost, gain_margin=request.gain_margin, disk_margin=margin),
         method=method,
-        starts=request.starts,
         iterations=request.iterations,
         population=_POPULATION,
         seed=request.seed,
         progress=progress,
     )
     progress("runs before and after", 1.0)
-    (after,) = found.scenarios
-    old, new = ({**metrics, **margins} for metrics, margins in map(metrics_and_margins, (scenario, after)))
+    (after,), ((old, new),) = found.scenarios, found.effects
     parameters = [
         (
             each.name,
@@ -161,15 +158,18 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     ]
     metrics = [(title, _number(old[name]), _number(new[name])) for name, title in _TITLES.items()]
     costs = np.array([trial.cost for trial in found.trials])
-    remarks = [*filter(None, [found.invalid_before]), *scenario.joint.remarks, *filter(None, [found.remark])]
-    if found.at_bound:
-        remarks.append(f"at a bound of the range: {', '.join(found.at_bound)}; consider a wider range")
-    if lost := lost_margin(old["disk"], new["disk"]):
-        remarks.append(f"{lost}; raise the gain margin, or give a disk margin, such as {DISK_MARGIN}")
-    if new["disk"] == 0:
-        remarks.append(UNSTABLE)
+    remarks = [f"{remark.text}; {remark.remedy}" if remark.remedy else remark.text for remark in found.remarks()]
     return Tuned(
-        text, found.cost_before, found.cost, found.change, costs, parameters, metrics, after, found.disk_margin, remarks
+        text,
+        found.cost_before,
+        found.cost,
+        found.verdict(),
+        costs,
+        parameters,
+        metrics,
+        after,
+        found.disk_margin,
+        remarks,
     )
 
 
@@ -196,7 +196,7 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     _check_budget(scenario, len(suite.controllers) * (trials * _TRAINING + 2 * request.runs))
     found = compare(suite, progress=progress)
     progress("statistics", 1.0)
-    numbers = statistics(found)
+    numbers = found.numbers
     headers = ("controller", "angle RMSE [°]", "95 %", "stiffness RMSE [N·m/rad]", "95 %", "air [L]", FAILED)
     spreads = [(name, what) for name in ("angle_rmse_deg", "stiffness_rmse") for what in ("median", "percentile_95")]
     shown = {name: name for name in suite.controllers} | {"scenario": own or "that of the scenario"}

@@ -40,7 +40,6 @@ from mckibben.web.studies import (
     MOST_ITERATIONS,
     MOST_RUNS,
     MOST_SEED,
-    MOST_STARTS,
     MOST_STEPS,
     Compared,
     ComparisonRequest,
@@ -91,7 +90,6 @@ class _Page(JobPage[StudyState]):
                 with ui.element("div").classes("fields"):
                     self.tuning_fields = [
                         _number("gain margin", tuning, "gain_margin", 1.0, 10.0),
-                        _number("starts (gradient)", tuning, "starts", 1, MOST_STARTS),
                         _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS),
                         _number("seed", tuning, "seed", 0, MOST_SEED),
                     ]
@@ -117,7 +115,7 @@ class _Page(JobPage[StudyState]):
                 button("Compare", self.compare, "compare", main=True)
             quiet(
                 "Both take minutes, part of them for compiling, and more on a busy computer. The time of tuning grows "
-                "with starts and iterations, that of comparing with controllers, generations and unseen runs. At most "
+                "with iterations, that of comparing with controllers, generations and unseen runs. At most "
                 f"{MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and `mckibben compare` have no "
                 "limit."
             )

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import re
 
-from mckibben.dataset.quantities import LEAVE_OUT
 from mckibben.errors import ON_COMMAND_LINE
 from mckibben.identification.fit import KEEP_OUTLIERS
 from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.scenario.parameters import LISTING
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
-_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|largest_force|force_sign|from_name)\b")
+_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|largest_force|force_sign|from_name|ambient)\b")
 _CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
 _PAIR = re.compile(r"'([^']*)': '([^']*)'")
 _COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
 KEEP, FRICTION, SKIP = "keep outliers", "friction", "leave out damaged rows"  # labels of what stands for arguments
 _INSTEAD = {
-    KEEP_OUTLIERS: f"; to keep such points, tick “{KEEP}”",
-    LEAVE_OUT: f", or tick “{SKIP}”",
-    WITH_FRICTION: f"; to identify the friction, choose “{FRICTION}: with”",
+    KEEP_OUTLIERS: f"to keep such points, tick “{KEEP}”",
+    "accept=['corrupt']": f"tick “{SKIP}”",
+    WITH_FRICTION: f"to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
     f"; {LISTING}": "",
     f" {LISTING}": "",

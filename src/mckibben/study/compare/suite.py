@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from mckibben.actuator import IdealValve
 from mckibben.component.schema import independent, inherit
 from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model
 from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference, Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
-from mckibben.plant import IdealValve, NoDisturbance, PerfectSensors
+from mckibben.plant import NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario, list_parameters
 from mckibben.scenario.scenario import (
     ControllerPart,
@@ -54,53 +56,65 @@ def filename(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"
 
 
+Place = tuple[str | int, ...]
+Check = tuple[Place, Callable[[], object]]
+"""A place in the document, and a call that raises what is wrong there."""
+
+
 def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Problem]:
-    """Problems of interdependent parts; `nominal` is the reserved name of the suite's own joint."""
-    found: list[Problem] = []
+    """Return the problems of interdependent parts; `nominal` is the reserved name of the suite's own joint."""
+    problems: list[Problem] = []
+    for checks in (
+        _checks_of_names,
+        _checks_of_settings,
+        _checks_of_variation,
+        _checks_of_runs,
+    ):  # each needs the ones before
+        for place, call in checks(suite, nominal):
+            problems += _problems_at(place, document, call)
+        if problems:
+            break
+    return problems
 
-    def check(place: tuple[str | int, ...], call: Callable[[], object]) -> None:
-        found.extend(_problems_at(place, document, call))
 
+def _checks_of_names(suite: Suite, nominal: str) -> Iterator[Check]:
     for key, reserved in (("other_joints", nominal), ("references", ""), ("controllers", "")):
         for name in getattr(suite, key):
-            check((key, name), lambda name=name, reserved=reserved: _check_name(name, reserved))
+            yield (key, name), partial(_check_name, name, reserved)
     for name in suite.controllers:
-        check(("controllers", name), lambda name=name: _check_controller(suite, name))
-    check(("valve",), suite.example)
-    if found:  # no scenario can be built
-        return found
-    check(("conditions",), lambda: _check_differs(suite))
-    check(("tuning", "cost"), lambda: _check_cost(suite))
+        yield ("controllers", name), partial(_check_controller, suite, name)
+    yield ("valve",), suite.example
+
+
+def _checks_of_settings(suite: Suite, nominal: str) -> Iterator[Check]:
+    yield ("conditions",), partial(_check_differs, suite)
+    yield ("tuning", "cost"), partial(_check_cost, suite)
     for i, text in enumerate(suite.conditions):
-        check(("conditions", i), lambda text=text: _check_within(_OF_PLANT, [parse_sweep(text, suite.example())]))
-    if not found:
-        check(("conditions",), suite.conditions_over)
+        yield ("conditions", i), partial(_check_within, _OF_PLANT, text, suite, None)
     for name, case in suite.references.items():
-        before = len(found)
         for i, text in enumerate(case.over):
-            check(
-                ("references", name, "over", i),
-                lambda name=name, text=text: _check_within(("reference",), [parse_sweep(text, suite.example(name))]),
-            )
-        if len(found) == before:
-            check(("references", name, "over"), lambda name=name: suite.reference_over(name))
+            yield ("references", name, "over", i), partial(_check_within, ("reference",), text, suite, name)
     for i, name in enumerate(suite.true_model):
-        check(("true_model", i), lambda name=name: _check_known(suite, name))
-    for key, names in (
-        ("over", list(suite.tuning.over)),
-        ("starts_of", list(suite.tuning.starts_of)),
-        ("untuned", suite.tuning.untuned),
-    ):
-        for i, name in enumerate(names):
-            place = ("tuning", key, i if key == "untuned" else name)
-            check(place, lambda name=name: _check_known(suite, name))
-    if not found:
-        for name in suite.other_joints:
-            check(("other_joints", name), lambda name=name: _check_joint(suite, name))
-        for name in suite.controllers:
-            place = ("tuning", "over", name) if name in suite.tuning.over else ("controllers", name)
-            check(place, lambda name=name: _check_within(("controller",), suite.tuned_over(name)))
-    return found
+        yield ("true_model", i), partial(_check_known, suite, name)
+    for i, name in enumerate(suite.tuning.untuned):
+        yield ("tuning", "untuned", i), partial(_check_known, suite, name)
+    for name in (*suite.tuning.over, *suite.tuning.starts_of):
+        key = "over" if name in suite.tuning.over else "starts_of"
+        yield ("tuning", key, name), partial(_check_known, suite, name)
+
+
+def _checks_of_variation(suite: Suite, nominal: str) -> Iterator[Check]:
+    yield ("conditions",), suite.conditions_over
+    for name in suite.references:
+        yield ("references", name, "over"), partial(suite.reference_over, name)
+
+
+def _checks_of_runs(suite: Suite, nominal: str) -> Iterator[Check]:
+    for name in suite.other_joints:
+        yield ("other_joints", name), partial(_check_joint, suite, name)
+    for name in suite.controllers:
+        place = ("tuning", "over", name) if name in suite.tuning.over else ("controllers", name)
+        yield place, partial(_check_tuned, suite, name)
 
 
 def problems_of_setup(suite: Suite, name: str, document: Document) -> list[Problem]:
@@ -122,8 +136,10 @@ def _problems_at(place: tuple[str | int, ...], document: Document, call: Callabl
         call()
     except ScenarioError as error:  # of a scenario that the suite makes
         return [
-            replace(one, message=f"{one.field}: {one.message}", line=document.line(place), field=dotted(place))
-            for one in error.problems
+            replace(
+                problem, message=f"{problem.field}: {problem.message}", line=document.line(place), field=dotted(place)
+            )
+            for problem in error.problems
         ]
     except McKibbenError as error:
         return [Problem.of(error, document.line(place), dotted(place))]
@@ -170,12 +186,21 @@ def _check_known(suite: Suite, name: str) -> None:
         raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(suite.controllers)))
 
 
-def _check_within(sections: tuple[str, ...], over: Sequence[SweptParameter]) -> None:
-    for one in over:
-        if one.name.split(".")[0] not in sections:
+def _check_within(sections: tuple[str, ...], text: str, suite: Suite, reference: str | None) -> None:
+    _check_sections(sections, [parse_sweep(text, suite.example(reference))])
+
+
+def _check_tuned(suite: Suite, name: str) -> None:
+    _check_sections(("controller",), suite.tuned_over(name))
+
+
+def _check_sections(sections: tuple[str, ...], over: Sequence[SweptParameter]) -> None:
+    """Check that parameters are in sections of a scenario."""
+    for swept in over:
+        if swept.name.split(".")[0] not in sections:
             whole = {"reference": "the reference", "controller": "the controller"}.get(sections[0], "the plant")
             raise ParameterError(
-                f"{one.name} is not a parameter of {whole}",
+                f"{swept.name} is not a parameter of {whole}",
                 remedy=f"give a parameter of {', '.join(sections)}: conditions vary the plant, `over` the reference",
             )
 
@@ -353,17 +378,17 @@ class Suite(RunSettings):
             own = type(scenario.controller)
             controllers = {name: section for name, (kind, section) in _OTHERS.items() if kind is not own}
         if "conditions" not in settings:
-            masses = [each for each in list_parameters(scenario) if each.part == "load" and each.unit == "kg"]
+            masses = [p for p in list_parameters(scenario) if p.part == "load" and p.unit == "kg"]
             strengths = [f"joint.muscle{number}.strength=+-10 %" for number in (1, 2)]
-            settings["conditions"] = (*strengths, *(f"{each.name}=+-20 %" for each in masses if each.nominal))
+            settings["conditions"] = (*strengths, *(f"{mass.name}=+-20 %" for mass in masses if mass.nominal))
         shared = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
-        given = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
+        parts = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
         steps: dict[str, Any] = (
             {"substeps": scenario.substeps} if scenario.substeps is not None else {"accuracy": scenario.accuracy}
         )
         references = {"reference": ReferenceCase(reference=scenario.signals)}
         together = {"scenario": scenario.controller, **controllers}
-        suite = cls(**given, **steps, references=references, controllers=together, **settings)
+        suite = cls(**parts, **steps, references=references, controllers=together, **settings)
         _check_differs(suite)
         return suite
 
@@ -395,15 +420,15 @@ class Suite(RunSettings):
     def of_setup(self, name: str) -> Suite:
         """Return the suite of one of the setups alone; its valves are those of all models too."""
         setup = self.setups[name]
-        given = setup.model_dump(exclude_none=True, include={"max_angular_velocity", "substeps"})
-        given |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
+        update = setup.model_dump(exclude_none=True, include={"max_angular_velocity", "substeps"})
+        update |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
         conditions = (*self.conditions, *setup.conditions)
-        return self.model_copy(update=given | {"name": f"{self.name}: {name}", "conditions": conditions})
+        return self.model_copy(update=update | {"name": f"{self.name}: {name}", "conditions": conditions})
 
     @property
     def has_noise(self) -> bool:
         """Whether its sensors have noise."""
-        return "sensors.seed" in [one.name for one in list_parameters(self.example())]
+        return "sensors.seed" in [parameter.name for parameter in list_parameters(self.example())]
 
     @property
     def cost(self) -> Cost:
@@ -472,12 +497,14 @@ class Suite(RunSettings):
 
     def tuned_inside(self, controller: str, tuned: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         """Tuned values [SI] of other controllers that a controller wraps, by their names in the wrapper."""
-        found: dict[str, float] = {}
+        values_inside: dict[str, float] = {}
         for part, inner in vars(self.controllers[controller]).items():
             for other, values in tuned.items():
                 if isinstance(inner, Controller) and inner == self.controllers[other]:
-                    found |= {f"controller.{part}.{name.partition('.')[2]}": value for name, value in values.items()}
-        return found
+                    values_inside |= {
+                        f"controller.{part}.{name.partition('.')[2]}": value for name, value in values.items()
+                    }
+        return values_inside
 
     def example(self, reference: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
         """A run of the first controller."""

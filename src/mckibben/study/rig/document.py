@@ -12,7 +12,7 @@ from pydantic import Field, field_validator
 
 import mckibben.rig.steps  # noqa: F401 - protocols that a file can name
 from mckibben.component.base import Checked, Component, Inherited
-from mckibben.component.schema import Part, section_of
+from mckibben.component.schema import ComponentField, section_of
 from mckibben.config.document import Document
 from mckibben.config.fields import Title
 from mckibben.config.model import DocumentModel, explicit_fields, fail_validation, parse_model, read_text
@@ -152,11 +152,11 @@ class RigTest(DocumentModel):
     examples: ClassVar[str] = "examples/rig/paper-protocol.yaml"
 
     name: Title = Field(examples=["isobaric test of a new muscle"])
-    muscle: Annotated[MountedMuscle, Part(MountedMuscle)]
-    rig: Annotated[MuscleRig, Part(MuscleRig)]
-    limits: Annotated[RigLimits, Part(RigLimits)]
+    muscle: Annotated[MountedMuscle, ComponentField(MountedMuscle)]
+    rig: Annotated[MuscleRig, ComponentField(MuscleRig)]
+    limits: Annotated[RigLimits, ComponentField(RigLimits)]
     recording: RecordingSettings = RecordingSettings()
-    protocol: Annotated[Protocol, Part(Protocol)]
+    protocol: Annotated[Protocol, ComponentField(Protocol)]
 
     def is_same(self, other: RigTest) -> bool:
         """Whether two tests are the same, possibly on the same kind of hardware at other terminals."""

@@ -75,10 +75,10 @@ def stability_margin(
     factors, conditions = np.geomspace(1.0, largest, _FACTORS), conditions or {}
     rows = len(next(iter(conditions.values()))) if conditions else 1
     table = {name: np.repeat(column, _FACTORS) for name, column in conditions.items()}
-    for each in find_parameters(scenario, names):
-        if not each.nominal:
-            raise ParameterError(f"{each.name} has no value to multiply", remedy="set it in the scenario")
-        table[each.name] = np.tile(each.nominal * factors, rows)
+    for parameter in find_parameters(scenario, names):
+        if not parameter.nominal:
+            raise ParameterError(f"{parameter.name} has no value to multiply", remedy="set it in the scenario")
+        table[parameter.name] = np.tile(parameter.nominal * factors, rows)
     batch = run_many(scenario, table, known=known, metrics=("angle_rmse",))
     error = np.where(batch.failed, np.inf, batch["angle_rmse"]).reshape(rows, _FACTORS)
     if not np.isfinite(error[:, 0]).all():
@@ -126,7 +126,7 @@ def in_conditions(
     rows = same | {n: x for n, x in conditions.items() if n.split(".")[0] not in _OF_STEP}
     if unstable := int((errors(small, rows) > SMALL_STEP).sum()):
         return Robustness(moved, unstable, 0.0)
-    most = min(largest, *(float(each.upper) / float(each.nominal or 1.0) for each in tuned))
+    most = min(largest, *(float(gain.upper) / float(gain.nominal or 1.0) for gain in tuned))
     del rows[tuned[0].name]
     return Robustness(moved, 0, min(stability_margin(small, gains, largest=most, conditions=rows, known=known), most))
 

@@ -1,0 +1,131 @@
+"""Raw tables of files, before their columns are understood, and the limits of what is read."""
+
+from __future__ import annotations
+
+import os
+import stat
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.errors import DatasetError, Problem
+from mckibben.storage.files import similar_file
+
+Floats = NDArray[np.float64]
+
+LARGEST = 2**27
+"""Bytes of a file, and of its numbers."""
+_ROWS = 2**23
+_COLUMNS = 1024
+_SECONDS = 10.0
+LIMIT_REMEDY = "split the file, or save fewer rows and columns"
+FILES_REMEDY = "name its files, several for one test: DIR/*.csv, in Python sorted(Path('DIR').glob('*.csv'))"
+
+
+@dataclass(frozen=True, eq=False)
+class RawColumn:
+    """Column as the file has it.
+
+    Attributes
+    ----------
+    name
+        Full name: the header, or the path of a channel (``group/channel``, ``struct.field``, ``matrix(:,2)``).
+    cells
+        Numbers, or texts.
+    label
+        Part of the name that is understood as a header; default: the name.
+    unit
+        Unit that stands elsewhere: in a row of units, or in a property of the channel.
+    """
+
+    name: str
+    cells: Floats | Sequence[str]
+    label: str = ""
+    unit: str = ""
+
+
+@dataclass
+class RawTable:
+    """Columns of a file, with what stands beside them.
+
+    Attributes
+    ----------
+    lines
+        Number of the line (`place` "line") or row of each row.
+    words
+        Texts beside the table: comments, cells outside, attributes, with their line, or None.
+    comments
+        Values of the keys that this program writes: specimen, source, initial_length, slack_force, preprocessing.
+    decimal
+        Decimal sign of texts; empty if no cell determines it.
+    interval
+        Sampling interval [s] that the file states.
+    """
+
+    columns: list[RawColumn] = field(default_factory=list)
+    lines: Sequence[int] = ()
+    place: str = "row"
+    words: list[tuple[int | None, str]] = field(default_factory=list)
+    comments: dict[str, str] = field(default_factory=dict)
+    corrupt: list[Problem] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    ambiguous: str = ""
+    decimal: str = "."
+    interval: float | None = None
+
+
+class Budget:
+    """Limits of rows, columns, bytes and time while a file is read; passing one raises a `DatasetError`."""
+
+    def __init__(self, path: Path, most: int = LARGEST) -> None:
+        self.path, self.most, self.begin, self.bytes = path, most, time.process_time(), 0
+
+    def spend(self, *, size: int = 0, rows: int = 0, columns: int = 0) -> None:
+        """Account for bytes that will be in memory; check rows, columns and the processor time."""
+        self.bytes += size
+        for amount, most, what in (
+            (self.bytes, self.most, "bytes"),
+            (rows, _ROWS, "rows"),
+            (columns, _COLUMNS, "columns"),
+            (time.process_time() - self.begin, _SECONDS, "s of processor time"),
+        ):
+            if amount > most:
+                text = f"has or takes more than {most:,g} {what}"
+                raise DatasetError(str(self.path), [Problem(text, remedy=LIMIT_REMEDY)])
+
+
+def check_regular(path: Path) -> int:
+    """Size of a regular file; raises a `DatasetError` for any other."""
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        remedy = FILES_REMEDY if "*" in path.name else similar_file(path)
+        raise DatasetError(str(path), [Problem("there is no such file", remedy=remedy)]) from None
+    except (OSError, ValueError) as error:
+        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
+    if stat.S_ISDIR(status.st_mode):
+        raise DatasetError(str(path), [Problem("is a directory", remedy=FILES_REMEDY)])
+    if not stat.S_ISREG(status.st_mode):
+        raise DatasetError(str(path), [Problem("is a pipe or a device", remedy="save its content in a file")])
+    return status.st_size
+
+
+def read_bytes(path: Path) -> bytes:
+    """Content of a regular file within the limits; raises a `DatasetError` for any other."""
+    Budget(path).spend(size=check_regular(path))
+    try:
+        with path.open("rb") as file:
+            return file.read(os.fstat(file.fileno()).st_size)
+    except OSError as error:
+        raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
+
+
+def unreadable(path: Path, what: str, error: Exception) -> DatasetError:
+    """Error for a file that a library cannot read."""
+    lines = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()
+    text = f"cannot be read as {what}: {lines[0][:500]}"
+    return DatasetError(str(path), [Problem(text, remedy="save it again, or export it as CSV")])

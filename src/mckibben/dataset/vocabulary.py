@@ -1,0 +1,207 @@
+"""Names and units of columns in English and German: one declared table, and the forms in which headers combine them."""
+
+from __future__ import annotations
+
+import functools
+import re
+import unicodedata
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from mckibben.units import factor
+
+UNITS: Mapping[str, str] = {
+    "pressure": "bar kPa MPa Pa hPa mbar psi mmHg atm kgf/cm^2",
+    "contraction": "percent ratio permille",
+    "force": "N kN daN cN mN kgf gf lbf",
+    "length": "mm m cm um in",
+    "time": "s ms us ns min",
+}
+"""Units in which each quantity is read, the usual one first."""
+_LIKE = {"set_pressure": "pressure", "displacement": "length", "shortening": "length", "lengthening": "length"}
+QUANTITIES: Mapping[str, tuple[str, ...]] = {
+    **{name: tuple(units.split()) for name, units in UNITS.items()},
+    **{name: tuple(UNITS[like].split()) for name, like in _LIKE.items()},
+    **dict.fromkeys(("direction", "phase", "repeat"), ()),
+}
+"""Units of each quantity of a column; `shortening` and `lengthening` are displacements with a known direction."""
+
+_NAMES: Mapping[str, str] = {
+    "pressure": "p, pressure, muscle pressure, druck, muskeldruck, istdruck, p muskel, p ist, messdruck, überdruck",
+    "force": "f, force, axial force, tension, tensile force, pull, load, load cell, kraft, zugkraft, axialkraft, muskelkraft, "
+    "standardkraft, kraftaufnehmer, standard force",
+    "contraction": "contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung, "
+    "verkuerzung, relative verkürzung",
+    "length": "length, muscle length, länge, laenge, muskellänge, muskellaenge",
+    "displacement": "displacement, stroke, travel, position, crosshead, extension, weg, hub, verschiebung, wegaufnehmer, "
+    "traversenweg, standardweg",
+    "shortening": "shortening, verkürzungsweg",
+    "lengthening": "lengthening, elongation, verlängerung",
+    "set_pressure": "set pressure, pressure set, pressure setpoint, pressure set point, nominal pressure, target pressure, "
+    "commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll, sollwert druck, druck sollwert",
+    "time": "t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp, test time, zeit, messzeit, millis, micros, tout, "
+    "x value, date time, datetime, date and time, date, datum, uhrzeit, zeitstempel, system time, abs time, rel time, "
+    "sample time, record time, datum uhrzeit, date&time, date/time, datum/uhrzeit",
+    "direction": "direction, richtung",
+    "phase": "phase",
+    "repeat": "repeat, wiederholung",
+}
+_QUANTITY = {name.strip(): quantity for quantity, names in _NAMES.items() for name in names.split(",")}
+_MODIFIERS = re.compile(
+    r"\b(actual|measured|ist|istwert|value|wert|gauge|relative|rel|mean|average|avg|mittel|mittelwert|last|"
+    r"sensor|muscle|muskel|raw|(?:ch|channel|kanal|ai|sensor|signal) ?\d+|\d+|feedback)\b"
+)
+_HARMLESS = re.compile(
+    r"^(?:(?:no|nr|n|number|index|row|zeile|sample|samples|record|recnum|scan|point|punkt|test|id|unnamed|cycle|zyklus|alarm\w*|"
+    r"temperature|temperatur|temp|humidity|feuchte|flow|durchfluss|voltage|spannung|current|strom|batt(?:ery)?|volt\w*|"
+    r"operator|bediener|seq|stamp|frame|sub frame|header|secs|nsecs|ns|events?|marker|ptemp\w*|wind\w*|hysteresis|speed|velocity|geschwindigkeit|"
+    r"acceleration|angle|winkel|torque|drehmoment|frequency|frequenz|milliseconds?|ms|file|datei)\b|$)"
+)
+ABSOLUTE = re.compile(r"\b(?:absolute?[rsn]?|abs|absolutdruck)\b|(?<=bar|psi|kpa)a\b|\(a\)", re.I)
+_GAUGE = re.compile(r"\s*\(?\b(?:gauge|rel|relative|überdruck|g)\b\)?|(?<=bar|psi)g\b", re.I)
+AMBIGUOUS = re.compile(
+    r"strain|dehnung|elongation|stauchung|relative (?:length|länge)|length ratio|längenverhältnis|position|peak|\bmax|\bmin|std|stdev|"
+    r"range|offset|error|fehler|zero|preload|vorkraft|vorlast|supply|versorgung|tank|filtered|corrected|net\b|brutto|tara",
+    re.I,
+)
+"""Words in a name after which a column is not what the rest of its name says."""
+_SPELLED: Mapping[str, str] = {
+    **dict.fromkeys(("%", "pct", "per cent", "prozent", "percentage"), "percent"),
+    **dict.fromkeys(("-", "1", "mm/mm", "m/m", "[-]"), "ratio"),
+    **dict.fromkeys(("‰", "mm/m", "promille"), "permille"),
+    **dict.fromkeys(("kgf/cm2", "kg/cm2", "kg/cm^2", "at", "kp/cm2"), "kgf/cm^2"),
+    **dict.fromkeys(("n/mm2", "n/mm^2"), "MPa"),
+    **dict.fromkeys(("n/m2", "n/m^2", "pascal"), "Pa"),
+    **dict.fromkeys(("kilopascal", "kilopascals"), "kPa"),
+    **dict.fromkeys(("torr", "mm hg"), "mmHg"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("kp", "kg", "kilograms", "kilogram-force"), "kgf"),
+    **dict.fromkeys(("g", "gram", "grams", "gram-force", "p"), "gf"),
+    **dict.fromkeys(("lb", "lbs", "pounds"), "lbf"),
+    **dict.fromkeys(("inch", "inches", "in.", '"'), "in"),
+    **dict.fromkeys(("millimeter", "millimetre", "millimeters", "millimetres"), "mm"),
+    **dict.fromkeys(("μm", "µm", "micron", "microns"), "um"),
+    **dict.fromkeys(("sec", "secs", "second", "seconds", "sek", "sekunden"), "s"),
+    **dict.fromkeys(("msec", "milliseconds"), "ms"),
+    **dict.fromkeys(("μs", "µs", "microseconds"), "us"),
+    **dict.fromkeys(("nanoseconds", "nanosec"), "ns"),
+    "minutes": "min",
+}
+_TIME_UNITS = {"millis": "ms", "micros": "us", "tout": "s", "x value": "s"}
+"""Names of clocks that say their unit: of Arduino, Simulink and LabVIEW."""
+_BRACKETS = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|<(.*)>|\{(.*)\})\s*(?:\d{0,2}|Ave)$", re.DOTALL)
+_TAIL = re.compile(r"(.+?)(?:\s*[/,;:]\s*|\s+in\s+|\s+[-–]\s+|[_ .])([^\s_/,;:]+)$", re.DOTALL)
+_CATMAN = re.compile(r"(?:\s+\d+)?\s*-\s*[\w ]*(?:messrate|sample rate)\b|\s+(?:last|actual|ave)$|_+$", re.IGNORECASE)
+_LONGEST = 300  # characters of a header
+
+
+class Header(NamedTuple):
+    """A header as understood: quantity and unit, empty if unknown, the bare name, and whether pressures are absolute."""
+
+    quantity: str
+    unit: str
+    name: str = ""
+    absolute: bool = False
+
+
+def canonical_unit(text: str, quantity: str) -> str:
+    """Unit of a quantity as this program writes it; empty if the text is not one of its units.
+
+    >>> canonical_unit("kp", "force"), canonical_unit("mpa", "pressure"), canonical_unit("%", "contraction")
+    ('kgf', '', 'percent')
+    """
+    bare = unicodedata.normalize("NFKC", text).replace("²", "2").strip(" .")
+    bare = _SPELLED.get(bare) or _SPELLED.get(bare.lower(), bare)
+    for unit in QUANTITIES[quantity]:
+        if bare.lower() == unit.lower() and (unit[0] not in "mMgG" or bare[0] == unit[0] or unit == "gf"):
+            return unit
+    return ""
+
+
+def dimension_of(text: str) -> str:
+    """Quantity (pressure, force, length, contraction or time) that a unit measures; empty if it is unknown."""
+    bare = _GAUGE.sub("", ABSOLUTE.sub("", text)).strip()
+    return next((name for name in UNITS if bare and canonical_unit(bare, name)), "")
+
+
+@functools.lru_cache(4096)
+def parse_header(text: str, unit: str = "") -> Header:
+    """Understand a header such as ``Druck [bar]``, ``pressure_kPa`` or ``F / N``; `unit` stands elsewhere in the file.
+
+    >>> parse_header("Druck ist (kPa abs)")
+    Header(quantity='pressure', unit='kPa', name='druck ist', absolute=True)
+    >>> parse_header("Temperature [K]").quantity
+    ''
+    """
+    text = " ".join(unicodedata.normalize("NFKC", text[:_LONGEST]).split()).lstrip("#%").strip()
+    text = re.sub(r":\d+$", "", text)  # of Simulink
+    if parsed := _read_whole(text, unit):
+        return parsed
+    parts = [part for part in re.split(r"[/\\.]", text) if part.strip()]
+    known = [header for part in parts if (header := _read_whole(part.strip(), unit))]
+    known = [header for header in known if header.unit] or known
+    if len(parts) > 1 and len(known) == 1:
+        return known[0]
+    return Header("", "", _plain(text))
+
+
+def _read_whole(text: str, unit: str) -> Header | None:
+    """Header of a text without a path; None if its name is unknown."""
+    name, spelled = text, unit
+    if match := _BRACKETS.fullmatch(text):
+        name, spelled = match[1], next(filter(None, match.groups()[1:]), "") or unit
+    elif (match := _TAIL.fullmatch(text)) and dimension_of(match[2]) and _named(match[1]):
+        name, spelled = match[1], match[2]
+    elif (match := _TAIL.fullmatch(text.rpartition("_")[0])) and ABSOLUTE.fullmatch(text.rpartition("_")[2]):
+        name, spelled = match[1], f"{match[2]} abs"
+    plain = _plain(_CATMAN.sub("", name))
+    quantity = _named(name)
+    if not quantity:
+        return None
+    absolute = bool(ABSOLUTE.search(spelled) or ABSOLUTE.search(name)) and quantity.endswith("pressure")
+    bare = _GAUGE.sub("", ABSOLUTE.sub("", spelled)).strip(" ()") if quantity.endswith("pressure") else spelled.strip()
+    known = canonical_unit(bare, quantity) if bare else _TIME_UNITS.get(plain, "") if quantity == "time" else ""
+    if bare and not known:
+        return _in_other_unit(quantity, bare, plain)
+    if quantity == "pressure" and AMBIGUOUS.search(name):
+        return None
+    return Header(quantity, known, plain, absolute)
+
+
+def _in_other_unit(quantity: str, unit: str, name: str) -> Header | None:
+    """Header of a name with the unit of another quantity: a contraction in a length is a displacement."""
+    if quantity == "contraction" and (length := canonical_unit(unit, "length")):
+        return Header("shortening", length, name)
+    if quantity == "shortening" and (ratio := canonical_unit(unit, "contraction")):
+        return Header("contraction", ratio, name)
+    return None
+
+
+def _named(name: str) -> str:
+    """Quantity of a name without unit; empty if it is unknown."""
+    plain = _plain(_CATMAN.sub("", name))
+    if name.strip() in ("T", "P"):  # a temperature; a pressure
+        return {"T": "", "P": "pressure"}[name.strip()]
+    if name.strip() == "f":  # a frequency
+        return ""
+    if quantity := _QUANTITY.get(plain):
+        return quantity
+    if AMBIGUOUS.search(plain):
+        return ""
+    bare = " ".join(_MODIFIERS.sub(" ", ABSOLUTE.sub(" ", plain)).split())
+    return _QUANTITY.get(bare, "")
+
+
+def _plain(text: str) -> str:
+    return " ".join(re.sub(r"[_\-<>|.]+", " ", text.strip(" \"'")).lower().split())
+
+
+def is_harmless(text: str) -> bool:
+    """Whether a column that is not read says by its name that no force, pressure or length is in it."""
+    name = _BRACKETS.sub(r"\1", text)
+    return bool(_HARMLESS.match(_plain(re.split(r"[/\\.]", name)[-1])))
+
+
+def si_factor(header: Header) -> float:
+    """Factor from the unit of a header to SI; 1 without a unit."""
+    return factor(header.unit) if header.unit else 1.0

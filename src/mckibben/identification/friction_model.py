@@ -1,0 +1,281 @@
+"""Model of the force along loading paths: law, friction of one of several forms, and drift of the sensor."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import (
+    CONDITION_LIMIT,
+    Bools,
+    Floats,
+    Ints,
+    Minimum,
+    condition_number,
+    least_squares,
+    robust_errors,
+    standard_errors,
+    unidentifiable,
+)
+from mckibben.identification.grouping import finest_grouping, group_labels
+from mckibben.identification.least_squares import design_matrix
+from mckibben.identification.loading_path import DriftBasis, LoadingPaths, moving_rates
+from mckibben.muscle import ForceLaw, MaxwellSlip, forces
+from mckibben.muscle.friction import MIN_HALF_WIDTH, play_response, polygon, smooth_limit
+
+
+class FrictionForm(enum.Enum):
+    """Form of the friction between loading and unloading; docs/hysteresis.md lists them and the data that they need."""
+
+    COULOMB = "coulomb"
+    CONSTANT = "constant"
+    PRESSURE = "pressure"
+    TENSION = "tension"
+    VISCOUS = "viscous"
+    RATE = "rate"
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Parameters of the friction that the form estimates."""
+        return _FREE[self]
+
+    @property
+    def follows_rate(self) -> bool:
+        """Whether the friction depends on the rate of the length."""
+        return self in (FrictionForm.VISCOUS, FrictionForm.RATE)
+
+
+_FREE = {
+    FrictionForm.COULOMB: ("half_width",),
+    FrictionForm.CONSTANT: ("half_width", "log_presliding"),
+    FrictionForm.PRESSURE: ("half_width", "growth", "log_presliding"),
+    FrictionForm.TENSION: ("half_width", "tension_growth", "log_presliding"),
+    FrictionForm.VISCOUS: ("half_width", "viscous", "log_presliding"),
+    FrictionForm.RATE: ("half_width", "growth", "rate_growth", "log_rate_speed", "log_presliding"),
+}
+FRICTION = ("half_width", "growth", "tension_growth", "viscous", "rate_growth", "log_rate_speed", "log_presliding")
+"""Friction parameters in SI, as in `MaxwellSlip`, with the logarithms of rate speed [m/s] and presliding length [m]."""
+
+_TENSION_STEP = 1e-4  # N: of difference quotients
+_RELATIVE_STEP = 1e-6
+_WIDEST = 1e5  # N
+_FASTEST_GROWTH = 100.0  # of the half width
+_BEYOND = 3.0  # times the rates of the points
+_LONGEST = 0.25  # of the range of lengths: with a longer presliding length friction would never fully reverse
+_RATE_GROWTH = 0.3  # at the start of a fit
+
+
+@dataclass(frozen=True, eq=False)
+class PathDependentModel:
+    """Force along loading paths: law, Maxwell-slip friction (`MaxwellSlip.along`), and sensor drift."""
+
+    template: ForceLaw
+    paths: LoadingPaths
+    means: IsobaricDataset = field(repr=False)
+    drift: DriftBasis = field(repr=False)
+    used: Bools = field(repr=False)
+    reference_pressure: float
+    elements: int
+    reference_tension: float = 0.0
+    rate: Floats | None = None
+
+    @property
+    def law_names(self) -> tuple[str, ...]:
+        """Parameters of the law, linear ones first; penalised ones are fixed at the fit of the law alone."""
+        return tuple(p.name for p in type(self.template).parameters() if not p.penalised)
+
+    @property
+    def labels(self) -> Ints:
+        """Groups of the used points that may share an error, as those of a fit of the law."""
+        return group_labels(self.means, finest_grouping(self.means))[self.used]
+
+    def law(self, values: Mapping[str, float]) -> ForceLaw:
+        """Law with the values of its parameters."""
+        return dataclasses.replace(self.template, **{name: values[name] for name in self.law_names if name in values})  # pyrefly: ignore[bad-argument-type]
+
+    def friction(self, values: Mapping[str, float]) -> MaxwellSlip:
+        """Friction model with the given parameters."""
+        return MaxwellSlip(
+            values["half_width"],
+            float(np.exp(values["log_presliding"])),
+            growth=values["growth"],
+            reference_pressure=self.reference_pressure,
+            tension_growth=values["tension_growth"] or None,
+            reference_tension=self.reference_tension if values["tension_growth"] else 0.0,
+            viscous=values["viscous"],
+            rate_growth=values["rate_growth"] or None,
+            rate_speed=float(np.exp(values["log_rate_speed"])) if values["rate_growth"] else None,
+            elements=self.elements,
+        )
+
+    @property
+    def shortest(self) -> float:
+        """Logarithm of the presliding length [m] that reverses within one step: shorter ones are equivalent."""
+        share, stiffness = polygon(self.elements)
+        return float(np.log(self.paths.step / (2 * (share / stiffness).max())))
+
+    def start(self, values: Mapping[str, float], form: FrictionForm) -> dict[str, float]:
+        """Start of a fit of a form: parameters that it does not estimate are zero, or reverse friction in one step."""
+        start = {**values, **dict.fromkeys(set(FRICTION) - {"half_width", "log_presliding"}, 0.0)}
+        if "log_presliding" not in form.free:
+            start["log_presliding"] = self.shortest
+        if form.follows_rate and self.rate is not None:
+            speed = float(np.median(moving_rates(self.rate[self.used])))
+            if form is FrictionForm.RATE:
+                return start | {"rate_growth": _RATE_GROWTH, "log_rate_speed": float(np.log(speed))}
+            start["viscous"] = 0.1 * start["half_width"] / speed
+        return start
+
+    def bounds(self, names: Sequence[str]) -> tuple[Floats, Floats]:
+        """Lower and upper bounds of the named parameters."""
+        rates = np.ones(1) if self.rate is None else moving_rates(self.rate[self.used])
+        slow, fast = np.quantile(rates, [0.05, 1.0])
+        ranges = {p.name: (p.lower, p.upper) for p in type(self.template).shape_parameters}
+        ranges |= {
+            "half_width": (MIN_HALF_WIDTH, _WIDEST),
+            "tension_growth": (-1.0, 1.0),
+            "viscous": (0.0, np.inf),
+            "rate_growth": (0.0, _FASTEST_GROWTH),
+            "log_rate_speed": (float(np.log(slow / _BEYOND)), float(np.log(_BEYOND * fast))),
+            "log_presliding": (self.shortest, float(np.log(_LONGEST * np.ptp(self.paths.length)))),
+        }
+        lower, upper = zip(*(ranges.get(name, (-np.inf, np.inf)) for name in names), strict=True)
+        return np.array(lower, float), np.array(upper, float)
+
+    def components(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
+        """Tension of the law and friction force [N] at each row, shape (rows,)."""
+        tension = self._tension(values)
+        return tension, self._friction(tension[:, None], [values])[:, 0]
+
+    def band_side(self, values: Mapping[str, float]) -> Floats:
+        """Friction of a taut muscle relative to its half width at each row, from -1 to 1, shape (rows,)."""
+        # Half width and presliding length determine the stiffness of the elements.
+        unit = dict.fromkeys(FRICTION, 0.0) | {"half_width": 1.0, "log_presliding": values["log_presliding"]}
+        return self._friction(np.full((len(self.means), 1), _WIDEST), [unit])[:, 0]
+
+    def residuals(self, values: Mapping[str, float], offsets: Floats) -> Floats:
+        """Modelled minus measured force [N] at the points used."""
+        tension, friction = self.components(values)
+        return (tension + friction + self.drift.points @ offsets - self.means.force)[self.used]
+
+    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> Floats:
+        """Derivative of the modelled force with respect to the named parameters and drift amplitudes."""
+        tension = self._tension(values)
+        of_law = [name for name in names if name in self.law_names]
+        columns = design_matrix(self.law(values), of_law, self.means.contraction, self.means.pressure)
+        columns = columns * (tension > 0)[:, None]
+        others = [name for name in names if name not in self.law_names]
+        # All difference quotients of the friction in one pass along the paths.
+        by_law = _TENSION_STEP / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
+        sizes = {
+            "growth": float(np.abs(self.means.pressure - self.reference_pressure).max()),
+            "tension_growth": float(np.abs(tension - self.reference_tension).max()),
+            "viscous": 1.0 if self.rate is None else float(np.abs(self.rate).max()),
+        }
+        steps = np.array([*by_law, *(_RELATIVE_STEP / max(sizes.get(name, 1.0), 1e-9) for name in others)])
+        moved = [dict(values) for _ in names]
+        for k, name in enumerate(others):
+            moved[len(of_law) + k][name] += steps[len(of_law) + k]
+        tensions = np.repeat(tension[:, None], len(names) + 1, axis=1)
+        tensions[:, 1 : len(of_law) + 1] += columns * steps[: len(of_law)]
+        friction = self._friction(np.maximum(tensions, 0.0), [values, *moved])
+        slopes = (friction[:, 1:] - friction[:, :1]) / steps
+        slopes[:, : len(of_law)] += columns
+        return np.concatenate([slopes, self.drift.points], axis=1)[self.used]
+
+    def _tension(self, values: Mapping[str, float]) -> Floats:
+        return np.maximum(forces(self.law(values), self.means.contraction, self.means.pressure), 0.0)
+
+    def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
+        """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
+        half_width, growth, by_tension, viscous, by_rate, log_speed, log_presliding = (
+            np.array([values[name] for values in sets]) for name in FRICTION
+        )
+        above = (self.means.pressure - self.reference_pressure)[:, None]
+        width = half_width + growth * above + by_tension * (tension - self.reference_tension)
+        limit = smooth_limit(width, tension, np)
+        share, stiffness = polygon(self.elements)
+        stiffness = stiffness * (half_width / np.exp(log_presliding))[:, None]
+        deflections = play_response(
+            self.paths.travel[..., None], limit[self.paths.place], stiffness, share, side=self.paths.side[:, None]
+        )
+        force = self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
+        if self.rate is None or not (viscous.any() or by_rate.any()):
+            return force
+        half, rate = np.maximum(tension / 2, 1e-9), self.rate[:, None]
+        drag = viscous * rate + by_rate * limit * np.tanh(rate / np.exp(log_speed))
+        return force + half * np.tanh(drag / half)
+
+    def fit(self, start: Mapping[str, float], free: tuple[str, ...], *, evaluations: int = 200) -> PathSolution:
+        """Bounded least squares from a start; the drift amplitudes are always free."""
+        count = len(free)
+        lower, upper = self.bounds(free)
+        unbounded = np.full(self.drift.points.shape[1], np.inf)
+
+        def values(x: Floats) -> dict[str, float]:
+            return {**start, **dict(zip(free, x[:count].tolist(), strict=True))}
+
+        minimum = least_squares(
+            lambda x: self.residuals(values(x), x[count:]),
+            np.concatenate([np.clip([start[name] for name in free], lower, upper), np.zeros_like(unbounded)]),
+            lambda x: self.jacobian(values(x), free),
+            (np.concatenate([lower, -unbounded]), np.concatenate([upper, unbounded])),
+            tolerance=1e-10,
+            evaluations=evaluations,
+        )
+        return PathSolution(values(minimum.values), free, minimum)
+
+    def solve(self, start: Mapping[str, float], free: tuple[str, ...]) -> PathSolution:
+        """Bounded least squares with standard errors; an `IdentificationError` if the points do not determine it."""
+        solution = self.fit(start, free)
+        minimum, inside = solution.minimum, solution.inside
+        jacobian = minimum.jacobian[:, inside]
+        number = condition_number(jacobian)
+        if not number < CONDITION_LIMIT:
+            names = np.array([*free, *(f"offset {k}" for k in range(len(solution.offsets)))])[inside]
+            message = f"the points do not determine {', '.join(unidentifiable(jacobian, names.tolist()))}"
+            remedy = "measure at more pressures and contractions, use a law with fewer parameters, or give a known one"
+            raise IdentificationError(
+                f"{message} (condition number {number:.1e})", value=number, upper=CONDITION_LIMIT, remedy=remedy
+            )
+        if not minimum.converged:
+            rmse = np.sqrt(np.mean(minimum.residuals**2))
+            raise IdentificationError(
+                f"the fit of law and friction did not converge (RMSE {rmse:.3g} N)",
+                remedy="look for outliers, wrong units and rows that are not in the order of the test",
+            )
+        errors, correlations = standard_errors(minimum.jacobian, minimum.residuals, ~inside)
+        variance = robust_errors(jacobian, minimum.residuals, self.labels).variance(np.eye(jacobian.shape[1]))[0]
+        errors[inside] = np.maximum(errors[inside], np.sqrt(variance))
+        return dataclasses.replace(solution, errors=errors, correlations=correlations)
+
+
+@dataclass(frozen=True, eq=False)
+class PathSolution:
+    """Least-squares solution; errors and correlations of the free parameters and the drift amplitudes."""
+
+    values: dict[str, float]
+    free: tuple[str, ...]
+    minimum: Minimum
+    errors: Floats = field(default_factory=lambda: np.empty(0))
+    correlations: Floats = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def offsets(self) -> Floats:
+        """Amplitudes of the drift."""
+        return self.minimum.values[len(self.free) :]
+
+    @property
+    def inside(self) -> Bools:
+        """Parameters and amplitudes that are not at a bound."""
+        return ~self.minimum.at_bound
+
+    def error(self, name: str) -> float:
+        """Standard error of a parameter; NaN if it was not free."""
+        return float(self.errors[self.free.index(name)]) if name in self.free else float("nan")

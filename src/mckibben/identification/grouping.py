@@ -1,0 +1,84 @@
+"""Groups of points that may share an error."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import Ints
+
+
+class Grouping(enum.Enum):
+    """Points that may share an error: each by itself, of one pass, of one pressure level, or of a repeat of the test.
+
+    A pass has one level, repeat and direction or phase, as far as recorded (docs/uncertainty.md).
+    """
+
+    POINT = "point"
+    STROKE = "stroke"
+    PRESSURE = "pressure"
+    REPEAT = "repeat"
+
+    def counted(self, count: int) -> str:
+        """Number of groups as text, such as "1 stroke" or "26 strokes"."""
+        return f"{count} {self.value}{'' if count == 1 else 's'}"
+
+
+def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
+    """Group number of each point, from 0 without gaps, shape (points,)."""
+    if grouping is Grouping.POINT:
+        return np.arange(len(points))
+    columns: list[np.ndarray] = []
+    if grouping in (Grouping.STROKE, Grouping.PRESSURE):
+        columns.append(points.levels)
+    if grouping in (Grouping.STROKE, Grouping.REPEAT) and "repeat" in points.table:
+        columns.append(points.table["repeat"].to_numpy())
+    if grouping is Grouping.STROKE:
+        columns.append(approach_labels(points))
+    if not columns:
+        raise IdentificationError(
+            "the data do not record which repeat a point belongs to",
+            remedy="record a column 'repeat', or group by stroke or by pressure",
+        )
+    return row_numbers(columns)
+
+
+def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
+    """Direction, or else phase, of each point's pass; an unlabelled point takes the next label of its level."""
+    direction, phase = (
+        points.table[name].to_numpy() if name in points.table else np.full(len(points), "", "<U9")
+        for name in ("direction", "phase")
+    )
+    repeat = [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
+    cells = row_numbers([points.levels, *repeat])
+    has_direction = np.bincount(cells, direction != "") > 0
+    order = np.argsort(cells, kind="stable")
+    own, cell = np.where(has_direction[cells], direction, phase)[order], cells[order]
+    place = np.arange(len(own))
+    following = np.minimum.accumulate(np.where(own != "", place, len(own) - 1)[::-1])[::-1]
+    preceding = np.maximum.accumulate(np.where(own != "", place, 0))
+    source = np.where(cell[following] == cell, following, place)
+    source = np.where(own[source] == "", preceding, source)
+    found = np.empty_like(own)
+    found[order] = np.where(cell[source] == cell, own[source], "")
+    return found
+
+
+def finest_grouping(points: IsobaricDataset) -> Grouping:
+    """Strokes where a direction, a phase or a repeat is known, else pressures."""
+    has_passes = bool(len(points.directions) or len(points.phases) or len(points.repeats))
+    return Grouping.STROKE if has_passes else Grouping.PRESSURE
+
+
+def row_numbers(columns: Sequence[np.ndarray]) -> Ints:
+    """Number of each row among the sorted distinct rows."""
+    number = np.zeros(len(columns[0]), np.int64)
+    for column in columns:  # one after the other: numbers sort faster than rows
+        codes = np.unique(column, return_inverse=True)[1].reshape(-1)
+        number = np.unique(number * (int(codes.max(initial=0)) + 1) + codes, return_inverse=True)[1].reshape(-1)
+    return number

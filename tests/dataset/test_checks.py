@@ -1,0 +1,123 @@
+"""Sound points raise no question; each kind of mistake raises one, of its topic."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from mckibben import catalog
+from mckibben.dataset.checks import Points, questions_of_points
+from mckibben.muscle import ChouLaw
+
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def muscle(friction: float = 0.0, noise: float = 0.0, slack: bool = False, seed: int = 0) -> Arrays:
+    """Points of four pressures [Pa], contractions [-] and forces [N], stretched and released where there is friction."""
+    rng = np.random.default_rng(seed)
+    eps = np.linspace(0, 0.28 if slack else 0.14, 15)
+    eps, side = (np.r_[eps, eps[::-1]], np.r_[-np.ones(15), np.ones(15)]) if friction else (eps, np.zeros(15))
+    pressure, contraction = (grid.ravel() for grid in np.meshgrid([1e5, 2e5, 3.5e5, 5e5], eps, indexing="ij"))
+    pressure = pressure + rng.normal(0, 1e3, pressure.size)
+    force = 2.6e-3 * pressure * (1 - contraction / 0.26) ** 2 * (contraction < 0.26)
+    force = force + friction * np.tile(side, 4) * (force > 0) + noise * rng.normal(size=force.size)
+    return pressure.round(-2), contraction.round(4), force.round(1)
+
+
+def topics(pressure: np.ndarray, contraction: np.ndarray, force: np.ndarray, slack_force: float = 0.0) -> set[str]:
+    points = Points(pressure, contraction, force, np.arange(2, len(force) + 2), force, slack_force)
+    return {question.topic for question in questions_of_points(points)}
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "options", [{}, {"friction": 15.0}, {"noise": 2.0}, {"friction": 20.0, "noise": 3.0}, {"slack": True, "noise": 1.5}]
+)
+def test_sound_points_raise_no_question(options, seed):
+    assert not topics(*muscle(**options, seed=seed), slack_force=6.0 if "slack" in options else 0.0)
+
+
+@pytest.mark.parametrize("name", catalog.names("datasets"))
+def test_published_points_raise_no_question(name):
+    assert len(catalog.dataset(name))  # read, and checked
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_an_isotonic_test_raises_no_question(seed):
+    """Four loads, at each of which the pressure is raised and lowered."""
+    rng, law = np.random.default_rng(seed), ChouLaw(0.41, 0.02)
+    eps, load = np.tile(np.linspace(0.0, 0.18, 10), 4), np.repeat([50.0, 100.0, 150.0, 200.0], 10)
+    pressure = np.array([law.pressure_for(f, e) for f, e in zip(load, eps, strict=True)], float)
+    keep = pressure < 7e5
+    assert not topics(pressure[keep], eps[keep], (load + rng.normal(0, 0.3, load.size))[keep]) - {"saturation"}
+
+
+def row(at: int, pressure: float, contraction: float, force: float) -> Callable[[Arrays], Arrays]:
+    """A row put among the points, in bar, percent and newtons."""
+    return lambda arrays: tuple(  # type: ignore[return-value]
+        np.insert(values, at, value)
+        for values, value in zip(arrays, (pressure * 1e5, contraction / 100, force), strict=True)
+    )
+
+
+def changed(**factors: Callable[[np.ndarray], np.ndarray]) -> Callable[[Arrays], Arrays]:
+    """Columns that a function changes."""
+    names = ("pressure", "contraction", "force")
+    return lambda arrays: tuple(
+        factors.get(name, np.asarray)(values) for name, values in zip(names, arrays, strict=True)
+    )  # type: ignore[return-value]
+
+
+def summary(statistic: Callable[..., np.ndarray], count: int = 60) -> Callable[[Arrays], Arrays]:
+    """Means, say, of the first rows below them."""
+
+    def added(arrays: Arrays) -> Arrays:
+        rows = np.column_stack([arrays[0][:count] / 1e5, 100 * arrays[1][:count], arrays[2][:count]])
+        pressure, contraction, force = statistic(rows, axis=0)
+        return row(count, pressure.round(3), contraction.round(2), force.round(1))(arrays)
+
+    return added
+
+
+MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
+    "a pull that is negative": (changed(force=lambda f: -f), "sign"),
+    "an offset below zero": (changed(force=lambda f: f - 200), "sign"),
+    "kPa named bar": (changed(pressure=lambda p: 100 * p), "range"),
+    "psi named bar": (changed(pressure=lambda p: p / 14.5), "range"),
+    "ratios named percent": (changed(contraction=lambda c: c / 100), "range"),
+    "a contraction that is negative": (changed(contraction=lambda c: -c), "range"),
+    "kilonewtons named newtons": (changed(force=lambda f: f / 1000), "range"),
+    "a wrong initial length": (changed(contraction=lambda c: 1 - 1.3 * (1 - c)), "range"),
+    "a contraction of lengthening": (changed(contraction=lambda c: 0.14 - c), "order"),
+    "millimetres named percent": (changed(contraction=lambda c: 2.9 * c), "zero"),
+    "absolute pressures": (changed(pressure=lambda p: p + 101300), "gauge"),
+    "an offset of the load cell": (changed(force=lambda f: f + 150), "zero"),
+    "a saturated load cell": (changed(force=lambda f: np.minimum(f, 700.3)), "saturation"),
+    "a saturated pressure sensor": (changed(pressure=lambda p: np.minimum(p, 4.9e5)), "saturation"),
+    "an amplifier at its end": (changed(force=lambda f: np.where(f > 700, 700 + 0.01 * f, f).round(2)), "saturation"),
+    "a mean below the table": (summary(np.mean), "rows"),
+    "a median below the table": (summary(np.median), "rows"),
+    "a mean of each pressure": (summary(np.mean, 15), "rows"),
+    "numbers of channels": (row(0, 1, 2, 3), "rows"),
+    "full scales": (row(0, 10, 30, 5000), "rows"),
+    "zeros after a restart": (row(20, 0, 0, 0), "rows"),
+    "a force of a lost sample": (changed(force=lambda f: np.where(np.arange(len(f)) == 31, 0.0, f)), "rows"),
+    "a force that stands still": (
+        changed(force=lambda f: np.where((np.arange(len(f)) > 31) & (np.arange(len(f)) < 37), f[31], f)),
+        "rows",
+    ),
+    "a digit lost": (changed(force=lambda f: np.where(np.arange(len(f)) == 47, f - 300, f)), "order"),
+    "rows of two muscles": (changed(force=lambda f: f * np.where(np.arange(len(f)) % 2, 0.5, 1.0)), "order"),
+    "sorted forces": (changed(force=np.sort), "order"),
+    "pressures counted up": (changed(pressure=lambda p: 1e5 + 7e3 * np.arange(len(p))), "rows"),
+    "a block pasted twice": (lambda arrays: tuple(np.r_[values, values[:9]] for values in arrays), "rows"),  # type: ignore[return-value]
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+@pytest.mark.parametrize("seed", range(2))
+def test_a_mistake_raises_a_question_of_its_topic(mistake, seed):
+    change, topic = MISTAKES[mistake]
+    assert topic in topics(*change(muscle(seed=seed))) or (
+        topic == "sign" and topics(*change(muscle(seed=seed))) == {""}
+    )
