@@ -17,7 +17,7 @@ from mckibben.errors import IdentificationError, RangeError, ScenarioError
 from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.scenario import Scenario
 from mckibben.units import deg
 
@@ -45,7 +45,7 @@ def creep_of(lengths, period, stiffness, time_constant=2.0):
     return force
 
 
-@compiled
+@jit
 def balanced(joint, load, motion, first, mass, creeping):
     """Pressures, of which the first is given, and tensions that the equation of motion asks for."""
     angle, _, acceleration = motion

@@ -22,7 +22,7 @@ from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
 from mckibben.muscle.muscle import warn_outside
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.simulation.engine import BatchFunction
 from mckibben.units import Quantity, Strength, deg, kPa, mm
 
@@ -279,7 +279,7 @@ def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
     return list(map(np.asarray, joint.geometry.paths_and_arms(angle)[0]))
 
 
-@compiled
+@jit
 def _sweep(muscle: Muscle, longest: ArrayLike, shortest: ArrayLike) -> tuple[Array, Array, Array, Array]:
     """Ends of the contraction between two lengths [m]; midway, at the highest pressure, tension and its slope [N]."""
     low, high = muscle.specimen.contraction_at(longest), muscle.specimen.contraction_at(shortest)

@@ -22,7 +22,7 @@ from mckibben.errors import ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.joint.attainable import stiffness_range
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
@@ -162,7 +162,7 @@ class Sweeps:
         return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
 
 
-@compiled
+@jit
 def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Samples) -> Array:
     """Attainable stiffness [N*m/rad] with each load, shape (loads, 2, angles), of muscles that are well taut."""
     middle = joint.contractions((angles[0] + angles[-1]) / 2, (0.0, 0.0))
@@ -173,7 +173,7 @@ def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Samples) -> Arra
     return jnp.stack([jnp.stack(stiffness_range(joint, angles, torque, None, least)) for torque in torques])
 
 
-@compiled
+@jit
 def _with_weight(load: Load, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
     return load.with_weight(mass, distance)
 

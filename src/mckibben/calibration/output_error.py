@@ -40,7 +40,7 @@ from mckibben.calibration.fitting import (
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant import JointFriction, JointPlant
 from mckibben.result import Column, Listing, Remark, column
 from mckibben.units import ms
@@ -320,13 +320,13 @@ def _trajectory(model: _Simulated, motion: _Motion, substeps: int) -> Array:
     return lax.scan(step, first, (command1, command2))[1] + model.zero
 
 
-@compiled
+@jit
 def _angle(model: _Simulated, motion: _Motion, substeps: int) -> Array:
     with batched_program():
         return _trajectory(model, motion, substeps)
 
 
-@compiled
+@jit
 def _angles(problem: _Problem, zs: ArrayLike, motion: _Motion, substeps: int) -> Array:
     """Angles [rad], shape (parameter vectors, samples)."""
     with batched_program():
@@ -341,7 +341,7 @@ def _full(base: CalibrationProblem, z: Array) -> Array:
     return jnp.concatenate([muscles, jnp.zeros(1), z[count : count + _SHARED], jnp.zeros(2)])
 
 
-@compiled
+@jit
 def _full_and_slope(base: CalibrationProblem, z: Any) -> tuple[Array, Array]:
     return _full(base, z), jax.jacfwd(lambda z: _full(base, z))(z)
 
@@ -362,7 +362,7 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     return _Simulated(JointPlant(joint, load, valve, friction=problem.friction), delay, zero, added)
 
 
-_model = compiled(_simulated_by)
+_model = jit(_simulated_by)
 
 
 def _own_quantities(problem: _Problem, z: Floats, deviation: Floats) -> dict[str, JointEstimate]:

@@ -39,7 +39,7 @@ from mckibben.component.base import field_quantities
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, ScaledArms
 from mckibben.numerics.calculus import rk4
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant.base import STABILITY_LIMIT
 from mckibben.result import Remark, column
 from mckibben.units import bar, cm, kPa, ms
@@ -435,7 +435,7 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
     return lax.scan(follow_air, (pressure, valve.init_states((pressure,))), (commands, air))[1]  # type: ignore[arg-type]
 
 
-@compiled_as_given
+@jit_arrays
 def _sensitivities(problem: _Problem, z: ArrayLike, record: _Record, muscle: int, substeps: int) -> tuple[Array, Array]:
     """Pressures [Pa] of a muscle, shape (samples,), and their derivatives, shape (samples, parameters)."""
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.component.calls import CheckedCalls, checked_call, user_level
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import DomainWarning, IdentificationError, Problem, ScenarioError, no_attribute
+from mckibben.errors import DomainWarning, IdentificationError, Problem, ScenarioError
 from mckibben.identification.estimator import (
     Floats,
     Interval,

@@ -21,7 +21,7 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast, pad_chunk
-from mckibben.numerics.compiled import compiled_batch
+from mckibben.numerics.compiled import jit_lanes
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Column, Listing, Result
 from mckibben.simulation.accuracy import (
@@ -416,7 +416,7 @@ def _begin(
     return _Beginnings(setpoints, changes, starts, exist, split), span
 
 
-_begun = compiled_batch(_begin)
+_begun = jit_lanes(_begin)
 
 
 @BatchFunction

@@ -24,7 +24,7 @@ from mckibben.numerics.batching import (
     replace_leaves,
     select_leaves,
 )
-from mckibben.numerics.compiled import compiled_as_given
+from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import ACCURACY, check_accuracy
 from mckibben.simulation.engine import compute_with
@@ -143,7 +143,7 @@ class _Asked(NamedTuple):
     mode: Mode
 
 
-@compiled_as_given
+@jit_arrays
 def _by_xla(
     run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked
 ) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
@@ -190,7 +190,7 @@ def _natively(
     )
 
 
-@compiled_as_given
+@jit_arrays
 def _begun(
     shared: SimulationProblem, flat: Array, times: ArrayLike, asked: _Asked
 ) -> tuple[_Begun, _Begun, tuple[_Begun, Array, Array | None]]:

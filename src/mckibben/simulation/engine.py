@@ -17,7 +17,7 @@ from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import DeviceError, ExportError, ParameterError, SimulationError, quoted
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, map_chunks, pad_chunk
-from mckibben.numerics.compiled import compiled_batch
+from mckibben.numerics.compiled import jit_lanes
 from mckibben.plant import Plant
 from mckibben.simulation.loop import Record, compiled_episode, episode
 
@@ -140,7 +140,7 @@ class BatchFunction:
         )
 
 
-@compiled_batch
+@jit_lanes
 def _by_xla(function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, lanes: PyTree) -> PyTree:
     def run(lane: PyTree) -> PyTree:
         with batched_program():

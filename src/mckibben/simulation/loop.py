@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
-from mckibben.numerics.compiled import compiled_as_given
+from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.simulation.metrics import (
     Change,
@@ -80,7 +80,7 @@ def episode(
     return final, record
 
 
-compiled_episode = compiled_as_given(episode)
+compiled_episode = jit_arrays(episode)
 """`episode`, compiled once for each structure of its arguments; give it `numeric` ones."""
 
 

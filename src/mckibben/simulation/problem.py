@@ -21,7 +21,7 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import Signal
 from mckibben.errors import ParameterError, SimulationError, described, with_article
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.engine import BatchFunction
@@ -186,7 +186,7 @@ def sample_reference(reference: Reference, times: ArrayLike) -> Setpoint:
 
 
 _each_sample = BatchFunction(sample_reference)
-_all_samples = compiled(sample_reference)
+_all_samples = jit(sample_reference)
 
 
 def sampled_reference(reference: Reference, times: NDArray[np.float64]) -> Setpoint:

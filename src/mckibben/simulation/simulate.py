@@ -16,7 +16,7 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import (
     ACCURACY,
@@ -326,7 +326,7 @@ def _native_start(parts: tuple[SimulationProblem, Setpoint], _: None) -> tuple[P
     return parts[0].start(parts[1])
 
 
-_start_by_xla = compiled(SimulationProblem.start)
+_start_by_xla = jit(SimulationProblem.start)
 
 
 def _raise_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:

@@ -21,7 +21,7 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Remark, Result, column
 from mckibben.simulation.engine import BatchFunction
@@ -282,7 +282,7 @@ def _without_modulation(plant: JointPlant, initial: PyTree) -> PyTree:
     return initial._replace(air=()) if plant.valve.switches and isinstance(initial, PlantState) else initial
 
 
-@compiled_as_given
+@jit_arrays
 def _begun(lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike) -> tuple[PyTree, Array]:
     """Start and setpoints of each run, and whether it can start."""
 

@@ -21,7 +21,7 @@ from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.joint.mechanism import SLENDER, Mechanism, Points, muscle_sizes
 from mckibben.muscle import Muscle
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant.joint_plant import rated_for
 from mckibben.reachability.envelope import active_limits
 from mckibben.reachability.static import scan_points
@@ -149,7 +149,7 @@ class _Pose(NamedTuple):
     """Pressures [Pa] at the lowest and at the highest stiffness."""
 
 
-@compiled
+@jit
 def _ranges(
     joint: AntagonisticJoint, angles: ArrayLike, torque: ArrayLike, angle: ArrayLike, limits: tuple[float, float]
 ) -> tuple[Any, Any, Any, _Pose]:
