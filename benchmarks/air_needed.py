@@ -18,12 +18,12 @@ import yaml
 
 from mckibben.simulation import Outcome
 from mckibben.simulation.outcome import OUTCOMES
+from mckibben.storage.store import STUDY
 from mckibben.study.compare import Suite, draw, evaluate
-from mckibben.study.compare.compare import ControllerTuning
+from mckibben.study.compare.checks import filename
 from mckibben.study.compare.statistics import trial_at_air
-from mckibben.study.compare.suite import filename
-from mckibben.study.tune import read_trials
-from mckibben.study.tune.search import SearchSpace
+from mckibben.study.compare.tuning import ControllerTuning
+from mckibben.study.tune import SearchSpace, read_trials
 from mckibben.units import deg, litre
 
 SUITE = Path(__file__).parents[1] / "examples" / "comparison" / "valves.yaml"
@@ -61,7 +61,7 @@ def exact_air(suite):
 def row(suite, name, folder, air):
     """Cells of a controller of the comparison of a setup with at most an air [L], and its angle errors in the runs."""
     task = ControllerTuning(suite, name, SearchSpace(suite.tuned_over(name)), draw(suite, 1, suite.tuning.seed))
-    trials = read_trials(folder / "tuning" / f"{filename(name)}.journal")
+    trials = read_trials(folder / STUDY, name)
     trial = trial_at_air(trials, air * litre)
     if trial is None:
         return "none", None

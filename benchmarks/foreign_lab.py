@@ -337,7 +337,7 @@ def main():
     lab = VALVES[kind].lab
     weight = ("--weight", f"{lab.weight} g", "--distance", lab.distance, "--angles", "-14..14 deg")
     length, diameter = (f"{1e3 * lab.plant.SPECIMEN[name]:g} mm" for name in ("length", "diameter"))
-    size = ("--initial-length", length, "--diameter", diameter)
+    size = ("--initial-length", length, "--inner", diameter)
 
     def compare():
         suite_of(kind, folder, given.air)
@@ -346,11 +346,15 @@ def main():
     def calibrate(scenario, out, *more):
         mckibben(kind, folder, "calibrate", scenario, "--rig", f"{out}-rig.yaml", "--out", out, *more)
 
+    def valves():
+        (folder / "prior.yaml").write_text("supply: 10 %\n", encoding="utf-8")
+        calibrate("joint/scenario.yaml", "valves", "--valves", "--prior", "prior.yaml")
+
     steps = {
         "files": lambda: files(kind, folder),
         "identify": lambda: mckibben(kind, folder, "identify", "muscle.csv", *size, "--out", "fit"),
         "joint": lambda: calibrate("scenario.yaml", "joint", *weight),
-        "valves": lambda: calibrate("joint/scenario.yaml", "valves", "--valves", "--supply-error", "10 %"),
+        "valves": valves,
         "compare": compare,
         "evaluate": lambda: evaluate(kind, folder, given.runs, given.seed),
     }

@@ -4,7 +4,17 @@ from pathlib import Path
 
 import pytest
 
-SLOW = {"batches.md", "extending.md", "laws.md", "leg.md", "size.md", "stiffness.md", "tuning.md", "your-muscle.md"}
+SLOW = {
+    "batches.md",
+    "extending.md",
+    "laws.md",
+    "leg.md",
+    "size.md",
+    "stiffness.md",
+    "sweeps.md",
+    "tuning.md",
+    "your-muscle.md",
+}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

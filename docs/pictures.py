@@ -106,13 +106,9 @@ def _gallery() -> None:
 
 def _size() -> None:
     """Pictures of the page on sizing."""
-    load = mk.PendulumLoad(2.0, 250 * mm)
-    need = mk.Requirement(load, (-30 * deg, 30 * deg), 2.0, 6 * bar, stiffness=(15.0, 18.0), torque=1.0)
-    found = mk.size(need)
+    found = mk.size(mk.Requirement.read(ROOT / "examples" / "sizing" / "pulleys.yaml"))
     _, svg = save(found.plot(), IMAGES, "size")
     svg.unlink()  # larger than the PNG
-    png, _ = save(mk.report.draw_joint(found.best.plant, need.middle), IMAGES, "size-joint")
-    png.unlink()
 
 
 def _leg() -> None:

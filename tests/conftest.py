@@ -375,5 +375,5 @@ def invented(suite, runs, controller, sets=1, metrics=Metrics._fields, engine="n
 def simulating_nothing():
     """Comparisons go through `invented` in place of a simulation."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("mckibben.study.compare.compare._simulated", invented)
+        patch.setattr("mckibben.study.compare.evaluation._simulate_group", invented)
         yield

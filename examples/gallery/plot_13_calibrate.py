@@ -53,7 +53,7 @@ for mass in (0.0, 0.5):
 # Angles and pressures alone determine the forces up to a common factor; the weight determines the factor.
 
 found = calibrate_joint(model, load, recordings)
-figure = mk.report.calibration(found, recordings)
+figure = mk.report.calibration(found)
 
 # %%
 # The stiffness according to both models, with standard deviations, and the true stiffness of the joint:

@@ -11,7 +11,7 @@ from mckibben.experiment_design import JointStiffness
 data = mk.catalog.dataset("dmsp-10-250-martens2017")
 knee = mk.catalog.joint("knee-table-2")
 found = mk.plan(data, JointStiffness(knee), mk.ExponentialLaw, points=6)
-print(found.summary())
+print(found.verdict())
 
 # %%
 # The standard error of the force before and after. The new points, numbered by their gain, are near the pressure and

@@ -10,13 +10,13 @@ from jax import lax
 from mckibben import catalog
 from mckibben.actuator import FirstOrderValve
 from mckibben.calibration import JointPrior, JointRecording, calibrate_from_commands, calibrate_joint
-from mckibben.calibration.experiment import calibrated_scenario, statements
+from mckibben.calibration.experiment import calibrated_scenario
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, GeneralLoad
 from mckibben.muscle import MaxwellSlip, scaled_law
 from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled
-from mckibben.plant import JointFriction, JointPlant
+from mckibben.numerics.compiled import jit
+from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
@@ -41,7 +41,7 @@ def commands(time, seed):
     return levels[np.minimum((time / 1.2).astype(int), 19)]
 
 
-@compiled
+@jit
 def moved(plant, commands, period):
     """Angles at the commands."""
     with batched_program():
@@ -49,7 +49,7 @@ def moved(plant, commands, period):
         return lax.scan(lambda s, c: (plant.follow(s, (c[0], c[1]), period, 1), s.angle), first, commands)[1]
 
 
-def recorded(seed, *, seconds=12.0, friction=None):
+def recorded(seed, *, seconds=12.0):
     """Angles of the true joint, computed at a fine step, at 100 Hz with noise and times that jitter."""
     joint = model()
     muscles = [
@@ -58,7 +58,7 @@ def recorded(seed, *, seconds=12.0, friction=None):
     ]
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
     load, fine, every = dataclasses.replace(LOAD, inertia=0.024), 2 * ms, 5
-    plant = JointPlant(joint, load, FirstOrderValve(LAG), friction=friction, command_delay=DELAY).with_period(fine)
+    plant = JointPlant(joint, load, FirstOrderValve(LAG), command_delay=DELAY).with_period(fine)
     time = np.arange(0.0, seconds, fine)
     angle = np.asarray(moved(plant, commands(time, seed), fine))[::every]
     at = time[::every]
@@ -94,31 +94,19 @@ def test_what_has_one_scale_is_told_up_to_a_factor(found):
         assert abs(one.value - true) < 3 * one.deviation
 
 
-def test_the_joints_own_friction_is_told_apart_or_said_not_to_be():
-    true, before = JointFriction(0.15, 1 * deg), JointFriction(0.3, 1 * deg)
-    one = recorded(4, friction=true)
-    found = calibrate_from_commands(model(), LOAD, VALVE, [one], JointPrior(strength=0.2, offset=0.05), friction=before)
-    torque, total = found.quantities["friction.torque"], found.quantities["friction.total"]
-    assert abs(torque.value - true.torque) < 3 * torque.deviation
-    assert total.determined
-    arms = [float(arm) for arm in model().geometry.moment_arms(float(one.angle.mean()))]
-    assert abs(total.value - true.torque - sum(arms) * FRICTION.half_width) < 3 * total.deviation
-    assert found.plant.friction.torque == pytest.approx(torque.value)
-    apart = [name for name in ("friction.torque", "muscle1.friction") if not found.quantities[name].determined]
-    assert sum("friction.total" in line for line in statements(found, weighted=False)) >= len(apart)
-    before, after = found.simulate(one).errors
-    assert after < 0.2 * before
+def test_a_scenario_gets_the_estimates_as_plant_and_model(found):
     example = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
-    scenario = Scenario.parse(example + "friction: {torque: 0.3 N*m}\n")
-    calibrated = calibrated_scenario(scenario, found).plant()
-    assert calibrated.friction == found.friction
-    assert calibrated.command_delay == pytest.approx(found.quantities["delay"].value)
+    plant = calibrated_scenario(Scenario.parse(example), found).plant()
+    assert plant.command_delay == pytest.approx(found.quantities["delay"].value)
+    assert plant.valve.time_constant == pytest.approx(found.quantities["valve.time_constant"].value)
 
 
 def test_a_recording_that_was_held_out_is_simulated_better(found, recordings):
     before, after = found.simulate(recordings[2]).errors
     assert after < 0.2 * before
     assert after < 0.3 * deg
+    rows = dataclasses.replace(found, held_out=(recordings[2],)).listings()[-1].rows()
+    assert [row[1] for row in rows] == ["fitted", "fitted", "held out"]
 
 
 def test_rests_are_left_out(found, recordings):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mckibben.calibration.estimation import scatter_between
+from mckibben.calibration.fitting import scatter_between
 
 
 def fitted(rng, between, recordings=6):

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
 import sys
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -58,3 +61,53 @@ def each_progress(monkeypatch):
     """A log gets a line for each step of progress, as soon as it is made."""
     monkeypatch.setattr("mckibben.cli.options._LOG_INTERVAL", 0.0)
     monkeypatch.setattr("mckibben.cli.options._LOG_SHARE", 0.0)
+
+
+HOLDING = """
+import signal, time
+from pathlib import Path
+from mckibben.storage.store import Job
+
+add, added, interrupted = Job.add, [], []
+
+def slowly(job, records):  # the third addition is kept; then nothing goes on but an interruption
+    add(job, records)
+    added.append(records)
+    if len(added) >= 3:
+        Path("holding").touch()
+        while not interrupted:  # no lock, which the handler could wait for in the same thread
+            time.sleep(0.01)
+        time.sleep(0.3)
+
+def interrupt(*_):
+    interrupted.append(True)
+    raise KeyboardInterrupt
+
+Job.add = slowly
+signal.signal(signal.SIGINT, interrupt)
+from mckibben.cli import main
+main()
+"""
+
+
+@pytest.fixture
+def stopped(tmp_path):
+    """Run a command until three more records are kept, then send a signal; exit code and messages."""
+
+    def stop(sent: signal.Signals, *arguments: str) -> tuple[int, str]:
+        process = subprocess.Popen(
+            [sys.executable, "-c", HOLDING, *arguments],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        while process.poll() is None and not (tmp_path / "holding").exists():
+            time.sleep(0.01)
+        process.send_signal(sent)
+        _, messages = process.communicate(timeout=100)
+        (tmp_path / "holding").unlink()
+        assert "Traceback" not in messages
+        return process.returncode, messages
+
+    return stop

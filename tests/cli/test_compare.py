@@ -1,7 +1,6 @@
 """mckibben compare, as people type it."""
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +8,10 @@ import pytest
 import xarray as xr
 
 from mckibben import report
-from mckibben.cli.options import metric
 from mckibben.scenario import Scenario
-from mckibben.storage.files import json_ready
+from mckibben.storage.store import STUDY, Job
 from mckibben.study.compare import Suite
-from mckibben.study.compare.statistics import statistics
 from mckibben.study.tune import read_trials
-from mckibben.study.tune.tune import TuningHistory
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
 DECOUPLING = TEXT[TEXT.index("  decoupling:\n") : TEXT.index("  as it is:")]
@@ -42,7 +38,8 @@ def written(tmp_path):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No figures: they take longer than all else."""
-    monkeypatch.setattr("mckibben.report.write_benchmark", lambda contest, numbers, out: out / "comparison.html")
+    monkeypatch.setattr("mckibben.report.write_comparison", lambda contest, out: out / "comparison.html")
+    monkeypatch.setattr("mckibben.study.compare.CompareResult.figures", ())
 
 
 def results(folder):
@@ -51,36 +48,36 @@ def results(folder):
 
 @pytest.mark.slow
 def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch):
-    drawn, draw = [], report.write_benchmark
-    monkeypatch.setattr(report, "write_benchmark", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))
+    drawn, draw = [], report.write_comparison
+    monkeypatch.setattr(
+        report, "write_comparison", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest)
+    )
     suite = written((DECOUPLING, ""))
     found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 0, found.err
     kept = tmp_path / "kept"
     assert {path.name for path in kept.iterdir()} == {
-        *("results.json", "runs.nc", "suite.yaml", "comparison.html"),
-        *("figures", "tuning", "controllers"),
+        *("results.json", "runs.nc", "suite.yaml", "comparison.html", "comparison_errors.png", "comparison_errors.svg"),
+        *("figures", STUDY, "controllers"),
     }
-    assert {path.stem for path in (kept / "tuning").iterdir()} == {"pid-3"}
     assert Suite.read(kept / "suite.yaml") == suite
     (contest,) = drawn
-    numbers = statistics(contest)
-    assert results(kept) == json.loads(json.dumps(json_ready(numbers)))
+    numbers = contest.numbers
+    assert results(kept)["verdict"] == contest.verdict() and " ".join(found.out.split()).startswith(contest.verdict())
     for name in contest.tuned:
         scenario = Scenario.read(kept / "controllers" / f"{name.lower().replace(' ', '-')}.yaml")
         expected = contest.tuned[name].get(KP)
         assert scenario.control().position.kp == (expected or 2e5)
         assert scenario.start.angle == pytest.approx(np.deg2rad(5.0)), "at the first angle of its reference"
-    for name, each in numbers["controllers"].items():
-        medians = [metric(key, each["metrics"][key]["median"]) for key in ("angle_rmse_deg", "stiffness_rmse")]
-        row, *_ = re.findall(rf"^\W*{name} .* [0-9]+\W*$", found.out, re.M)
-        assert [row.split(name)[1].split()[0], row.split(name)[1].split()[2]] == medians
-    assert f"{16 - numbers['no_start']} unseen runs" in found.out
+    unseen, equal = results(kept)["tables"]
+    assert unseen["title"].endswith(f"{16 - numbers['no_start']} unseen runs")
+    columns = {name: column["values"] for name, column in unseen["columns"].items()}
+    assert columns["controller"] == numbers["order"]
+    for name, median in zip(columns["controller"], columns["angle rmse, deg"], strict=True):
+        assert median == numbers["controllers"][name]["metrics"]["angle_rmse_deg"]["median"]
+    assert equal["title"].startswith("With no more air than the tuned PID 3")
+    assert equal["columns"]["controller"]["values"] == ["PID 3"], "the other is not tuned"
     assert f"{numbers['no_start']} runs were infeasible" in found.out
-    assert "medians against PID 3" in found.out
-    at_air = numbers["at_air_of_first"]
-    assert f"no more air than the tuned PID 3 ({metric('air_L', at_air['air_L'])} L" in found.out
-    assert list(at_air["controllers"]) == ["PID 3"], "the other is not tuned"
     scenario = Scenario.read(kept / "controllers" / "pid-3-at-equal-air.yaml")
     assert scenario.control().position.kp == contest.at_air.tuned["PID 3"][KP]
 
@@ -113,7 +110,8 @@ def test_what_is_kept_is_gone_on_with_or_left_alone(cli, written, tmp_path):
     assert cli("compare", "suite.yaml", "--out", "kept", "--resume").code == 0
     assert (tmp_path / "kept" / "results.json").read_bytes() == first
     assert cli("compare", "suite.yaml", "--out", "kept", "--resume", "--runs", "20").code == 0
-    assert Suite.read(tmp_path / "kept" / "suite.yaml").evaluation.runs == results(tmp_path / "kept")["runs"] == 20
+    assert Suite.read(tmp_path / "kept" / "suite.yaml").evaluation.runs == 20
+    assert "on 20 runs" in results(tmp_path / "kept")["verdict"]
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "runs.nc").touch()
     found = cli("compare", "suite.yaml", "--out", "taken")
@@ -131,17 +129,18 @@ def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
     assert found.code == 0
     numbers = json.loads(found.out)
     assert numbers == results(tmp_path / "kept")
-    assert numbers["runs"] == 20
-    assert "wrote results.json" in found.err
+    assert "on 20 runs" in numbers["verdict"]
+    assert found.err.startswith("wrote comparison.html, results.json")
     kept = Suite.read(tmp_path / "kept" / "suite.yaml")
     assert (kept.evaluation.runs, kept.tuning.generations, kept.tuning.starts) == (20, 2, 1)
-    assert 16 <= len(read_trials(tmp_path / "kept" / "tuning" / "pid-3.journal")) <= 18
+    assert 16 <= len(read_trials(tmp_path / "kept" / STUDY, "PID 3")) <= 18
     alone = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "as it is 19")  # without the options again
     assert alone.code == 0
     reference = xr.load_dataset(tmp_path / "kept" / "runs.nc")["reference"].to_numpy()[19]
     assert Scenario.parse(alone.out).name == f"a small contest: as it is, {reference}"
     written((DECOUPLING, ""), ("evaluation: {runs: 16", "evaluation: {runs: 4096"), name="large.yaml")
-    assert json.loads(cli("compare", "large.yaml", "--out", "look", "--json", "--quick").out)["runs"] == 128
+    quick = json.loads(cli("compare", "large.yaml", "--out", "look", "--json", "--quick").out)
+    assert "on 128 runs" in quick["verdict"]
 
     for run, said in (("PID 4 3", "known are PID 3"), ("PID 3 20", "give 0 to 19"), ("PID 3 ²", "give 0 to 19")):
         refused = cli("compare", "suite.yaml", "--out", "kept", "--repeat", run)
@@ -194,16 +193,16 @@ def test_a_mistake_in_the_suite_names_its_line(cli, tmp_path):
 @pytest.mark.slow
 def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypatch):
     written((DECOUPLING, ""))
-    add, counted = TuningHistory.add, []
+    add, counted = Job.add, []
 
-    def interrupted(self, trials):
-        add(self, trials)
-        counted.append(trials)
+    def interrupted(self, records):
+        add(self, records)
+        counted.append(records)
         if len(counted) == 3:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(TuningHistory, "add", interrupted)
+        patch.setattr(Job, "add", interrupted)
         found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 130
     assert "continue with --resume" in found.err

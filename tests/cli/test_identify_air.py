@@ -21,16 +21,22 @@ def recording(tmp_path):
     return path
 
 
+def wall(numbers):
+    """Estimate of the conductance of the wall [W/K], and its interval."""
+    (table,) = numbers["tables"]
+    assert table["columns"]["quantity"]["values"][0] == "wall_conductance"
+    return [table["columns"][name]["values"][0] for name in ("estimate", "lower", "upper")]
+
+
 def test_the_conductance_of_the_wall_is_found_and_kept(cli, recording, tmp_path):
     given = ("identify-air", str(recording), *SPECIMEN, "--contraction", "10 %", "--dead-volume", "2 cm^3")
     found = cli(*given, "--out", "kept")
     assert found.code == 0, found.err
     assert "wall_conductance" in found.out and "W/K" in found.out
     numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
-    (phase,) = numbers["phases"]
-    assert phase["time_constant"] == pytest.approx(0.4, rel=0.01)
-    low, high = numbers["wall_conductance"]["interval"]
-    assert low < numbers["wall_conductance"]["value"] < high < 1.1 * low
+    assert numbers["columns"]["time_constants"]["values"] == [pytest.approx(0.4, rel=0.01)]
+    value, low, high = wall(numbers)
+    assert low < value < high < 1.1 * low
     assert json.loads(cli(*given, "--json").out) == numbers
 
 
@@ -42,22 +48,3 @@ def test_mistakes_are_explained(cli, recording, options, named):
     found = cli("identify-air", str(recording), *options)
     assert found.code == 2
     assert named in found.err
-
-
-def test_recordings_are_read_with_the_options_of_points(cli, recording, tmp_path):
-    lines = recording.read_text(encoding="utf-8").splitlines()
-    rows = [f"{line.split(',')[1]},-10,{-0.018 * 1e3}" for line in lines[1:]]
-    text = "\n".join(["pressure_bar,force_N,displacement_mm", *rows, "x,1,1"])
-    (tmp_path / "moved.csv").write_text(text, encoding="utf-8")
-    given = ("identify-air", "moved.csv", *SPECIMEN, "--dead-volume", "2 cm^3", "--accept", "corrupt", "--json")
-    columns = ("--column", "force_N=-force_N", "--column", "displacement_mm=lengthening_mm")
-    found = cli(*given, *columns, "--initial-length", "180 mm", "--sample-rate", "1000 Hz")
-    assert found.code == 0, found.err
-    (tmp_path / "recipe.yaml").write_text(
-        "contraction: 10 %\nsample_rate: 1000 Hz\ncolumns: {displacement_mm: ignore}\n"
-    )
-    by_recipe = cli(*given, "--column", "force_N=-force_N", "--read", "recipe.yaml")
-    whole = cli("identify-air", str(recording), *SPECIMEN, "--contraction", "10 %", "--dead-volume", "2 cm^3", "--json")
-    value = json.loads(whole.out)["wall_conductance"]["value"]
-    for one in (found, by_recipe):
-        assert json.loads(one.out)["wall_conductance"]["value"] == pytest.approx(value, rel=1e-3)

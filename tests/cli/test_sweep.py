@@ -3,9 +3,7 @@
 import json
 import re
 import signal
-import subprocess
-import sys
-import time
+import sqlite3
 from pathlib import Path
 
 import numpy as np
@@ -13,34 +11,9 @@ import pytest
 
 from mckibben.scenario import Scenario, list_parameters
 from mckibben.simulation.metrics import METRICS
-from mckibben.storage.journal import HEADER, JournalReader
+from mckibben.study.study import InterruptedStudy
 from mckibben.study.sweep import SweepResult
 
-HOLDING = """
-import signal, time
-from pathlib import Path
-from mckibben.study.sweep.sweep import SweepStore
-
-keep, kept, interrupted = SweepStore.keep, [], []
-
-def slowly(store, block, columns):  # the third block is kept; then nothing goes on but an interruption
-    keep(store, block, columns)
-    kept.append(block)
-    if len(kept) >= 3:
-        Path("holding").touch()
-        while not interrupted:  # no lock, which the handler could wait for in the same thread
-            time.sleep(0.01)
-        time.sleep(0.3)
-
-def interrupt(*_):
-    interrupted.append(True)
-    raise KeyboardInterrupt
-
-SweepStore.keep = slowly
-signal.signal(signal.SIGINT, interrupt)
-from mckibben.cli import main
-main()
-"""
 MASS = ("--over", "load.mass2=0.2 kg..1.0 kg")
 
 
@@ -54,76 +27,48 @@ def scenario(tmp_path, shortened) -> Path:
 @pytest.mark.slow
 def test_a_sweep_from_beginning_to_end(cli, scenario, tmp_path, each_progress):
     asked = (*MASS, "--over", "start.stiffness=12 N*m/rad, 30 N*m/rad", "--samples", "40", "--seed", "1")
-    found = cli("sweep", "s.yaml", *asked, "--out", "kept")
-    assert found.code == 0
+    done = cli("sweep", "s.yaml", *asked, "--out", "kept", "--details")
+    assert done.code == 0
     kept = tmp_path / "kept"
-    assert {path.name for path in kept.iterdir()} == {
-        *("sweep.journal", "sweep.nc", "results.json", "sweep.png", "sweep.svg")
-    }
+    names = {"study.sqlite", "sweep.nc", "results.json", "sweep.png", "sweep.svg"}
+    assert {path.name for path in kept.iterdir()} == names and all(name in done.out for name in names)
     swept = SweepResult.from_netcdf(kept / "sweep.nc")
     assert (swept.count, swept.table.attrs["source"]) == (40, "s.yaml")
     assert swept.failed.sum() == 20
-    numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
-    assert numbers["outcomes"] == {"completed": 20, "no_start": 20}
-    assert set(numbers["metrics"]) == set(METRICS)
-    assert re.search(r"20 +50\.0% +completed", found.out)
-    assert re.search(r"20 +50\.0% +not run: no pressures", found.out)
-    for name, (metric, unit, size) in METRICS.items():
-        values = swept.table[metric].to_numpy()[~swept.failed] / size
-        if np.isfinite(values).any():
-            median = f"{np.nanmedian(values):.4g}"
-            assert numbers["metrics"][name]["median"] == pytest.approx(np.nanmedian(values), rel=1e-12)
-            assert re.search(rf"{metric.replace('_', ' ')} +{re.escape(unit)} +{re.escape(median)} ", found.out), name
-    assert re.search(r"start\.stiffness +failed +\+1\.00", found.out)
-    assert "all references are statically feasible" in found.out
-    assert found.out.rstrip().endswith("wrote sweep.nc, results.json, sweep.png and sweep.svg to kept")
-    assert "40 of 40 runs" in found.err
+    assert json.loads((kept / "results.json").read_text(encoding="utf-8"))["verdict"] == swept.verdict()
+    assert " ".join(done.out.split()).startswith(swept.verdict())
+    assert re.search(r"completed +20 +50", done.out) and re.search(r"not run: no pressures.* +20 +50", done.out)
+    for metric, unit, size in METRICS.values():
+        if (values := swept.values(metric) / size).size:
+            median = re.escape(f"{np.median(values):.4g}")
+            assert re.search(rf"{metric.replace('_', ' ')} +{re.escape(unit)} +{median} ", done.out), metric
+    assert re.search(r"start\.stiffness +failed +1", done.out)
+    assert "40 of 40 runs" in done.err
 
-    again = cli("sweep", "s.yaml", "--resume", "--out", "kept")
-    assert again.code == 0
-    assert again.out.startswith("the sweep in kept is already complete")
-    assert again.out.splitlines()[1:] == found.out.splitlines()
-    assert again.err == ""
+    again = cli("sweep", "s.yaml", "--resume", "--out", "kept", "--details")
+    assert (again.code, again.out, again.err) == (0, done.out, "")
     as_json = cli("sweep", "s.yaml", "--resume", "--out", "kept", "--json")
-    assert (as_json.code, json.loads(as_json.out)) == (0, numbers)
-    before = (kept / "sweep.nc").read_bytes()
-    refused = cli("sweep", "s.yaml", *asked, "--out", "kept")
-    assert (refused.code, refused.out) == (2, "")
-    assert "a sweep already exists; continue it with --resume" in refused.err
-    refused = cli("sweep", "s.yaml", "--resume", "--seed", "2", "--out", "kept")
-    assert refused.code == 2
-    assert "seed: the sweep was started with 1, not 2" in refused.err
-    assert (kept / "sweep.nc").read_bytes() == before
-
-
-@pytest.mark.slow
-def test_json_alone_goes_to_standard_output_and_nothing_is_shown_on_the_way(cli, scenario):
-    asked = ("--over", "load.mass2=0.4 kg, 0.6 kg", "--design", "grid", "--metrics", "angle_rmse,force_max_N")
-    found = cli("sweep", "s.yaml", *asked, "--precision", "32", "--out", "kept", "--json")
-    assert found.code == 0
-    numbers = json.loads(found.out)
-    assert set(numbers["metrics"]) == {"angle_rmse_deg", "force_max_N"}
-    assert (numbers["runs"], numbers["metrics"]["angle_rmse_deg"]["runs"]) == (2, 2)
-    assert found.err == "wrote sweep.nc, results.json, sweep.png and sweep.svg to kept\n"
+    assert json.loads(as_json.out) == json.loads((kept / "results.json").read_text(encoding="utf-8"))
+    assert as_json.err.startswith("wrote results.json, sweep.nc, sweep.png, sweep.svg, study.sqlite to kept")
+    before = (kept / "study.sqlite").read_bytes()
+    for arguments, message in (
+        (asked, "a study exists already; continue it with --resume"),
+        (("--resume", "--seed", "2"), "seed: the study was started with 1, not 2"),
+    ):
+        refused = cli("sweep", "s.yaml", *arguments, "--out", "kept")
+        assert (refused.code, refused.out) == (2, "") and message in refused.err
+    assert (kept / "study.sqlite").read_bytes() == before
 
 
 def test_the_list_of_what_can_be_varied(cli, scenario):
-    found = cli("sweep", "s.yaml", "--list")
-    assert (found.code, found.err) == (0, "")
+    listed = json.loads(cli("sweep", "s.yaml", "--list", "--json").out)["columns"]
     known = list_parameters(Scenario.read(scenario))
-    for address in known:
-        nominal = "-" if address.nominal is None else re.escape(address.show(address.nominal))
-        assert re.search(rf"{re.escape(address.name)} +{nominal} +.*{re.escape(address.shown)}", found.out), address
-    listed = json.loads(cli("sweep", "s.yaml", "--list", "--json").out)
-    assert [each["name"] for each in listed] == [address.name for address in known]
-    assert next(each for each in listed if each["name"] == "joint.geometry.joint_length") == {
-        "name": "joint.geometry.joint_length",
-        "nominal": "370 mm",
-        "range": "above 0 to 10000 mm",
-        "unit": "mm",
-        "nominal_SI": 0.37,
-        "unit_SI": "m",
-    }
+    assert listed["parameter"]["values"] == [parameter.name for parameter in known]
+    row = listed["parameter"]["values"].index("joint.geometry.joint_length")
+    shown = [listed[name]["values"][row] for name in ("value", "range", "unit")]
+    assert shown == ["370 mm", "above 0 to 10000 mm", "mm"]
+    text = cli("sweep", "s.yaml", "--list").out
+    assert text.startswith(f"{Scenario.read(scenario).name}: {len(known)} parameters can be varied")
 
 
 @pytest.mark.parametrize(
@@ -142,7 +87,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         (["s.yaml", "--out", "x", "--over", "load.mass2=1..2"], "has no unit; write it like '2 kg'"),
         (["s.yaml", "--out", "x", *MASS, "--samples", "0"], "samples is 0; choose a whole number"),
         (
-            ["s.yaml", "--out", "x", *MASS, "--known", "load.mass2"],
+            ["s.yaml", "--out", "x", *MASS, "--model-follows", "load.mass2"],
             "does not take load.mass2 from the plant; leave it out",
         ),
         (["s.yaml", "--out", "x", *MASS, "--design", "girdle"], "choose sobol, random or grid"),
@@ -150,7 +95,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         (["s.yaml", "--out", "x", *MASS, "--metrics", "angel_rmse"], "did you mean 'angle_rmse'?"),
         (["s.yaml", "--out", "x", *MASS, "--precision", "16"], "choose 64 or 32"),
         (["s.yaml", "--out", "x", *MASS, "--dask", "localhost"], "give local, or an address like tcp://host:8786"),
-        (["s.yaml", "--out", "x", "--resume"], "there is no sweep to continue (sweep.journal)"),
+        (["s.yaml", "--out", "x", "--resume"], "there is no sweep to continue"),
         (["s.yaml", "--out", "s.yaml", *MASS], "it is a file; give a folder"),
         (["s.yaml", "--out", "/proc/x", *MASS], "/proc/x: 1 problem\n  it cannot be made"),
         (["nowhere.yaml", "--out", "x", *MASS], "nowhere.yaml: 1 problem"),
@@ -170,48 +115,35 @@ def test_ctrl_c_in_the_middle_says_how_to_go_on(cli, scenario, monkeypatch):
     import mckibben.study.sweep as package
 
     def interrupted(*_, **__):
-        raise package.InterruptedSweep("512 of 1024 runs are kept in kept; continue with --resume")
+        raise InterruptedStudy("512 of 1024 runs are kept; continue with --resume (resume=True)")
 
     monkeypatch.setattr(package, "sweep", interrupted)
-    found = cli("sweep", "s.yaml", *MASS, "--out", "kept")
-    assert (found.code, found.out) == (130, "")
-    assert found.err == "interrupted: 512 of 1024 runs are kept in kept; continue with --resume\n"
+    stopped = cli("sweep", "s.yaml", *MASS, "--out", "kept")
+    assert (stopped.code, stopped.out) == (130, "")
+    assert stopped.err.startswith("interrupted: 512 of 1024 runs are kept; continue with --resume")
 
 
 @pytest.mark.slow
-def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, scenario, tmp_path):
+def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, stopped, scenario, tmp_path):
     asked = (*MASS, "--samples", "512", "--metrics", "angle_rmse")
-    path = tmp_path / "kept" / "sweep.journal"
 
-    def stopped(sent: signal.Signals, *arguments: str) -> tuple[int, str, int]:
-        """Run until three more blocks are there, then send a signal: exit code, what was said, blocks."""
-        process = subprocess.Popen(
-            [sys.executable, "-c", HOLDING, "sweep", "s.yaml", *arguments, "--out", "kept"],
-            cwd=tmp_path,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        while process.poll() is None and not (tmp_path / "holding").exists():
-            time.sleep(0.01)
-        process.send_signal(sent)
-        _, said = process.communicate(timeout=100)
-        (tmp_path / "holding").unlink()
-        return process.returncode, said, sum(record.kind != HEADER for record in JournalReader(path))
+    def blocks() -> int:
+        connection = sqlite3.connect(tmp_path / "kept" / "study.sqlite")
+        count = connection.execute("SELECT count(*) FROM record").fetchone()[0]
+        connection.close()
+        return count
 
-    code, said, first = stopped(signal.SIGINT, *asked)
-    assert code == 130, said
-    assert f"interrupted: {32 * first} of 512 runs are kept in kept; continue with --resume" in said
-    assert "Traceback" not in said
-    assert 3 <= first < 12
-    code, said, second = stopped(signal.SIGKILL, "--resume")
-    assert code == -signal.SIGKILL, said
-    assert first + 3 <= second < 16
-    assert not (tmp_path / "kept" / "sweep.nc").exists()
+    code, messages = stopped(signal.SIGINT, "sweep", "s.yaml", *asked, "--out", "kept")
+    first = blocks()
+    assert (code, 3 <= first < 12) == (130, True), messages
+    assert f"interrupted: {32 * first} of 512 runs are kept; continue with --resume" in messages
+    code, _ = stopped(signal.SIGKILL, "sweep", "s.yaml", "--resume", "--out", "kept")
+    assert code == -signal.SIGKILL and first + 3 <= blocks() < 16
     assert cli("sweep", "s.yaml", "--resume", "--out", "kept").code == 0
     assert cli("sweep", "s.yaml", *asked, "--out", "undisturbed").code == 0
-    tables = [(tmp_path / name / "sweep.nc").read_bytes() for name in ("kept", "undisturbed")]
-    assert tables[0] == tables[1]
+    for name in ("sweep.nc", "results.json"):
+        files = [(tmp_path / folder / name).read_bytes() for folder in ("kept", "undisturbed")]
+        assert files[0] == files[1]
 
 
 @pytest.mark.parametrize("name", ["results.json", "sweep.svg", "sweep.nc"])

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import errno
 import json
-import os
+import sqlite3
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from mckibben.leg.landing import valve_with
 from mckibben.leg.scenario import DrawSettings
 from mckibben.leg.uncertainty import drawn_air, drawn_plant, with_mass
 from mckibben.storage.files import check_seal, file_lock
+from mckibben.storage.store import Store
 from tests.leg.conftest import FILE
 
 HEAD = "name: x\nleg:\n  from: lei-leg-planar\n"
@@ -193,8 +193,15 @@ def test_an_interval_needs_as_many_draws_as_its_percentiles(scenario: LegScenari
     assert (problem.field, problem.value, problem.lower) == ("uncertainty.draws", 19, 20)
 
 
-def full(*_: object) -> None:
-    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+def full(store: Store, *_: object) -> None:
+    with store.explain_errors():
+        raise full_disk()
+
+
+def full_disk() -> sqlite3.OperationalError:
+    error = sqlite3.OperationalError("database or disk is full")
+    error.sqlite_errorcode = sqlite3.SQLITE_FULL
+    return error
 
 
 @pytest.mark.slow
@@ -220,9 +227,9 @@ def test_a_study_that_was_broken_off_goes_on(
     with file_lock(tmp_path / ".landing.journal.lock", "computing this study"), pytest.raises(FileError):
         study_landing(scenario, journal=journal, resume=True)
     with monkeypatch.context() as patch, pytest.raises(FileError) as caught:
-        patch.setattr("mckibben.storage.journal._write_at", full)
+        patch.setattr("mckibben.storage.store.Store._write", full)
         study_landing(scenario, journal=journal, resume=True)
-    assert caught.value.source == str(tmp_path)
+    assert caught.value.problems[0].remedy
     again = study_landing(scenario, journal=journal, resume=True)
     assert len(runs) == 3 + 1 + 4  # of six blocks two were kept
     assert again.table.equals(whole.table)

@@ -51,19 +51,20 @@ def test_extrapolation_is_offered_only_where_the_specimen_allows_more():
     specimen = BASE.joint.muscle1.specimen
     rated = dataclasses.replace(specimen.domain, pressure_max=5 * bar, pressure_min=2 * bar)
     found = envelope(scenario(specimen=dataclasses.replace(specimen, domain=rated)))
-    assert "--extrapolate" not in " ".join(found.remarks()) and "pressure_max" in found.remarks()[-1]
+    texts = [remark.text for remark in found.remarks()]
+    assert "at all pressures of its specimen" not in " ".join(texts) and "pressure_max" in texts[-1]
 
 
 @pytest.mark.slow
 def test_the_envelope_names_what_limits_it():
     found = envelope(scenario())
-    lowest, highest, offer = found.remarks()
+    lowest, highest, offer = (remark.text for remark in found.remarks())
     assert "the lowest measured pressure (2 bar)" in lowest and "the highest measured pressure (5 bar)" in highest
-    assert "--extrapolate" in offer
-    assert found.records()["remarks"] == found.remarks()
+    assert "extrapolate: true" in offer
     further = envelope(scenario().with_extrapolation())
-    assert "measured pressure" not in " ".join(further.remarks()[:2])
-    assert further.remarks()[-1] == further.scenario.joint.muscle1.extrapolation
+    texts = [remark.text for remark in further.remarks()]
+    assert "measured pressure" not in " ".join(texts[:2])
+    assert further.scenario.joint.muscle1.extrapolation in texts
     inside = ~np.isnan(found.static.stiffness.lowest)
     assert (further.static.stiffness.lowest[inside] <= found.static.stiffness.lowest[inside] + 1e-6).all()
     assert np.nanmax(further.static.stiffness.highest) > np.nanmax(found.static.stiffness.highest) + 1
@@ -74,7 +75,7 @@ def test_the_supply_of_a_valve_is_named():
     valve = FlowValve(conductance=1e-9, supply=4 * bar)
     supplied = BASE.model_copy(update={"valve": valve})
     found = envelope(supplied)
-    assert any("the supply (4 bar)" in remark for remark in found.remarks())
+    assert any("the supply (4 bar)" in remark.text for remark in found.remarks())
 
 
 @pytest.mark.slow
@@ -96,15 +97,16 @@ def test_small_motion_stiffness_stands_next_to_the_isobaric_one(tmp_path):
     rubbing = scenario(friction=MaxwellSlip(12.0, 0.5e-3))
     found = envelope(rubbing)
     static, at = found.static, int(found.static.table_rows()[0])
-    assert "small-motion stiffness" in found.headers and all(len(row) == len(found.headers) for row in found.rows())
+    columns = found.listings()[-1].columns
     small = static.small_motion
     assert small is not None
     pressures = static.pressures_at_lowest[:, at]
     expected = rubbing.joint.secant_stiffness(static.angles[at], (pressures[0], pressures[1]), SMALL_MOTION)
     assert small.lowest[at] == pytest.approx(float(expected))
     assert small.lowest[at] > static.stiffness.lowest[at] + 5
-    assert found.records()["table"][0]["small_motion"] == [small.lowest[at], small.highest[at]]
-    assert any("friction" in remark for remark in found.remarks())
+    shown = [columns[f"{end} small-motion stiffness"][1][0] for end in ("lowest", "highest")]
+    assert shown == [small.lowest[at], small.highest[at]]
+    assert any("friction" in remark.text for remark in found.remarks())
     result = run_scenario(rubbing)
     assert (result["small_motion_stiffness"] > result["stiffness"] + 5).all()
     result.to_netcdf(tmp_path / "run.nc")
@@ -116,7 +118,8 @@ def test_small_motion_stiffness_stands_next_to_the_isobaric_one(tmp_path):
     np.testing.assert_array_equal(line.get_ydata(), result["small_motion_stiffness"])
     assert isobaric.get_ylim()[1] < small_motion.get_ylim()[0]
     plain = envelope(scenario())
-    assert plain.static.small_motion is None and "small-motion stiffness" not in plain.headers
+    assert plain.static.small_motion is None
+    assert "lowest small-motion stiffness" not in plain.listings()[-1].columns
 
 
 @pytest.mark.slow

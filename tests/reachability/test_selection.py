@@ -11,7 +11,7 @@ from mckibben.errors import ParameterError, UnreachableError
 from mckibben.muscle import ChouLaw, Muscle
 from mckibben.muscle.air import DENSITY, L_PER_S_BAR
 from mckibben.plant.sensors import TorquePulses
-from mckibben.reachability import Make, Requirement, catalog_makes, read_make, selection, size
+from mckibben.reachability import Make, Requirement, catalog_makes, read_make, size
 from mckibben.reachability.air_supply import tube_conductance
 from mckibben.units import bar, deg, mm
 
@@ -31,19 +31,6 @@ def found():
     return size(NEED)
 
 
-@pytest.fixture
-def without_nearest(monkeypatch):
-    """Returns a function after which what is impossible is refused without the search for what is possible."""
-    return lambda: monkeypatch.setattr(selection, "_nearest", lambda *_: {})
-
-
-@pytest.fixture
-def coarse_search(monkeypatch):
-    """A third of the candidates, for what takes tens of searches."""
-    monkeypatch.setattr(selection, "_RADII", 12)
-    monkeypatch.setattr(selection, "_CONTRACTIONS", 8)
-
-
 def eq2(law, eps, p):
     """Force of Eq. 2, written out."""
     a1, a2, b1, b2, c1, c2, mu = (float(getattr(law, n)) for n in ("a1", "a2", "b1", "b2", "c1", "c2", "decay"))
@@ -57,13 +44,15 @@ def test_the_reserve_is_the_torque_and_the_inertia_of_the_sine_by_hand():
 
 def test_the_torque_of_a_candidate_is_that_of_a_hand_calculation(found, twenty):
     """At an end of the motion: the working muscle at 90 % of the supply, the other at its lowest pressure."""
-    one = next(each for each in found.candidates if each.make is twenty)
-    law, shift = one.make.muscle.law, one.radius * 30 * deg / one.length
+    one = next(one for one in found.candidates if one.name == twenty.name)
+    length, radius = one.lengths["muscle_length"], one.lengths["radius"]
+    law, shift = twenty.muscle.law, radius * 30 * deg / length
+    contraction = 1 - one.lengths["path1.rest_length"] / length
     highest, lowest = 5.4 * bar, 0.65 * bar
-    pulling, lengthened = one.contraction + shift, one.contraction - shift
+    pulling, lengthened = contraction + shift, contraction - shift
     force = eq2(law, pulling, highest) - max(eq2(law, lengthened, lowest), 5.0)
     gravity = 2.0 * 9.81 * 0.25 * np.sin(30 * deg)
-    assert one.torque[1] == pytest.approx(one.radius * force - gravity, rel=1e-6)
+    assert one.torque[1] == pytest.approx(radius * force - gravity, rel=1e-6)
     assert one.torque[0] < one.torque[1] < one.torque[2]
     assert one.torque[0] >= NEED.reserve
 
@@ -71,8 +60,8 @@ def test_the_torque_of_a_candidate_is_that_of_a_hand_calculation(found, twenty):
 def test_candidates_attain_the_stiffness_with_forces_at_both_ends_of_their_uncertainty(found):
     angles = np.linspace(*NEED.angles, 41)
     for one in found.candidates:
-        assert 0.1 <= one.make.uncertainty <= 0.3
-        for factor in (1 - one.make.uncertainty, 1.0, 1 + one.make.uncertainty):
+        assert 0.1 <= one.uncertainty <= 0.3
+        for factor in (1 - one.uncertainty, 1.0, 1 + one.uncertainty):
             joint = one.plant.joint
             muscle = dataclasses.replace(joint.muscle1, strength=factor * float(joint.muscle1.strength or 1.0))
             joint = dataclasses.replace(joint, muscle1=muscle, muscle2=muscle)
@@ -84,11 +73,12 @@ def test_candidates_attain_the_stiffness_with_forces_at_both_ends_of_their_uncer
 def test_candidates_are_in_the_order_of_their_air_and_rejected_makes_have_a_reason(found):
     air = [one.supply.air for one in found.candidates]
     assert air == sorted(air) and found.best is found.candidates[0]
-    assert {one.make.name for one in found.candidates} | {name for name, _ in found.rejected} == {
+    assert {one.name for one in found.candidates} | {name for name, _ in found.rejected} == {
         make.name for make in catalog_makes()
     }
     assert all(reason for _, reason in found.rejected)
-    assert len(found.rows()) == len(found.candidates) and len(found.rows()[0]) == len(found.headers)
+    candidates, parts = found.listings()
+    assert len(candidates.rows()) == len(found.candidates) and len(parts.rows()) == 6
 
 
 def test_a_muscle_that_is_too_short_for_its_diameter_is_rejected():
@@ -96,24 +86,22 @@ def test_a_muscle_that_is_too_short_for_its_diameter_is_rejected():
         size(dataclasses.replace(NEED, longest=100 * mm, stiffness=None, torque=0.0), [catalog_makes()[2]])
 
 
-def test_pulleys_are_not_wider_than_allowed(found, twenty, without_nearest):
-    widest = found.best.radius - 0.2 * mm
-    assert size(dataclasses.replace(NEED, widest=widest, stiffness=None), [twenty]).best.radius <= widest
-    without_nearest()
+def test_pulleys_are_not_wider_than_allowed(found, twenty):
+    widest = found.best.lengths["radius"] - 0.2 * mm
+    assert size(dataclasses.replace(NEED, widest=widest, stiffness=None), [twenty]).best.lengths["radius"] <= widest
     with pytest.raises(UnreachableError):
         size(dataclasses.replace(NEED, widest=3 * mm, stiffness=None), [twenty])
 
 
-def test_a_longer_muscle_than_needed_is_not_selected(found, without_nearest):
-    without_nearest()
-    shorter = dataclasses.replace(NEED, longest=found.best.length - 20 * mm)
+def test_a_longer_muscle_than_needed_is_not_selected(found, twenty):
+    shorter = dataclasses.replace(NEED, longest=found.best.lengths["muscle_length"] - 20 * mm)
     with pytest.raises(UnreachableError):
-        size(shorter, [found.best.make])
+        size(shorter, [twenty])
 
 
 def test_the_scenario_of_each_candidate_meets_the_requirement(found, tmp_path):
     for one in found.candidates:
-        file = tmp_path / f"{one.make.name}.yaml"
+        file = tmp_path / f"{one.name}.yaml"
         found.scenario(one).to_yaml(file)
         scenario = mk.Scenario.read(file)
         assert scenario == found.scenario(one)
@@ -179,42 +167,30 @@ def test_the_conductance_of_a_tube_is_that_of_choked_flow_with_friction(diameter
     assert tube_conductance(d, 4.0) < tube_conductance(d, 1.0)
 
 
-@pytest.mark.parametrize(
-    ("change", "factor"),
-    [({"torque": 300.0}, "load"), ({"stiffness": (400.0, 500.0)}, "stiffness"), ({"longest": 0.1}, "angles")],
-)
-def test_an_impossible_requirement_names_the_nearest_that_is_possible(
-    change, factor, twenty, coarse_search, without_nearest
-):
-    need = dataclasses.replace(NEED, **change)
+@pytest.mark.parametrize("change", [{"torque": 300.0}, {"stiffness": (400.0, 500.0)}, {"longest": 0.1}])
+def test_an_impossible_requirement_names_the_limits_of_each_make(change, twenty):
     with pytest.raises(UnreachableError) as caught:
-        size(need, [twenty])
-    factors = caught.value.value
-    assert 0 < factors[factor] < 1 and caught.value.remedy
-    possible = need.scaled(**{factor: factors[factor]})
-    assert size(possible, [twenty]).candidates
-    without_nearest()
-    with pytest.raises(UnreachableError):
-        size(need.scaled(**{factor: 1.1 * factors[factor]}), [twenty])
+        size(dataclasses.replace(NEED, **change), [twenty])
+    assert "Festo 20 mm: limited by" in str(caught.value) and caught.value.remedy
 
 
-def test_a_fast_motion_is_limited_by_the_valves(twenty, coarse_search):
+def test_a_fast_motion_is_limited_by_the_valves(twenty):
     need = dataclasses.replace(NEED, load=mk.GeneralLoad(inertia=1e-3, greatest_gravity_torque=0.0), torque=0.5)
     slow = size(need, [twenty]).best.supply
     fast = size(dataclasses.replace(need, cycle=1.0), [twenty]).best.supply
     assert fast.needed == pytest.approx(2 * slow.needed, rel=0.3)
-    with pytest.raises(UnreachableError) as caught:
+    with pytest.raises(UnreachableError):
         size(dataclasses.replace(need, cycle=0.05), [twenty])
-    factor = caught.value.value["cycle"]
-    assert factor > 1 and size(dataclasses.replace(need, cycle=0.05 * factor), [twenty]).candidates
 
 
 def test_without_a_required_stiffness_the_run_takes_the_middle_of_the_attainable_range():
     need = dataclasses.replace(NEED, stiffness=None, angles=(-20 * deg, 50 * deg))
     found = size(need)
-    assert {one.make.name for one in found.candidates} == {make.name for make in catalog_makes()}
+    assert {one.name for one in found.candidates} == {make.name for make in catalog_makes()}
     for one in found.candidates:
-        assert float(one.plant.joint.contractions(15 * deg, (2 * bar, 2 * bar))[0]) == pytest.approx(one.contraction)
+        assert float(one.plant.joint.contractions(15 * deg, (2 * bar, 2 * bar))[0]) == pytest.approx(
+            1 - (one.lengths["path1.rest_length"] + one.lengths["radius"] * 15 * deg) / one.lengths["muscle_length"]
+        )
         low, high = one.plant.joint.attainable_stiffness(-20 * deg, -LOAD.gravity_torque(-20 * deg))
         assert low < found.scenario(one).start.stiffness < high
         assert all(check.met for check in found.verify(found.scenario(one).simulate()))
@@ -249,8 +225,8 @@ def test_friction_takes_its_torque():
     need = dataclasses.replace(NEED, stiffness=None, torque=0.0)
     plain, found = (size(need, [Make("ten", muscle, 0.0)]).best for muscle in (ten.muscle, rubbing))
     lost = gravity_excess(found.plant, need) - found.torque[1]
-    assert lost == pytest.approx((12.0 + 12.0 * np.tanh(5.0 / 24.0)) * found.radius, rel=1e-3)
-    assert found.length >= plain.length and found.torque[1] >= need.reserve
+    assert lost == pytest.approx((12.0 + 12.0 * np.tanh(5.0 / 24.0)) * found.lengths["radius"], rel=1e-3)
+    assert found.lengths["muscle_length"] >= plain.lengths["muscle_length"] and found.torque[1] >= need.reserve
 
 
 def test_friction_is_that_of_the_highest_pressure_and_speed():
@@ -261,10 +237,10 @@ def test_friction_is_that_of_the_highest_pressure_and_speed():
     need = dataclasses.replace(NEED, stiffness=None, torque=0.0)
     muscles = [Muscle(ten.muscle.specimen, ten.muscle.law, friction) for friction in (growing, viscous)]
     first, second = (size(need, [Make("ten", muscle, 0.0)]).best for muscle in muscles)
-    lost = [(gravity_excess(one.plant, need) - one.torque[1]) / one.radius for one in (first, second)]
+    lost = [(gravity_excess(one.plant, need) - one.torque[1]) / one.lengths["radius"] for one in (first, second)]
     highest = 7.0 + 60 * (5.4 - 3.5)
     assert 0.8 * highest < lost[0] < highest
-    damping = 100.0 * second.radius * np.pi / 6 * np.pi
+    damping = 100.0 * second.lengths["radius"] * np.pi / 6 * np.pi
     opposing = 12.0 * np.tanh(5.0 / 24.0) + 2.5 * np.tanh(damping / 2.5)
     assert lost[1] == pytest.approx(12.0 + damping + opposing, rel=1e-2)
 
@@ -275,7 +251,7 @@ def test_both_muscles_rub_at_the_highest_pressure_where_a_stiffness_is_required(
     light = dataclasses.replace(NEED, load=mk.PendulumLoad(0.5, 150 * mm), torque=0.0, stiffness=(3.0, 3.0))
     found = size(light, [Make("ten", Muscle(ten.muscle.specimen, ten.muscle.law, growing), 0.0)]).best
     angles = np.linspace(*light.angles, 13)
-    reserve = light.reserve + 2 * (7.0 + 10 * 1.9) * 0.99 * found.radius
+    reserve = light.reserve + 2 * (7.0 + 10 * 1.9) * 0.99 * found.lengths["radius"]
     for sign in (-1, 1):
         low, high = found.plant.joint.attainable_stiffness(
             angles, sign * reserve - light.load.gravity_torque(angles), minimum_tension=5.0
@@ -289,7 +265,7 @@ def test_a_braid_gives_a_make_by_chous_law():
     )
     light = dataclasses.replace(NEED, load=mk.PendulumLoad(0.5, 150 * mm), torque=0.0, stiffness=(3.0, 3.0))
     found = size(light, [Make.of("braid", Muscle(braid, ChouLaw.of(braid)), None)])
-    assert found.best.make.name == "braid" and found.best.make.uncertainty == pytest.approx(0.1)
+    assert found.best.name == "braid" and found.best.uncertainty == pytest.approx(0.1)
     assert L_PER_S_BAR * 0.01 < found.best.supply.needed < L_PER_S_BAR
 
 
@@ -301,16 +277,6 @@ def test_a_law_that_is_not_affine_and_wrong_numbers_are_refused():
         size(NEED, [Make.of("smooth", Muscle(known, smooth), None)])
     with pytest.raises(ParameterError):
         size(NEED, [])
-    for wrong in (
-        {"angles": (0.5, 0.5)},
-        {"cycle": 0.0},
-        {"stiffness": (20.0, 10.0)},
-        {"torque": -1.0},
-        {"supply": float("nan")},
-        {"widest": -1.0},
-    ):
-        with pytest.raises(ParameterError):
-            dataclasses.replace(NEED, **wrong)
 
 
 def test_the_measured_map_of_20_mm_agrees_with_its_rating():

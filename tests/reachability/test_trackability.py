@@ -9,7 +9,7 @@ from mckibben.control import Constant, Reference, Samples, Sine, Step
 from mckibben.errors import RangeError, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.muscle.air import L_PER_S_BAR
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant import JointPlant, PlantState
 from mckibben.reachability import check_trackability, reference_trajectory, static_envelope
 from mckibben.reachability.trackability import MAX_SMOOTHING, bands_along
@@ -25,7 +25,7 @@ def on(plant: JointPlant, reference: Reference, **options):
     return check_trackability(plant, reference, duration=2.0, control_period=PERIOD, **options)
 
 
-@compiled
+@jit
 def attainable(joint, angle, torque):
     return joint.attainable_stiffness(angle, torque)
 
@@ -128,14 +128,14 @@ def test_a_stiffness_that_changes_costs_the_valve_its_rate(knee, load):
     assert on(plant, slow).trackable
     found = on(plant, fast)
     assert not found.trackable
-    assert found.describe().startswith("at the rate limit of the valves: the desired stiffness is not attainable for ")
+    assert found.verdict().startswith("at the rate limit of the valves: the desired stiffness is not attainable for ")
     assert on(JointPlant(knee, load, FirstOrderValve(1e-3)), fast).trackable
 
 
 def test_an_infeasible_reference_is_described_with_its_numbers(as_printed, load):
     found = on(JointPlant(as_printed, load, FirstOrderValve(0.02)), Reference(Sine(20 * deg, 0.5), 72.5))
     assert not found.trackable
-    said = found.describe()
+    said = found.verdict()
     assert said.startswith("not even statically trackable: the joint cannot give the torque for 6")
     assert "outside -3..25 %" in found.cause and found.cause in said
     assert "desired 72.5, attainable 1" in said and "N*m/rad at -10." in said
@@ -144,7 +144,7 @@ def test_an_infeasible_reference_is_described_with_its_numbers(as_printed, load)
 def test_the_torque_of_the_motion_is_named(plant):
     found = on(plant, Reference(Sine(20 * deg, 6.0), 15.0))
     assert not found.trackable
-    assert "with the torque of the motion, up to " in found.describe()
+    assert "with the torque of the motion, up to " in found.verdict()
     peak = float(plant.load.total_inertia) * 20 * deg * (12 * np.pi) ** 2
     assert np.abs(found.bands.torque).max() == pytest.approx(peak, rel=0.15)
 
@@ -152,24 +152,24 @@ def test_the_torque_of_the_motion_is_named(plant):
 def test_a_stiffness_may_be_attainable_dynamically_only(plant):
     found = on(plant, Reference(Sine(20 * deg, 2.0), 15.0))
     assert found.trackable
-    assert "dynamically only, not statically" in found.describe()
+    assert "dynamically only, not statically" in found.verdict()
 
 
 def test_jumps_are_smoothed_no_more_than_necessary(plant):
     found = on(plant, Reference(Step(0.0, 10 * deg, 1.0), 15.0))
     assert found.trackable and 0.05 < found.trajectory.smoothing < 0.2
-    assert f"jump or corner at 1 s smoothed over {found.trajectory.smoothing * 1e3:.3g} ms" in found.describe()
+    assert f"jump or corner at 1 s smoothed over {found.trajectory.smoothing * 1e3:.3g} ms" in found.verdict()
     assert not on(plant, Reference(Step(0.0, 10 * deg, 1.0), 15.0), smoothing=found.trajectory.smoothing / 2).trackable
     far = on(plant, Reference(Step(-30 * deg, 30 * deg, 1.0), 22.0))
     assert not far.trackable and not far.smoothing_sufficient
     assert far.trajectory.smoothing == MAX_SMOOTHING
-    assert "jump or corner at 1 s not trackable even when smoothed over 250 ms" in far.describe()
+    assert "jump or corner at 1 s not trackable even when smoothed over 250 ms" in far.verdict()
 
 
 def test_samples_may_be_many(plant):
     dense = Samples(TIMES, np.asarray(Sine(10 * deg, 0.5)(TIMES)))
     found = on(plant, Reference(dense, 15.0))
-    assert found.trackable and "; samples smoothed over 40 ms" in found.describe()
+    assert found.trackable and "; samples smoothed over 40 ms" in found.verdict()
 
 
 def test_static_envelope_over_the_angle(plant, paper_precontracted):

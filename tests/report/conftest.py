@@ -24,7 +24,7 @@ from mckibben.paper.tracking import (
 )
 from mckibben.scenario import list_parameters, run_scenario, with_values
 from mckibben.simulation import Metrics
-from mckibben.study.tune import TuningResult
+from mckibben.study.tune import TuneResult
 
 SEEDS = 3
 
@@ -44,7 +44,9 @@ def reproduction():
         moderate = pid_scenario(setting, StiffnessReference.CONSTANT)
         doubled = {a.name: 2 * a.nominal for a in list_parameters(moderate) if a.name.endswith(("kp", "ki"))}
         found = with_values(moderate, doubled)
-        tuned[setting.key] = TuningResult(doubled, (found,), 5.0, 80.0, 100, ("controller.position.ki",), ())
+        tuned[setting.key] = TuneResult(
+            doubled, (moderate,), (found,), 5.0, 80.0, 100, at_bound=("controller.position.ki",)
+        )
         coupling[setting.key] = Coupling(1e-3, 0.1, 1e-14)
         gains = gains_of(found)
         for wish in StiffnessReference:

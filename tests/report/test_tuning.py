@@ -6,9 +6,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from mckibben.report import save, tuning
-from mckibben.study.tune import TuningResult
+from mckibben.study.tune import Trial, TuneResult
 from mckibben.study.tune.objective import FAILED_COST
-from mckibben.study.tune.tune import Trial
 
 
 def searched(numbers, trials=40, *, lost=0, before=30.0, seed=0, named="controller.position.gain"):
@@ -18,7 +17,7 @@ def searched(numbers, trials=40, *, lost=0, before=30.0, seed=0, named="controll
     costs = np.where(np.arange(trials) < lost, FAILED_COST, rng.uniform(1, 100, trials))
     tried = tuple(Trial(tuple(p), float(c)) for p, c in zip(points.tolist(), costs, strict=True))
     values = {f"{named}{i}": 1.0 for i in range(numbers)}
-    return TuningResult(values, (), float(costs.min()), before, trials, (), tried)
+    return TuneResult(values, (), (), float(costs.min()), before, trials, trials=tried)
 
 
 def drawn(tuned):

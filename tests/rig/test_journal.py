@@ -4,20 +4,15 @@ import errno
 import json
 import os
 import re
-import signal
-import struct
-import subprocess
-import sys
-import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mckibben.errors import DatasetError, FileError
+from mckibben.rig import journal as module
+from mckibben.rig.journal import Journal, JournalReader, JournalRecord
 from mckibben.rig.record import read_header as read_record_header
-from mckibben.storage import journal as module
-from mckibben.storage.journal import Journal, JournalReader, JournalRecord, header_differences, read_header
 
 ITEM = b"I"
 ABOUT = {"format": "test journal", "version": 1, "seed": 3}
@@ -46,10 +41,10 @@ def numbers(path):
 
 def test_what_is_appended_is_read_back(filled):
     assert numbers(filled) == list(range(20))
-    assert JournalReader(filled).header() == read_header(filled, "test journal", 1) == ABOUT
+    assert JournalReader(filled).header() == ABOUT
 
 
-def test_a_journal_cut_anywhere_keeps_its_complete_records_and_goes_on(filled):
+def test_a_journal_cut_anywhere_keeps_its_complete_records(filled):
     content = filled.read_bytes()
     ends = np.cumsum([2 * HEADER_SIZE, *(FRONT + len(content_of(number)) for number in range(20))])
     for cut in np.random.default_rng(0).integers(ends[0], len(content), 40).tolist():
@@ -58,10 +53,6 @@ def test_a_journal_cut_anywhere_keeps_its_complete_records_and_goes_on(filled):
         assert numbers(filled) == kept
         reader = JournalReader(filled)
         assert ([record.number for record in reader if record.kind == ITEM], reader.damaged) == (kept, 0)
-        journal = Journal.resume(reader)
-        journal.append(JournalRecord(ITEM, 99, content_of(99)))
-        journal.close()
-        assert numbers(filled) == [*kept, 99]
 
 
 def test_damage_costs_the_records_that_it_hits_and_is_counted(filled):
@@ -81,11 +72,11 @@ def test_a_damaged_header_is_read_from_its_copy(filled):
     size = HEADER_SIZE
     for place in range(2 * size):
         filled.write_bytes(content[:place] + bytes([content[place] ^ 0x10]) + content[place + 1 :])
-        assert read_header(filled, "test journal", 1) == ABOUT
+        assert JournalReader(filled).checked_header() == ABOUT
     assert numbers(filled) == list(range(20))
     filled.write_bytes(content[2 * size :])
     with pytest.raises(FileError):
-        read_header(filled, "test journal", 1)
+        JournalReader(filled).checked_header()
 
 
 def test_a_journal_without_its_header_is_told_from_another_file(filled, tmp_path):
@@ -93,26 +84,21 @@ def test_a_journal_without_its_header_is_told_from_another_file(filled, tmp_path
     for kept in (b"", content[:5], content[:40], content[: size - 1], content[2 * size :]):
         filled.write_bytes(kept)
         with pytest.raises(FileError) as caught:
-            read_header(filled, "test journal", 1)
+            JournalReader(filled).checked_header()
         assert caught.value.problems[0].field == "header" and caught.value.problems[0].remedy
         with pytest.raises(DatasetError) as record:
             read_record_header(filled)
         assert record.value.problems[0].field == "header"
     filled.write_text("angle,force\n1,2\n", encoding="utf-8")
-    with pytest.raises(FileError) as caught:
-        read_header(filled, "test journal", 1)
-    assert caught.value.problems[0].field == ""
+    assert JournalReader(filled).checked_header() is None
 
 
 @pytest.mark.parametrize("lose", [Path.unlink, lambda path: path.rename(path.with_name("elsewhere"))])
-def test_a_journal_that_was_removed_or_moved_is_not_written_on_in_silence(filled, lose):
-    reader = JournalReader(filled)
-    list(reader)
-    with Journal.resume(reader) as journal:
-        journal.append(JournalRecord(ITEM, 20, content_of(20)))
-        lose(filled)
+def test_a_journal_that_was_removed_or_moved_is_not_written_on_in_silence(tmp_path, lose):
+    with Journal.create(tmp_path / "a", ABOUT) as journal:
+        lose(tmp_path / "a")
         with pytest.raises(FileNotFoundError):
-            journal.append(JournalRecord(ITEM, 21, content_of(21)))
+            journal.append(JournalRecord(ITEM, 1, content_of(1)))
 
 
 def test_a_window_without_a_record_is_searched_in_parts(tmp_path, monkeypatch):
@@ -128,23 +114,22 @@ def test_a_window_without_a_record_is_searched_in_parts(tmp_path, monkeypatch):
         assert numbers(path) == [5]
 
 
-def test_a_failed_append_leaves_nothing(filled, monkeypatch):
-    size, write = filled.stat().st_size, module._write_at
+def test_a_failed_append_leaves_nothing(tmp_path, monkeypatch):
+    path, write = tmp_path / "a", module._write_at
 
     def full(file, position, content):
         write(file, position, content[:20])
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    reader = JournalReader(filled)
-    list(reader)
-    with Journal.resume(reader) as journal:
-        monkeypatch.setattr(module, "_write_at", full)
-        with pytest.raises(OSError, match="No space left"):
-            journal.append(JournalRecord(ITEM, 20, content_of(20)))
-        assert filled.stat().st_size == size
-        monkeypatch.undo()
-        journal.append(JournalRecord(ITEM, 20, content_of(20)))
-    assert numbers(filled) == list(range(21))
+    with Journal.create(path, ABOUT) as journal:
+        size = path.stat().st_size
+        with monkeypatch.context() as patch:
+            patch.setattr(module, "_write_at", full)
+            with pytest.raises(OSError, match="No space left"):
+                journal.append(JournalRecord(ITEM, 0, content_of(0)))
+        assert path.stat().st_size == size
+        journal.append(JournalRecord(ITEM, 0, content_of(0)))
+    assert numbers(path) == [0]
 
 
 def test_a_closed_journal_is_closed_once(filled):
@@ -160,36 +145,6 @@ def test_an_existing_file_is_not_taken(filled):
     with pytest.raises(FileError):
         Journal.create(filled, ABOUT)
     assert numbers(filled) == list(range(20))
-
-
-def test_another_file_has_no_header_of_ours(tmp_path):
-    (tmp_path / "text").write_bytes(b"text")
-    Journal.create(tmp_path / "other", {"format": "other"}).close()
-    for name in ("text", "other"):
-        with pytest.raises(FileError) as refused:
-            read_header(tmp_path / name, "test journal", 1)
-        assert "it is not a test journal" in refused.value.problems[0].message
-    Journal.create(tmp_path / "newer", {**ABOUT, "version": 2}).close()
-    with pytest.raises(FileError) as refused:
-        read_header(tmp_path / "newer", "test journal", 1)
-    assert "version 2" in refused.value.problems[0].message
-
-
-def test_a_journal_of_the_earlier_version_is_named(filled):
-    """Version 1: a front of 32 bytes with a CRC-32 of itself and the payload alone."""
-    payload = json.dumps(ABOUT).encode()
-    front = struct.pack("<8s1s3xIQQ", b"MCKCHUNK", b"H", 0, len(payload), 0)
-    checksum = zlib.crc32(payload, zlib.crc32(front))
-    record = struct.pack("<8s1s3xIQQ", b"MCKCHUNK", b"H", checksum, len(payload), 0) + payload
-    filled.write_bytes(2 * record)
-    for read, error in (
-        (lambda path: read_header(path, "test journal", 1), FileError),
-        (read_record_header, DatasetError),
-    ):
-        with pytest.raises(error) as caught:
-            read(filled)
-        (problem,) = caught.value.problems
-        assert (problem.field, problem.value) == ("version", 0) and problem.remedy
 
 
 def records_of(content):
@@ -256,59 +211,3 @@ def test_no_flipped_bit_gives_other_content(filled):
         filled.write_bytes(changed)
         found = [tuple(record) for record in JournalReader(filled)]
         assert len(found) == len(whole) - 1 and set(found) <= set(whole)
-
-
-def test_differences_name_the_item_that_differs():
-    kept = {"seed": 1, "over": ["a", "b"], "software": {"jax": "1", "numpy": "2"}, "text": "a: 1\nb: 2\n", "same": 0}
-    wanted = {"seed": 2, "over": ["a"], "software": {"jax": "1", "numpy": "3"}, "text": "a: 1\nb: 3\n", "same": 0}
-    found = header_differences(kept, wanted, "the job", remedy="start anew")
-    assert [(problem.field, problem.message) for problem in found] == [
-        ("seed", "the job was started with 1, not 2"),
-        ("over", "the job was started with b too"),
-        ("software numpy", "the job was started with 2, not 3"),
-        ("text", "the job was started with 'b: 2', not 'b: 3'"),
-    ]
-    assert not header_differences(kept, kept, "the job", remedy="")
-
-
-def test_draws_are_not_listed():
-    kept, wanted = {"conditions": {"mass": [0.25, 0.5, 0.75], "lag": [1.5]}}, {"conditions": {"mass": [0.3, 0.5, 0.7]}}
-    found = header_differences(kept, wanted, "the job", remedy="start anew")
-    assert [problem.field for problem in found] == ["conditions mass", "conditions lag"]
-    assert found[0].message == "the job was started with 3 values from 0.25 to 0.75, not 3 values from 0.3 to 0.7"
-    (none,) = header_differences(kept, {}, "the job", remedy="start anew")
-    assert (none.field, "0.5" in none.message) == ("conditions", False)
-
-
-JOB = """
-import sys
-from pathlib import Path
-import numpy as np
-from mckibben.storage.journal import Journal, JournalReader, JournalRecord
-path = Path(sys.argv[1])
-if path.exists():
-    reader = JournalReader(path)
-    kept = sum(record.kind == b"I" for record in reader)
-    journal = Journal.resume(reader)
-else:
-    kept = 0
-    journal = Journal.create(path, {"format": "test journal", "version": 1, "seed": 3})
-for number in range(kept, 400):
-    if number == kept + 60:
-        print("under way", flush=True)
-    journal.append(JournalRecord(b"I", number, np.random.default_rng(number).bytes(50 + 13 * number)))
-"""
-
-
-@pytest.mark.slow
-def test_a_job_killed_again_and_again_ends_with_the_same_bytes(tmp_path):
-    for name, kills in (("calm", 0), ("killed", 3)):
-        for _ in range(kills):
-            job = subprocess.Popen([sys.executable, "-c", JOB, str(tmp_path / name)], stdout=subprocess.PIPE)
-            with job:
-                job.stdout.readline()
-                job.send_signal(signal.SIGKILL)
-            assert 0 < len(numbers(tmp_path / name)) < 400
-        subprocess.run([sys.executable, "-c", JOB, str(tmp_path / name)], check=True, stdout=subprocess.DEVNULL)
-    assert (tmp_path / "killed").read_bytes() == (tmp_path / "calm").read_bytes()
-    assert numbers(tmp_path / "killed") == list(range(400))

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from mckibben.errors import DatasetError, FileError, McKibbenWarning, RangeError, RigError
+from mckibben.rig import journal
 from mckibben.rig import recorder as recorder_module
+from mckibben.rig.journal import HEADER, JournalReader
 from mckibben.rig.record import Column, Event, entries, read_record, rows_in, segments
 from mckibben.rig.recorder import Recorder
-from mckibben.storage import journal
-from mckibben.storage.journal import HEADER, JournalReader
 
 COLUMNS = [Column("time", "s"), Column("force", "V", "float32"), Column("pulses", "1", "int32")]
 

@@ -3,13 +3,11 @@
 import errno
 import os
 import shutil
-from pathlib import Path
 
 import pytest
 
 from mckibben.errors import FileError
 from mckibben.storage.files import check_seal, explain_write_errors, make_subfolder, sealed, sync_folder
-from mckibben.storage.journal import Journal, JournalReader, JournalRecord
 
 
 def test_any_flipped_bit_of_a_sealed_file_is_found(tmp_path):
@@ -60,27 +58,3 @@ def test_a_link_to_another_folder_is_not_followed(tmp_path):
         make_subfolder(tmp_path, "tuning")
     assert caught.value.problems[0].field == "tuning"
     assert make_subfolder(tmp_path, "figures").is_dir()
-
-
-def test_a_power_cut_after_an_append_leaves_what_was_appended(tmp_path, monkeypatch):
-    """What is synced is left: content by the sync of its file, names by that of their folder."""
-    content, names, real = {}, {}, os.fsync
-
-    def fsync(file):
-        real(file)
-        path = Path(f"/proc/self/fd/{file}").readlink()
-        if path.is_dir():
-            names[path] = {one.name: one.stat().st_ino for one in path.iterdir()}
-        else:
-            content[os.fstat(file).st_ino] = path.read_bytes()
-
-    monkeypatch.setattr(os, "fsync", fsync)
-    path = tmp_path / "job.journal"
-    with Journal.create(path, {"format": "test", "version": 1}) as journal:
-        for number in range(3):
-            journal.append(JournalRecord(b"R", number, bytes(100)))
-            left = tmp_path / f"left-{number}"
-            left.write_bytes(content[names[tmp_path]["job.journal"]])
-            reader = JournalReader(left)
-            assert [record.number for record in reader if record.kind == b"R"] == list(range(number + 1))
-            assert not reader.damaged

@@ -1,6 +1,7 @@
 """Controllers are tuned alike and evaluate on the same runs: each of which is, alone, what `simulate` gives."""
 
 import dataclasses
+import sqlite3
 from pathlib import Path
 
 import jax
@@ -10,13 +11,13 @@ import pytest
 from mckibben.errors import FileError, ParameterError
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics
-from mckibben.study.compare import BenchmarkResult, Suite, benchmark, compare, draw, evaluate
-from mckibben.study.compare.compare import ControllerTuning, _controller, _error_at_air
-from mckibben.study.compare.statistics import front, statistics
-from mckibben.study.tune import read_trials
+from mckibben.storage.store import STUDY
+from mckibben.study.compare import CompareResult, Suite, compare, draw, evaluate, evaluation
+from mckibben.study.compare.evaluation import _controller_of
+from mckibben.study.compare.statistics import front
+from mckibben.study.compare.tuning import ControllerTuning, _error_at_air
+from mckibben.study.tune import SearchSpace, Trial, read_trials
 from mckibben.study.tune.objective import FAILED_COST
-from mckibben.study.tune.search import SearchSpace
-from mckibben.study.tune.tune import Trial
 from mckibben.units import deg
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -40,9 +41,7 @@ def suite():
 def simulated(suite):
     """The evaluation runs of one controller, simulated."""
     runs, values = draw(suite, 16, 1), {KP: 2e5}
-    return BenchmarkResult(
-        suite, runs, {"PID 3": values}, {}, {"PID 3": ()}, {"PID 3": evaluate(runs, "PID 3", values)}
-    )
+    return CompareResult(suite, runs, {"PID 3": values}, {}, {"PID 3": ()}, {"PID 3": evaluate(runs, "PID 3", values)})
 
 
 class TestRuns:
@@ -84,7 +83,7 @@ class TestRuns:
             for name in ("angle_rmse", "stiffness_rmse", "air"):
                 assert batch.metrics[name][run] == pytest.approx(alone[name], rel=1e-7), (run, name)
         for group in runs.groups:
-            control = _controller(runs, group, "decoupling", {}, 1)
+            control = _controller_of(runs, group, "decoupling", {}, 1)
             models = [runs.scenario("decoupling", int(row)).control().valve for row in group.rows]
             assert {type(model) for model in models} == {type(control.valve)}
             leaves = np.broadcast_arrays(*jax.tree.leaves(control.valve), np.zeros(group.count))[:-1]
@@ -120,8 +119,8 @@ def mean_cost(runs, kp):
     return np.mean(costs)
 
 
-def trials(folder, name="pid-3"):
-    return read_trials(folder / f"{name}.journal")
+def trials(folder, name="PID 3"):
+    return read_trials(folder / STUDY, name)
 
 
 OTHERS = TEXT[TEXT.index("  decoupling:\n") : TEXT.index("tuning:")]
@@ -142,7 +141,7 @@ def told():
 @pytest.fixture(scope="class")
 def contest(suite, kept, told):
     """All three controllers, compared without a simulation."""
-    return compare(suite, folder=kept, progress=lambda what, part: told.append((what, part)))
+    return compare(suite, out=kept, progress=lambda what, part: told.append((what, part)))
 
 
 @pytest.mark.usefixtures("simulating_nothing")
@@ -150,7 +149,7 @@ class TestTuning:
     @pytest.mark.slow
     def test_costs_are_means_over_the_runs_that_begin(self, tmp_path):
         one = changed(*ALONE, ("generations: 2", "generations: 6"))
-        contest = compare(one, folder=tmp_path)
+        contest = compare(one, out=tmp_path)
         training = draw(one, 8, 99)
         assert (training.conditions["valve.time_constant"] > 0.048).any(), "one cannot begin"
         assert (training.conditions["disturbance.height"] > 0).any(), "and some can be lost"
@@ -168,7 +167,7 @@ class TestTuning:
     @pytest.mark.slow
     def test_trials_keep_the_medians_of_the_runs_where_none_diverged(self, tmp_path):
         one = changed(*ALONE, ("generations: 2", "generations: 6"))
-        contest = compare(one, folder=tmp_path)
+        contest = compare(one, out=tmp_path)
         training = draw(one, 8, 99)
         begins = training.conditions["valve.time_constant"] <= 0.048
         mass, lag = training.conditions["load.mass2"][begins], training.conditions["valve.time_constant"][begins]
@@ -191,7 +190,7 @@ class TestTuning:
     @pytest.mark.slow
     def test_the_gains_are_those_that_are_best_on_the_runs_of_the_finalists(self, tmp_path):
         one = changed(*ALONE, ("starts: 2", "starts: 2, finalists: 5, finalist_runs: 40"))
-        contest = compare(one, folder=tmp_path)
+        contest = compare(one, out=tmp_path)
         runs, finalists = draw(one, 40, 100), contest.finalists["PID 3"]
         *searched, _ = trials(tmp_path)  # the last are the gains with six digits
         tried = sorted(searched, key=lambda trial: trial.cost)
@@ -206,9 +205,9 @@ class TestTuning:
         assert contest.training_cost["PID 3"][0] == pytest.approx(mean_cost(training, contest.tuned["PID 3"][KP]))
         air = next(trial.metrics["air"] for trial in tried if trial.point == best.point)
         assert contest.training_air("PID 3") == air
-        again = compare(one, folder=tmp_path, resume=True)
+        again = compare(one, out=tmp_path, resume=True)
         assert again.finalists == contest.finalists and again.tuned == contest.tuned
-        assert statistics(contest)["at_air_of_first"]["air_L"] == pytest.approx(contest.training_air("PID 3") * 1e3)
+        assert contest.numbers["at_air_of_first"]["air_L"] == pytest.approx(contest.training_air("PID 3") * 1e3)
 
     @pytest.mark.slow
     def test_the_training_runs_do_not_choose_among_finalists(self, monkeypatch):
@@ -233,7 +232,7 @@ class TestTuning:
     @pytest.mark.slow
     def test_at_equal_air_each_has_its_trial_of_least_error(self, suite, contest, kept):
         """By the medians of the training runs, of trials in which no run diverged, on the evaluation runs."""
-        tried = {name: trials(kept, path) for name, path in (("PID 3", "pid-3"), ("decoupling", "decoupling"))}
+        tried = {name: trials(kept, name) for name in ("PID 3", "decoupling")}
         limit = min(tried["PID 3"], key=lambda trial: trial.cost).metrics["air"]
         for name, each in tried.items():
             best = min(each, key=lambda trial: trial.cost).metrics
@@ -248,15 +247,14 @@ class TestTuning:
         )
         assert contest.at_air.tuned["PID 3"][KP] == pytest.approx(chosen["air"] / 1e-4 * 3e5, rel=1e-5)
         assert "as it is" not in contest.at_air.tuned
-        numbers = statistics(contest)["at_air_of_first"]
+        numbers = contest.numbers["at_air_of_first"]
         assert numbers["air_L"] == pytest.approx(limit * 1e3)
         assert list(numbers["controllers"]) == list(contest.at_air.batches)
         assert numbers["controllers"]["PID 3"]["ratio_to_first"]["angle_rmse_deg"]["ratio"] == 1.0
 
     @pytest.mark.slow
     def test_all_have_the_same_budget_and_untuned_ones_none(self, contest, kept):
-        counts = {path.stem: len(trials(kept, path.stem)) for path in kept.glob("*.journal")}
-        assert set(counts) == {"pid-3", "decoupling"}
+        counts = {name: len(trials(kept, name)) for name in ("PID 3", "decoupling")}
         assert all(24 <= count <= 26 for count in counts.values()), counts  # two searches and that at equal air
         assert contest.tuned["as it is"] == {}
         assert "as it is" not in contest.training_cost
@@ -266,13 +264,13 @@ class TestTuning:
     @pytest.mark.slow
     def test_a_controller_may_have_a_budget_of_its_own(self, tmp_path):
         for name, starts in (("all", "starts: 3"), ("own", "starts: 1, starts_of: {PID 3: 3}")):
-            compare(changed(*ALONE, ("starts: 2", starts)), folder=tmp_path / name)
+            compare(changed(*ALONE, ("starts: 2", starts)), out=tmp_path / name)
         points = [[trial.point for trial in trials(tmp_path / name)] for name in ("all", "own")]
         assert points[0] == points[1]
 
     @pytest.mark.slow
     def test_a_search_starts_at_the_best_of_its_candidates(self, tmp_path):
-        compare(changed(*ALONE, ("starts: 2", "starts: 1, candidates: 40")), folder=tmp_path)
+        compare(changed(*ALONE, ("starts: 2", "starts: 1, candidates: 40")), out=tmp_path)
         found = trials(tmp_path)
         best = min(found[:40], key=lambda trial: trial.cost)
         assert best.cost < found[0].cost, "better than the gains of the file"
@@ -289,7 +287,7 @@ class TestTuning:
         over = f"over: {{PID 3: [controller.position.kp=0.1..20 bar/rad log], wrapped: [{gains}]}}"
         rest = ("starts: 2", f"starts: 1, candidates: {candidates}"), ("population: 4", "population: 5")
         suite = changed((OTHERS, wrapper), ("untuned: [as it is]", over), *rest)
-        found = compare(suite, folder=tmp_path)
+        found = compare(suite, out=tmp_path)
         space = SearchSpace(suite.tuned_over("wrapped"))
         points = [np.array(trial.point) for trial in trials(tmp_path, "wrapped")]
         assert points[0] == pytest.approx(space.point(space.nominal))
@@ -299,7 +297,7 @@ class TestTuning:
         shared = [abs(point[0] - best[0]) < 1e-6 for point in points[: max(candidates, 2)]]
         assert shared == [bool(i % 2) for i in range(max(candidates, 2))]
 
-    def test_progress_goes_from_controller_to_controller(self, suite, contest, told):
+    def test_progress_goes_from_controller_to_controller_of(self, suite, contest, told):
         parts = [part for _, part in told]
         assert parts == sorted(parts)
         assert told[-1] == ("done", 1.0)
@@ -316,29 +314,32 @@ class TestTuning:
 
     @pytest.mark.slow
     def test_a_search_repeats_itself_and_is_taken_up(self, suite, contest, kept, tmp_path):
-        whole = {path.name: path.read_bytes() for path in kept.glob("*.journal")}
-        content = whole["pid-3.journal"]
         for share in (0.5, 0.9, 1.0):  # 0.9: in the search at equal air
-            (tmp_path / "pid-3.journal").write_bytes(content[: int(share * len(content))])
-            again = compare(suite, folder=tmp_path, resume=True)
-            assert {path.name: path.read_bytes() for path in tmp_path.glob("*.journal")} == whole
+            (tmp_path / STUDY).write_bytes((kept / STUDY).read_bytes())
+            connection = sqlite3.connect(tmp_path / STUDY)
+            with connection:
+                connection.execute("DELETE FROM record WHERE job = 'PID 3' AND number > ?", (share * 24,))
+                connection.execute("DELETE FROM record WHERE job = 'decoupling' AND ? < 1", (share,))
+            connection.close()
+            again = compare(suite, out=tmp_path, resume=True)
+            assert again.trials == contest.trials
             assert again.tuned == contest.tuned
             assert again.training_cost == contest.training_cost
 
     @pytest.mark.slow
     def test_nothing_is_overwritten_or_taken_for_another(self, tmp_path):
-        compare(changed(*ALONE), folder=tmp_path)
-        with pytest.raises(FileError, match="search history already exists"):
-            compare(changed(*ALONE), folder=tmp_path)
+        compare(changed(*ALONE), out=tmp_path)
+        with pytest.raises(FileError, match="a study exists already"):
+            compare(changed(*ALONE), out=tmp_path)
         for other in (
             changed(*ALONE, ("load.mass2=+-50 %", "load.mass2=+-40 %")),
             changed(*ALONE, ("kd: 0.2 bar*s/rad", "kd: 0.3 bar*s/rad")),
             changed(*ALONE, ("duration: 120 ms", "duration: 140 ms")),
         ):
             with pytest.raises(FileError):
-                compare(other, folder=tmp_path, resume=True)
+                compare(other, out=tmp_path, resume=True)
         more = changed(*ALONE, ("evaluation: {runs: 16", "evaluation: {runs: 20"))
-        assert compare(more, folder=tmp_path, resume=True).runs.count == 20
+        assert compare(more, out=tmp_path, resume=True).runs.count == 20
 
     def test_lost_runs_cost_a_million(self):
         alone = TEXT[: TEXT.index("  PID 3:")] + TEXT[TEXT.index("  as it is:") :]
@@ -368,7 +369,9 @@ def test_a_controller_does_not_differ_from_run_to_run(suite, controller):
     plants = [jax.tree.leaves(runs.groups[0].plant) for runs in several]
     assert any(not np.array_equal(a, b) for a, b in zip(plants[0], plants[1], strict=True))
     for table in ({}, {each.name: [float(each.parameter.nominal)] for each in suite.tuned_over(controller)[:1]}):
-        first, *others = (jax.tree.leaves(_controller(runs, runs.groups[0], controller, table, 1)) for runs in several)
+        first, *others = (
+            jax.tree.leaves(_controller_of(runs, runs.groups[0], controller, table, 1)) for runs in several
+        )
         varying = [leaf for leaf in first if np.ndim(leaf)]
         assert len(varying) == len(table)
         assert all(np.ptp(leaf) == 0 for leaf in varying)
@@ -389,7 +392,7 @@ def test_a_true_model_is_the_plant_of_each_run(friction):
     assert len(set(runs.joint)) == 2
     bandwidths = {"controller.feedback.bandwidth": [30.0, 50.0]}
     (group,) = runs.groups
-    control = _controller(runs, group, "decoupling", bandwidths, 2)
+    control = _controller_of(runs, group, "decoupling", bandwidths, 2)
     for row in range(2 * runs.count):
         values = {name: column[row // runs.count] for name, column in bandwidths.items()}
         alone = runs.scenario("decoupling", row % runs.count, values).control()
@@ -439,17 +442,17 @@ def test_the_cost_covers_a_longer_delay():
 
 def test_sets_of_numbers_lie_one_after_the_other(suite):
     runs = draw(suite, 4, 1)
-    control = _controller(runs, runs.groups[0], "PID 3", {KP: np.array([1e5, 2e5, 3e5])}, 3)
+    control = _controller_of(runs, runs.groups[0], "PID 3", {KP: np.array([1e5, 2e5, 3e5])}, 3)
     assert np.array_equal(control.position.kp, np.repeat([1e5, 2e5, 3e5], 4))
 
 
 def test_every_set_meets_every_run(suite, monkeypatch):
     """What `simulate_many` is given: all runs for the first set, then all for the second."""
     given = {}
-    monkeypatch.setattr(benchmark, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
+    monkeypatch.setattr(evaluation, "simulate_many", lambda *parts, **options: given.update(parts=parts, **options))
     runs = draw(suite, 4, 1)
-    control = _controller(runs, runs.groups[0], "PID 3", {KP: np.array([1e5, 2e5, 3e5])}, 3)
-    benchmark._simulated(suite, runs.groups[0], control, 3, ("air",), "xla")
+    control = _controller_of(runs, runs.groups[0], "PID 3", {KP: np.array([1e5, 2e5, 3e5])}, 3)
+    evaluation._simulate_group(suite, runs.groups[0], control, 3, ("air",), "xla")
     plant, controller, reference = given["parts"]
     mass = runs.conditions["load.mass2"]
     assert np.array_equal(plant.load.mass2, [*mass, *mass, *mass])

@@ -13,11 +13,12 @@ from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.storage.files import to_json
-from mckibben.study.compare import BenchmarkResult, Suite, draw
-from mckibben.study.compare.statistics import air_of, front, left_out_at_air, pooled, statistics, trial_at_air
+from mckibben.study.compare import CompareResult, Suite, draw
+from mckibben.study.compare.result import PooledResult, left_out_at_air
+from mckibben.study.compare.statistics import air_of, front, trial_at_air
 from mckibben.study.compare.table import write_table
+from mckibben.study.tune import Trial
 from mckibben.study.tune.objective import FAILED_COST
-from mckibben.study.tune.tune import Trial
 from mckibben.units import deg, litre
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -63,12 +64,12 @@ def contest(runs, columns):
         THIRD: batch(columns[THIRD], range(RUNS)),
     }
     tuned = {FIRST: {"controller.position.kp": 2e5}, SECOND: {}, THIRD: {}}
-    return BenchmarkResult(runs.suite, runs, tuned, {FIRST: (3.0, 4.0)}, {FIRST: (), SECOND: (), THIRD: ()}, batches)
+    return CompareResult(runs.suite, runs, tuned, {FIRST: (3.0, 4.0)}, {FIRST: (), SECOND: (), THIRD: ()}, batches)
 
 
 @pytest.fixture(scope="module")
 def numbers(contest):
-    return statistics(contest)
+    return contest.numbers
 
 
 def begun(values, *without):
@@ -139,7 +140,7 @@ def test_ratios_of_medians(numbers, columns):
 def test_at_equal_air_ratios_are_to_the_first_as_tuned(contest, numbers):
     at_air = replace(contest, batches={FIRST: contest.batches[SECOND]})
     trial = Trial((0.5,), 1.0, metrics={"air": 0.2 * litre, "angle_rmse": deg, "stiffness_rmse": 1.0})
-    found = statistics(replace(contest, at_air=at_air, trials={FIRST: (trial,)}))["at_air_of_first"]
+    found = replace(contest, at_air=at_air, trials={FIRST: (trial,)}).numbers["at_air_of_first"]
     assert found["air_L"] == pytest.approx(0.2)
     for key in ("metrics", "diverged", "ratio_to_first", "by_reference"):
         assert found["controllers"][FIRST][key] == numbers["controllers"][SECOND][key]
@@ -153,7 +154,7 @@ def test_controllers_left_out_at_equal_air_are_named_with_the_least_air_of_their
     at_air = replace(contest, batches={FIRST: contest.batches[FIRST]})
     trials = {FIRST: (trial(0.2),), SECOND: (trial(0.5), trial(0.3))}
     tuned = {**contest.tuned, SECOND: contest.tuned[FIRST]}
-    text = left_out_at_air(statistics(replace(contest, at_air=at_air, trials=trials, tuned=tuned)), {SECOND: "other"})
+    text = left_out_at_air(replace(contest, at_air=at_air, trials=trials, tuned=tuned).numbers, {SECOND: "other"})
     assert "0.2 L" in text and "other (at least 0.3 L)" in text and THIRD not in text
     assert left_out_at_air(numbers) == ""
 
@@ -162,7 +163,9 @@ def test_setups_are_pooled_and_a_controller_that_one_lacks_at_equal_air_is_left_
     """In the second setup no trial of one controller takes as little air."""
     others = {FIRST: contest.batches[FIRST]}
     setups = {"a": replace(contest, at_air=contest), "b": replace(contest, at_air=replace(contest, batches=others))}
-    found = pooled(setups)
+    pooled = PooledResult("both", setups)
+    found = pooled.numbers
+    assert pooled.verdict().startswith("both, 2 setups: decoupling has 0.") and len(list(pooled.listings())) == 6
     assert list(found["as_tuned"]) == list(contest.batches)
     assert list(found["at_air_of_first"]) == [FIRST]
     both, alone = found["as_tuned"][SECOND], numbers["controllers"][SECOND]
@@ -190,7 +193,7 @@ def test_runs_are_resampled_in_pairs(contest, columns):
     spread = begun(columns[FIRST]["angle_rmse"])
     assert spread.max() / spread.min() > 5
     batches = {name: batch(columns[name]) for name in (FIRST, SECOND)}
-    found = statistics(BenchmarkResult(contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, batches))
+    found = CompareResult(contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, batches).numbers
     half = found["controllers"][SECOND]["ratio_to_first"]["angle_rmse_deg"]
     assert [half["ratio"], half["low"], half["high"]] == pytest.approx([0.5, 0.5, 0.5], rel=1e-12)
 
@@ -199,11 +202,8 @@ def test_a_controller_that_loses_everything(contest, numbers):
     against = numbers["controllers"][THIRD]["ratio_to_first"]["angle_rmse_deg"]
     assert against["ratio"] == against["low"] == against["high"] == np.inf
     assert json.loads(to_json(numbers))["controllers"][THIRD]["ratio_to_first"]["angle_rmse_deg"]["low"] is None
-    turned = statistics(
-        BenchmarkResult(
-            contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, dict(reversed(contest.batches.items()))
-        )
-    )
+    batches = dict(reversed(contest.batches.items()))
+    turned = CompareResult(contest.suite, contest.runs, contest.tuned, {}, contest.at_bound, batches).numbers
     assert turned["controllers"][FIRST]["ratio_to_first"]["angle_rmse_deg"]["ratio"] == 0.0
     assert np.isnan(turned["controllers"][THIRD]["ratio_to_first"]["angle_rmse_deg"]["low"])
 
@@ -242,7 +242,7 @@ def test_what_tuning_found_is_told(numbers):
 
 
 def test_all_runs_are_kept(contest, columns, tmp_path):
-    write_table(contest, tmp_path / "runs.nc")
+    write_table(contest.suite, contest.runs, contest.batches, contest.tuned, tmp_path / "runs.nc")
     with xr.open_dataset(tmp_path / "runs.nc") as kept:
         assert kept.sizes == {"controller": 3, "run": RUNS}
         assert np.array_equal(kept["air"].sel(controller=SECOND), columns[SECOND]["air"])
@@ -254,3 +254,11 @@ def test_all_runs_are_kept(contest, columns, tmp_path):
         assert np.array_equal(kept["reference.stiffness"][rows], drawn)
         assert np.isfinite(kept["reference.stiffness"]).sum() == len(rows)
         assert json.loads(kept.attrs["tuned"]) == contest.tuned
+
+
+def test_its_tables_and_remarks(contest):
+    (table,) = contest.listings()
+    assert table.columns["controller"][1] == [SECOND, FIRST, THIRD]
+    assert [row[-1] for row in table.rows()] == ["1 + 0", "0 + 0", f"{RUNS - 1} + 0"]
+    assert "decoupling is best" in contest.verdict()
+    assert [remark.field for remark in contest.remarks()] == ["runs"]

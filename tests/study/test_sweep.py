@@ -1,11 +1,7 @@
 """Sweeps in Python: the numbers are those of single runs, whoever computes them, however often they are interrupted."""
 
-import errno
 import json
-import os
-import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -21,18 +17,15 @@ from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.feasibility import check_reference
 from mckibben.simulation.software import software
-from mckibben.storage import journal as journal_module
-from mckibben.storage.files import file_lock
-from mckibben.storage.journal import JournalReader
+from mckibben.storage.store import STUDY, Store, open_store, read_store
 from mckibben.study.parameters import Normal, Uniform, parse_sweeps, sample, sweep_parameters
-from mckibben.study.sweep import InterruptedSweep, SweepResult, sweep
-from mckibben.study.sweep import compute as compute_module
-from mckibben.study.sweep import plan as plan_module
-from mckibben.study.sweep.compute import feasibility
-from mckibben.study.sweep.plan import SweepOptions, SweepPlan, _sizes
-from mckibben.study.sweep.sweep import JOURNAL, TABLE, SweepStore, read_manifest
+from mckibben.study.study import InterruptedStudy
+from mckibben.study.sweep import Sweep, SweepResult, sweep
+from mckibben.study.sweep.feasibility import feasibility
+from mckibben.study.sweep.sweep import _sizes
 from mckibben.units import deg
 
+sweep_module = sys.modules[Sweep.__module__]
 ROOT = Path(__file__).parents[2]
 OVER = ("load.mass2=0.2 kg..1.0 kg", "reference.stiffness.after=15..22 N*m/rad", "controller.position.kp=+-50 %")
 SOME = {"samples": 72, "seed": 1, "block": 16}
@@ -51,13 +44,10 @@ def kept(scenario, tmp_path_factory):
     return sweep(scenario, OVER, out=folder, **SOME), folder
 
 
-def table_of(folder: Path) -> bytes:
-    return (folder / TABLE).read_bytes()
-
-
-def blocks_of(folder: Path) -> list[int]:
-    """Stored blocks in the order in which they were written."""
-    return [record.number for record in JournalReader(folder / JOURNAL) if record.kind == b"B"]
+def begun(folder: Path) -> dict:
+    """Settings of the sweep in a folder."""
+    with read_store(folder / STUDY) as store:
+        return store.about()
 
 
 class Stopping:
@@ -88,9 +78,10 @@ def test_the_numbers_are_those_of_single_runs(kept, scenario):
 
 
 @pytest.mark.slow
-def test_the_table_says_what_made_it(kept, scenario):
+def test_the_table_says_what_made_it(kept, scenario, tmp_path):
     swept, folder = kept
-    again = SweepResult.from_netcdf(folder / TABLE)
+    swept.to_netcdf(tmp_path / "sweep.nc")
+    again = SweepResult.from_netcdf(tmp_path / "sweep.nc")
     assert again.table.identical(swept.table)
     mass = again.table["load.mass2"]
     assert mass.dims == ("run",)
@@ -99,11 +90,11 @@ def test_the_table_says_what_made_it(kept, scenario):
     assert (gain["units"], gain["shown_units"]) == ("Pa/rad", "bar/rad")
     assert again.table["angle_rmse"].attrs["units"] == "rad"
     assert again.table["outcome"].attrs["flag_meanings"].split() == [outcome.name for outcome in Outcome]
-    manifest = read_manifest(folder)
-    assert json.loads(again.table.attrs["manifest"]).items() <= manifest.items()
+    manifest = begun(folder)
+    assert json.loads(again.table.attrs["manifest"]) == manifest
     assert Scenario.parse(again.table.attrs["scenario"], folder=folder) == scenario
     assert (manifest["design"], manifest["samples"], manifest["seed"], manifest["block"]) == ("sobol", 72, 1, 16)
-    with xr.open_dataset(folder / TABLE, engine="h5netcdf") as plain:
+    with xr.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as plain:
         assert plain.sizes == {"run": 72}
 
 
@@ -111,7 +102,7 @@ def test_the_table_says_what_made_it(kept, scenario):
 def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp_path):
     varied, few = ["joint.geometry.connector_length=0.207 m, 0.208 m"], {"design": "grid", "metrics": ["angle_rmse"]}
     fixed = sweep(scenario, varied, **few)
-    known = sweep(scenario, varied, out=tmp_path, known="all", **few)
+    known = sweep(scenario, varied, out=tmp_path, model_follows="all", **few)
     for swept, believed in ((fixed, 0.208), (known, 0.207)):
         run = swept.scenario(0)
         assert run.plant().joint.geometry.connector_length == pytest.approx(0.207)
@@ -120,8 +111,8 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         assert float(swept.table["angle_rmse"][0]) == pytest.approx(measured, rel=1e-9)
     assert float(fixed.table["angle_rmse"][0]) != float(known.table["angle_rmse"][0])
     assert sweep(scenario, out=tmp_path, resume=True).computed == 0  # what is known is taken from the manifest
-    with pytest.raises(FileError, match=r"known: the sweep was started with joint\.geometry\.connector_length"):
-        sweep(scenario, out=tmp_path, resume=True, known=())
+    with pytest.raises(FileError, match=r"model_follows: the study was started with joint\.geometry\.connector_length"):
+        sweep(scenario, out=tmp_path, resume=True, model_follows=())
 
 
 @pytest.mark.slow
@@ -132,49 +123,44 @@ def test_the_values_are_those_of_the_design(kept, scenario):
 
 
 @pytest.mark.slow
-def test_nothing_depends_on_the_number_of_threads(kept, scenario, tmp_path):
-    sweep(scenario, OVER, out=tmp_path, workers=1, **SOME)
-    assert table_of(tmp_path) == table_of(kept[1])
+def test_nothing_depends_on_the_number_of_threads(kept, scenario):
+    assert sweep(scenario, OVER, workers=1, **SOME).table.identical(kept[0].table)
 
 
-def test_an_interrupted_sweep_goes_on_to_the_same_bytes(kept, scenario, tmp_path):
-    with pytest.raises(InterruptedSweep, match=r"of 72 runs are kept in .*; continue with --resume"):
+def test_an_interrupted_sweep_goes_on_to_the_same_numbers(kept, scenario, tmp_path):
+    with pytest.raises(InterruptedStudy, match="of 72 runs are kept; continue with --resume"):
         sweep(scenario, OVER, out=tmp_path, workers=1, progress=Stopping(16), **SOME)
-    assert 1 <= len(blocks_of(tmp_path)) < 5
     calls = []
     swept = sweep(scenario, out=tmp_path, resume=True, progress=lambda *call: calls.append(call))
+    assert 0 < swept.computed < 72
     assert calls[0] == (f"{72 - swept.computed} of 72 runs", 1 - swept.computed / 72)
-    assert swept.computed < 72
     assert calls[-1][1] == 1
-    assert table_of(tmp_path) == table_of(kept[1])
+    assert swept.table.identical(kept[0].table)
+    assert [path.name for path in tmp_path.iterdir()] == [STUDY]
 
 
 def test_damaged_blocks_are_computed_again(kept, scenario, tmp_path):
-    shutil.copytree(kept[1], tmp_path, dirs_exist_ok=True)
-    (tmp_path / TABLE).unlink()
-    path, written = tmp_path / JOURNAL, blocks_of(tmp_path)  # in the order in which threads ended
-    content = bytearray(path.read_bytes())
-    start = content.index(b"MCKCHUNK", content.index(b"MCKCHUNK", 1) + 1)
-    content[start + 300] ^= 1  # in the second block
-    path.write_bytes(content[: content.rindex(b"MCKCHUNK") - 7])  # and the last one torn
-    with pytest.warns(McKibbenWarning, match="1 damaged blocks will be recomputed"):
+    content = bytearray((kept[1] / STUDY).read_bytes())
+    content[content.index(b"angle_rmse.npy") + 300] ^= 1
+    (tmp_path / STUDY).write_bytes(content)
+    with pytest.warns(McKibbenWarning, match="1 damaged records will be computed again"):
         swept = sweep(scenario, OVER, out=tmp_path, resume=True, **SOME)
-    assert swept.computed == sum(8 if block == 4 else 16 for block in (written[1], written[-1]))
-    assert sorted(blocks_of(tmp_path)) == list(range(5))
-    assert table_of(tmp_path) == table_of(kept[1])
+    assert swept.computed in (8, 16)
+    assert swept.table.identical(kept[0].table)
 
 
-@pytest.mark.parametrize("bad", ["text", "bit", "none"])
-def test_a_changed_table_is_made_again_from_the_blocks(kept, scenario, tmp_path, bad):
-    shutil.copytree(kept[1], tmp_path, dirs_exist_ok=True)
-    content = bytearray((tmp_path / TABLE).read_bytes())
-    content[-100] ^= 1
-    (tmp_path / TABLE).write_bytes(b"no NetCDF" if bad == "text" else content)
-    if bad == "none":
-        (tmp_path / TABLE).unlink()
+def test_a_full_disk_loses_nothing_that_was_computed(kept, scenario, tmp_path, monkeypatch):
+    prepare = Store._prepare
+
+    def small(store, **options):
+        prepare(store, **options)
+        store._connection.execute("PRAGMA max_page_count = 14")
+
+    with monkeypatch.context() as patch, pytest.raises(FileError, match=r"the disk is full; \d+ records are kept"):
+        patch.setattr(Store, "_prepare", small)
+        sweep(scenario, OVER, out=tmp_path, workers=1, **SOME)
     swept = sweep(scenario, out=tmp_path, resume=True)
-    assert swept.computed == 0 and swept.table.identical(kept[0].table)
-    assert table_of(tmp_path) == table_of(kept[1])
+    assert 0 < swept.computed < 72 and swept.table.identical(kept[0].table)
 
 
 @pytest.mark.parametrize(
@@ -183,26 +169,23 @@ def test_a_changed_table_is_made_again_from_the_blocks(kept, scenario, tmp_path,
         ({"seed": 2}, "seed", "started with 1, not 2"),
         ({"samples": 73}, "samples", "started with 72, not 73"),
         ({"design": "random"}, "design", "started with sobol, not random"),
-        ({"metrics": ["angle_rmse"]}, "metrics", "started with angle_max too"),
+        ({"metrics": ["angle_rmse"]}, "metrics", "started with"),
         ({"precision": 32}, "precision", "started with 64, not 32"),
         ({"block": 32}, "block", "started with 16, not 32"),
         ({"over": [OVER[0], "reference.stiffness.after=15..21 N*m/rad", OVER[2]]}, "over", "15 N*m/rad..21 N*m/rad"),
-        ({"over": OVER[:2]}, "over", "started with controller.position.kp=1 bar/rad..3 bar/rad too"),
-        ({"over": [*OVER, "load.mass1=1..2 kg"]}, "over", "started without load.mass1=1 kg..2 kg"),
+        ({"over": OVER[:2]}, "over", "controller.position.kp=1 bar/rad..3 bar/rad, not"),
+        ({"over": [*OVER, "load.mass1=1..2 kg"]}, "over", "load.mass1=1 kg..2 kg"),
     ],
 )
 def test_another_sweep_is_not_mixed_in(kept, scenario, changed, field, said):
-    _, folder = kept
-    before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
     with pytest.raises(FileError) as refused:
-        sweep(scenario, out=folder, resume=True, **changed)
+        sweep(scenario, out=kept[1], resume=True, **changed)
     assert any(problem.field == field and said in problem.message for problem in refused.value.problems)
-    assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
 
 
 def test_another_scenario_is_not_mixed_in(kept, scenario):
     heavier = scenario.model_copy(update={"control_period": 0.002})
-    with pytest.raises(FileError, match="started with 'control_period: 1 ms', not 'control_period: 2 ms'"):
+    with pytest.raises(FileError, match="started with control_period: 1 ms, not control_period: 2 ms"):
         sweep(heavier, out=kept[1], resume=True)
 
 
@@ -215,39 +198,34 @@ def test_a_file_that_the_scenario_names_must_be_the_same(tmp_path):
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
     (tmp_path / "reference.csv").write_text("time_s,angle_deg\n0,0\n1,5\n", encoding="utf-8")
     out = tmp_path / "out"
-    plan = SweepPlan.of(Scenario.read(tmp_path / "s.yaml"), SweepOptions(OVER[:1]), folder=str(out))
-    store = SweepStore(out, plan)
-    with store.lock():
-        store.begin()
-    assert read_manifest(out) == plan.header
+    study = Sweep.of(Scenario.read(tmp_path / "s.yaml"), OVER[:1], folder=str(out))
+    with open_store(out / STUDY) as store:
+        store.job(study.about())
     (tmp_path / "reference.csv").write_text("time_s,angle_deg\n0,0\n1,6\n", encoding="utf-8")
-    with pytest.raises(FileError, match="scenario: a file that it names, or the catalog, has changed"):
+    with pytest.raises(FileError, match="model: it has changed: a file that is named"):
         sweep(Scenario.read(tmp_path / "s.yaml"), resume=True, out=out)
 
 
 def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
-    monkeypatch.setattr(plan_module, "software", lambda engine: software(engine) | {"mckibben": "9.9"})
-    with pytest.raises(FileError, match=r"mckibben: the sweep was started with .*, not 9.9"):
+    study = Sweep.of(scenario, OVER, **SOME)
+    monkeypatch.setattr(sweep_module, "software", lambda engine: software(engine) | {"mckibben": "9.9"})
+    with pytest.raises(FileError, match=r"mckibben: the study was started with .*, not 9.9"):
         sweep(scenario, out=kept[1], resume=True)
-    monkeypatch.undo()
-    task = SweepPlan.of(scenario, SweepOptions(OVER, **SOME)).task
-    monkeypatch.setattr(compute_module, "software", lambda engine: {**task.software, "jax": "0.0"})
-    with pytest.raises(SimulationError, match=r"a worker has .*jax 0\.0.*same environment"):
-        task({})
+    with pytest.raises(SimulationError, match=r"a worker has mckibben 9\.9.*same environment"):
+        study.compute({})
 
 
 def stopped(scenario, folder, **asked):
     """Begin a sweep and stop it after its first blocks."""
-    with pytest.raises(InterruptedSweep):
+    with pytest.raises(InterruptedStudy):
         sweep(scenario, OVER, out=folder, workers=1, progress=Stopping(16), **SOME, **asked)
 
 
 @pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 def test_a_sweep_is_not_continued_by_another_engine_or_compiler(scenario, tmp_path, monkeypatch):
     stopped(scenario, tmp_path)
-    kept = read_manifest(tmp_path)["software"]
+    kept = begun(tmp_path)["software"]
     assert kept["engine"] == "native" and kept["compiler"]
-    before = (tmp_path / JOURNAL).read_bytes()
     with monkeypatch.context() as patch:
         patch.setattr("mckibben.simulation.engine.compiler", lambda: None)
         with pytest.raises(FileError) as caught:
@@ -268,30 +246,15 @@ def test_a_sweep_is_not_continued_by_another_engine_or_compiler(scenario, tmp_pa
         assert ("other 1.0" if change == "compiler" else "-O1") in problem.message
     with pytest.raises(FileError):
         sweep(scenario, out=tmp_path, resume=True, engine="xla")
-    assert (tmp_path / JOURNAL).read_bytes() == before
 
 
 @pytest.mark.slow
 def test_a_sweep_by_xla_goes_on_by_xla(scenario, tmp_path):
-    sweep(scenario, OVER, out=tmp_path / "whole", engine="xla", **SOME)
-    stopped(scenario, tmp_path / "stopped", engine="xla")
-    swept = sweep(scenario, out=tmp_path / "stopped", resume=True)
-    assert 0 < swept.computed < 72 and read_manifest(tmp_path / "stopped")["software"]["engine"] == "xla"
-    assert table_of(tmp_path / "stopped") == table_of(tmp_path / "whole")
-
-
-def test_blocks_of_another_sweep_are_refused_by_place(kept, scenario, tmp_path):
-    """Of another seed: its last block appended to ours, and its header over ours."""
-    sweep(scenario, OVER, out=tmp_path, **SOME | {"seed": 2})
-    ours, theirs = ((folder / JOURNAL).read_bytes() for folder in (kept[1], tmp_path))
-    front = ours.index(b"MCKCHUNK", ours.index(b"MCKCHUNK", 1) + 1)
-    assert theirs[front : front + 8] == b"MCKCHUNK"  # their headers are of the same length
-    for content, place in ((ours + theirs[front:], len(ours)), (ours[:front] + theirs[front:], front)):
-        (tmp_path / JOURNAL).write_bytes(content)
-        (tmp_path / TABLE).unlink(missing_ok=True)
-        with pytest.raises(FileError) as caught:
-            sweep(scenario, out=tmp_path, resume=True)
-        assert [(problem.field, problem.value) for problem in caught.value.problems] == [("record", place)]
+    whole = sweep(scenario, OVER, engine="xla", **SOME)
+    stopped(scenario, tmp_path, engine="xla")
+    swept = sweep(scenario, out=tmp_path, resume=True)
+    assert 0 < swept.computed < 72 and begun(tmp_path)["software"]["engine"] == "xla"
+    assert swept.table.identical(whole.table)
 
 
 def test_a_run_of_a_model_that_has_changed_is_refused(kept):
@@ -311,65 +274,22 @@ def test_a_draw_that_cannot_run_is_refused_before_anything_is_written(scenario, 
     assert refused.value.upper == 500 and not (tmp_path / "out").exists()
 
 
-def test_a_folder_with_a_sweep_is_not_written_over(kept, scenario):
-    with pytest.raises(FileError, match="a sweep already exists; continue it with --resume"):
+def test_a_folder_with_a_sweep_is_not_written_over_nor_computed_twice(kept, scenario, tmp_path):
+    with pytest.raises(FileError, match="a study exists already; continue it with --resume"):
         sweep(scenario, OVER, out=kept[1])
+    with open_store(kept[1] / STUDY, resume=True), pytest.raises(FileError, match=r"another process \(pid \d+ on"):
+        sweep(scenario, out=kept[1], resume=True)
+    assert sweep(scenario, out=kept[1], resume=True).computed == 0
 
 
-@pytest.mark.parametrize("name", ["sweep.nc"])
-def test_files_of_others_are_not_written_over(scenario, tmp_path, name):
-    (tmp_path / name).write_text("mine", encoding="utf-8")
-    with pytest.raises(FileError, match=f"{name}: it already exists; choose another folder, or move"):
-        sweep(scenario, OVER, out=tmp_path, **SOME)
-    assert [path for path in tmp_path.rglob("*") if path.is_file()] == [tmp_path / name]
-    assert (tmp_path / name).read_text(encoding="utf-8") == "mine"
-
-
-HOLDING = """
-import sys, time
-from pathlib import Path
-from mckibben.storage.files import file_lock
-with file_lock(Path(sys.argv[1]) / ".lock", "computing this sweep"):
-    print("holding", flush=True)
-    time.sleep(60)
-"""
-
-
-def test_two_processes_do_not_compute_the_same_sweep(kept, scenario, tmp_path):
-    folder = tmp_path / "kept"
-    shutil.copytree(kept[1], folder)
-    (folder / TABLE).unlink()
-    process = subprocess.Popen([sys.executable, "-c", HOLDING, str(folder)], stdout=subprocess.PIPE, text=True)
-    with process:
-        assert process.stdout.readline() == "holding\n"
-        before = {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
-        said = rf"another process \(pid {process.pid} on .*\) is computing this sweep; wait for it to finish"
-        with pytest.raises(FileError, match=said):
-            sweep(scenario, out=folder, resume=True)
-        assert {path: path.stat().st_mtime_ns for path in folder.rglob("*")} == before
-        process.kill()
-    assert sweep(scenario, out=folder, resume=True).computed == 0  # who was killed holds it no longer
-    assert table_of(folder) == table_of(kept[1])
-    assert {path.name for path in folder.iterdir()} == {"sweep.journal", "sweep.nc"}
-
-
-def test_a_complete_sweep_is_looked_up_though_someone_is_at_it(kept, scenario):
-    with file_lock(kept[1] / ".lock", "computing this sweep"):
-        assert sweep(scenario, out=kept[1], resume=True).computed == 0
-
-
-def test_there_must_be_something_to_go_on_with(scenario, tmp_path):
-    for make in (Path.mkdir, lambda folder: os.mkfifo(folder / "sweep.journal")):  # opening a FIFO would wait
-        make(tmp_path / "out")
-        with pytest.raises(FileError, match=r"no sweep to continue \(sweep.journal\); leave --resume"):
-            sweep(scenario, OVER, out=tmp_path / "out", resume=True)
+def test_there_must_be_a_sweep_to_continue(scenario, tmp_path):
+    with pytest.raises(FileError, match="no sweep to continue; leave --resume"):
+        sweep(scenario, OVER, out=tmp_path / "out", resume=True)
     with pytest.raises(ParameterError, match="give its folder"):
         sweep(scenario, OVER, resume=True)
-
-
-def test_a_journal_that_is_none_of_a_sweep(scenario, tmp_path):
-    (tmp_path / JOURNAL).write_text("mine", encoding="utf-8")
-    with pytest.raises(FileError, match="it is not a mckibben sweep"):
+    with open_store(tmp_path / STUDY) as store:
+        store.job({"format": "another"})
+    with pytest.raises(FileError, match="it is not a sweep"):
         sweep(scenario, OVER, out=tmp_path, resume=True)
 
 
@@ -407,98 +327,59 @@ def test_without_dask_it_says_what_to_install(scenario, monkeypatch):
         sweep(scenario, OVER, dask="local")
 
 
-def test_a_scheduler_that_does_not_answer(scenario, monkeypatch, tmp_path):
-    import distributed
-
-    def silent(*_, **__):
-        raise OSError("Timed out trying to connect to tcp://127.0.0.1:1 after 10 s")
-
-    monkeypatch.setattr(distributed, "Client", silent)
-    with pytest.raises(SimulationError, match=r"no answer: tcp://127\.0\.0\.1:1"):
-        sweep(scenario, OVER, dask="tcp://127.0.0.1:1", out=tmp_path)
-
-
-def test_workers_that_do_not_start(scenario, monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("name", "dask", "error"),
+    [
+        ("Client", "tcp://127.0.0.1:1", OSError("Timed out trying to connect")),
+        ("LocalCluster", "local", RuntimeError("Nanny failed to start.")),
+    ],
+)
+def test_a_cluster_that_does_not_answer(scenario, monkeypatch, tmp_path, name, dask, error):
     distributed = pytest.importorskip("distributed")
 
-    def killed(**_):
-        raise RuntimeError("Nanny failed to start.")
+    def failing(*_, **__):
+        raise error
 
-    monkeypatch.setattr(distributed, "LocalCluster", killed)
-    with pytest.raises(SimulationError, match=r"did not start \(Nanny failed to start.\)") as caught:
-        sweep(scenario, OVER, dask="local", out=tmp_path)
+    monkeypatch.setattr(distributed, name, failing)
+    with pytest.raises(SimulationError, match=rf"no answer of the cluster {dask} \({error}\)") as caught:
+        sweep(scenario, OVER, dask=dask, out=tmp_path)
     assert "--resume" in caught.value.remedy
 
 
 def test_the_path_of_the_scenario_is_kept_in_short(scenario):
-    plan = SweepPlan.of(scenario, SweepOptions(OVER, samples=8), source="/home/me/caf\udce9.yaml")
-    assert plan.manifest["source"] == "caf\\udce9.yaml"
+    study = Sweep.of(scenario, OVER, samples=8, source="/home/me/caf\udce9.yaml")
+    assert study.about()["source"] == "caf\\udce9.yaml"
 
 
 def test_a_flipped_bit_of_the_table_is_found(kept, tmp_path):
-    whole = (kept[1] / TABLE).read_bytes()
+    kept[0].to_netcdf(tmp_path / "sweep.nc")
+    whole = (tmp_path / "sweep.nc").read_bytes()
     for place in range(0, 8 * (len(whole) - 80), len(whole) // 3):
         damaged = bytearray(whole)
         damaged[place // 8] ^= 1 << place % 8
-        (tmp_path / TABLE).write_bytes(damaged)
+        (tmp_path / "sweep.nc").write_bytes(damaged)
         with pytest.raises(FileError):
-            SweepResult.from_netcdf(tmp_path / TABLE)
-
-
-def test_a_vanished_folder_is_told(scenario, tmp_path):
-    def vanish(step, done):
-        if done:
-            shutil.rmtree(tmp_path / "out", ignore_errors=True)
-
-    with pytest.raises(FileError, match="the folder has disappeared"):
-        sweep(scenario, OVER, out=tmp_path / "out", workers=1, progress=vanish, **SOME)
-
-
-@pytest.mark.slow
-def test_a_full_disk_loses_nothing(kept, scenario, tmp_path, monkeypatch):
-    real, written = journal_module._write_at, []
-
-    def full(file, position, content):
-        if len(written) == 2:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        written.append(position)
-        return real(file, position, content)
-
-    monkeypatch.setattr(journal_module, "_write_at", full)
-    with pytest.raises(FileError, match="the disk is full; 32 of 72 runs are kept; make room, and continue"):
-        sweep(scenario, OVER, out=tmp_path, workers=1, **SOME)
-    monkeypatch.undo()
-
-    def no_room(path, content):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(Path, "write_bytes", no_room)
-    with pytest.raises(FileError, match="the disk is full; 72 of 72 runs are kept"):
-        sweep(scenario, out=tmp_path, resume=True)
-    assert not [path for path in tmp_path.iterdir() if path.suffix in (".nc", ".part")]
-    monkeypatch.undo()
-    assert sweep(scenario, out=tmp_path, resume=True).computed == 0
-    assert table_of(tmp_path) == table_of(kept[1])
+            SweepResult.from_netcdf(tmp_path / "sweep.nc")
 
 
 def test_a_grid_has_every_combination(scenario):
-    plan = SweepPlan.of(scenario, SweepOptions(["load.mass2=0.4 kg, 0.6 kg", "load.mass1=0..1 kg in 3"], "grid"))
-    np.testing.assert_array_equal(plan.table["load.mass2"], [0.4, 0.4, 0.4, 0.6, 0.6, 0.6])
-    np.testing.assert_array_equal(plan.table["load.mass1"], [0, 0.5, 1, 0, 0.5, 1])
-    assert (plan.rows, len(plan.blocks), plan.manifest["samples"], plan.manifest["seed"]) == (6, 1, 6, 0)
+    study = Sweep.of(scenario, ["load.mass2=0.4 kg, 0.6 kg", "load.mass1=0..1 kg in 3"], design="grid")
+    rows = study.rows()
+    np.testing.assert_array_equal(rows["load.mass2"], [0.4, 0.4, 0.4, 0.6, 0.6, 0.6])
+    np.testing.assert_array_equal(rows["load.mass1"], [0, 0.5, 1, 0, 0.5, 1])
+    assert (study.samples, study.seed) == (6, 0)
 
 
 def test_random_values_and_spreads_made_in_python(scenario):
     spreads = {"load.mass2": Uniform(0.3, 0.5), "load.damping": Normal(0.015, 0.001)}
-    plan = SweepPlan.of(scenario, SweepOptions(spreads, "random", 5, 3, "angle_rmse,coupling"))
-    assert plan.task.metrics == ("angle_rmse", "coupling")
-    for name, column in sample(sweep_parameters(scenario, spreads), "random", 5, 3).items():
-        np.testing.assert_array_equal(plan.table[name], column)
-    assert SweepPlan.of(
-        scenario, SweepOptions(sweep_parameters(scenario, spreads), "random", 5, 3, "coupling_deg,angle_rmse")
-    ).identity == (plan.identity)
-    other = SweepPlan.of(scenario, SweepOptions(spreads, "random", 5, 4, "angle_rmse,coupling"))
-    assert other.identity != plan.identity
+    options = {"design": "random", "samples": 5, "seed": 3}
+    study = Sweep.of(scenario, spreads, metrics="angle_rmse,coupling", **options)
+    assert study.metrics == ("angle_rmse", "coupling")
+    swept = sweep_parameters(scenario, spreads)
+    for name, column in sample(swept, "random", 5, 3).items():
+        np.testing.assert_array_equal(study.rows()[name], column)
+    assert Sweep.of(scenario, swept, metrics="coupling_deg,angle_rmse", **options).about() == study.about()
+    assert Sweep.of(scenario, spreads, **options | {"seed": 4}).about() != study.about()
 
 
 @pytest.mark.slow
@@ -525,7 +406,7 @@ def test_what_cannot_be_held_is_told(scenario):
 @pytest.mark.slow
 def test_a_sweep_on_cuda_is_continued_there_and_nowhere_else(scenario, kept, tmp_path, cuda_here):
     stopped(scenario, tmp_path, engine="cuda")
-    before = read_manifest(tmp_path)["software"]
+    before = begun(tmp_path)["software"]
     assert (before["engine"], before["device"]) == ("cuda", "this processor") and before["compiler"]
     with pytest.raises(FileError):
         sweep(scenario, out=tmp_path, resume=True, engine="native")
@@ -555,7 +436,7 @@ def test_the_program_depends_on_nothing_but_the_number_of_runs(monkeypatch):
     assert (lanes, block % lanes) == (256, 0)
     assert block <= 64 * 256
     assert _sizes(20_000, None, "cuda") == (10_000, 10_000)
-    monkeypatch.setattr(plan_module.jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(sweep_module.jax, "default_backend", lambda: "gpu")
     assert _sizes(20_000, None) == (10_000, 10_000)
 
 
@@ -590,7 +471,7 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_
                 return
 
     asked = {**SOME, "metrics": ["angle_rmse"]}
-    sweep(scenario, OVER, out=tmp_path / "here", **asked)
-    sweep(scenario, OVER, out=tmp_path / "there", dask="local", workers=2, progress=kill, **asked)
+    here = sweep(scenario, OVER, **asked)
+    there = sweep(scenario, OVER, out=tmp_path, dask="local", workers=2, progress=kill, **asked)
     assert killed
-    assert table_of(tmp_path / "there") == table_of(tmp_path / "here")
+    assert there.table.identical(here.table)

@@ -2,7 +2,6 @@
 
 import json
 import re
-import tracemalloc
 
 import numpy as np
 import pytest
@@ -13,15 +12,8 @@ from mckibben.simulation import Metrics
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES, Outcome
 from mckibben.storage.files import to_json
-from mckibben.study.sweep import SweepResult, ranks, summary
-from mckibben.study.sweep.result import (
-    MAIN,
-    correlation_rows,
-    feasibility_sentence,
-    main_metrics,
-    metric_rows,
-    outcome_rows,
-)
+from mckibben.study.ranks import spearman
+from mckibben.study.sweep import SweepResult
 from mckibben.units import deg
 
 INPUTS = {
@@ -76,100 +68,76 @@ def made_up(count=400, lost=0.1, inputs=5, seed=0, metrics=Metrics._fields):
     return SweepResult(xr.Dataset(table, attrs={"title": "made up", "kind": "mckibben sweep"}))
 
 
+def tables(swept):
+    return {listing.title.split(",")[0]: listing for listing in swept.listings()}
+
+
 @pytest.mark.slow
 def test_the_statistics_are_those_of_numpy():
     swept = made_up()
-    numbers = summary(swept)
-    codes = swept.table["outcome"].to_numpy()
-    assert numbers["outcomes"] == {
-        "completed": np.sum(codes == 0),
-        "diverged": np.sum(codes == 4),
-        "no_start": np.sum(codes == 5),
-    }
-    assert (numbers["runs"], numbers["failed"]) == (400, np.sum(codes != 0))
-    for name, (metric, _, unit) in METRICS.items():
-        values = swept.table[metric].to_numpy() / unit
-        spread = numbers["metrics"][name]
-        assert spread["median"] == pytest.approx(np.nanmedian(values))
-        assert spread["percentile_5"] == pytest.approx(np.nanpercentile(values, 5))
-        assert spread["percentile_95"] == pytest.approx(np.nanpercentile(values, 95))
-        assert (spread["worst"], spread["worst_run"]) == (np.nanmax(values), np.nanargmax(values))
-        assert spread["runs"] == np.isfinite(values).sum()
-    assert json.loads(to_json(numbers))["metrics"] == numbers["metrics"]
+    codes = swept["outcome"]
+    outcomes = tables(swept)["Outcomes"].columns
+    assert list(outcomes["runs"][1]) == [np.sum(codes == 0), np.sum(codes == 4), np.sum(codes == 5)]
+    rows = {row[0]: row for row in swept.statistics()}
+    assert len(rows) == len(METRICS)
+    for metric, unit, scale in METRICS.values():
+        values = swept[metric] / scale
+        _, shown, median, low, high, worst, run, count = rows[metric.replace("_", " ")]
+        assert shown == unit
+        assert (median, low, high) == pytest.approx(np.nanpercentile(values, (50, 5, 95)))
+        assert (worst, run, count) == (np.nanmax(values), np.nanargmax(values), np.isfinite(values).sum())
+    assert json.loads(to_json(swept.to_dict()))["verdict"] == swept.verdict()
 
 
-def test_numbers_of_lost_runs_count_for_nothing():
+def test_numbers_of_failed_runs_count_for_nothing():
     swept = made_up()
-    lost = swept.failed
     lively = swept.table.copy()
     for name in Metrics._fields:
-        lively[name] = ("run", np.where(lost, 1e9, swept.table[name].to_numpy()))
-    assert summary(SweepResult(lively)) == summary(swept)
-
-
-@pytest.mark.slow
-def test_the_statistics_need_the_same_memory_for_more_runs(tmp_path, monkeypatch):
-    monkeypatch.setattr(ranks, "_BUCKET", 1 << 14)
-    monkeypatch.setattr(ranks, "_IN_MEMORY", 1 << 10)
-    peaks = []
-    for count in (100_000, 400_000):
-        made_up(count, inputs=2, metrics=MAIN).to_netcdf(tmp_path / f"{count}.nc")
-        swept = SweepResult.from_netcdf(tmp_path / f"{count}.nc", lazy=True)
-        tracemalloc.start()
-        summary(swept)
-        peaks.append(tracemalloc.get_traced_memory()[1])
-        tracemalloc.stop()
-        swept.table.close()
-    assert peaks[1] < 1.5 * peaks[0]
+        lively[name] = ("run", np.where(swept.failed, 1e9, swept[name]))
+    assert SweepResult(lively).to_dict() == swept.to_dict()
 
 
 def test_what_matters_comes_first():
-    correlations = summary(made_up())["correlations"]
-    assert correlations[0]["with"] in ("angle_rmse_deg", "stiffness_rmse")
-    found = {(each["input"], each["with"]): each["spearman"] for each in correlations}
-    assert found["load.mass2", "angle_rmse_deg"] == pytest.approx(1)
-    assert found["controller.position.kp", "stiffness_rmse"] == pytest.approx(-1, abs=1e-3)
-    assert abs(found["load.mass2", "failed"]) < 0.2
-    sizes = [abs(each["spearman"]) for each in correlations]
-    assert sizes == sorted(sizes, reverse=True)
-    assert len(correlations) == 5 * 4
+    rows = made_up().correlations()
+    strengths = {(name, metric): rank for name, metric, rank in rows}
+    assert strengths["load.mass2", "angle rmse"] == pytest.approx(1)
+    assert strengths["controller.position.kp", "stiffness rmse"] == pytest.approx(-1, abs=1e-3)
+    assert abs(strengths["load.mass2", "failed"]) < 0.2
+    sizes = [abs(rank) for _, _, rank in rows]
+    assert sizes == sorted(sizes, reverse=True) and len(rows) == 5 * 4
+    assert len(tables(made_up())["Rank correlations"].rows()) <= 10
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "expected"),
+    [
+        ([1, 2, 3, 4], [1, 4, 9, 16], 1.0),
+        ([1, 2, 2, 3], [1, 3, 2, 4], 0.9486832980505138),  # mean ranks for ties
+        ([1, 2, 3], [5, 5, 5], np.nan),
+        ([1, 2, np.nan], [1, 2, 3], np.nan),
+        ([1, 2, 3], [1, np.inf, 2], 0.5),
+    ],
+)
+def test_rank_correlation(x, y, expected):
+    assert spearman(x, y) == pytest.approx(expected, nan_ok=True)
 
 
 def test_infeasible_references_are_counted():
     swept = made_up()
-    found = summary(swept)["feasibility"]
-    short = swept.table["shortfall_max"].to_numpy()
-    assert found["runs_stiffness_infeasible"] == np.sum(short > 0)
-    assert (found["shortfall_max"], found["shortfall_max_run"]) == (np.nanmax(short), np.nanargmax(short))
-    assert found["runs_angle_infeasible"] == 8
-    stiffness, angle = feasibility_sentence(summary(swept)).split("; ")
-    assert stiffness.startswith(f"{np.sum(short > 0)} of 400 runs")
-    assert angle.startswith("8 of 400 runs")
+    short = swept["shortfall_max"]
+    stiffness, angle = [remark for remark in swept.remarks() if remark.field != "error_estimate"]
+    assert stiffness.field == "shortfall_max" and stiffness.text.startswith(f"{np.sum(short > 0)} of 400 runs")
+    assert f"(run {np.nanargmax(short)})" in stiffness.text
+    assert angle.field == "infeasible_time" and angle.text.startswith("8 of 400 runs")
 
 
 @pytest.mark.parametrize("count", [1, 2, 40])
-def test_all_runs_lost(count):
+def test_all_runs_failed(count):
     swept = made_up(count, lost=1.1)
-    numbers = summary(swept)
-    assert numbers["failed"] == count
-    assert all(spread["runs"] == 0 and spread["median"] is None for spread in numbers["metrics"].values())
-    assert metric_rows(numbers) == correlation_rows(numbers) == []
-    assert sum(int(row[0]) for row in outcome_rows(numbers)) == count
-    assert main_metrics(swept) == ()
-    to_json(numbers)
-
-
-def test_rows_for_people():
-    numbers = summary(made_up())
-    rows = {row[0]: row for row in metric_rows(numbers)}
-    assert len(rows) == len(METRICS)
-    assert rows["angle rmse"][1] == "deg"
-    assert rows["angle rmse"][2] == f"{numbers['metrics']['angle_rmse_deg']['median']:.4g}"
-    assert re.fullmatch(r"\d+ never", rows["stiffness settling"][-1])
-    assert rows["angle rmse"][-1] == ""
-    first = correlation_rows(numbers)[0]
-    assert first in [("load.mass2", "angle rmse", "+1.00"), ("controller.position.kp", "stiffness rmse", "-1.00")]
-    assert len(correlation_rows(numbers)) <= 10
+    assert swept.statistics() == [] and swept.main_metrics == ()
+    assert sum(tables(swept)["Outcomes"].columns["runs"][1]) == count
+    assert f"{count} of them failed" in swept.verdict()
+    swept.to_text(), to_json(swept.to_dict())
 
 
 @pytest.mark.parametrize(
@@ -208,11 +176,3 @@ def test_the_figure_shows_the_four_inputs_that_matter_most():
     assert "load.mass2[kg]" in shown
     assert "controller.position.kp[bar/rad]" in shown
     assert "1 input with weaker correlation" in figure._suptitle.get_text()
-
-
-def test_it_shows_itself_in_short():
-    swept = made_up(lost=0.0, inputs=2)
-    assert repr(swept) == "<SweepResult: 400 runs, over load.mass2, controller.position.kp>"
-    assert "failed" in repr(made_up())
-    html = swept._repr_html_()
-    assert html.count("<tr>") == 1 + len(METRICS) and len(html) < 5000

@@ -45,9 +45,9 @@ def test_a_metric_alone_needs_no_scale():
 
 
 def test_how_runs_are_put_together_is_passed_on():
-    cost = parse_cost("angle_rmse", gain_margin=2.0, worst=True)
-    assert (cost.gain_margin, cost.worst) == (2.0, True)
-    assert cost == Cost.of({"angle_rmse": 1.0}, gain_margin=2.0, worst=True)
+    cost = parse_cost("angle_rmse", gain_margin=2.0, percentile=90.0)
+    assert (cost.gain_margin, cost.percentile) == (2.0, 90.0)
+    assert cost == Cost.of({"angle_rmse": 1.0}, gain_margin=2.0, percentile=90.0)
 
 
 def test_the_sum_is_elementwise():
@@ -87,10 +87,10 @@ def test_a_gain_margin_below_one_is_none(margin):
         Cost.of({"angle_rmse": 1.0}, gain_margin=margin)
 
 
-@pytest.mark.parametrize(("percentile", "worst"), [(0.0, False), (101.0, False), (float("nan"), False), (50.0, True)])
-def test_percentiles_are_above_0_and_not_beside_the_worst(percentile, worst):
+@pytest.mark.parametrize("percentile", [0.0, 101.0, float("nan")])
+def test_percentiles_are_above_0_and_at_most_100(percentile):
     with pytest.raises(ParameterError) as caught:
-        Cost.of({"angle_rmse": 1.0}, percentile=percentile, worst=worst)
+        Cost.of({"angle_rmse": 1.0}, percentile=percentile)
     assert caught.value.remedy or (caught.value.lower, caught.value.upper) == (0.0, 100.0)
 
 

@@ -1,4 +1,4 @@
-"""What numbers cost: as by hand from single runs, and with the derivatives of that."""
+"""What numbers cost: as by hand from single runs."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from mckibben.errors import ParameterError, SimulationError
 from mckibben.scenario import Scenario, find_parameter, run_scenario, with_values
 from mckibben.simulation import Outcome, margins
 from mckibben.study.parameters import LogUniform, Uniform, sweep_parameters
-from mckibben.study.tune import Cost, Method, Term, parse_cost, tune
-from mckibben.study.tune.objective import FAILED_COST, SMOOTH, UNSTABLE_COST, TuningProblem
+from mckibben.study.tune import Cost, Term, parse_cost, tune
+from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, TuningProblem
 from mckibben.units import bar, deg, mm
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
@@ -52,7 +52,7 @@ SCALES = {"angle_rmse": 0.1 * deg, "stiffness_rmse": 0.2 / 3, "angle_max": deg, 
 
 
 def asked(cost, scenarios=(LIGHT, HEAVY)):
-    return TuningProblem.of(scenarios, sweep_parameters(LIGHT, RANGES), cost, known="all")
+    return TuningProblem.of(scenarios, sweep_parameters(LIGHT, RANGES), cost, model_follows="all")
 
 
 @pytest.fixture(scope="module")
@@ -71,37 +71,14 @@ def by_hand():
 def test_the_cost_is_that_of_single_runs(by_hand):
     for margin in (1.0, 1.5):
         sums = by_hand if margin == 1.5 else by_hand[:1]
-        for worst, together in ((False, np.mean), (True, np.max)):
+        for percentile, together in ((None, np.mean), (100.0, np.max)):
             expected = np.max(together(sums, axis=1), axis=0)
-            cost = Cost(TERMS, gain_margin=margin, worst=worst)
+            cost = Cost(TERMS, gain_margin=margin, percentile=percentile)
             rows = ROWS if margin > 1 else np.tile(ROWS, (2, 1))  # as many runs: one program less
             np.testing.assert_allclose(asked(cost).costs(rows)[:3], expected, rtol=1e-9)
-            costs, slopes = asked(cost).costs_and_gradients(ROWS)
-            np.testing.assert_allclose(costs, expected, rtol=1e-9)
-            assert slopes.shape == ROWS.shape
     plain, raised = by_hand.mean(axis=1)
     assert (raised > plain).any()  # else the margin would not have been seen
     assert (raised < plain).any()
-
-
-@pytest.mark.parametrize("worst", [False, True])
-@pytest.mark.parametrize("margin", [1.0, 1.5])
-@pytest.mark.slow
-def test_gradients_are_central_differences(worst, margin):
-    check_differences(asked(Cost(TERMS, gain_margin=margin, worst=worst)), ROWS)
-
-
-def check_differences(task, rows, rtol=1e-5):
-    """Gradients over the unit cube against differences of the costs there."""
-    _, slopes = task.costs_and_gradients(rows)
-    found = slopes * task.space.slopes(rows)
-    points, h = np.array([task.space.point(row) for row in rows]), 1e-5
-    moved = [point + sign * h * axis for point in points for axis in np.eye(rows.shape[1]) for sign in (1, -1)]
-    twice = moved if task.cost.gain_margin > 1 else moved * 2  # as many runs as with the margin: one program less
-    costs = task.costs(task.space.values(np.array(twice)))[: len(moved)].reshape(*rows.shape, 2)
-    expected = (costs[..., 0] - costs[..., 1]) / (2 * h)
-    assert (np.abs(expected) > 1e-4).all()
-    np.testing.assert_allclose(found, expected, rtol=rtol, atol=rtol * np.abs(expected).max())
 
 
 @pytest.mark.slow
@@ -146,10 +123,8 @@ def test_parameters_without_the_disk_margin_cost_more_the_less_they_have():
     found = costs(Cost(TERMS, disk_margin=wanted), **{"load.mass2": masses})
     assert found[0] == costs(Cost(TERMS), **{"load.mass2": masses})[0] < UNSTABLE_COST
     np.testing.assert_allclose(found[1:], UNSTABLE_COST * (2 - least[1:] / wanted), rtol=0.02)
-    with pytest.raises(ParameterError):
-        asked(Cost(TERMS, disk_margin=wanted)).check_smooth()
     with pytest.raises(ParameterError) as caught:
-        few = {"method": Method.EVOLUTION, "iterations": 1, "population": 8}
+        few = {"iterations": 1, "population": 8}
         tune(LIGHT, {name: Uniform(2 * bar, 6 * bar)}, Cost(TERMS, disk_margin=1.9), **few)
     assert caught.value.field == "disk_margin"
 
@@ -164,7 +139,7 @@ def test_a_search_keeps_the_disk_margin_of_the_first_gains_unless_asked():
         assert task.kept_margin(most) == pytest.approx(min(most, before), rel=0.06)  # at fewer frequencies
     start = TuningProblem.of((given,), sweep_parameters(given, {"start.stiffness": RANGES["start.stiffness"]}), rates)
     assert start.kept_margin(2.0) == 0.0
-    few = {"iterations": 2, "population": 8, "starts": 1}
+    few = {"iterations": 2, "population": 8}
     free, kept = (tune(given, {name: RANGES[name]}, Cost(TERMS, disk_margin=each), **few) for each in (0.0, None))
     assert disk(free.scenarios[0]) < 0.19 <= disk(kept.scenarios[0])
     assert free.cost < kept.cost <= kept.cost_before
@@ -179,10 +154,10 @@ def test_a_limit_cycle_is_a_failure():
     costs = task.costs(np.array([[1 * bar], [40 * bar]]))
     assert run_scenario(with_values(scenario, {name: 40 * bar})).outcome is Outcome.LIMIT_CYCLE
     assert costs[0] < FAILED_COST == costs[1]
-    few = {"method": Method.EVOLUTION, "iterations": 1, "population": 8}
+    few = {"iterations": 5, "population": 8}
     start = with_values(scenario, {name: 1 * bar})
     tuned = tune(start, {name: RANGES[name]}, Cost(TERMS, gain_margin=40.0), **few)
-    assert np.isnan(tuned.cost_before) and "gain margin of 40" in tuned.invalid_before
+    assert np.isnan(tuned.cost_before)
     assert "nan" not in repr(tuned)
 
 
@@ -195,8 +170,6 @@ def test_conditions_count_as_scenarios_do(percentile, together):
     cost, swept = Cost(TERMS, percentile=percentile), sweep_parameters(LIGHT, RANGES)
     task = TuningProblem.of((LIGHT,), swept, cost, "all", {"load.mass2": masses})
     np.testing.assert_allclose(task.costs(ROWS), together(single, axis=0), rtol=1e-9)
-    if percentile == 50.0:
-        check_differences(task, ROWS)
 
 
 def test_a_tuned_parameter_is_no_condition():
@@ -252,17 +225,12 @@ def test_what_is_not_allowed_or_cannot_start_costs_most_and_leaves_its_neighbour
     rows[2, 4] = 60.0  # no pressures hold it
     expected = asked(Cost(TERMS), (LIGHT,)).costs(np.tile(ROWS, (2, 1)))
     assert task.costs(np.tile(rows, (2, 1)))[:3].tolist() == [expected[0], FAILED_COST, FAILED_COST]
-    costs, slopes = task.costs_and_gradients(rows)
-    assert costs[1:].tolist() == [FAILED_COST, FAILED_COST]
-    assert np.isfinite(slopes).all()
-    assert not slopes[1:].any()
-    assert slopes[0].all()
 
 
-@pytest.mark.parametrize("worst", [False, True])
-def test_one_lost_scenario_is_enough_also_for_the_mean(worst):
+@pytest.mark.parametrize("percentile", [None, 100.0])
+def test_one_failed_scenario_is_enough_also_for_the_mean(percentile):
     lifted = with_values(LIGHT, {"start.angle": 20 * deg})  # where not every one of the stiffnesses can be held
-    costs = asked(Cost(TERMS, worst=worst), (LIGHT, lifted)).costs(np.tile(ROWS, (2, 1)))[:3]
+    costs = asked(Cost(TERMS, percentile=percentile), (LIGHT, lifted)).costs(np.tile(ROWS, (2, 1)))[:3]
     assert costs[:2].tolist() == [FAILED_COST, FAILED_COST]
     assert costs[2] < FAILED_COST
 
@@ -304,10 +272,3 @@ def test_coupling_needs_a_step():
     with pytest.raises(ParameterError, match=r"coupling is not defined.*never steps"):
         asked(cost, (LIGHT, Scenario.parse(text)))
     asked(cost, (LIGHT,))
-
-
-@pytest.mark.parametrize("metric", ["stiffness_settling", "time_saturated", "time_slack"])
-def test_what_counts_periods_has_no_gradient(metric):
-    with pytest.raises(ParameterError, match=f"{metric} counts control periods.*use cma or evolution"):
-        asked(Cost.of({"angle_rmse": 1.0, metric: 1.0})).check_smooth()
-    asked(Cost.of(dict.fromkeys(SMOOTH, 1.0))).check_smooth()

@@ -1,17 +1,16 @@
 """Calibration: identification of a joint model from recordings of the joint's motion."""
 
 from mckibben.calibration.equations import JointPrior, JointRecording
-from mckibben.calibration.estimation import JointCalibration, JointEstimate, calibrate_joint
+from mckibben.calibration.estimation import JointCalibration, calibrate_joint
 from mckibben.calibration.experiment import (
     Sweeps,
     calibrate_scenario,
     calibrated_model,
     calibrated_scenario,
-    expected,
     read_joint_recording,
     run_parts,
-    run_sweeps,
 )
+from mckibben.calibration.fitting import Calibration, JointEstimate
 from mckibben.calibration.output_error import CommandedCalibration, SimulatedAngles, calibrate_from_commands
 from mckibben.calibration.shut_valve import AirFit, identify_air
 from mckibben.calibration.valve_experiment import (
@@ -19,12 +18,12 @@ from mckibben.calibration.valve_experiment import (
     calibrate_scenario_valves,
     scenario_with_valves,
     valve_for,
-    valve_statements,
 )
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
 
 __all__ = [
     "AirFit",
+    "Calibration",
     "CommandedCalibration",
     "JointCalibration",
     "JointEstimate",
@@ -41,12 +40,9 @@ __all__ = [
     "calibrate_valves",
     "calibrated_model",
     "calibrated_scenario",
-    "expected",
     "identify_air",
     "read_joint_recording",
     "run_parts",
-    "run_sweeps",
     "scenario_with_valves",
     "valve_for",
-    "valve_statements",
 ]

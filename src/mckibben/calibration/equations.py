@@ -3,29 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.errors import IdentificationError, RangeError
+from mckibben.component.base import Checked
+from mckibben.component.schema import read_component
+from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
 from mckibben.muscle.muscle import warn_outside
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.simulation.engine import BatchFunction
-from mckibben.units import deg, kPa, mm
+from mckibben.units import Quantity, Strength, deg, kPa, mm
 
 if TYPE_CHECKING:
     from mckibben.identification.fit import Fit
 
 Floats = NDArray[np.float64]
+Samples = Floats | Array
+Number = float | np.float64 | Array
+PositiveAngle = Annotated[float, Quantity("rad", "deg", 0, 57, open_lower=True)]
+PositiveNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3, open_lower=True)]
 RATE = 50.0  # Hz, of the fitted samples
 _WINDOW = 0.05  # s, window of the local cubic fits used for differentiation: short, as they attenuate accelerations
 _SHORTEST, _LONGEST_PERIOD = 5.0, 0.01  # s, duration of a recording and time between its samples
@@ -68,8 +76,10 @@ class JointRecording:
 
 
 @dataclass(frozen=True)
-class JointPrior:
+class JointPrior(Checked):
     """Prior standard deviations of the quantities that a calibration estimates; relative ones refer to the model.
+
+    A file has these fields with units, such as ``mass: 5 %``.
 
     Attributes
     ----------
@@ -91,8 +101,6 @@ class JointPrior:
     lag, rate, delay, damping
         For recordings of commands: logarithms of the valve's time constant, of its rate limit, of the delay about 20
         ms, and of the load's damping. `mass` then refers to the logarithms of inertia and gravity.
-    joint_friction, joint_presliding
-        For recordings of commands: logarithms of torque and presliding angle of the joint's own friction.
     valve, supply, polytropic_index, critical_ratio
         For `calibrate_valves`: logarithms of these quantities, and of all others of a valve.
     volume, pressure_zero
@@ -103,47 +111,44 @@ class JointPrior:
         then describe the scatter between the tested muscles and those of the joint.
     """
 
-    strength: float = 0.1
-    offset: float = 0.05
-    friction: float = 0.6
-    presliding: float = 0.5
-    creep: float = 0.05
-    mass: float = 0.3
-    added_mass: float = 0.01
-    load_cell: float = 0.01
-    zero: float = 0.5 * deg
-    arm_scale: float = 0.02
-    lag: float = 0.7
-    rate: float = 1.0
-    delay: float = 1.0
-    damping: float = 1.0
-    joint_friction: float = 1.0
-    joint_presliding: float = 0.7
-    valve: float = 0.7
-    supply: float = 0.05
-    polytropic_index: float = 0.08
-    critical_ratio: float = 0.3
-    volume: float = 0.05
-    pressure_zero: float = 1 * kPa
-    fits: tuple[Fit | None, Fit | None] = (None, None)
+    strength: Strength = 0.1
+    offset: Strength = 0.05
+    friction: Strength = 0.6
+    presliding: Strength = 0.5
+    creep: Strength = 0.05
+    mass: Strength = 0.3
+    added_mass: Strength = 0.01
+    load_cell: Strength = 0.01
+    zero: PositiveAngle = 0.5 * deg
+    arm_scale: Strength = 0.02
+    lag: Strength = 0.7
+    rate: Strength = 1.0
+    delay: Strength = 1.0
+    damping: Strength = 1.0
+    valve: Strength = 0.7
+    supply: Strength = 0.05
+    polytropic_index: Strength = 0.08
+    critical_ratio: Strength = 0.3
+    volume: Strength = 0.05
+    pressure_zero: PositiveNoise = 1 * kPa
+    fits: tuple[Any, Any] = (None, None)
 
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "fits" and not 0 < value < np.inf:
-                remedy = "give a standard deviation above 0"
-                raise RangeError(f"JointPrior: {name} is {value}", field=name, value=value, lower=0.0, remedy=remedy)
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> JointPrior:
+        """Read a file; raises `ScenarioError` with every problem: line, field, value, range and remedy."""
+        return read_component(cls, Path(path))
 
 
 class JointSamples(NamedTuple):
     """Smoothed samples of a recording, each of shape (samples,); scalars of the weight."""
 
-    angle: Any
-    velocity: Any
-    acceleration: Any
-    pressures: tuple[Any, Any]
-    tensions: tuple[Any, ...]
-    added_mass: Any  # as stated [kg]
-    distance: Any  # [m]
+    angle: Samples
+    velocity: Samples | None
+    acceleration: Samples | None
+    pressures: tuple[Samples, Samples]
+    tensions: tuple[Samples, ...]
+    added_mass: Number  # as stated [kg]
+    distance: Number  # [m]
 
 
 Halves = tuple[JointSamples, JointSamples]
@@ -160,7 +165,7 @@ class CalibrationProblem(NamedTuple):
     half_width: tuple[float, ...]
     pressure: tuple[float, ...]  # mean of the measured pressures [Pa]
     creep: tuple[float, ...]  # standard deviation of its stiffness [N/m]
-    laws: tuple[Any, ...]  # Cholesky factor of the covariance of its correction, in standard deviations of the prior
+    laws: tuple[Floats, ...]  # Cholesky factor of the covariance of its correction, in prior standard deviations
     prior: dict[str, float]
 
 
@@ -169,9 +174,9 @@ class _Corrected(NamedTuple):
 
     joint: AntagonisticJoint
     load: Load
-    added_mass: Any  # relative to its stated value
-    zero: Any  # [rad]
-    load_cells: tuple[Any, Any]  # gains
+    added_mass: Number  # relative to its stated value
+    zero: Number  # [rad]
+    load_cells: tuple[Number, Number]  # gains
 
 
 def sampling_period(recording: JointRecording) -> float:
@@ -191,7 +196,7 @@ def sampling_period(recording: JointRecording) -> float:
 def check_recording(recording: JointRecording) -> None:
     """Raise `IdentificationError` for non-finite numbers, and for a recording that is too short."""
     columns = [recording.time, recording.angle, recording.pressures]
-    columns += [one for one in (recording.tensions, recording.commands) if one is not None]
+    columns += [column for column in (recording.tensions, recording.commands) if column is not None]
     if not all(np.all(np.isfinite(column)) for column in columns):
         raise IdentificationError("a recording contains numbers that are not finite", remedy="leave these rows out")
     time = recording.time
@@ -203,15 +208,11 @@ def check_recording(recording: JointRecording) -> None:
 def local_cubic(values: Floats, width: int, derivative: int = 0, period: float = 1.0) -> Floats:
     """Derivative at each sample of a cubic fitted to the `width` samples around it, at the ends to the outermost ones.
 
-    `scipy.signal.savgol_filter`, whose import takes 1 s; A. Savitzky and M. J. E. Golay, Analytical Chemistry 36, 1964.
+    A. Savitzky and M. J. E. Golay, Analytical Chemistry 36, 1964.
     """
-    half = width // 2
-    offsets = np.arange(-half, half + 1, dtype=float)
-    fitted = np.linalg.pinv(np.vander(offsets, 4, increasing=True))  # coefficients from samples
-    cubic = np.polynomial.polynomial.polyder(np.eye(4), derivative) if derivative else np.eye(4)
-    kernels = np.vander(offsets, len(cubic), increasing=True) @ cubic @ fitted / period**derivative
-    inside = np.convolve(values, kernels[half, ::-1], mode="valid")
-    return np.concatenate([kernels[:half] @ values[:width], inside, kernels[half + 1 :] @ values[-width:]])
+    from scipy.signal import savgol_filter  # 1 s
+
+    return np.asarray(savgol_filter(values, width, 3, derivative, period))
 
 
 def halves_of(recording: JointRecording) -> Halves:
@@ -268,18 +269,18 @@ def problem_of(
             muscle = dataclasses.replace(muscle, friction=band)
         muscles.append(muscle)
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    deviations = {each.name: getattr(prior, each.name) for each in dataclasses.fields(prior) if each.name != "fits"}
+    deviations = {field.name: getattr(prior, field.name) for field in dataclasses.fields(prior) if field.name != "fits"}
     force, highest, centre, half_width, pressure, creep, laws = zip(*scales, strict=True)
     return CalibrationProblem(joint, load, force, highest, centre, half_width, pressure, creep, laws, deviations)
 
 
-def path_lengths(joint: AntagonisticJoint, angle: Floats) -> list[Floats]:
+def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
     """Path lengths [m] of both muscles at angles [rad], from the program that also gives the moment arms."""
     return list(map(np.asarray, joint.geometry.paths_and_arms(angle)[0]))
 
 
-@compiled
-def _sweep(muscle: Muscle, longest: Any, shortest: Any) -> tuple[Array, Array, Array, Array]:
+@jit
+def _sweep(muscle: Muscle, longest: ArrayLike, shortest: ArrayLike) -> tuple[Array, Array, Array, Array]:
     """Ends of the contraction between two lengths [m]; midway, at the highest pressure, tension and its slope [N]."""
     low, high = muscle.specimen.contraction_at(longest), muscle.specimen.contraction_at(shortest)
     at = (low + high) / 2, muscle.domain.pressure_max
@@ -290,7 +291,7 @@ def _law_factor(
     prior: JointPrior, fit: Fit | None, muscle: Muscle, force: float, centre: float, half_width: float
 ) -> Floats:
     """Cholesky factor of the covariance of a correction: from the prior, and from a fit projected on it."""
-    covariance: Any = np.eye(2 * COEFFICIENTS)
+    covariance = np.eye(2 * COEFFICIENTS)
     if fit is not None:
         from mckibben.identification.least_squares import force_gradients
 
@@ -302,7 +303,7 @@ def _law_factor(
         gradients = strength * force_gradients(fit.law, list(fit.estimates), centre + half_width * v, most * p)
         projected = np.linalg.pinv(corrections) @ gradients
         covariance = covariance + projected @ fit.robust_covariance @ projected.T
-    return np.linalg.cholesky(covariance)
+    return np.asarray(np.linalg.cholesky(covariance), float)
 
 
 def muscle_parameters(problem: CalibrationProblem) -> int:
@@ -409,7 +410,7 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
     return lax.scan(step, start, samples[:5])[1]
 
 
-def _derivative(shared: tuple[CalibrationProblem, Any, JointSamples], direction: Any) -> tuple[Array, Array]:
+def _derivative(shared: tuple[CalibrationProblem, Array, JointSamples], direction: Array) -> tuple[Array, Array]:
     """Errors and their derivative in a direction of the parameters."""
     problem, z, samples = shared
     return jax.jvp(lambda z: _errors(problem, z, samples), (z,), (direction,))
@@ -424,7 +425,7 @@ def linearised(problem: CalibrationProblem, z: Floats, samples: JointSamples) ->
     return errors[..., 0], slopes
 
 
-def sliding_length(muscle: Any) -> float:
+def sliding_length(muscle: Muscle) -> float:
     """Travel [m] after which the friction of a muscle does not depend on its unknown initial state."""
     return _SLIDING * float(getattr(muscle.friction, "presliding_length", 0.0))
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
-from mckibben.calibration.equations import JointPrior, JointRecording, path_lengths, sliding_length
-from mckibben.calibration.estimation import JointCalibration, calibrate_joint
+from mckibben.calibration.equations import JointPrior, JointRecording, Samples, path_lengths, sliding_length
+from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.component.schema import ENDINGS, independent, inherited_fields, origin_of, replaced, write_text
 from mckibben.control import Controller, Multisine, Reference, Sine
@@ -21,7 +22,7 @@ from mckibben.errors import ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.joint.attainable import stiffness_range
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
@@ -53,7 +54,7 @@ class Sweeps:
     lowest, highest
         Angles [rad].
     duration
-        Duration of each part [s].
+        Duration of all parts [s].
     added_mass, distance
         Weight of the second part [kg], and its distance from the axis [m]; without a weight there is one part.
     """
@@ -64,13 +65,8 @@ class Sweeps:
     added_mass: float = 0.0
     distance: float = 0.0
 
-    @property
-    def weights(self) -> tuple[float, ...]:
-        """Added mass [kg] of each part."""
-        return (0.0, self.added_mass) if self.added_mass else (0.0,)
-
-    def scenarios(self, scenario: Scenario) -> dict[float, Scenario]:
-        """Scenario of each part by its added mass [kg]: sweeps within the attainable set of the controller's model.
+    def scenarios(self, scenario: Scenario) -> dict[str, Scenario]:
+        """Scenario of each part, "bare" and "weighted": sweeps within the attainable set of the controller's model.
 
         Angles are swept slowly, three times a minute or part, with a motion of 1 Hz, from which the inertia follows,
         and the stiffness twice over 70 % of the range attainable at all angles, bare and with the weight (but not with
@@ -83,37 +79,59 @@ class Sweeps:
         if not low <= high:
             raise ParameterError(
                 "no stiffness is attainable at all of the angles, with and without weight",
-                remedy="give other --angles, or a smaller --weight",
+                remedy="give other angles, or a smaller weight",
             )
         least, most = (
             float(min(share * amplitude, fastest / (2 * np.pi * _FAST) ** 2)) for share, fastest in (_LEAST, _MOST)
         )
-        rounds = max(round(self.duration / _LONG), 1)
-        slow, half = rounds * _SWEEPS / self.duration, (most - least) / 2 if self.added_mass else 0.0
+        duration = self.part_duration(scenario)
+        rounds = max(round(duration / _LONG), 1)
+        slow, half = rounds * _SWEEPS / duration, (most - least) / 2 if self.added_mass else 0.0
         signals = Reference(
             Multisine(  # the slow sine, and a fast one that grows with the square of the slow cosine
                 (float(amplitude) - least, least + half, half / 2, half / 2),
                 (slow, _FAST, _FAST + 2 * slow, _FAST - 2 * slow),
                 offset=float(middle),
             ),
-            Sine(_BAND * (high - low) / 2, rounds * _COCONTRACTIONS / self.duration, offset=(low + high) / 2),
+            Sine(_BAND * (high - low) / 2, rounds * _COCONTRACTIONS / duration, offset=(low + high) / 2),
         )
         control = with_fields(independent(scenario.control()), dict.fromkeys(("adaptation", "actuator_adaptation")))
+        load = field_of(control, "load")
         parts = {}
-        for mass in self.weights:
-            load = field_of(control, "load")
-            known = control if load is None else with_fields(control, {"load": self._weighted(load, mass)})
-            parts[mass] = scenario.model_copy(
+        for name, mass in self.weights.items():
+            controller = control if load is None else with_fields(control, {"load": self._weighted(load, mass)})
+            parts[name] = scenario.model_copy(
                 update={
                     "name": f"{scenario.name[:150]}, calibration with {mass:g} kg",
-                    "controller": known,
+                    "controller": controller,
                     "load": self._weighted(scenario.load, mass),
                     "signals": signals,
                     "start": Start(angle=middle),
-                    "duration": self.duration,
+                    "duration": duration,
                 }
             )
         return parts
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Added mass [kg] of each part by its name."""
+        return {"bare": 0.0, **({"weighted": self.added_mass} if self.added_mass else {})}
+
+    @property
+    def instructions(self) -> dict[str, str]:
+        """What a person has to confirm before each part on a physical rig."""
+        weighted = {"weighted": f"the weight of {self.added_mass:g} kg is clipped on"} if self.added_mass else {}
+        return {"bare": "no weight is on the limb", **weighted}
+
+    def part_duration(self, scenario: Scenario) -> float:
+        """Duration of each part [s], a multiple of the control period."""
+        return round(self.duration / len(self.weights) / scenario.control_period) * scenario.control_period
+
+    def recordings(self, results: Mapping[str, SimulationResult]) -> list[JointRecording]:
+        """Recordings of the parts, with their weights."""
+        return [
+            recording_of(results[name], added_mass=mass, distance=self.distance) for name, mass in self.weights.items()
+        ]
 
     def _check_travel(self, joint: AntagonisticJoint) -> None:
         """Raise `ParameterError` if a muscle moves too little for its friction to be known (`sliding_from`)."""
@@ -137,26 +155,26 @@ class Sweeps:
         """Stiffness range [N*m/rad] attainable at all angles with each weight; reversed if empty."""
         joint, load = first_model_of(scenario), load_of(scenario)
         angles = np.linspace(self.lowest, self.highest, _ANGLES)
-        bands = np.asarray(_bands(joint, [self._weighted(load, mass) for mass in self.weights], angles))
+        bands = np.asarray(_bands(joint, [self._weighted(load, mass) for mass in self.weights.values()], angles))
         low, high = bands[:, 0].max(), bands[:, 1].min()
         if any(joint.springs):  # the angle determines the stiffness, so none is attainable at all angles
             low = high = bands.mean()
         return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
 
 
-@compiled
-def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Any) -> Array:
+@jit
+def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Samples) -> Array:
     """Attainable stiffness [N*m/rad] with each load, shape (loads, 2, angles), of muscles that are well taut."""
     middle = joint.contractions((angles[0] + angles[-1]) / 2, (0.0, 0.0))
     muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
     highest = [muscle.tension(at, muscle.domain.pressure_max) for muscle, at, spring in muscles if not spring]
     least: Any = _TAUT * jnp.stack(highest).min()
     torques = [-load.gravity_torque(angles) for load in loads]
-    return jnp.stack([jnp.stack(stiffness_range(joint, angles, one, None, least)) for one in torques])
+    return jnp.stack([jnp.stack(stiffness_range(joint, angles, torque, None, least)) for torque in torques])
 
 
-@compiled
-def _with_weight(load: Load, mass: Any, distance: Any) -> GeneralLoad:
+@jit
+def _with_weight(load: Load, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
     return load.with_weight(mass, distance)
 
 
@@ -178,18 +196,19 @@ def field_of(controller: Controller, name: str) -> Any:
 def holds(controller: Controller, name: str) -> bool:
     """Whether a controller, or one that it wraps, has a field that is not inherited from the plant."""
     own = name not in inherited_fields(controller) and vars(controller).get(name) is not None
-    return own or any(holds(one, name) for one in _inner(controller).values())
+    return own or any(holds(inner, name) for inner in _inner(controller).values())
 
 
 def with_fields(controller: Controller, fields: dict[str, Any]) -> Any:
     """Controller with other values of the fields that it, or one that it wraps, has and does not inherit."""
-    kept = inherited_fields(controller)
-    own = {name: one for name, one in fields.items() if name not in kept and vars(controller).get(name) is not None}
-    return replaced(controller, own | {name: with_fields(one, fields) for name, one in _inner(controller).items()})
+    inherited = inherited_fields(controller)
+    stated = {name for name, value in vars(controller).items() if value is not None} - inherited
+    own = {name: value for name, value in fields.items() if name in stated}
+    return replaced(controller, own | {name: with_fields(inner, fields) for name, inner in _inner(controller).items()})
 
 
 def _inner(controller: Controller) -> dict[str, Controller]:
-    return {name: one for name, one in vars(controller).items() if isinstance(one, Controller)}
+    return {name: field for name, field in vars(controller).items() if isinstance(field, Controller)}
 
 
 def model_of(scenario: Scenario) -> AntagonisticJoint:
@@ -213,22 +232,6 @@ def load_of(scenario: Scenario) -> Load:
     return field_of(scenario.control(), "load") or scenario.load
 
 
-def run_sweeps(
-    scenario: Scenario,
-    sweeps: Sweeps,
-    folder: str | os.PathLike[str],
-    *,
-    rig: JointRig | None = None,
-    ready: Callable[[str], None] | None = None,
-    progress: Any = None,
-) -> list[JointRecording]:
-    """Run both parts of an experiment, "bare" and "weighted"; see `run_parts`."""
-    parts = {"weighted" if mass else "bare": part for mass, part in sweeps.scenarios(scenario).items()}
-    results = run_parts(parts, folder, rig=rig, ready=ready, progress=progress)
-    masses = zip(results.values(), sweeps.weights, strict=True)
-    return [recording_of(one, added_mass=mass, distance=sweeps.distance) for one, mass in masses]
-
-
 def run_parts(
     parts: Mapping[str, Scenario],
     folder: str | os.PathLike[str],
@@ -246,13 +249,12 @@ def run_parts(
     for name, part in parts.items():
         if ready is not None:
             ready(name)
-        session = prepare(part, rig, paced=rig is not None and rig.physical)
-        kept = Path(folder) / name
-        ran: JointRunResult = session.run(kept, progress=progress, together=_TOGETHER)
-        if ran.outcome.error is not None or ran.result is None:
-            raise StoppedError(f"stopped: {ran.outcome.text}; {ran.outcome.venting}")
-        ran.result.to_netcdf(kept / "result.nc")
-        results[name] = ran.result
+        session, records = prepare(part, rig, paced=rig is not None and rig.physical), Path(folder) / name
+        run: JointRunResult = session.run(records, progress=progress, together=_TOGETHER)
+        if run.outcome.error is not None or run.result is None:
+            raise StoppedError(f"stopped: {run.outcome.text}; {run.outcome.venting}")
+        run.result.to_netcdf(records / "result.nc")
+        results[name] = run.result
     return results
 
 
@@ -307,33 +309,49 @@ def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
     files = [origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2)]
     if not any(file.endswith(ENDINGS) for file in files):
         return prior
-    from mckibben.identification.storage import find_fit  # 0.1 s
+    from mckibben.identification.fit import find_fit  # 0.1 s
 
     first, second = (find_fit(Path(file)) if file.endswith(ENDINGS) else None for file in files)
     return replace(prior, fits=(first, second))
 
 
 def calibrate_scenario(
-    scenario: Scenario, recordings: list[JointRecording], prior: JointPrior | None = None
-) -> JointCalibration:
-    """Identify the controller's model of a scenario from recordings of measured or commanded pressures."""
+    scenario: Scenario,
+    recordings: Sequence[JointRecording],
+    prior: JointPrior | None = None,
+    *,
+    held_out: Sequence[JointRecording] = (),
+) -> JointCalibration | CommandedCalibration:
+    """Identify the controller's model of a scenario from recordings of measured or commanded pressures.
+
+    Recordings of commands that are `held_out` are simulated, but not fitted.
+    """
     joint, load = first_model_of(scenario), load_of(scenario)
     prior = with_fits(scenario, prior or JointPrior())
-    if not any(one.commanded for one in recordings):
-        return calibrate_joint(joint, load, recordings, prior)
-    if not all(one.commanded for one in recordings):
-        raise ParameterError("recordings of commands and of measured pressures", remedy="give recordings of one kind")
-    valve: Any = scenario.valve
-    if not valve.is_first_order:
-        remedy = "give the scenario a plausible one, such as `valve: {time_constant: 50 ms}`"
-        raise ParameterError("recordings of commands need a valve with a first-order lag", field="valve", remedy=remedy)
-    delay = scenario.command_delay
-    return calibrate_from_commands(joint, load, valve, recordings, prior, friction=scenario.friction, delay=delay)
+    kinds = {recording.commanded for recording in (*recordings, *held_out)}
+    if len(kinds) > 1 or (held_out and kinds == {False}):
+        remedy = "give recordings of one kind; only commands (columns command1_bar,command2_bar) can be held out"
+        raise ParameterError("recordings of commands and of measured pressures", remedy=remedy)
+    fit: JointCalibration | CommandedCalibration
+    if kinds == {True}:
+        valve: Any = scenario.valve
+        if not valve.is_first_order:
+            remedy = "give the scenario a plausible one, such as `valve: {time_constant: 50 ms}`"
+            message = "recordings of commands need a valve with a first-order lag"
+            raise ParameterError(message, field="valve", remedy=remedy)
+        options: Any = {"friction": scenario.friction, "delay": scenario.command_delay}
+        commanded = calibrate_from_commands(joint, load, valve, recordings, prior, **options)
+        fit = replace(commanded, held_out=tuple(held_out))
+    else:
+        fit = calibrate_joint(joint, load, recordings, prior)
+    after = calibrated_scenario(scenario, fit)
+    writers = {"model.yaml": partial(write_model, scenario, fit), "scenario.yaml": after.to_yaml}
+    return replace(fit, writers=writers)
 
 
-def calibrated_model(scenario: Scenario, found: JointCalibration) -> AntagonisticJoint:
+def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJoint:
     """Return the controller's model with the estimates."""
-    model, joint, muscles = first_model_of(scenario), found.joint, {}
+    model, joint, muscles = first_model_of(scenario), fit.joint, {}
     for name in ("muscle1", "muscle2"):
         before, after = getattr(model, name), getattr(joint, name)
         if isinstance(after.law, CorrectedLaw | CorrectedAffineLaw):
@@ -342,84 +360,27 @@ def calibrated_model(scenario: Scenario, found: JointCalibration) -> Antagonisti
     return replaced(model, {**muscles, "geometry": ScaledArms(model.geometry, joint.geometry.scale)})
 
 
-def calibrated_scenario(scenario: Scenario, found: JointCalibration) -> Scenario:
+def calibrated_scenario(scenario: Scenario, fit: CalibratedJoint) -> Scenario:
     """Return the scenario with the estimates as its controller's model of joint and load.
 
     Estimates from commands become its plant, too.
     """
-    control, model = scenario.control(), calibrated_model(scenario, found)
-    if isinstance(found, CommandedCalibration):
-        load = _general(found.load)
-        valve = replaced(scenario.valve, {name: getattr(found.valve, name) for name in ("time_constant", "rate")})
-        update: dict[str, Any] = {"joint": model, "load": load, "valve": valve, "command_delay": found.delay}
-        if found.friction is not None:
-            rows = {name: getattr(found.friction, name) for name in ("torque", "presliding")}
-            update["friction"] = replaced(scenario.friction, rows)
+    control, model = scenario.control(), calibrated_model(scenario, fit)
+    if isinstance(fit, CommandedCalibration):
+        load = _general(fit.load)
+        valve = replaced(scenario.valve, {name: getattr(fit.valve, name) for name in ("time_constant", "rate")})
+        update: dict[str, Any] = {"joint": model, "load": load, "valve": valve, "command_delay": fit.delay}
         update["controller"] = with_fields(scenario.controller, {"load": load, "model": model})
         return scenario.model_copy(update=update)
-    mass, load = found.load.adapted_mass, field_of(control, "load")
+    mass, load = fit.load.adapted_mass, field_of(control, "load")
     fields: dict[str, Any] = {"model": model}
     if mass and load is not None:
-        fields["load"] = replaced(load, {mass: getattr(found.load, mass)})
+        fields["load"] = replaced(load, {mass: getattr(fit.load, mass)})
     return scenario.model_copy(update={"controller": with_fields(independent(control), fields)})
 
 
-def expected(
-    scenario: Scenario, sweeps: Sweeps, folder: str | os.PathLike[str], prior: JointPrior | None = None
-) -> tuple[float, float]:
-    """Standard deviation of the stiffness [N*m/rad] before and after an experiment simulated on the model itself."""
-    model, load = first_model_of(scenario), load_of(scenario)
-    recordings = run_sweeps(scenario.model_copy(update={"joint": model, "load": load}), sweeps, folder)
-    prior = with_fits(scenario, prior or JointPrior())
-    return deviations(calibrate_joint(model, load, recordings, prior), recordings)
-
-
-def deviations(found: JointCalibration, recordings: list[JointRecording]) -> tuple[float, float]:
-    """Root mean square standard deviation of the stiffness [N*m/rad] along recordings, before and after."""
-    angle = np.concatenate([one.angle[::100] for one in recordings])
-    pressures = np.concatenate([one.pressures[::100] for one in recordings])
-    before, after = (
-        float(np.sqrt(np.mean(stiffness(angle, (pressures[:, 0], pressures[:, 1]))[1] ** 2)))
-        for stiffness in (found.prior_stiffness, found.stiffness)
-    )
-    return before, after
-
-
-CONFLICT = 2.5
-"""Prior standard deviations from the first model above which a quantity is named."""
-_EXPECTED = {"added_mass": 1.0, "zero": 0.0, "arm_scale": 1.0}
-SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
-SHOWN |= {unit: unit for unit in ("1", "N", "N/m", "kg", "kg*m^2", "N*m", "N*m*s/rad", "rad/s")}
-"""Units of quantities in reports, by SI unit."""
-
-
-def statements(found: JointCalibration, *, weighted: bool) -> list[str]:
-    """Return a sentence on each quantity that is far from the model or not determined, the weight if there was one."""
-    names = {"added_mass": "the weight", "zero": "the encoder's zero", "arm_scale": "the scale of the moment arms"}
-    apart = ("friction.torque", "muscle1.friction", "muscle2.friction")
-    together = "friction.total" in found.quantities and found.quantities["friction.total"].determined
-    said = [
-        f"{name} cannot be distinguished from the other friction; friction.total is determined"
-        for name in apart
-        if together and name in found.quantities and not found.quantities[name].determined
-    ]
-    said += [
-        f"{names[name]} is {show(one.value, SHOWN[one.unit], 4)}, {distance:.1f} prior standard deviations from the "
-        "model: check the weight, the dimensions of the joint and the encoder"
-        for name, expected in _EXPECTED.items()
-        if (one := found.quantities.get(name))
-        if (distance := abs(one.value - expected) / one.prior) > CONFLICT
-    ]
-    return said + [
-        f"not determined: {names.get(name, name)}, {show(one.value, SHOWN[one.unit], 4)} with a standard deviation of "
-        f"{show(one.deviation, SHOWN[one.unit], 2)} ({show(one.prior, SHOWN[one.unit], 2)} before)"
-        for name, one in found.quantities.items()
-        if not one.determined and (weighted or name != "added_mass")
-    ]
-
-
-def write_model(scenario: Scenario, found: JointCalibration, path: str | os.PathLike[str]) -> None:
+def write_model(scenario: Scenario, fit: CalibratedJoint, path: str | os.PathLike[str]) -> None:
     """Write the section of the controller's model with the estimates, for ``model: FILE`` of a controller."""
-    text = write_text(calibrated_model(scenario, found), folder=Path(path).parent)
+    text = write_text(calibrated_model(scenario, fit), folder=Path(path).parent)
     with atomic_write(path, overwrite=True) as part:
         part.write_bytes(sealed((_HEAD + text).encode()))

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator import FirstOrderValve
 from mckibben.calibration.equations import (
@@ -24,29 +22,27 @@ from mckibben.calibration.equations import (
     JointPrior,
     JointRecording,
     JointSamples,
+    Number,
+    Samples,
     check_recording,
     corrected,
     muscle_parameters,
     problem_of,
 )
-from mckibben.calibration.estimation import (
-    STARTS,
-    JointCalibration,
+from mckibben.calibration.estimation import STARTS, CalibratedJoint, number, quantities_of, start
+from mckibben.calibration.fitting import (
     JointEstimate,
+    OutputErrorFit,
     Scatter,
-    gauss_newton,
-    minimised,
-    number,
-    quantities_of,
+    fit_output_error,
     scatter_between,
-    start,
-    variance_of,
 )
-from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant import JointFriction, JointPlant
+from mckibben.result import Column, Listing, Remark, column
 from mckibben.units import ms
 
 _REST = 3.0  # s after the last change of the commands; later samples, up to the next change, are left out
@@ -58,33 +54,31 @@ _BLOCK = 1024  # samples
 _DIFFERENCE = 1e-4  # prior standard deviations, of the difference quotients
 _DELAY = 20 * ms  # prior median
 _DAMPING_TIME = 1.0  # s, ratio of inertia to damping of a load without damping in the model
-_FIRST_VARIANCE = 0.1**2  # rad^2
+_FIRST_VARIANCE, _LEAST_VARIANCE = 0.1**2, 1e-8  # rad^2
 _DIFFERS = 1e-3  # probability of a larger scatter between recordings
 _RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps; else its derivative is zero
-_STRENGTHS, _FIRST, _STAGES, _ITERATIONS = 3, 8, 3, 25
+_STRENGTHS = 3  # starts
 _FRICTION = 2 * COEFFICIENTS  # index of the half width among a muscle's parameters
 _SHARED = 3  # parameters other than the muscles' shared with `corrected`: weight, zero and scale of the arms
-_OWN = {  # units, and fields of the prior; the friction's only if the joint has its own friction
+_OWN = {  # units, and fields of the prior
     "valve.time_constant": ("s", "lag"),
     "valve.rate": ("Pa/s", "rate"),
     "delay": ("s", "delay"),
     "load.damping": ("N*m*s/rad", "damping"),
     "load.inertia": ("kg*m^2", "mass"),
     "load.gravity_torque": ("N*m", "mass"),
-    "friction.torque": ("N*m", "joint_friction"),
-    "friction.presliding": ("rad", "joint_presliding"),
 }
 
 
 class _Motion(NamedTuple):
     """Equally spaced samples of a recording, without periods of rest."""
 
-    time: Any  # [s], shape (samples,)
-    angle: Any  # measured [rad]
-    commands: Any  # [Pa], shape (2, samples)
-    period: Any  # [s]
-    added_mass: Any  # [kg]
-    distance: Any  # [m]
+    time: Samples  # [s], shape (samples,)
+    angle: Samples  # measured [rad]
+    commands: Samples  # [Pa], shape (2, samples)
+    period: Number  # [s]
+    added_mass: Number  # [kg]
+    distance: Number  # [m]
 
 
 class SimulatedAngles(NamedTuple):
@@ -98,7 +92,7 @@ class SimulatedAngles(NamedTuple):
     @property
     def errors(self) -> tuple[float, float]:
         """Root mean square errors [rad] of the model before and after calibration."""
-        before, after = (float(np.sqrt(np.mean((one - self.measured) ** 2))) for one in (self.before, self.after))
+        before, after = (float(np.sqrt(np.mean((angle - self.measured) ** 2))) for angle in (self.before, self.after))
         return before, after
 
 
@@ -106,9 +100,9 @@ class _Simulated(NamedTuple):
     """A plant with the additional quantities of recordings."""
 
     plant: JointPlant
-    delay: Any  # of the commands [s]
-    zero: Any  # of the encoder [rad]
-    added: Any  # weight relative to its stated value
+    delay: Number  # of the commands [s]
+    zero: Number  # of the encoder [rad]
+    added: Number  # weight relative to its stated value
 
 
 class _Problem(NamedTuple):
@@ -120,8 +114,7 @@ class _Problem(NamedTuple):
     medians: tuple[float, ...]
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class CommandedCalibration(JointCalibration):
+class CommandedCalibration(CalibratedJoint):
     """Joint identified from commanded pressures, by `calibrate_from_commands`.
 
     Attributes
@@ -129,20 +122,48 @@ class CommandedCalibration(JointCalibration):
     quantities
         As for `JointCalibration`, and ``valve.time_constant``, ``valve.rate``, ``delay``, ``load.damping``,
         ``load.inertia``, ``load.gravity_torque``, with prior deviations relative to the estimates; no ``load.mass``.
-        With friction of the joint ``friction.torque`` and ``friction.presliding``, and ``friction.total`` [N*m], the
-        sum of its torque and of the muscles' half widths times their moment arms.
     residual
         Root mean square of the error of the simulated angle [rad].
     valve, delay
         The valve with the estimates, and the delay [s] of its commands.
     friction
-        Friction of the joint itself with the estimates; None if the initial model has none.
+        Friction of the joint itself, which is not estimated; None if it has none.
+    held_out
+        Recordings that were not fitted, which `listings` simulates, too.
     """
 
+    residual: float = column("rad", "residual angle", shown="deg", digits=3)
     valve: FirstOrderValve
     delay: float
-    _before: _Simulated
     friction: JointFriction | None
+    _before: _Simulated
+    _scatter: dict[str, float]  # factors by which deviations are multiplied
+    held_out: tuple[JointRecording, ...] = ()
+
+    def remarks(self) -> list[Remark]:
+        """Quantities about which the recordings disagree, and remarks on the others."""
+        names = ", ".join(f"{name} ({ratio:.2g})" for name, ratio in self._scatter.items())
+        text = f"the model is wrong: the recordings disagree by more than the noise allows about {names}; standard "
+        text += "deviations are multiplied by the factors in parentheses"
+        remarks = [Remark.warning("quantities", text)] if names else []
+        return remarks + super().remarks()
+
+    def listings(self) -> list[Listing]:
+        """Estimates, and the error of the simulated angle for each recording, before and after calibration."""
+        recordings = (*self.recordings, *self.held_out)
+        before, after = zip(*(self.simulate(recording).errors for recording in recordings), strict=True)
+        angle = Column("rad", shown="deg", digits=3)
+        used = ["fitted"] * len(self.recordings) + ["held out"] * len(self.held_out)
+        columns: dict[str, tuple[Column, Any]] = {
+            "recording": (Column(), [str(i + 1) for i in range(len(recordings))]),
+            "used as": (Column(), used),
+            "model before": (angle, before),
+            "calibrated": (angle, after),
+        }
+        return [
+            *super().listings(),
+            Listing("root mean square error of the angle simulated from the commands", columns),
+        ]
 
     @property
     def plant(self) -> JointPlant:
@@ -155,10 +176,10 @@ class CommandedCalibration(JointCalibration):
         zero, added = self.quantities["zero"].value, self.quantities["added_mass"].value
         after = _Simulated(dataclasses.replace(self.plant, command_delay=None), self.delay, zero, added)
         substeps = _substeps([motion])
-        before, found = (
-            np.asarray(_angle(one, _padded(motion), substeps))[: motion.angle.size] for one in (self._before, after)
+        angles = (np.asarray(_angle(model, _padded(motion), substeps)) for model in (self._before, after))
+        return SimulatedAngles(
+            np.asarray(motion.time), np.asarray(motion.angle), *(angle[: motion.angle.size] for angle in angles)
         )
-        return SimulatedAngles(motion.time, motion.angle, before, found)
 
 
 def calibrate_from_commands(
@@ -191,7 +212,7 @@ def calibrate_from_commands(
     prior
         Prior standard deviations; choose larger ones than the default for a joint with poorly known muscles.
     friction
-        Dry friction of the joint itself; its torque and presliding angle are then estimated.
+        Dry friction of the joint itself, which is not estimated.
     delay
         Delay of the commands in the initial model [s]. Default: a prior about 20 ms.
 
@@ -208,36 +229,35 @@ def calibrate_from_commands(
     if not recordings:
         raise IdentificationError("there is no recording", remedy="give at least one")
     highest = _highest(joint)
-    motions = [_motion(one, highest) for one in recordings]
+    motions = [_motion(recording, highest) for recording in recordings]
     rigid = jax.tree.map(float, load.with_weight(0.0, 0.0))
-    samples = [JointSamples(one.angle, None, None, tuple(one.commands), (), 0.0, 0.0) for one in motions]
-    base = problem_of(joint, rigid, [(one, one) for one in samples], prior)
+    samples = [JointSamples(motion.angle, None, None, tuple(motion.commands), (), 0.0, 0.0) for motion in motions]
+    base = problem_of(joint, rigid, [(half, half) for half in samples], prior)
     damping = rigid.damping or rigid.inertia / _DAMPING_TIME
     rate = highest / valve.time_constant if valve.rate is None else valve.rate
     medians = (valve.time_constant, rate, delay or _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
-    medians += () if friction is None else (friction.torque, friction.presliding)
     problem = _Problem(base, valve, friction, tuple(map(float, medians)))
-    z, covariance, residual, scatter = _solve(problem, motions)
-    _warn_of_scatter(scatter, len(medians))
+    fit, covariance, scatter = _solve(problem, motions)
+    z = fit.z
     full, slope = map(np.asarray, _full_and_slope(base, z))
     wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # keeps what is not estimated
-    found = jax.tree.map(number, _model(problem, jnp.asarray(z)))
-    plant, total = found.plant, {}
-    if friction is not None:
-        middle = float(np.concatenate([one.angle for one in motions]).mean())
-        total["friction.total"] = _total_friction(problem, plant, z, covariance, middle)
+    model = jax.tree.map(number, _model(problem, jnp.asarray(z)))
+    plant, quantities = model.plant, quantities_of(base, full, wide)
+    quantities |= _own_quantities(problem, z, np.sqrt(np.diag(covariance)))
     return CommandedCalibration(
-        plant.joint,
-        plant.load,
-        quantities_of(base, full, wide) | _own_quantities(problem, z, np.sqrt(np.diag(covariance))) | total,
-        residual,
-        base,
-        full,
-        wide,
-        plant.valve,
-        found.delay,
-        _Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
-        plant.friction,
+        quantities=quantities,
+        joint=plant.joint,
+        load=plant.load,
+        recordings=tuple(recordings),
+        _problem=base,
+        _estimate=full,
+        _covariance=wide,
+        residual=fit.residual,
+        valve=plant.valve,
+        delay=model.delay,
+        friction=plant.friction,
+        _before=_Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
+        _scatter=_differing(scatter),
     )
 
 
@@ -268,29 +288,30 @@ def _motion(recording: JointRecording, highest: float) -> _Motion:
     edges = np.zeros(grid.size + 1)
     np.add.at(edges, np.maximum(changes - round(_BEFORE / period), 0), 1)
     np.add.at(edges, np.minimum(changes + round(_REST / period), grid.size), -1)
-    kept = np.cumsum(edges[:-1]) > 0
+    moving = np.cumsum(edges[:-1]) > 0
     angle = np.interp(grid, recording.time, recording.angle)
     weight = np.float64(recording.added_mass), np.float64(recording.distance)
-    return _Motion(grid[kept], angle[kept], commands[:, kept], np.float64(period), *weight)
+    return _Motion(grid[moving], angle[moving], commands[:, moving], np.float64(period), *weight)
 
 
 def _padded(motion: _Motion) -> _Motion:
     """A motion padded with rest to a common length: each length needs its own program."""
     more = -motion.angle.size % _BLOCK
-    time, angle, commands = (np.pad(one, [(0, 0)] * (one.ndim - 1) + [(0, more)], mode="edge") for one in motion[:3])
+    columns = motion[:3]
+    time, angle, commands = (np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, more)], "edge") for values in columns)
     return motion._replace(time=time, angle=angle, commands=commands)
 
 
 def _substeps(motions: Sequence[_Motion]) -> int:
-    return math.ceil(max(float(one.period) for one in motions) / _STEP)
+    return math.ceil(max(float(motion.period) for motion in motions) / _STEP)
 
 
-def _trajectory(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
+def _trajectory(model: _Simulated, motion: _Motion, substeps: int) -> Array:
     """Angle [rad] at the samples, as read by the encoder."""
     plant, steps = model.plant, jnp.arange(motion.angle.shape[0])
     plant = dataclasses.replace(plant, load=plant.load.with_weight(model.added * motion.added_mass, motion.distance))
     at = steps - model.delay / motion.period  # between two samples: their mean over the period
-    command1, command2 = (jnp.interp(at, steps, one) for one in motion.commands)
+    command1, command2 = (jnp.interp(at, steps, command) for command in motion.commands)
     first = plant.init_state(motion.angle[0] - model.zero, (command1[0], command2[0]))
 
     def step(state: Any, commands: Any) -> tuple[Any, Array]:
@@ -299,14 +320,14 @@ def _trajectory(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
     return lax.scan(step, first, (command1, command2))[1] + model.zero
 
 
-@compiled
-def _angle(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
+@jit
+def _angle(model: _Simulated, motion: _Motion, substeps: int) -> Array:
     with batched_program():
         return _trajectory(model, motion, substeps)
 
 
-@compiled
-def _angles(problem: _Problem, zs: Any, motion: _Motion, substeps: Any) -> Array:
+@jit
+def _angles(problem: _Problem, zs: ArrayLike, motion: _Motion, substeps: int) -> Array:
     """Angles [rad], shape (parameter vectors, samples)."""
     with batched_program():
         return jax.vmap(lambda z: _trajectory(_simulated_by(problem, z), motion, substeps))(zs)
@@ -320,111 +341,72 @@ def _full(base: CalibrationProblem, z: Array) -> Array:
     return jnp.concatenate([muscles, jnp.zeros(1), z[count : count + _SHARED], jnp.zeros(2)])
 
 
-@compiled
+@jit
 def _full_and_slope(base: CalibrationProblem, z: Any) -> tuple[Array, Array]:
     return _full(base, z), jax.jacfwd(lambda z: _full(base, z))(z)
 
 
-def _own_deviations(problem: _Problem) -> Any:
-    names = [name for _, name in _OWN.values()][: len(problem.medians)]
-    return jnp.stack([jnp.asarray(problem.base.prior[name]) for name in names])
+def _own_deviations(problem: _Problem) -> Array:
+    return jnp.stack([jnp.asarray(problem.base.prior[name]) for _, name in _OWN.values()])
 
 
 def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     """The model by parameters in prior standard deviations from their prior mean."""
-    base, load, friction = problem.base, problem.base.load, problem.friction
+    base, load = problem.base, problem.base.load
     joint, _, added, zero, _ = corrected(base, _full(base, z))
-    factors = jnp.exp(_own_deviations(problem) * z[-len(problem.medians) :])
-    own: Iterator[Any] = (median * factors[i] for i, median in enumerate(problem.medians))
-    lag, rate, delay, damping, inertia, gravity, *rubbing = own
+    factors = jnp.exp(_own_deviations(problem) * z[-len(_OWN) :])
+    own: list[Any] = [median * factors[i] for i, median in enumerate(problem.medians)]
+    lag, rate, delay, damping, inertia, gravity = own
     load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)  # pyrefly: ignore[unexpected-keyword]
     valve = dataclasses.replace(problem.valve, time_constant=lag, rate=rate)
-    if friction is not None:
-        friction = dataclasses.replace(friction, **dict(zip(("torque", "presliding"), rubbing, strict=True)))
-    return _Simulated(JointPlant(joint, load, valve, friction=friction), delay, zero, added)
+    return _Simulated(JointPlant(joint, load, valve, friction=problem.friction), delay, zero, added)
 
 
-_model = compiled(_simulated_by)
+_model = jit(_simulated_by)
 
 
 def _own_quantities(problem: _Problem, z: Floats, deviation: Floats) -> dict[str, JointEstimate]:
-    prior, own = np.asarray(_own_deviations(problem)), len(problem.medians)
-    rows = zip(list(_OWN.items())[:own], problem.medians, prior, z[-own:], deviation[-own:], strict=True)
-    found = {}
+    prior, own = np.asarray(_own_deviations(problem)), len(_OWN)
+    rows = zip(_OWN.items(), problem.medians, prior, z[-own:], deviation[-own:], strict=True)
+    estimates = {}
     for (name, (unit, _)), median, wide, at, narrow in rows:
         value = median * math.exp(wide * at)
         if median:
-            found[name] = JointEstimate(value, abs(value) * wide * float(narrow), abs(value) * wide, unit)
-    return found
+            estimates[name] = JointEstimate(value, abs(value) * wide * float(narrow), abs(value) * wide, unit)
+    return estimates
 
 
-def _total_friction(problem: _Problem, plant: JointPlant, z: Floats, covariance: Floats, angle: float) -> JointEstimate:
-    """Friction torque [N*m] of joint and muscles at an angle [rad]; logarithms of its parts are estimated."""
-    assert plant.friction is not None
-    prior, own = problem.base.prior, iter(range(muscle_parameters(problem.base) // OF_MUSCLE))
-    slope = np.zeros(z.size)
-    muscles, arms = (plant.joint.muscle1, plant.joint.muscle2), plant.joint.geometry.moment_arms(angle)
-    for muscle, arm, spring in zip(muscles, arms, plant.joint.springs, strict=True):
-        if not spring:
-            friction: Any = muscle.friction
-            slope[OF_MUSCLE * next(own) + _FRICTION] = friction.half_width * abs(float(arm))
-    slope[-2] = plant.friction.torque
-    total = float(slope.sum())
-    slope *= prior["friction"]
-    slope[-2] *= prior["joint_friction"] / prior["friction"]
-    return JointEstimate(total, math.sqrt(slope @ covariance @ slope), float(np.linalg.norm(slope)), "N*m")
+def _differing(scatter: Scatter) -> dict[str, float]:
+    """Valve, delay and load that differ between the recordings by more than their intervals allow, and factors."""
+    rows = zip(_OWN, scatter.ratio[-len(_OWN) :], scatter.p_value[-len(_OWN) :], strict=True)
+    return {name: math.sqrt(ratio) for name, ratio, p_value in rows if p_value < _DIFFERS}
 
 
-def _warn_of_scatter(scatter: Scatter, own: int) -> None:
-    """Warn of valve, delay and load if they differ between the recordings by more than their intervals allow."""
-    rows = zip(list(_OWN)[:own], scatter.ratio[-own:], scatter.p_value[-own:], strict=True)
-    differing = [f"{name} ({math.sqrt(ratio):.2g})" for name, ratio, p_value in rows if p_value < _DIFFERS]
-    if differing:
-        text = "the model is wrong: the recordings disagree by more than the noise allows"
-        warnings.warn(
-            f"{text} about {', '.join(differing)}; standard deviations are multiplied by the factors in parentheses",
-            McKibbenWarning,
-            stacklevel=3,
-        )
-
-
-def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[Floats, Floats, float, Scatter]:
-    """Estimates, covariance widened by the scatter between recordings, residual angle [rad], and this scatter."""
-    muscles, own = muscle_parameters(problem.base), len(problem.medians)
-    count, substeps, variance = muscles + _SHARED + own, _substeps(motions), _FIRST_VARIANCE
-    padded, sizes = list(map(_padded, motions)), [one.angle.size for one in motions]
-    measured = np.concatenate([one.angle for one in motions])
+def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[OutputErrorFit, Floats, Scatter]:
+    """The fit, its covariance widened by the scatter between recordings, and this scatter."""
+    muscles, own = muscle_parameters(problem.base), len(_OWN)
+    count, substeps = muscles + _SHARED + own, _substeps(motions)
+    padded, sizes = list(map(_padded, motions)), [motion.angle.size for motion in motions]
+    measured = np.concatenate([motion.angle for motion in motions])
     moves = np.vstack([np.zeros(count), _DIFFERENCE * np.eye(count)])
 
     def linearised(z: Floats) -> tuple[Floats, Floats]:
-        """Errors of the angle [rad], and their difference quotients, shape (parameters, samples)."""
-        found = [np.asarray(_angles(problem, z + moves, one, substeps)) for one in padded]
-        angles = np.concatenate([one[:, :size] for one, size in zip(found, sizes, strict=True)], axis=1)
-        return angles[0] - measured, (angles[1:] - angles[0]) / _DIFFERENCE
+        """Errors of the angle [rad], and their difference quotients, shape (samples, parameters)."""
+        simulated = [np.asarray(_angles(problem, z + moves, motion, substeps)) for motion in padded]
+        angles = np.concatenate([angle[:, :size] for angle, size in zip(simulated, sizes, strict=True)], axis=1)
+        return angles[0] - measured, ((angles[1:] - angles[0]) / _DIFFERENCE).T
 
-    def terms(z: Floats) -> tuple[float, Floats, Floats]:
-        """Objective, its gradient, and its Gauss-Newton Hessian."""
-        error, slope = linearised(z)
-        return gauss_newton(error, slope.T, variance, z)
-
-    def begun(strength: float) -> tuple[Floats, float]:
+    def begin(strength: float) -> Floats:
         z = np.zeros(count)
         z[:muscles] = start(problem.base, strength)[:muscles]
         z[list(_OWN).index("valve.rate") - own] = _RATE_START
-        return minimised(terms, z, _FIRST)
+        return z
 
-    z = min((begun(strength) for strength in STARTS[:_STRENGTHS]), key=lambda found: found[1])[0]
-    if not math.isfinite(terms(z)[0]):
-        raise IdentificationError("the simulated joint diverges", remedy="give a model closer to the joint")
-    error = np.zeros(0)
-    for _ in range(_STAGES):
-        z, _ = minimised(terms, z, _ITERATIONS)
-        error = linearised(z)[0]
-        variance = variance_of(np.split(error, np.cumsum(sizes)[:-1]))
-    covariance: Any = np.linalg.inv(terms(z)[2])
-    error, slope = linearised(z)
-    ends = np.cumsum(sizes)[:-1]
-    parts = zip(np.split(error, ends), np.split(slope, ends, axis=1), strict=True)
-    scatter = scatter_between(covariance, [(part @ one / variance, part @ part.T / variance) for one, part in parts])
+    fit = fit_output_error(linearised, [begin(s) for s in STARTS[:_STRENGTHS]], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE)
+    covariance = np.asarray(np.linalg.inv(fit.hessian), float)
+    parts = zip(fit.errors, fit.slopes, strict=True)
+    scatter = scatter_between(
+        covariance, [(slope.T @ error / fit.variance, slope.T @ slope / fit.variance) for error, slope in parts]
+    )
     wider = np.sqrt(np.maximum(scatter.ratio, 1.0))
-    return z, covariance * np.outer(wider, wider), float(np.sqrt(np.mean(error**2))), scatter
+    return fit, covariance * np.outer(wider, wider), scatter

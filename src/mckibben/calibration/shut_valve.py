@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -15,10 +13,9 @@ from jax import lax
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from mckibben.calibration.estimation import JointEstimate, gauss_newton, minimised, variance_of
-from mckibben.calibration.valves import residual_and_noise
+from mckibben.calibration.fitting import Calibration, JointEstimate, fit_output_error, misfit_remarks, noise_of
 from mckibben.component.checks import check_positive
-from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.errors import IdentificationError
 from mckibben.muscle import Specimen
 from mckibben.muscle.air import (
     ATMOSPHERE,
@@ -32,7 +29,8 @@ from mckibben.muscle.air import (
     temperature_rate,
 )
 from mckibben.numerics.calculus import rk4
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
+from mckibben.result import Remark, column
 from mckibben.units import bar, cm, kPa, ms, percent, show
 
 if TYPE_CHECKING:
@@ -59,7 +57,6 @@ _LEAK = 1e-3 * L_PER_S_BAR  # unit of the leak in the search
 _DEAD = 1 * cm**3
 _LARGEST, _BELOW = 10.0, 0.05  # bounds of the dead volume, in largest volumes and, below 0, in smallest ones
 _FACTOR = 1e4  # of h A, between the start of the search and its result
-_STAGES, _ITERATIONS, _TOLERANCE = 3, 60, 1e-5
 _FIRST_VARIANCE, _LEAST_VARIANCE = (1 * kPa) ** 2, (10e-3 * kPa) ** 2
 _ZERO = 20e-3 * bar  # prior standard deviation of the zero of the sensor
 _ROOM = 5 / TEMPERATURE  # relative standard deviation of the temperature of the room
@@ -81,84 +78,53 @@ class ShutPhase(NamedTuple):
     period: float
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class AirFit:
+class AirFit(Calibration):
     """Air of a muscle identified from tests with a shut valve, by `identify_air`.
 
     Attributes
     ----------
-    wall_conductance
-        h A [W/K] of the wall at `contraction`; valves with air take it as constant. Its interval is logarithmic.
-    contraction
-        Mean contraction of the phases.
-    leak
-        Conductance C of the leak [m^3/(s*Pa)]; negative within the noise if there is none.
-    dead_volume
-        Volume [m^3] of tube and fittings; None where it is not observable.
+    quantities
+        Estimates by the names of the fields of valves with air: ``wall_conductance``, h A [W/K] of the wall at
+        `contraction` (valves with air take it as constant; its interval is logarithmic), ``leak``, conductance C of the
+        leak [m^3/(s*Pa)], negative within the noise if there is none, and ``dead_volume`` [m^3] of tube and fittings,
+        if it is observable.
     phases
         Parts of the recordings with a shut valve.
+    contraction
+        Mean contraction of the phases.
     time_constants
         Time constant [s] of the temperature in each phase.
     residual, noise
         Root mean square of the error of the pressures [Pa], and of the noise of the sensor, after averaging over 5 ms.
-    correlations
-        Correlations of the estimates, that of the wall logarithmic, as in the section `uncertainty` of a leg.
-    notes
-        What could not be identified, and why.
+    assumed
+        Dead volume [m^3] that is assumed because it is not observable at one length; None if it is estimated.
     """
 
-    wall_conductance: JointEstimate
-    contraction: float
-    leak: JointEstimate
-    dead_volume: JointEstimate | None
     phases: tuple[ShutPhase, ...]
-    time_constants: tuple[float, ...]
-    residual: float
-    noise: float
-    correlations: dict[str, dict[str, float]]
-    notes: tuple[str, ...]
+    contraction: float = column("1", "mean contraction", shown="%", digits=3)
+    time_constants: Floats = column("s", "time constant", digits=3)
+    residual: float = column("Pa", "residual pressure", shown="kPa", digits=2)
+    noise: float = column("Pa", "noise of the pressure", shown="kPa", digits=2)
+    assumed: float | None = column("m^3", "assumed dead volume", shown="cm^3", digits=3)
 
-    @property
-    def quantities(self) -> dict[str, JointEstimate]:
-        """Estimates by the names of the fields of valves with air."""
-        found = {"wall_conductance": self.wall_conductance, "leak": self.leak}
-        return found if self.dead_volume is None else found | {"dead_volume": self.dead_volume}
+    def verdict(self) -> str:
+        """The heat conductance of the wall, and the number of phases."""
+        return f"{len(self.phases)} phases with a shut valve, wall conductance {self.quantities['wall_conductance']}"
 
-    def records(self) -> dict[str, Any]:
-        """The results as plain data in SI units."""
-        return {
-            **{
-                name: {"value": one.value, "deviation": one.deviation, "interval": list(one.interval), "unit": one.unit}
-                for name, one in self.quantities.items()
-            },
-            "contraction": self.contraction,
-            "phases": [
-                {"begin": one.begin, "end": one.end, "contraction": one.contraction, "time_constant": constant}
-                for one, constant in zip(self.phases, self.time_constants, strict=True)
-            ],
-            "residual": self.residual,
-            "noise": self.noise,
-            "correlations": self.correlations,
-            "notes": list(self.notes),
-        }
-
-    def report(self) -> str:
-        """Fit as text."""
-        shown = {"W/K": "W/K", "m^3/(s*Pa)": "L/(s*bar)", "m^3": "cm^3"}
-        lines = [f"{len(self.phases)} phases with a shut valve, residual {show(self.residual, 'kPa', 2)}"]
-        for name, one in self.quantities.items():
-            low, high = (show(each, shown[one.unit], 3) for each in one.interval)
-            lines.append(f"{name:17} {show(one.value, shown[one.unit], 3)}, 95 % interval {low} .. {high}")
-        lines[1] += f", at {self.contraction / percent:.3g} % contraction"
-        lines.append(f"time constants    {min(self.time_constants):.3g} .. {max(self.time_constants):.3g} s")
-        for name, others in self.correlations.items():
-            parts = (f"{other} {correlation:.2f}" for other, correlation in others.items())
-            lines.append(f"correlation of    {name} with {', '.join(parts)}")
-        return "\n".join([*lines, *(f"note: {note}" for note in self.notes)])
-
-    def __repr__(self) -> str:
-        low, high = self.wall_conductance.interval
-        return f"<AirFit: {self.wall_conductance.value:.3g} W/K ({low:.3g} .. {high:.3g}), {len(self.phases)} phases>"
+    def remarks(self) -> list[Remark]:
+        """Misfit, short phases, and an assumed dead volume."""
+        highest = max(float(phase.pressures.max()) for phase in self.phases)
+        remedy = "that the valve was shut, and that length and room stayed the same"
+        remarks = misfit_remarks(self.residual, self.noise, highest, remedy)
+        lasted = [phase.end - phase.begin for phase in self.phases]
+        if all(lasted < _COMPLETE * self.time_constants):
+            text = f"no phase lasts two time constants of the temperature, {max(self.time_constants):.2g} s"
+            remarks.append(Remark.warning("phases", text, "watch the pressure for longer"))
+        if self.assumed is not None:
+            text = f"the dead volume is not observable at one length, and {show(self.assumed, 'cm^3', 3)} is assumed: "
+            text += "the conductances are proportional to the volume"
+            remarks.append(Remark.warning("dead_volume", text, "add tests at another length"))
+        return remarks
 
 
 def identify_air(
@@ -198,12 +164,6 @@ def identify_air(
     RangeError
         If the volume of the specimen is not known.
 
-    Warns
-    -----
-    McKibbenWarning
-        If all phases are shorter than two time constants, or the residual is above three times the noise and 0.2 % of
-        the highest pressure.
-
     References
     ----------
     L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models, Gauss-Newton search); the
@@ -224,7 +184,7 @@ def identify_air(
     if not recordings:
         raise IdentificationError("there is no recording", remedy="give at least one")
     specimen.check_volume("the heat to the wall")
-    phases = [phase for one in recordings for phase in _shut_phases(one, specimen, contraction)]
+    phases = [phase for recording in recordings for phase in _shut_phases(recording, specimen, contraction)]
     if not phases:
         raise IdentificationError(
             "the recordings have no phase in which the pressure relaxes behind a shut valve",
@@ -243,45 +203,25 @@ def identify_air(
             "the pressures do not determine the heat to the wall", remedy="check the contraction of each recording"
         ) from error
     _check(problem, z, np.sqrt(np.diag(covariance)))
-    notes = []
-    if not observable:
-        notes.append(
-            f"the dead volume is not observable at one length, and {show(dead_volume, 'cm^3', 3)} is assumed: the "
-            "conductances are proportional to the volume; add tests at another length"
-        )
     conductance, leak, dead = math.exp(float(z[0])), float(z[1]) * _LEAK, float(z[2]) * _DEAD
     rate = (HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * conductance
-    constants = tuple(
-        float((one.pressures[-1] + ATMOSPHERE) * (one.volume + dead) / (rate * area))
-        for one, area in zip(phases, areas, strict=True)
-    )
-    if all(one.end - one.begin < _COMPLETE * tau for one, tau in zip(phases, constants, strict=True)):
-        text = f"no phase lasts two time constants of the temperature, which is {max(constants):.2g} s"
-        warnings.warn(f"{text}; watch the pressure for longer", McKibbenWarning, stacklevel=2)
-    highest = max(float(one.pressures.max()) for one in phases)
-    remedy = "that the valve was shut, and that length and room stayed the same"
-    residual, noise = residual_and_noise(errors, highest, "the air", remedy)
+    constants = [
+        float((phase.pressures[-1] + ATMOSPHERE) * (phase.volume + dead) / (rate * area))
+        for phase, area in zip(phases, areas, strict=True)
+    ]
     # the pressures determine h A T0 and C sqrt(T0), where T0 is the temperature of the room
     unit, room = np.array([1.0, _LEAK, _DEAD]), _ROOM * np.array([1.0, leak / 2, 0.0])
-    covariance = np.outer(unit, unit) * covariance[:3, :3] + np.outer(room, room)
-    spread = np.sqrt(np.diag(covariance))
-    names = ("wall_conductance", "leak", "dead_volume")[: 3 if observable else 2]
-    correlations = {
-        name: {other: float(covariance[i, j] / (spread[i] * spread[j])) for j, other in enumerate(names) if j > i}
-        for i, name in enumerate(names[:-1])
+    spread = np.sqrt(np.diag(np.outer(unit, unit) * covariance[:3, :3] + np.outer(room, room)))
+    quantities = {
+        "wall_conductance": JointEstimate(conductance, conductance * spread[0], math.inf, "W/K", logarithmic=True),
+        "leak": JointEstimate(leak, float(spread[1]), math.inf, "m^3/(s*Pa)"),
+        "dead_volume": JointEstimate(dead, float(spread[2]), math.inf, "m^3"),
     }
-    return AirFit(
-        JointEstimate(conductance, conductance * float(spread[0]), math.inf, "W/K", logarithmic=True),
-        at,
-        JointEstimate(leak, float(spread[1]), math.inf, "m^3/(s*Pa)"),
-        JointEstimate(dead, float(spread[2]), math.inf, "m^3") if observable else None,
-        tuple(phases),
-        constants,
-        residual,
-        noise,
-        correlations,
-        tuple(notes),
-    )
+    if not observable:
+        del quantities["dead_volume"]
+    residual = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
+    assumed = None if observable else dead_volume
+    return AirFit(quantities, tuple(phases), at, np.array(constants), residual, noise_of(errors), assumed)
 
 
 def _wall_area(specimen: Specimen, contraction: float) -> float:
@@ -342,7 +282,7 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
     rate = np.abs(smooth[window:] - smooth[:-window]) / (window * period)
     slow = np.concatenate([np.zeros(window, bool), rate < _FAST * rate.max(initial=0.0), np.zeros(window, bool)])
     edges = np.flatnonzero(np.diff(slow.astype(int), prepend=0, append=0))
-    found = []
+    phases = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
         blocks = (last - first) // count
         if blocks * count * period < _SHORTEST:
@@ -369,8 +309,8 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
                 remedy="hold the muscle at a fixed length",
             )
         volume = float(specimen.volume(at))
-        found.append(ShutPhase(float(time[first]), float(time[last - 1]), at, volume, means, count * period))
-    return found
+        phases.append(ShutPhase(float(time[first]), float(time[last - 1]), at, volume, means, count * period))
+    return phases
 
 
 def _held(means: Floats, tenth: int) -> int:
@@ -394,20 +334,20 @@ class _Problem(NamedTuple):
     def of(
         cls, phases: Sequence[ShutPhase], areas: Floats, dead_volume: float, *, estimates_dead_volume: bool
     ) -> _Problem:
-        longest = -(-max(len(one.pressures) for one in phases) // _PADDING) * _PADDING
+        longest = -(-max(len(phase.pressures) for phase in phases) // _PADDING) * _PADDING
         pressures, used = np.zeros((len(phases), longest)), np.zeros((len(phases), longest), bool)
         first, conductances = [], []
-        for i, one in enumerate(phases):
-            size = len(one.pressures)
-            pressures[i, :size], used[i, :size] = one.pressures, True
-            begin, end = one.pressures[0], one.pressures[-max(size // 10, 1) :].mean()
-            left = np.abs(one.pressures - end) < abs(begin - end) / math.e
-            constant = max(float(np.argmax(left)), 1.0) * one.period
-            room = one.volume + dead_volume
+        for i, phase in enumerate(phases):
+            size = len(phase.pressures)
+            pressures[i, :size], used[i, :size] = phase.pressures, True
+            begin, end = phase.pressures[0], phase.pressures[-max(size // 10, 1) :].mean()
+            left = np.abs(phase.pressures - end) < abs(begin - end) / math.e
+            constant = max(float(np.argmax(left)), 1.0) * phase.period
+            room = phase.volume + dead_volume
             conductances.append((end + ATMOSPHERE) * room / ((HEAT_CAPACITY_RATIO - 1) * TEMPERATURE * constant))
             first += [begin / bar, math.log((begin + ATMOSPHERE) / (end + ATMOSPHERE))]
         shared = [math.log(float(np.median(np.array(conductances) / areas))), 0.0, dead_volume / _DEAD, 0.0]
-        volumes, periods = (np.array([getattr(one, name) for one in phases]) for name in ("volume", "period"))
+        volumes, periods = (np.array([getattr(phase, name) for phase in phases]) for name in ("volume", "period"))
         start = np.array([*shared, *first])
         return cls(pressures, used, volumes, areas, periods, start, estimates_dead_volume)
 
@@ -433,16 +373,16 @@ def _simulated(z: Array, volumes: Array, areas: Array, periods: Array, blocks: i
     return lax.scan(follow, begin, None, blocks)[1].T
 
 
-@compiled
+@jit
 def _sensitivities(z: Array, volumes: Array, areas: Array, periods: Array, like: Array) -> tuple[Array, Array]:
     """Pressures [Pa] of all phases and their derivatives."""
 
     def simulated(z: Array) -> tuple[Array, Array]:
-        found = _simulated(z, volumes, areas, periods, like.shape[1])
-        return found, found
+        pressures = _simulated(z, volumes, areas, periods, like.shape[1])
+        return pressures, pressures
 
-    slope, found = jax.jacfwd(simulated, has_aux=True)(z)
-    return found, slope
+    slope, pressures = jax.jacfwd(simulated, has_aux=True)(z)
+    return pressures, slope
 
 
 def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
@@ -451,34 +391,22 @@ def _solve(problem: _Problem) -> tuple[Floats, Floats, list[Floats]]:
     free[2] = problem.estimates_dead_volume
     used = problem.used
     zero = (np.arange(free.size) == _SHARED - 1)[free]  # has a normal prior
-    variance = _FIRST_VARIANCE
 
     def whole(x: Floats) -> Floats:
         z = problem.start.copy()
         z[free] = x
         return z
 
-    def errors_at(x: Floats) -> tuple[Floats, Floats]:
-        given: Any = whole(x), problem.volumes, problem.areas, problem.periods, problem.pressures
-        found, slope = _sensitivities(*given)
-        return (np.asarray(found) - problem.pressures)[used], np.asarray(slope)[used][:, free]
+    def linearised(x: Floats) -> tuple[Floats, Floats]:
+        parts: Any = whole(x), problem.volumes, problem.areas, problem.periods, problem.pressures
+        pressures, slope = _sensitivities(*parts)
+        return (np.asarray(pressures) - problem.pressures)[used], np.asarray(slope)[used][:, free]
 
-    def terms(x: Floats) -> tuple[float, Floats, Floats]:
-        return gauss_newton(*errors_at(x), variance, x, zero.astype(float))
-
-    x, parts = problem.start[free], []
-    for _ in range(_STAGES):
-        x, objective = minimised(terms, x, _ITERATIONS, _TOLERANCE)
-        if not math.isfinite(objective):
-            raise IdentificationError(
-                "the pressures are not those of air that cools behind a shut valve",
-                remedy="check the units of the recording, and that the valve was shut",
-            )
-        parts = np.split(errors_at(x)[0], np.cumsum(used.sum(axis=1))[:-1])
-        variance = max(variance_of(list(parts)), _LEAST_VARIANCE)
+    sizes = used.sum(axis=1).tolist()
+    start = problem.start[free]
+    fit = fit_output_error(linearised, [start], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE, prior=zero.astype(float))
     covariance = np.zeros((free.size, free.size))
-    curvature = terms(x)[2]
-    scale = np.sqrt(np.diag(curvature))
+    scale = np.sqrt(np.diag(fit.hessian))
     scales = np.outer(scale, scale)
-    covariance[np.ix_(free, free)] = np.linalg.inv(curvature / scales) / scales
-    return whole(x), covariance, list(parts)
+    covariance[np.ix_(free, free)] = np.linalg.inv(fit.hessian / scales) / scales
+    return whole(fit.z), covariance, fit.errors

@@ -5,15 +5,19 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mckibben.actuator import Actuator
-from mckibben.calibration.equations import JointPrior, JointRecording
-from mckibben.calibration.experiment import CONFLICT, SHOWN, field_of, holds, load_of, model_of, with_fields
-from mckibben.calibration.valves import NUISANCES, ValveCalibration, calibrate_valves
+from mckibben.calibration.equations import Floats, JointPrior, JointRecording
+from mckibben.calibration.experiment import field_of, holds, load_of, model_of, recording_of, with_fields
+from mckibben.calibration.valves import ValveCalibration, calibrate_valves
+from mckibben.component.schema import write_text
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.joint import AntagonisticJoint
@@ -21,8 +25,9 @@ from mckibben.muscle import Muscle
 from mckibben.plant import JointPlant
 from mckibben.rig.bench import JointLimits
 from mckibben.scenario import Scenario, Start
-from mckibben.simulation import simulate
-from mckibben.units import bar, deg, show
+from mckibben.simulation import SimulationResult, simulate
+from mckibben.storage.files import atomic_write, sealed
+from mckibben.units import bar, deg
 
 _INSIDE = 0.05  # part of the stiffness range that is left out at both ends
 _DWELL = (0.4, 2.5)  # s, of the steps
@@ -30,6 +35,9 @@ _FREQUENCIES = (0.1, 0.23, 0.47, 0.97, 1.9, 3.7, 7.3)  # Hz
 _DIFFERENCE = ((0.17, 0.41), 0.1)  # Hz, and amplitudes relative to the range: of opposite sign, to move the joint
 _SHRINK, _TRIES = 0.8, 10
 _NARROW = 0.5  # share of the range below which fewer quantities may be determined
+_HEAD = """\
+# Valves calibrated by `mckibben calibrate --valves`: `valve: valve.yaml`.
+"""
 
 
 @dataclass(frozen=True)
@@ -59,7 +67,7 @@ class ValveExperiment:
         plant = scenario.model_copy(update={"joint": model, "load": load_of(scenario)}).plant()
         ends, rest = self._ends(plant, middle), plant.equilibrium(middle)
         signals = Reference(middle, float(plant.stiffness(middle, rest.pressures)))
-        kept, reason = 1.0, ""
+        share, reason = 1.0, ""
         for _ in range(_TRIES):
             parts = {
                 name: scenario.model_copy(
@@ -74,26 +82,37 @@ class ValveExperiment:
                 for name, commands in _commands(ends).items()
             }
             tried = (self._excess(part, joint) for joint in self._joints(model) for part in parts.values())
-            found = next(filter(None, tried), "")
-            if not found:
-                if kept < _NARROW:
+            excess = next(filter(None, tried), "")
+            if not excess:
+                if share < _NARROW:
                     text = (
-                        f"the commands have {kept:.0%} of the range of the attainable stiffness, as otherwise {reason}"
+                        f"the commands have {share:.0%} of the range of the attainable stiffness, as otherwise {reason}"
                     )
-                    remedy = "wider --angles or a smaller --strength-error may determine more quantities of the valves"
+                    remedy = (
+                        "wider --angles or a smaller `strength` in --prior may determine more quantities of the valves"
+                    )
                     warnings.warn(f"{text}: {remedy}", McKibbenWarning, stacklevel=2)
                 return parts
-            centre, reason, kept = ends.mean(axis=0), found, _SHRINK * kept
+            centre, reason, share = ends.mean(axis=0), excess, _SHRINK * share
             ends = centre + _SHRINK * (ends - centre)
         raise ParameterError(
-            f"even commands of {kept:.0%} of the range are too wide: {reason}",
-            remedy="give wider --angles, a smaller --strength-error, or a valve closer to the real one",
+            f"even commands of {share:.0%} of the range are too wide: {reason}",
+            remedy="give wider --angles, a smaller `strength` in --prior, or a valve closer to the real one",
         )
+
+    @property
+    def instructions(self) -> dict[str, str]:
+        """What a person has to confirm before each part on a physical rig."""
+        return dict.fromkeys(("steps", "multisine"), "the joint moves freely with no weight on the limb")
+
+    def recordings(self, results: Mapping[str, SimulationResult]) -> list[JointRecording]:
+        """Recordings of the parts."""
+        return [recording_of(result) for result in results.values()]
 
     def _half(self, scenario: Scenario) -> float:
         return round(self.duration / 2 / scenario.control_period) * scenario.control_period
 
-    def _ends(self, plant: JointPlant, middle: float) -> Any:
+    def _ends(self, plant: JointPlant, middle: float) -> Floats:
         """Lowest and highest pressures [Pa] of both muscles, shape (2, 2)."""
         if any(plant.joint.springs):
             states = [plant.equilibrium(angle) for angle in (self.lowest, self.highest)]
@@ -143,7 +162,7 @@ class ValveExperiment:
         return ""
 
 
-def _commands(ends: Any) -> dict[str, tuple[Any, Any]]:
+def _commands(ends: Floats) -> dict[str, tuple[Any, Any]]:
     """Commands [Pa] of both muscles in both parts, between their ends."""
     count, (pitches, share) = len(_FREQUENCIES), _DIFFERENCE
     phases = tuple(math.pi * k * k / count % (2 * math.pi) for k in range(count))  # M. Schroeder, 1970: a low crest
@@ -163,56 +182,39 @@ def _commands(ends: Any) -> dict[str, tuple[Any, Any]]:
     return {"steps": (steps[0], steps[1]), "multisine": (waves[0], waves[1])}
 
 
-def valve_model_of(scenario: Scenario) -> Actuator:
-    """Return the controller's model of the valves, else the valve of the scenario."""
-    return field_of(scenario.control(), "valve") or scenario.valve
-
-
 def calibrate_scenario_valves(
     scenario: Scenario, recordings: list[JointRecording], prior: JointPrior | None = None
 ) -> ValveCalibration:
     """Identify the valves of a scenario from recordings of commanded and measured pressures."""
     delay = field_of(scenario.control(), "command_delay") or scenario.command_delay
-    return calibrate_valves(model_of(scenario), valve_model_of(scenario), recordings, prior, delay=delay)
+    valve = field_of(scenario.control(), "valve") or scenario.valve
+    fit = calibrate_valves(model_of(scenario), valve, recordings, prior, delay=delay)
+    after = scenario_with_valves(scenario, fit)
+    writers = {"valve.yaml": partial(write_valve, scenario, fit), "scenario.yaml": after.to_yaml}
+    return dataclasses.replace(fit, writers=writers)
 
 
-def scenario_with_valves(scenario: Scenario, found: ValveCalibration) -> Scenario:
+def scenario_with_valves(scenario: Scenario, fit: ValveCalibration) -> Scenario:
     """Return the scenario with the estimates as the controller's own model of valve and delay.
 
     Where the controller has none, or takes it from the plant, they become the plant's. A controller that adapts its
     model of first-order valves gets the mean of both valves.
     """
-    control, fields = scenario.controller, {"valve": valve_for(scenario, found), "command_delay": found.delay}
-    own = {name: one for name, one in fields.items() if holds(control, name)}
-    others = {name: one for name, one in fields.items() if name not in own}
+    control, fields = scenario.controller, {"valve": valve_for(scenario, fit), "command_delay": fit.delay}
+    own = {name: value for name, value in fields.items() if holds(control, name)}
+    others = {name: value for name, value in fields.items() if name not in own}
     return scenario.model_copy(update={**others, "controller": with_fields(control, own)})
 
 
-def valve_for(scenario: Scenario, found: ValveCalibration) -> Actuator:
+def valve_for(scenario: Scenario, fit: ValveCalibration) -> Actuator:
     """Return the valve of the controller model: a pair if the valves differ, unless the controller adapts one lag."""
     adapts = field_of(scenario.control(), "actuator_adaptation") is not None
-    valve = found.valve
-    return found.mean_valve if adapts and valve.muscle_count and not valve.holds_air else valve
+    valve = fit.valve
+    return fit.mean_valve if adapts and valve.muscle_count and not valve.holds_air else valve
 
 
-def valve_statements(found: ValveCalibration, valve: Actuator | None = None) -> list[str]:
-    """Return sentences on quantities that differ between the valves, conflict with the prior or are not determined.
-
-    `valve` is the model, by default the found one.
-    """
-    said, pair = [], (valve or found.valve).muscle_count
-    for name in found.differing:
-        both = [found.quantities[f"valve{number}.{name}"] for number in (1, 2)]
-        texts = " and ".join(show(one.value, SHOWN[one.unit], 3) for one in both)
-        model = "both" if pair and name != "delay" else "the mean of both"
-        said.append(f"the valves differ: {name} is {texts}; the model has {model}")
-    for name, distance in found.prior_conflicts(CONFLICT).items():
-        one = found.quantities[name]
-        said.append(
-            f"{name} is {show(one.value, SHOWN[one.unit], 3)}, {distance:.1f} prior standard deviations from the first "
-            "model: check its value there, and the class of the valve"
-        )
-    own = {name: one for name, one in found.quantities.items() if name.partition(".")[2] not in NUISANCES}
-    if unknown := [name for name, one in own.items() if not one.determined]:
-        said.append(f"not determined by the recordings, and about as in the first model: {', '.join(unknown)}")
-    return said
+def write_valve(scenario: Scenario, fit: ValveCalibration, path: Path) -> None:
+    """Write the section of the valve with the estimates, for ``valve: FILE``."""
+    text = _HEAD + write_text(valve_for(scenario, fit), folder=path.parent, base=Actuator)
+    with atomic_write(path, overwrite=True) as part:
+        part.write_bytes(sealed(text.encode()))

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from numbers import Real
-from operator import itemgetter
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator import Actuator, AirState, AirVolume, UnequalValves
 from mckibben.actuator.base import air_volumes
@@ -23,17 +20,28 @@ from mckibben.calibration.equations import (
     Floats,
     JointPrior,
     JointRecording,
+    Number,
+    Samples,
     check_recording,
     local_cubic,
     sampling_period,
 )
-from mckibben.calibration.estimation import JointEstimate, gauss_newton, minimised, variance_of
+from mckibben.calibration.estimation import CONFLICT
+from mckibben.calibration.fitting import (
+    Calibration,
+    JointEstimate,
+    OutputErrorFit,
+    fit_output_error,
+    misfit_remarks,
+    noise_of,
+)
 from mckibben.component.base import field_quantities
-from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, ScaledArms
 from mckibben.numerics.calculus import rk4
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant.base import STABILITY_LIMIT
+from mckibben.result import Remark, column
 from mckibben.units import bar, cm, kPa, ms
 
 _START = 1.0  # s that are simulated but not fitted, until the state of the valves at the start is forgotten
@@ -41,9 +49,6 @@ _START_ERROR = 10 * kPa  # prior standard deviation of the pressure at the start
 _WINDOW = 0.05  # s, of the local cubic fits of the angle
 _MARGIN = 2.0  # of the integration step to the stable one, as the estimates may be faster than the first model
 _FIRST_VARIANCE, _LEAST_VARIANCE = (5 * kPa) ** 2, (0.05 * kPa) ** 2
-_STAGES, _ITERATIONS, _TOLERANCE = 3, 25, 1e-4
-_UNEXPLAINED = 2.0  # ratio of residual to noise above which the model does not describe the recordings
-_NEGLIGIBLE = 2e-3  # ratio of residual to the highest pressure up to which that is irrelevant
 _KNOWN = frozenset({"period", "compensation", "reservoir_volume", "line_conductance"})  # not estimated
 _PRIORS = {"supply": "supply", "polytropic_index": "polytropic_index", "critical_ratio": "critical_ratio"}
 _SCALES = {"dead_volume": 10 * cm**3, "leak": 3e-11, "delay": 20 * ms, "opening_delay": 2 * ms}
@@ -52,7 +57,7 @@ NUISANCES = ("pressure_zero", "zero", "arm_scale", "volume")
 _ZEROS = {"pressure_zero": "Pa", "zero": "rad"}  # units of those that are not factors
 _SHOWN = 2.0  # standard deviations from zero of what the first model lacks
 _APART, _DIFFERENT = 3.0, 1.1  # standard deviations and ratio beyond which two valves differ
-_BEGIN = 0.3  # scales, of what the first model lacks: its derivative is zero at zero
+_BEGIN = 0.3  # scales: start of what the first model lacks
 
 
 class _Parameter(NamedTuple):
@@ -65,7 +70,7 @@ class _Parameter(NamedTuple):
 
     def at(self, z: Any) -> Any:
         """Value at a number of prior standard deviations."""
-        return self.median * (jnp.exp(self.deviation * z) if self.deviation else jnp.abs(z))
+        return self.median * (jnp.exp(self.deviation * z) if self.deviation else z)
 
     def estimate(self, z: float, deviation: float) -> JointEstimate:
         value = float(self.at(z))
@@ -76,38 +81,61 @@ class _Parameter(NamedTuple):
 class _Record(NamedTuple):
     """Samples of a recording."""
 
-    angle: Any  # smoothed [rad], shape (samples,)
-    pressures: tuple[Any, Any]  # measured [Pa]
-    commands: tuple[Any, Any]  # [Pa]
-    period: Any  # [s]
-    number: Any  # of the recording
+    angle: Samples  # smoothed [rad], shape (samples,)
+    pressures: tuple[Samples, Samples]  # measured [Pa]
+    commands: tuple[Samples, Samples]  # [Pa]
+    period: Number  # [s]
+    number: int  # of the recording
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class ValveCalibration:
+class ValveCalibration(Calibration):
     """Valves identified from commanded and measured pressures, by `calibrate_valves`.
 
     Attributes
     ----------
-    valves, delays
-        Valve of each muscle with the estimates (of one muscle with a return spring), and the delays of their commands
-        [s].
     quantities
         Estimates by name, such as ``valve1.conductance`` and ``valve2.delay``, and those that are uncertain about the
         joint: ``valve1.pressure_zero`` (reading of the pressure sensor at 0 bar), ``valve1.zero`` (encoder reading at
         angle 0), ``valve1.arm_scale``, ``valve1.volume`` (relative to that of the specimen).
+    valves, delays
+        Valve of each muscle with the estimates (of one muscle with a return spring), and the delays of their commands
+        [s].
+    recordings, highest
+        Those that were fitted, and their highest pressure [Pa].
     residual, noise
         Root mean square of the error of the simulated pressures [Pa], and of the noise of the sensors.
     """
 
+    recordings: tuple[JointRecording, ...]
     valves: tuple[Actuator, ...]
     delays: tuple[float, ...]
-    quantities: dict[str, JointEstimate]
-    residual: float
-    noise: float
+    highest: float
     _problems: dict[int, _Problem]  # by muscle
     _estimates: tuple[Floats, ...]
     _deviations: tuple[Floats, ...]
+    residual: float = column("Pa", "residual pressure", shown="kPa", digits=3)
+    noise: float = column("Pa", "noise of the pressure", shown="kPa", digits=3)
+
+    figures = ("valve_calibration",)
+
+    def remarks(self) -> list[Remark]:
+        """Misfit, and quantities that differ between the valves, conflict with the prior or are not determined."""
+        remarks = misfit_remarks(self.residual, self.noise, self.highest, "class of the valve, units, which muscle")
+        for name in self.differing:
+            both = " and ".join(str(self.quantities[f"valve{number}.{name}"]) for number in (1, 2))
+            model = "the mean" if name == "delay" else "both valves"
+            remarks.append(Remark.warning(name, f"the valves differ: {name} is {both}; the model has {model}"))
+        for (muscle, problem), z in zip(self._problems.items(), self._estimates, strict=True):
+            for parameter, at in zip(problem.parameters, z, strict=False):
+                if parameter.deviation and abs(at) > CONFLICT:
+                    name = f"valve{muscle + 1}.{parameter.name}"
+                    text = f"{name} is {abs(at):.1f} prior standard deviations from the model: {self.quantities[name]}"
+                    remedy = "check its value there, and the class of the valve"
+                    remarks.append(Remark.warning(name, text, remedy))
+        for name, estimate in self.quantities.items():
+            if not estimate.determined and name.partition(".")[2] not in NUISANCES:
+                remarks.append(Remark.note(name, f"not determined by the recordings: {name}, {estimate}"))
+        return remarks
 
     @property
     def valve(self) -> Actuator:
@@ -117,8 +145,8 @@ class ValveCalibration:
         """
         if len(self.valves) == 1:
             return self.valves[0]
-        one, other = self._problems.values()
-        if one.parameters != other.parameters or set(self.differing) - {"delay"}:
+        first, second = self._problems.values()
+        if first.parameters != second.parameters or set(self.differing) - {"delay"}:
             return UnequalValves(*self.valves)
         return self.mean_valve
 
@@ -142,15 +170,6 @@ class ValveCalibration:
                 found.append(name)
         return tuple(found)
 
-    def prior_conflicts(self, most: float) -> dict[str, float]:
-        """Distances of estimates from the first model above a number of prior standard deviations, by quantity."""
-        return {
-            f"valve{muscle + 1}.{one.name}": abs(float(at))
-            for (muscle, problem), z in zip(self._problems.items(), self._estimates, strict=True)
-            for one, at in zip(problem.parameters, z, strict=False)
-            if one.deviation and abs(at) > most
-        }
-
     @property
     def muscles(self) -> tuple[int, ...]:
         """Index of the muscle of each valve: 0 and 1, or one of them with a return spring."""
@@ -165,15 +184,11 @@ class ValveCalibration:
         """Return the pressures [Pa] simulated from the commands and angles of a recording, shape (samples, valves)."""
         record = _record_of(recording)
         substeps = _substeps(self._problems, self.valves, [record])
-        found = []
+        columns = []
         for (muscle, problem), estimates in zip(self._problems.items(), self._estimates, strict=True):
             z = np.append(estimates[: problem.size], 0.0)
-            found.append(np.asarray(_pressures(_traced(problem), z, numeric(record), muscle, substeps)))
-        return np.stack(found, axis=1)
-
-    def __repr__(self) -> str:
-        found = [name for name, one in self.quantities.items() if one.determined]
-        return f"<ValveCalibration: residual {self.residual:.3g} Pa, determined: {', '.join(found) or 'nothing'}>"
+            columns.append(np.asarray(_sensitivities(_traced(problem), z, numeric(record), muscle, substeps)[0]))
+        return np.stack(columns, axis=1)
 
 
 class _Problem(NamedTuple):
@@ -260,35 +275,35 @@ def calibrate_valves(
         what = "takes openings in place of pressures" if valve.direct else "has a reservoir that all valves share"
         raise IdentificationError(f"the valve {what}, and cannot be identified", remedy="leave that out of its model")
     muscles = [index for index, spring in enumerate(joint.springs) if not spring]  # one beside a return spring
-    problems = {one: _problem_of(joint, valve.for_muscle(one), prior, delay) for one in muscles}
+    problems = {index: _problem_of(joint, valve.for_muscle(index), prior, delay) for index in muscles}
     records = list(map(_record_of, recordings, range(len(recordings))))
-    substeps = _substeps(problems, [one.valve for one in problems.values()], records)
-    while True:
-        solved = [_solve(problem, records, muscle, substeps) for muscle, problem in problems.items()]
-        z, deviations = tuple(one[0] for one in solved), tuple(one[1] for one in solved)
-        valves = tuple(_valve_of(*one) for one in zip(problems.values(), z, deviations, strict=True))
-        if (needed := _substeps(problems, valves, records)) <= substeps:
-            break
-        substeps = needed
-    errors = [error for one in solved for error in one[2]]
-    highest = max(float(np.max(one)) for record in records for one in record.pressures)
-    remedy = "the class of the valve, the units, and which muscle is which"
-    residual, noise = residual_and_noise(errors, highest, "the valves", remedy)
-    numbered = zip([problem.parameters for problem in problems.values()], z, strict=True)
-    delays = tuple(float(parameters[-1].at(one[len(parameters) - 1])) for parameters, one in numbered)
+    fits, valves = _fits(problems, records)
+    z = tuple(fit.z for fit in fits)
+    deviations = tuple(np.sqrt(np.diag(np.linalg.inv(fit.hessian))) for fit in fits)
+    errors = [error for fit in fits for error in fit.errors]
+    delays = tuple(
+        float(problem.parameters[-1].at(row[len(problem.parameters) - 1]))
+        for problem, row in zip(problems.values(), z, strict=True)
+    )
+    highest = max(float(np.max(pressure)) for record in records for pressure in record.pressures)
+    residual = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
     quantities = _quantities(problems, z, deviations)
-    return ValveCalibration(valves, delays, quantities, residual, noise, problems, z, deviations)
+    parts = tuple(recordings), valves, delays, highest, problems, z, deviations
+    return ValveCalibration(quantities, *parts, residual, noise_of(errors))
 
 
-def residual_and_noise(errors: Sequence[Floats], highest: float, what: str, remedy: str) -> tuple[float, float]:
-    """Root mean squares [Pa] of errors of pressures and of their white noise; warns if this does not explain them."""
-    error, steps = np.concatenate(errors), np.concatenate([np.diff(one) for one in errors])
-    residual, noise = float(np.sqrt(np.mean(error**2))), float(np.sqrt(np.mean(steps**2) / 2))
-    if residual > max(_UNEXPLAINED * noise, _NEGLIGIBLE * highest):
-        text = f"the residual of {residual / kPa:.2g} kPa is far above the noise of the sensors, {noise / kPa:.2g} kPa"
-        remedy = f"the model does not describe {what}; the intervals are too narrow; check {remedy}"
-        warnings.warn(f"{text}: {remedy}", McKibbenWarning, stacklevel=3)
-    return residual, noise
+def _fits(problems: dict[int, _Problem], records: list[_Record]) -> tuple[list[OutputErrorFit], tuple[Actuator, ...]]:
+    """Fits and valves of all muscles, with integration steps that resolve the estimates."""
+    substeps = _substeps(problems, [problem.valve for problem in problems.values()], records)
+    while True:
+        fits = [_solve(problem, records, muscle, substeps) for muscle, problem in problems.items()]
+        valves = tuple(
+            _valve_of(problem, fit.z, np.sqrt(np.diag(np.linalg.inv(fit.hessian))))
+            for problem, fit in zip(problems.values(), fits, strict=True)
+        )
+        if (needed := _substeps(problems, valves, records)) <= substeps:
+            return fits, valves
+        substeps = needed
 
 
 def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, delay: float | None) -> _Problem:
@@ -348,35 +363,35 @@ def _substeps(problems: dict[int, _Problem], valves: Sequence[Actuator], records
     if not valves[0].holds_air:
         return 1
     joint = next(iter(problems.values())).joint
-    angle = np.concatenate([one.angle for one in records])
+    angle = np.concatenate([record.angle for record in records])
     room = min(
-        float(np.min(one.volume))
-        for index, one in enumerate(air_volumes(joint, angle, 0.0, _mean_pressures(records)))
+        float(np.min(air.volume))
+        for index, air in enumerate(air_volumes(joint, angle, 0.0, _mean_pressures(records)))
         if index in problems
     )
-    fastest = max(one.fastest_rate_in(room) for one in valves)
-    return math.ceil(_MARGIN * fastest * max(float(one.period) for one in records) / STABILITY_LIMIT)
+    fastest = max(valve.fastest_rate_in(room) for valve in valves)
+    return math.ceil(_MARGIN * fastest * max(float(record.period) for record in records) / STABILITY_LIMIT)
 
 
-def _mean_pressures(records: Sequence[_Record]) -> tuple[Any, Any]:
-    one, two = (jnp.asarray(np.mean([record.pressures[i].mean() for record in records])) for i in (0, 1))
-    return one, two
+def _mean_pressures(records: Sequence[_Record]) -> tuple[Array, Array]:
+    first, second = (jnp.asarray(np.mean([record.pressures[i].mean() for record in records])) for i in (0, 1))
+    return first, second
 
 
 def _valve_of(problem: _Problem, z: Floats, deviations: Floats) -> Actuator:
     """Valve with the estimates; what the first model lacks and the recordings do not show is left out."""
     own, ranges = {}, {name: quantity for name, _, quantity in _numbers(problem.valve)}
-    for one, at, wide in zip(problem.parameters[:-1], z, deviations, strict=False):
-        if one.deviation or abs(at) > _SHOWN * wide:
-            lower, upper = ranges[one.name].limits
-            own[one.name] = float(np.clip(float(one.at(at)), lower, upper))
+    for parameter, at, wide in zip(problem.parameters[:-1], z, deviations, strict=False):
+        if parameter.deviation or abs(at) > _SHOWN * wide:
+            lower, upper = ranges[parameter.name].limits
+            own[parameter.name] = float(np.clip(float(parameter.at(at)), lower, upper))
     return _with(problem.valve, own)
 
 
 def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, substeps: int) -> Array:
     """Pressure [Pa] of a muscle at the samples, for parameters in prior standard deviations."""
-    own = [one.at(z[number]) for number, one in enumerate(problem.parameters)]
-    names = [one.name for one in problem.parameters[:-1]]
+    own = [parameter.at(z[number]) for number, parameter in enumerate(problem.parameters)]
+    names = [parameter.name for parameter in problem.parameters[:-1]]
     valve = _with(problem.valve, dict(zip(names, own[:-1], strict=True)))
     steps = jnp.arange(record.angle.shape[0])
     late = steps - own[-1] / record.period  # between two samples a valve gets their mean over the period
@@ -400,8 +415,8 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
     rate = jnp.diff(room, append=room[-1:]) / record.period  # exactly the changes of the volume: errors do not add up
     air = AirVolume(room, rate, air.by_pressure)
 
-    def follow_air(carry: tuple[Array, AirState], given: tuple[Array, AirVolume]) -> tuple[Any, Array]:
-        command, at = given
+    def follow_air(carry: tuple[Array, AirState], row: tuple[Array, AirVolume]) -> tuple[Any, Array]:
+        command, at = row
 
         def one_step(number: Array, carry: tuple[Array, AirState]) -> tuple[Array, AirState]:
             pressure, state = carry
@@ -420,14 +435,8 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
     return lax.scan(follow_air, (pressure, valve.init_states((pressure,))), (commands, air))[1]  # type: ignore[arg-type]
 
 
-@compiled_as_given
-def _pressures(problem: _Problem, z: Any, record: _Record, muscle: int, substeps: int) -> Array:
-    """Pressures [Pa] of a muscle, shape (samples,)."""
-    return _simulated(problem, z, record, muscle, substeps)
-
-
-@compiled_as_given
-def _sensitivities(problem: _Problem, z: Any, record: _Record, muscle: int, substeps: int) -> tuple[Array, Array]:
+@jit_arrays
+def _sensitivities(problem: _Problem, z: ArrayLike, record: _Record, muscle: int, substeps: int) -> tuple[Array, Array]:
     """Pressures [Pa] of a muscle, shape (samples,), and their derivatives, shape (samples, parameters)."""
 
     def simulated(z: Array) -> tuple[Array, Array]:
@@ -444,56 +453,38 @@ def _traced(problem: _Problem) -> _Problem:
     return problem._replace(joint=joint, valve=valve)
 
 
-def _solve(
-    problem: _Problem, records: list[_Record], muscle: int, substeps: int
-) -> tuple[Floats, Floats, list[Floats]]:
-    """Estimates, standard deviations (of the problem's parameters, then of starts), and errors [Pa] by recording."""
-    begins = [round(_START / float(one.period)) for one in records]
-    measured = [one.pressures[muscle][begin:] for one, begin in zip(records, begins, strict=True)]
-    model, given = _traced(problem), list(map(numeric, records))
-    variance, others = _FIRST_VARIANCE, problem.size + len(records) - len(problem.parameters)
-    lacking = np.array([not one.deviation for one in problem.parameters] + [False] * others)
+def _solve(problem: _Problem, records: list[_Record], muscle: int, substeps: int) -> OutputErrorFit:
+    """The fit of the pressures of a muscle: the problem's parameters, then the starts of the recordings."""
+    begins = [round(_START / float(record.period)) for record in records]
+    measured = np.concatenate([record.pressures[muscle][begin:] for record, begin in zip(records, begins, strict=True)])
+    model, traced = _traced(problem), list(map(numeric, records))
+    others = problem.size + len(records) - len(problem.parameters)
+    lacking = np.array([not parameter.deviation for parameter in problem.parameters] + [False] * others)
 
-    def fitted(of: Any, z: Floats) -> list[Any]:
-        """Results of a compiled function for the fitted samples of all recordings."""
-        found = [jax.tree.map(np.asarray, of(model, z, record, muscle, substeps)) for record in given]
-        return [jax.tree.map(itemgetter(slice(begin, None)), one) for one, begin in zip(found, begins, strict=True)]
+    def linearised(z: Floats) -> tuple[Floats, Floats]:
+        pairs = [_sensitivities(model, z, record, muscle, substeps) for record in traced]
+        errors, slopes = (
+            np.concatenate([np.asarray(part)[begin:] for part, begin in zip(parts, begins, strict=True)])
+            for parts in zip(*pairs, strict=True)
+        )
+        return errors - measured, slopes
 
-    def terms(z: Floats) -> tuple[float, Floats, Floats]:
-        """Objective, its gradient, and its Gauss-Newton Hessian."""
-        found, slopes = zip(*fitted(_sensitivities, z), strict=True)
-        return gauss_newton(np.concatenate(found) - np.concatenate(measured), np.concatenate(slopes), variance, z)
-
-    def search(z: Floats, restart: bool = False) -> tuple[Floats, float]:
-        if restart:
-            z = np.where(lacking, _BEGIN, z)
-        return minimised(terms, z, _ITERATIONS, _TOLERANCE)
-
-    z, objective = search(np.zeros(lacking.size), restart=True)
-    # Of what the first model lacks, zero may be a local minimum.
-    z, objective = min((z, objective), search(z, restart=True), key=itemgetter(1))
-    if not math.isfinite(objective):
-        raise IdentificationError("the simulated valve diverges", remedy="give a model closer to the valve")
-    errors = measured
-    for stage in range(_STAGES):
-        if stage:
-            z, _ = search(z)
-        errors = [one - other for one, other in zip(fitted(_pressures, z), measured, strict=True)]
-        variance = max(variance_of(errors), _LEAST_VARIANCE)
-    z = np.where(lacking, np.abs(z), z)
-    return z, np.sqrt(np.diag(np.linalg.inv(terms(z)[2]))), errors
+    sizes = [record.angle.size - begin for record, begin in zip(records, begins, strict=True)]
+    start = np.where(lacking, _BEGIN, 0.0)
+    return fit_output_error(linearised, [start], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE, positive=lacking)
 
 
 def _quantities(
     problems: dict[int, _Problem], z: Sequence[Floats], deviations: Sequence[Floats]
 ) -> dict[str, JointEstimate]:
-    found = {}
+    estimates = {}
     for (muscle, problem), row, wide in zip(problems.items(), z, deviations, strict=True):
-        for number, one in enumerate(problem.parameters):
-            found[f"valve{muscle + 1}.{one.name}"] = one.estimate(float(row[number]), float(wide[number]))
+        for number, parameter in enumerate(problem.parameters):
+            estimate = parameter.estimate(float(row[number]), float(wide[number]))
+            estimates[f"valve{muscle + 1}.{parameter.name}"] = estimate
         for number, (name, scale) in enumerate(
             zip(NUISANCES, problem.nuisances, strict=False), len(problem.parameters)
         ):
             value, unit = scale * float(row[number]) + (name not in _ZEROS), _ZEROS.get(name, "1")
-            found[f"valve{muscle + 1}.{name}"] = JointEstimate(value, scale * float(wide[number]), scale, unit)
-    return found
+            estimates[f"valve{muscle + 1}.{name}"] = JointEstimate(value, scale * float(wide[number]), scale, unit)
+    return estimates

@@ -41,11 +41,11 @@ from mckibben.cli.options import (
     table,
     with_accuracy,
 )
-from mckibben.cli.plan import envelope, margins, plan, stiffness
+from mckibben.cli.plan import margins, plan, stiffness
 from mckibben.cli.points import points
 from mckibben.cli.recordings import identify_air, identify_creep
 from mckibben.cli.rig import rig
-from mckibben.cli.size import size
+from mckibben.cli.size import envelope, size
 from mckibben.cli.sweep import sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder, to_json

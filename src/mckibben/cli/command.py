@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from mckibben.result import Result
 
 _WIDTH_OF_A_PIPE = 100  # characters of a line where there is no terminal
-_DETAILS = Annotated[bool, Option("--details", help="Print notes and further tables, too.")]
-_ADDED = {"details": (_DETAILS, False), "json": (Json, False), "out": (Out, None), "force": (Force, False)}
+DETAILS = Annotated[bool, Option("--details", help="Print notes and further tables, too.")]
+_ADDED = {"details": (DETAILS, False), "json": (Json, False), "out": (Out, None), "force": (Force, False)}
 
 
 def command(function: Callable[..., Result], /) -> Callable[..., None]:
@@ -65,7 +65,7 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
     return run
 
 
-def present(result: Result, *, details: bool = False, json: bool = False, out: Path | None, force: bool) -> None:
+def present(result: Result, *, details: bool = False, json: bool = False, out: Path | None = None, force: bool) -> None:
     """Write the files of a result, and print it; exit with 1 if it is not `ok`."""
     names: list[str] = []
     try:

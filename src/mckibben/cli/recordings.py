@@ -9,23 +9,20 @@ from typer import Argument, Option
 
 from mckibben.cli.command import command
 from mckibben.cli.options import (
-    Force,
-    Json,
-    Out,
     Reading,
     parse_quantity,
     reads_files,
     report_reading,
-    results_folder,
-    show_results,
 )
 from mckibben.result import Result
 
 if TYPE_CHECKING:
+    from mckibben.calibration import AirFit
     from mckibben.dataset import Recording
 
 
 @reads_files("slack_force", "specimen")
+@command
 def identify_air(
     recordings: Annotated[list[Path], Argument(metavar="RECORDING...", help="Files of pressure over time.")],
     specimen: Annotated[str, Option(help="Specimen, or its file, whose braid gives the volume.")],
@@ -34,20 +31,15 @@ def identify_air(
     ] = "0 cm^3",
     *,
     reading: Reading,
-    json: Json = False,
-    out: Out = None,
-    force: Force = False,
-) -> None:
+) -> AirFit:
     """Identify heat to the wall, leak and dead volume: fill a muscle fast, shut the valve, watch; vent, shut, watch."""
-    results_folder(out, ("results.json",), force)
     from mckibben.calibration import identify_air as run
     from mckibben.study.inputs import specimen_named
 
     dead = parse_quantity("--dead-volume", dead_volume, "m^3")
     muscle = specimen_named(specimen)
     read = _read(recordings, reading)
-    found = run(read, muscle, dead_volume=dead)
-    show_results(out, found.records(), found.report(), json)
+    return run(read, muscle, dead_volume=dead)
 
 
 @reads_files("slack_force", "specimen")

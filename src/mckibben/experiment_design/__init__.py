@@ -2,7 +2,7 @@
 
 from mckibben.experiment_design.planning import plan
 from mckibben.experiment_design.quantities import (
-    Coefficients,
+    Coefficient,
     Force,
     JointStiffness,
     JointTorque,
@@ -12,7 +12,7 @@ from mckibben.experiment_design.quantities import (
 from mckibben.experiment_design.result import ErrorMap, ExperimentPlan, PlannedPoint
 
 __all__ = [
-    "Coefficients",
+    "Coefficient",
     "ErrorMap",
     "ExperimentPlan",
     "Force",

@@ -1,4 +1,4 @@
-"""Design region, candidate set, and evenly spaced designs."""
+"""Design region and candidate set."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from mckibben.identification.least_squares import force_gradients
 from mckibben.muscle import Domain, ForceLaw, Specimen, forces
 from mckibben.units import mm, percent
 
+REPEATS = 2
+"""Most repetitions of a point, each on a separate pass."""
 _MAX_STATES = 40_000
 _FORCE_RESERVE = 0.05  # of the rated force, as in a protocol
 _SLACK_MARGIN = 3.0  # standard deviations of a point above the slack force
@@ -80,33 +82,6 @@ def _grid_axis(low: object, high: object, step: float) -> Floats:
     return np.asarray(np.round(np.arange(first, last + 1) * step, 12), np.float64)
 
 
-def even_layouts(states: StateGrid, count: int, directions: int) -> list[Indices]:
-    """Evenly spaced designs, for 1 pressure up to half of the points: row, column, direction; shape (count, 3)."""
-    usable = np.flatnonzero(states.allowed.any(axis=1))
-    layouts = []
-    for levels in range(1, max(count // 2, 1) + 1):
-        rows = usable[_spaced(len(usable), levels)]
-        sizes = np.full(levels, count // levels)
-        sizes[levels - count % levels :] += 1  # more at high pressure, where the taut stroke is long
-        if len(np.unique(rows)) < levels:
-            break
-        layout = []
-        for i, (row, size) in enumerate(zip(rows, sizes, strict=True)):
-            there = np.flatnonzero(states.allowed[row])
-            columns = there[_spaced(len(there), int(size))]
-            layout += [(row, column, (i + j) % directions) for j, column in enumerate(columns)]
-        if len(set(layout)) == count:
-            layouts.append(np.array(layout))
-    return layouts
-
-
-def _spaced(size: int, count: int) -> Indices:
-    """`count` evenly spaced indices out of `size`; the middle for one."""
-    if count == 1:
-        return np.array([(size - 1) // 2])
-    return np.round(np.linspace(0, size - 1, count)).astype(np.int64)
-
-
 def design_region(
     prior: PriorData,
     limits: Domain | None,
@@ -169,46 +144,36 @@ class CandidateSet:
 
     states: StateGrid
     directions: tuple[str, ...]  # ("",) if not distinguished
-    repeats: int  # of a point, at most
     rows: Floats = field(repr=False)  # design matrix, (candidates, unknowns)
     strokes: Indices = field(repr=False)  # (candidates,), one per pressure, direction and repeat
 
     @classmethod
-    def of(cls, prior: PriorData, states: StateGrid, directions: tuple[str, ...], repeats: int) -> CandidateSet:
+    def of(cls, prior: PriorData, states: StateGrid) -> CandidateSet:
         """All candidates of a grid."""
         levels, columns = states.places.T
+        directions = tuple(DIRECTION_SIGN) if prior.friction else ("",)
         names = [p.name for p in type(prior.law).parameters()]
         rows = force_gradients(prior.law, names, states.contractions[columns], states.pressures[levels])
-        each = len(directions) * repeats
-        rows = np.repeat(rows, each, axis=0)
+        count = len(directions) * REPEATS
+        rows = np.repeat(rows, count, axis=0)
         if prior.friction:
-            signs = np.tile(np.repeat([DIRECTION_SIGN[one] for one in directions], repeats), len(levels))
+            signs = np.tile(np.repeat(list(DIRECTION_SIGN.values()), REPEATS), len(levels))
             rows = np.concatenate([rows, signs[:, None]], axis=1)
-        strokes = np.repeat(levels * each, each) + np.tile(np.arange(each), len(levels))
-        return cls(states, directions, repeats, rows, np.unique(strokes, return_inverse=True)[1].reshape(-1))
+        strokes = np.repeat(levels * count, count) + np.tile(np.arange(count), len(levels))
+        return cls(states, directions, rows, np.unique(strokes, return_inverse=True)[1].reshape(-1))
 
     def points(self, chosen: list[int]) -> list[tuple[float, float, str, int, float]]:
         """Pressure, contraction, direction, repeat and expected force; repeats numbered in order of appearance."""
         passes: dict[tuple[int, int], list[int]] = {}
-        found = []
-        for one in chosen:
-            place, rest = divmod(one, len(self.directions) * self.repeats)
-            direction, repeat = divmod(rest, self.repeats)
+        points = []
+        for candidate in chosen:
+            place, rest = divmod(candidate, len(self.directions) * REPEATS)
+            direction, repeat = divmod(rest, REPEATS)
             row, column = self.states.places[place]
             seen = passes.setdefault((int(row), direction), [])
             if repeat not in seen:
                 seen.append(repeat)
-            where = float(self.states.pressures[row]), float(self.states.contractions[column])
-            found.append(
-                (*where, self.directions[direction], seen.index(repeat), float(self.states.force[row, column]))
-            )
-        return found
-
-    def even_designs(self, count: int) -> list[list[int]]:
-        """Evenly spaced designs, as indices of candidates."""
-        numbers = np.cumsum(self.states.allowed.ravel()).reshape(self.states.allowed.shape) - 1
-        each = len(self.directions) * self.repeats
-        return [
-            [int(numbers[row, column]) * each + int(direction) * self.repeats for row, column, direction in layout]
-            for layout in even_layouts(self.states, count, len(self.directions))
-        ]
+            state = float(self.states.pressures[row]), float(self.states.contractions[column])
+            force = float(self.states.force[row, column])
+            points.append((*state, self.directions[direction], seen.index(repeat), force))
+        return points

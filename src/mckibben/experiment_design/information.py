@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
+_UNDETERMINED = 1.02  # ratio of variances with a prior and with a hundredth of it
 RANK_TOLERANCE = 1e-10
 """Relative to the largest singular value; combinations of parameters below it change no measurable force."""
 
@@ -69,41 +70,25 @@ def _stroke_sums(rows: Floats, strokes: Indices, count: int) -> tuple[Floats, In
     return sums, np.bincount(strokes, minlength=count)
 
 
-@dataclass(frozen=True, eq=False)
-class DesignCriterion:
-    """Criterion of a design: c-optimal for one value, mean variance (A- or V-optimal) or D-optimal for several."""
+def condensed(gradients: Floats) -> Floats:
+    """Gradients with the same mean variance, of no more values than coordinates; shape (values, coordinates)."""
+    count, width = gradients.shape
+    return gradients if count <= width else np.linalg.qr(gradients, mode="r") * np.sqrt(width / count)
 
-    gradients: Floats = field(repr=False)  # (values, coordinates)
-    d_optimal: bool  # volume of the joint confidence region, not mean variance
 
-    @classmethod
-    def of(cls, gradients: Floats, d_optimal: bool) -> DesignCriterion:
-        """An equivalent criterion of no more values than coordinates."""
-        count, width = gradients.shape
-        if not d_optimal and count > width:
-            gradients = np.linalg.qr(gradients, mode="r") * np.sqrt(width / count)
-        return cls(gradients, d_optimal)
+def mean_variance(gradients: Floats, information: Floats) -> float:
+    """Mean variance of values (c-optimality of one, A- or V-optimality of several)."""
+    return float(np.trace(gradients @ np.linalg.solve(information, gradients.T))) / len(gradients)
 
-    def cost(self, information: Floats) -> float:
-        """Logarithm of the mean variance, or of its geometric mean over the axes of the joint region."""
-        covariance = self.gradients @ np.linalg.solve(information, self.gradients.T)
-        if self.d_optimal:
-            return float(np.linalg.slogdet(covariance)[1]) / len(covariance)
-        return float(np.log(np.trace(covariance) / len(covariance)))
 
-    def costs_with(self, information: Floats, rows: Floats) -> Floats:
-        """Cost after adding a point of unit variance, per row (rank-one update); shape (rows,)."""
-        inverse = np.linalg.inv(information)
-        seen = rows @ inverse
-        leverage = 1 + np.einsum("ni,ni->n", seen, rows)
-        moved = seen @ self.gradients.T
-        covariance = self.gradients @ inverse @ self.gradients.T
-        if self.d_optimal:
-            part = np.einsum("ni,in->n", moved, np.linalg.solve(covariance, moved.T)) / leverage
-            total = float(np.linalg.slogdet(covariance)[1])
-            return (total + np.log1p(-np.minimum(part, 1 - 1e-15))) / len(covariance)
-        trace = np.trace(covariance) - np.einsum("ni,ni->n", moved, moved) / leverage
-        return np.log(np.maximum(trace, 1e-300) / len(covariance))
+def mean_variances_with(gradients: Floats, information: Floats, rows: Floats) -> Floats:
+    """Mean variance after adding a point of unit variance, per row (rank-one update); shape (rows,)."""
+    inverse = np.linalg.inv(information)
+    seen = rows @ inverse
+    leverage = 1 + np.einsum("ni,ni->n", seen, rows)
+    moved = seen @ gradients.T
+    total = np.trace(gradients @ inverse @ gradients.T) - np.einsum("ni,ni->n", moved, moved) / leverage
+    return np.maximum(total, 1e-300) / len(gradients)
 
 
 def estimate_noise(rows: Floats, residuals: Floats, strokes: Indices | None) -> NoiseModel:
@@ -140,11 +125,11 @@ class ErrorEstimator:
     information: Floats = field(repr=False)  # of the prior data, (coordinates,) * 2
     prior: Floats = field(repr=False)  # a weak multiple of the identity
 
-    def error(self, criterion: DesignCriterion, added: Floats | float = 0.0) -> float:
-        """Standard error of a criterion, with added information."""
+    def error(self, gradients: Floats, added: Floats | float = 0.0) -> float:
+        """Root of the mean variance of values, with added information."""
         known = self.information + added
-        weak, weaker = (criterion.cost(known + self.prior * part) for part in (1.0, 1e-2))
-        return math.inf if weaker - weak > 0.02 else math.exp(weaker / 2)
+        weak, weaker = (mean_variance(gradients, known + self.prior * part) for part in (1.0, 1e-2))
+        return math.inf if weaker > _UNDETERMINED * weak else math.sqrt(weaker)
 
     def errors(self, gradients: Floats, added: Floats | float = 0.0) -> Floats:
         """Standard error of each of many values, with added information."""
@@ -153,7 +138,7 @@ class ErrorEstimator:
             np.einsum("ni,in->n", gradients, np.linalg.solve(known + self.prior * part, gradients.T))
             for part in (1.0, 1e-2)
         )
-        return np.where(weaker > 1.02 * weak, np.inf, np.sqrt(weaker))
+        return np.where(weaker > _UNDETERMINED * weak, np.inf, np.sqrt(weaker))
 
     def undetermined(self, subspace: IdentifiableSubspace) -> Floats:
         """Combinations of parameters, scaled to 1 N, that the prior data leave free; shape (parameters, n)."""
@@ -174,7 +159,7 @@ class ExchangeProblem:
     strokes: Indices = field(repr=False)  # (candidates,), new ones
     information: Floats = field(repr=False)  # of the prior data, invertible
     noise: NoiseModel
-    criterion: DesignCriterion
+    gradients: Floats = field(repr=False)  # (values, coordinates), whose mean variance is the cost
 
     def added(self, chosen: list[int]) -> Floats:
         """Information of chosen candidates."""
@@ -182,7 +167,7 @@ class ExchangeProblem:
 
     def cost(self, chosen: list[int]) -> float:
         """Cost with chosen candidates measured."""
-        return self.criterion.cost(self.information + self.added(chosen))
+        return math.log(mean_variance(self.gradients, self.information + self.added(chosen)))
 
     def best(self, chosen: list[int], among: Indices | None = None) -> tuple[int, float]:
         """The unchosen candidate of the lowest cost, and that cost."""
@@ -191,7 +176,7 @@ class ExchangeProblem:
         strokes = self.strokes[index]
         weight = self.noise.shared_weight(counts)[strokes]
         rows = (self.rows[index] - weight[:, None] * sums[strokes]) / (self.noise.point * np.sqrt(1 + weight))[:, None]
-        costs = self.criterion.costs_with(self.information + self.added(chosen), rows)
+        costs = np.log(mean_variances_with(self.gradients, self.information + self.added(chosen), rows))
         if among is None:
             costs[chosen] = np.inf
         place = int(np.argmin(costs))

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError, ParameterError, RangeError
-from mckibben.experiment_design.candidates import CandidateSet, StateGrid, design_region
+from mckibben.errors import IdentificationError, RangeError
+from mckibben.experiment_design.candidates import REPEATS, CandidateSet, StateGrid, design_region
 from mckibben.experiment_design.information import (
-    DesignCriterion,
     ErrorEstimator,
     ExchangeProblem,
     Floats,
     IdentifiableSubspace,
+    condensed,
     exchange,
     information_matrix,
 )
@@ -27,7 +26,6 @@ from mckibben.identification import Fit
 from mckibben.muscle import Domain, ForceLaw, Specimen
 from mckibben.units import bar
 
-DIRECTIONS = ("loading", "unloading")
 _PRIOR = 100.0  # largest forces: prior standard deviation of each coordinate
 _ROUNDING = 1e-10  # of the information of one point: a weaker prior would be lost in rounding
 _MAX_POINTS = 200
@@ -46,116 +44,117 @@ def plan(
     specimen: Specimen | None = None,
     contraction_step: float | None = None,
     pressure_step: float = 0.25 * bar,
-    directions: Sequence[str] = DIRECTIONS,
-    repeats: int = 2,
-    friction: bool | None = None,
     noise: float | None = None,
-    stroke_error: float | None = None,
     guess: ForceLaw | None = None,
 ) -> ExperimentPlan:
-    """Plan the measurement points that most reduce the standard error of a quantity.
+    r"""Plan the measurement points that most reduce the standard error of a quantity.
 
     A locally optimal exact design: the law is linearised in its parameters about the fit, and points are chosen from a
-    grid by an exchange algorithm. Where directions are recorded, half the gap between them is an unknown of the fit:
-    points of one direction alone do not distinguish it from the force.
+    grid by an exchange algorithm, at most twice each. The covariance of the parameters after a design is
+
+    .. math:: \Sigma = \Bigl(\sum_s J_s^T (\sigma^2 I + \tau^2 1 1^T)^{-1} J_s\Bigr)^{-1}
+
+    with the derivatives J of the forces, the standard deviation sigma of a point, and tau of the error that the points
+    of a stroke s share. Where directions are recorded, half the gap between them is an unknown of the fit: points of
+    one direction alone do not distinguish it from the force.
 
     Parameters
     ----------
     data
         Measured points, or a fit to them.
     quantity
-        `Coefficients`, `Force`, `JointStiffness` or `JointTorque`.
+        `Coefficient`, `Force`, `JointStiffness` or `JointTorque`.
     law_type
         Kind of law. Default: that of the fit.
+    points
+        Number of points, 1 to 200.
     limits
         Limits of contraction and pressure. Default: those of the specimen, or of the data.
     specimen
         Range, rating and length of the muscle. Default: the catalog entry named in the data.
     contraction_step, pressure_step
         Resolution of the rig [-], [Pa]. Default: 1 mm (0.5 % of an unknown length), and 0.25 bar.
-    directions
-        Directions in which the rig can measure.
-    repeats
-        Maximum repetitions of a point, each on a separate pass.
-    friction
-        Whether the gap between the directions is an unknown. Default: if directions are recorded.
-    noise, stroke_error
-        Standard deviation of a point, and of the error shared by a stroke [N]. Default: estimated from residuals.
+    noise
+        Standard deviation of a point [N]. Default: estimated from residuals.
     guess
-        Law to linearise about if the data do not determine one. Default: fitted to a manufacturer's chart.
+        Law to linearise about, needed with `noise` if the data do not determine one.
 
     Raises
     ------
     IdentificationError
-        If no measurement within the limits reduces the error.
+        If no measurement within the limits reduces the error, or the data determine no law and `guess` or `noise` is
+        missing.
     RangeError
         If nothing can be measured within the limits, or a number is out of range.
     ParameterError
-        If the law has no such coefficient, a direction is unknown, or the kind of law is missing.
+        If the law has no such coefficient, or the kind of law is missing.
+
+    References
+    ----------
+    V. V. Fedorov, Theory of Optimal Experiments, Academic Press 1972 (exchange); A. C. Atkinson, A. N. Donev and R. D.
+    Tobias, Optimum Experimental Designs, with SAS, Oxford 2007, ch. 10 (criteria) and 17 (nonlinear models).
 
     Examples
     --------
     >>> from mckibben import catalog
-    >>> from mckibben.experiment_design import Coefficients
+    >>> from mckibben.experiment_design import Coefficient
     >>> from mckibben.muscle import ExponentialLaw
     >>> data = catalog.dataset("dmsp-10-250-martens2017")
-    >>> found = plan(data, Coefficients(("decay",)), ExponentialLaw, points=4)
-    >>> found.error_after < found.error_even < found.error_now
+    >>> found = plan(data, Coefficient("decay"), ExponentialLaw, points=4)
+    >>> found.error_after < found.error_now
     True
     """
-    _check_options(points, repeats, directions, noise, stroke_error)
-    prior = PriorData.of(data, law_type, friction, noise, stroke_error, guess)
+    if not 1 <= points <= _MAX_POINTS:
+        message = f"{points} points are not within 1..{_MAX_POINTS}"
+        raise RangeError(message, field="points", value=points, lower=1, upper=_MAX_POINTS)
+    if noise is not None and not 0 < noise < math.inf:
+        raise RangeError(f"a noise of {noise:g} N is not above 0", field="noise", value=noise, lower=0.0, unit="N")
+    prior = PriorData.of(data, law_type, noise, guess)
     region, notes = design_region(prior, limits, specimen, contraction_step, pressure_step)
     states = StateGrid.of(prior.law, region)
-    measured_in = tuple(d for d in DIRECTIONS if d in directions) if prior.friction else ("",)
-    candidates = CandidateSet.of(prior, states, measured_in, repeats)
+    candidates = CandidateSet.of(prior, states)
     if len(candidates.rows) < points:
         message = f"there are {len(candidates.rows)} candidates for {points} points"
         remedy = "choose finer steps, wider limits or fewer points"
         raise RangeError(message, value=points, upper=len(candidates.rows), remedy=remedy)
     linear = quantity.linearize(prior.law, states)
     gradients = np.pad(linear.gradients, ((0, 0), (0, prior.friction)))  # friction itself is of no interest
-    subspace = IdentifiableSubspace.of(np.concatenate([candidates.rows[::repeats], prior.rows]))
-    _check_identifiable(quantity, gradients, subspace, prior, measured_in)
-    criterion = DesignCriterion.of(gradients @ subspace.basis, linear.d_optimal)
+    subspace = IdentifiableSubspace.of(np.concatenate([candidates.rows[::REPEATS], prior.rows]))
+    _check_identifiable(quantity, gradients, subspace, prior)
+    wanted = condensed(gradients @ subspace.basis)
     weakest = 1 / (_PRIOR * float(states.force[states.allowed].max())) ** 2, _ROUNDING / prior.noise.point**2
     weak = np.eye(subspace.basis.shape[1]) * max(weakest)
     known = information_matrix(prior.rows @ subspace.basis, prior.strokes, prior.noise)
-    problem = ExchangeProblem(
-        candidates.rows @ subspace.basis, candidates.strokes, known + weak, prior.noise, criterion
-    )
+    rows = candidates.rows @ subspace.basis
+    problem = ExchangeProblem(rows, candidates.strokes, known + weak, prior.noise, wanted)
     estimator = ErrorEstimator(known, weak)
 
     chosen = exchange(problem, points)
     added = [problem.added(chosen[: i + 1]) for i in range(points)]
-    errors = [estimator.error(criterion), *(estimator.error(criterion, more) for more in added)]
-    designs = [(estimator.error(criterion, problem.added(one)), one) for one in candidates.even_designs(points)]
-    even, even_design = min(designs, default=(math.nan, []))
+    errors = [estimator.error(wanted), *(estimator.error(wanted, more) for more in added)]
     unit_vectors = np.eye(len(prior.names))
     unidentifiable = subspace.unidentifiable_part(unit_vectors) > _UNIDENTIFIABLE
     now, after = (
         np.where(unidentifiable, np.inf, estimator.errors(unit_vectors @ subspace.basis, more))
         for more in (0.0, added[-1])
     )
-    force_rows = candidates.rows[:: repeats * len(measured_in)].copy()
+    force_rows = candidates.rows[:: REPEATS * len(candidates.directions)].copy()
     force_rows[:, len(prior.parameters) :] = 0.0  # the law's force, midway between the directions
     maps = ErrorMap(
         states, *(_mapped(states, estimator.errors(force_rows @ subspace.basis, more)) for more in (0.0, added[-1]))
     )
     free = np.concatenate([subspace.null_space, estimator.undetermined(subspace)], axis=1)
-    planned = candidates.points(chosen)
+    planned = [
+        PlannedPoint(*point, standard_error=error, gain=_gain(before, error))
+        for point, before, error in zip(candidates.points(chosen), errors, errors[1:], strict=False)
+    ]
     risky = estimator.errors(problem.rows[chosen])
     return ExperimentPlan(
         quantity=quantity,
         law=prior.law,
-        points=tuple(
-            PlannedPoint(*point, standard_error=error, gain=_gain(before, error))
-            for point, before, error in zip(planned, errors, errors[1:], strict=False)
-        ),
+        points=tuple(planned),
         error_now=errors[0],
         error_after=errors[-1],
-        error_even=even,
-        even_points=tuple(point[:4] for point in candidates.points(even_design)),
         value=float(linear.values[0]) if len(linear.values) == 1 else None,
         parameter_errors={name: (float(now[i]), float(after[i])) for i, name in enumerate(prior.parameters)},
         noise=prior.noise,
@@ -165,8 +164,7 @@ def plan(
             *prior.notes,
             *notes,
             *linear.warnings,
-            *_overload_note([point[-1] for point in planned], risky, region.force_max),
-            *_gain_note(errors, linear.values),
+            *_overload_note([point.force for point in planned], risky, region.force_max),
         ),
         measured=prior.measured,
         map=maps,
@@ -186,16 +184,6 @@ def _gain(before: float, after: float) -> float:
     return 1 - after / before
 
 
-def _gain_note(errors: list[float], values: Floats) -> list[str]:
-    if math.isinf(errors[-1]):
-        return ["the quantity remains undetermined with these points: plan more points"]
-    if math.isfinite(errors[0]) and errors[-1] > 0.99 * errors[0]:
-        return ["the gain is small: these points reduce the standard error by less than 1 %"]
-    if len(values) == 1 and math.isfinite(errors[0]) and errors[0] > abs(values[0]):
-        return ["the standard error exceeds the value: measure a few of these points, then plan again"]
-    return []
-
-
 def _overload_note(force: list[float], errors: Floats, force_max: float) -> list[str]:
     """Points whose force may exceed the limit by two standard errors."""
     over = [str(i + 1) for i in np.flatnonzero(np.isfinite(errors) & (np.array(force) + 2 * errors > force_max))]
@@ -207,31 +195,8 @@ def _overload_note(force: list[float], errors: Floats, force_max: float) -> list
     ]
 
 
-def _check_options(
-    points: int, repeats: int, directions: Sequence[str], noise: float | None, stroke_error: float | None
-) -> None:
-    for name, value, most in (("points", points, _MAX_POINTS), ("repeats", repeats, 20)):
-        if not 1 <= value <= most:
-            raise RangeError(f"{value} {name} are not within 1..{most}", value=value, lower=1, upper=most)
-    for direction in directions or [""]:
-        if direction not in DIRECTIONS:
-            raise ParameterError(
-                f"{direction!r} is not a direction", value=direction, remedy=f"give {' or '.join(DIRECTIONS)}, or both"
-            )
-    for name, value, valid, least in (
-        ("noise", noise, noise is None or noise > 0, "above 0"),
-        ("stroke error", stroke_error, stroke_error is None or stroke_error >= 0, "0 or above"),
-    ):
-        if value is not None and not (valid and math.isfinite(value)):
-            raise RangeError(f"a {name} of {value:g} N is not {least}", value=value, lower=0.0, unit="N")
-
-
 def _check_identifiable(
-    quantity: QuantityOfInterest,
-    gradients: Floats,
-    subspace: IdentifiableSubspace,
-    prior: PriorData,
-    directions: tuple[str, ...],
+    quantity: QuantityOfInterest, gradients: Floats, subspace: IdentifiableSubspace, prior: PriorData
 ) -> None:
     """Raise an error for a quantity whose error no measurement reduces."""
     if not np.abs(gradients / subspace.scale).max() > _SENSITIVITY:
@@ -243,11 +208,8 @@ def _check_identifiable(
     if (subspace.unidentifiable_part(gradients) > _UNIDENTIFIABLE).any():
         share = np.abs(subspace.null_space).max(axis=1)
         tied = [name for name, part in zip(prior.names, share, strict=True) if part > 0.05 * share.max()]
-        one_direction = prior.friction and len(directions) == 1 and "friction" in tied
         raise IdentificationError(
             f"{quantity} is not identifiable within the limits: {', '.join(tied)} can change together without changing "
             "any measurable force",
-            remedy=f"measure in the direction opposite to {directions[0]} too, or plan without friction"
-            if one_direction
-            else "use a law with fewer parameters, or wider limits",
+            remedy="use a law with fewer parameters, or wider limits",
         )

@@ -16,6 +16,7 @@ from mckibben.experiment_design.information import Floats
 from mckibben.identification.least_squares import force_gradients
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
+from mckibben.muscle.base import Parameter
 from mckibben.study.uncertainty import torque_and_stiffness_gradients
 from mckibben.units import bar, deg, parse_range, quantity
 
@@ -29,7 +30,6 @@ class LinearizedQuantity:
 
     gradients: Floats = field(repr=False)  # (values, parameters), in SI
     values: Floats = field(repr=False)  # (values,)
-    d_optimal: bool = False  # volume of the joint confidence region, for values of several units
     # (states, 2): contraction [-] and pressure [Pa] of the muscle that it depends on
     states: Floats = field(default_factory=lambda: np.empty((0, 2)), repr=False)
     warnings: tuple[str, ...] = ()  # on its value
@@ -43,39 +43,34 @@ class QuantityOfInterest(abc.ABC):
         """Linearise about a law; `states` are the measurable ones."""
 
     @abc.abstractmethod
-    def unit(self, law_type: type[ForceLaw]) -> str:
-        """Unit of its standard error; empty for values of several units."""
+    def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
+        """Unit of its standard error in SI, and the shown one."""
 
 
 @dataclass(frozen=True)
-class Coefficients(QuantityOfInterest):
-    """Parameters of the law (default: all): c-optimal for one, D-optimal for several (independent of their units)."""
+class Coefficient(QuantityOfInterest):
+    """A parameter of the law (c-optimal)."""
 
-    names: tuple[str, ...] = ()
+    name: str
 
     def __str__(self) -> str:
-        return ", ".join(self.names) or "all coefficients"
+        return self.name
 
-    def unit(self, law_type: type[ForceLaw]) -> str:
-        names = self._known(law_type)
-        return next(p.shown for p in law_type.parameters() if p.name == names[0]) if len(names) == 1 else ""
+    def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
+        parameter = self._parameter(law_type)
+        return parameter.unit, parameter.shown
 
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
-        known = [p.name for p in type(law).parameters()]
-        names = self._known(type(law))
-        gradients = np.eye(len(known))[[known.index(name) for name in names]]
-        return LinearizedQuantity(
-            gradients, np.array([float(getattr(law, name)) for name in names]), d_optimal=len(names) > 1
-        )
+        self._parameter(type(law))
+        gradients = np.array([[float(p.name == self.name) for p in type(law).parameters()]])
+        return LinearizedQuantity(gradients, np.array([float(getattr(law, self.name))]))
 
-    def _known(self, law_type: type[ForceLaw]) -> tuple[str, ...]:
-        known = [p.name for p in law_type.parameters()]
-        for name in self.names:
-            if name not in known:
-                raise ParameterError(
-                    f"{law_type.__name__} has no coefficient {name!r}", value=name, remedy=f"it has {', '.join(known)}"
-                )
-        return self.names or tuple(known)
+    def _parameter(self, law_type: type[ForceLaw]) -> Parameter:
+        known = {p.name: p for p in law_type.parameters()}
+        if self.name not in known:
+            message = f"{law_type.__name__} has no coefficient {self.name!r}"
+            raise ParameterError(message, value=self.name, remedy=f"it has {', '.join(known)}")
+        return known[self.name]
 
 
 @dataclass(frozen=True)
@@ -87,8 +82,8 @@ class Force(QuantityOfInterest):
     def __str__(self) -> str:
         return f"force at {self.region}" if self.region else "force"
 
-    def unit(self, law_type: type[ForceLaw]) -> str:
-        return "N"
+    def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
+        return "N", "N"
 
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         if self.region is None:
@@ -135,16 +130,16 @@ class _JointQuantity(QuantityOfInterest):
         p1, p2 = (pressure / bar for pressure in self.pressures)
         return f"{self._name} at {shown} deg, {p1:.4g} bar, {p2:.4g} bar"
 
-    def unit(self, law_type: type[ForceLaw]) -> str:
-        return self._unit
+    def unit(self, law_type: type[ForceLaw]) -> tuple[str, str]:
+        return self._unit, self._unit
 
     def linearize(self, law: ForceLaw, states: StateGrid) -> LinearizedQuantity:
         angles = np.atleast_1d(np.asarray(self.angle, np.float64))
         pressures = [np.full(len(angles), float(pressure)) for pressure in self.pressures]
         joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), self.joint, (law, law))
         values = np.array([float(getattr(law, p.name)) for p in type(law).parameters()])
-        derivatives = torque_and_stiffness_gradients(joint, (values,), angles, *pressures, one=True)
-        found, (gradients,), contractions = jax.tree.map(np.asarray, derivatives)
+        derivatives = torque_and_stiffness_gradients(joint, (values,), angles, *pressures)
+        values, (gradients,), contractions = jax.tree.map(np.asarray, derivatives)
         warnings: list[str] = []
         muscles = self.joint.muscle1, self.joint.muscle2
         for number, muscle, contraction, pressure in zip((1, 2), muscles, contractions, pressures, strict=True):
@@ -162,7 +157,7 @@ class _JointQuantity(QuantityOfInterest):
             if np.any(forces(law, contraction, pressure) <= 0):
                 warnings.append(f"muscle {number} is slack there and does not contribute to the {self._name}")
         places = np.stack([np.concatenate(contractions), np.concatenate(pressures)], axis=1)
-        return LinearizedQuantity(gradients[self._row].T, found[self._row], states=places, warnings=tuple(warnings))
+        return LinearizedQuantity(gradients[self._row].T, values[self._row], states=places, warnings=tuple(warnings))
 
 
 @dataclass(frozen=True)
@@ -194,7 +189,7 @@ def parse_quantity_of_interest(
     Parameters
     ----------
     text
-        "coefficients", or names such as "decay" or "a1, a2"; "force", or "force at 0..10 %, 3..6 bar"; "stiffness" or
+        A coefficient such as "decay"; "force", or "force at 0..10 %, 3..6 bar"; "stiffness" or
         "torque", or either "at 5 deg, 3 bar" (both muscles), "at -10..10 deg, 2 bar, 4 bar" (muscles 1 and 2). The
         default is 0 deg and 3 bar.
     law_type
@@ -220,41 +215,38 @@ def parse_quantity_of_interest(
     force at contraction 0..10 %, pressure 3..6 bar
     stiffness at 5 deg, 2 bar, 4 bar
     """
-    kind, at, place = (part.strip() for part in text.partition(" at "))
-    parts = [part.strip() for part in place.split(",")] if at else []
-    if kind in ("stiffness", "torque"):
-        made = JointStiffness if kind == "stiffness" else JointTorque
+    kind, _, place = (part.strip() for part in text.partition(" at "))
+    parts = [part.strip() for part in place.split(",")] if place else []
+    if kind not in _FORMS:
+        return _coefficient(text, law_type)
+    if len(parts) not in _FORMS[kind]:
+        raise ParameterError(f"{text!r} has {len(parts)} values", value=text, remedy=_PLACES[kind == "force"])
+    try:
+        if kind == "force":
+            return Force(Domain(*parse_range(parts[0], "1"), *parse_range(parts[1], "Pa")) if parts else None)
+        kinds = {"stiffness": JointStiffness, "torque": JointTorque}
         if not parts:
-            return made(joint())
-        if len(parts) > 3:
-            raise ParameterError(f"{text!r} has too many values", value=text, remedy="write 'at 5 deg, 2 bar, 4 bar'")
-        try:
-            low, high = parse_range(parts[0], "rad")
-            pressures = [quantity(part, "Pa") for part in parts[1:]] or [3 * bar]
-        except UnitError as error:
-            raise UnitError(f"{text!r} is an angle and pressures, but {error}", value=text) from None
-        angle = low if low == high else tuple(np.linspace(low, high, _ANGLES).tolist())
-        return made(joint(), angle, (pressures[0], pressures[-1]))
-    if kind == "force":
-        if not parts:
-            return Force()
-        if len(parts) != 2:
-            raise ParameterError(f"{text!r} is not a region", value=text, remedy="write 'force at 0..10 %, 3..6 bar'")
-        try:
-            return Force(Domain(*parse_range(parts[0], "1"), *parse_range(parts[1], "Pa")))
-        except UnitError as error:
-            raise UnitError(
-                f"{text!r} is a range of contraction and one of pressure, but {error}", value=text
-            ) from None
+            return kinds[kind](joint())
+        low, high = parse_range(parts[0], "rad")
+        pressures = [quantity(part, "Pa") for part in parts[1:]] or [3 * bar]
+    except UnitError as error:
+        raise UnitError(f"{text!r}: {error}; {_PLACES[kind == 'force']}", value=text) from None
+    angle = low if low == high else tuple(np.linspace(low, high, _ANGLES).tolist())
+    return kinds[kind](joint(), angle, (pressures[0], pressures[-1]))
+
+
+_FORMS = {"force": (0, 2), "stiffness": (0, 1, 2, 3), "torque": (0, 1, 2, 3)}
+"""Numbers of values after "at"."""
+_PLACES = "write an angle and pressures, 'at 5 deg, 2 bar, 4 bar'", "write 'force at 0..10 %, 3..6 bar'"
+
+
+def _coefficient(text: str, law_type: type[ForceLaw]) -> Coefficient:
     known = {p.name.lower(): p.name for p in law_type.parameters()}
-    names = [part.strip().lower() for part in text.split(",")]
-    if text.strip() == "coefficients":
-        return Coefficients()
-    if not all(name in known for name in names):
+    if (name := text.strip().lower()) not in known:
         raise ParameterError(
             f"{text!r} is not a quantity of interest",
             value=text,
-            remedy="give stiffness, torque, force, coefficients, or names of coefficients; "
+            remedy="give stiffness, torque, force, or a coefficient; "
             f"{law_type.__name__} has {', '.join(known.values())}",
         )
-    return Coefficients(tuple(known[name] for name in names))
+    return Coefficient(known[name])

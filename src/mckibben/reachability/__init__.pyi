@@ -1,11 +1,7 @@
 from .envelope import Envelope as Envelope
 from .envelope import envelope as envelope
-from .envelope import save_design as save_design
-from .envelope import save_reference as save_reference
-from .feasible import FeasibleReference as FeasibleReference
-from .feasible import Preserved as Preserved
-from .feasible import nearest_references as nearest_references
 from .lengths import design_lengths as design_lengths
+from .requirement import LengthRange as LengthRange
 from .requirement import Make as Make
 from .requirement import Requirement as Requirement
 from .requirement import catalog_makes as catalog_makes
@@ -13,12 +9,6 @@ from .requirement import read_make as read_make
 from .selection import Candidate as Candidate
 from .selection import Selection as Selection
 from .selection import size as size
-from .sizing import Design as Design
-from .sizing import DesignTarget as DesignTarget
-from .sizing import DesignVariable as DesignVariable
-from .sizing import design as design
-from .sizing import parse_target as parse_target
-from .sizing import parse_variable as parse_variable
 from .static import AttainableRange as AttainableRange
 from .static import StaticEnvelope as StaticEnvelope
 from .static import static_envelope as static_envelope

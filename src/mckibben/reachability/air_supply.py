@@ -84,7 +84,7 @@ def air_supply(
 def _valve(needed: float, supply: float) -> tuple[str, AirValve]:
     kinds = {name: entries.find("valves", name)[0]["class"] for name in catalog.names("valves")}
     known = [(name, catalog.valve(name, supply=supply)) for name, kind in kinds.items() if kind == FlowValve.__name__]
-    known.sort(key=lambda one: float(one[1].conductance))
+    known.sort(key=lambda entry: float(entry[1].conductance))
     for name, valve in known:
         if float(valve.conductance) >= needed:
             return name, valve

@@ -1,31 +1,41 @@
-"""Requirement of a joint, and makes of muscles: strength, uncertainty, and friction along the motion."""
+"""Requirement of a joint, and makes of muscles with the uncertainty of their forces."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben import catalog
-from mckibben.component.calls import CheckedCalls
+from mckibben.component.base import Checked
 from mckibben.component.schema import read_component
 from mckibben.config.document import read_document
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ParameterError
 from mckibben.identification import Fit, identify
-from mckibben.joint import GeneralLoad, Load
-from mckibben.muscle import ExponentialLaw, Muscle, forces
-from mckibben.muscle.muscle import half_widths
-from mckibben.units import deg, show
+from mckibben.joint import AntagonisticJoint, Load
+from mckibben.muscle import ExponentialLaw, Muscle, Specimen
+from mckibben.units import (
+    Angle,
+    Coordinate,
+    Duration,
+    Length,
+    MomentArm,
+    Quantity,
+    Share,
+    Stiffness,
+    SupplyPressure,
+    deg,
+    show,
+)
 
-SPREAD = 0.1
-"""Relative spread of the forces of specimens of a make; the maker of the catalog's muscles allows up to 10 %."""
+ReserveTorque = Annotated[float, Quantity("N*m", "N*m", 0, 1e6)]
 SHORTEST = 0.04
 """Shortest muscle [m]."""
 _SLENDER = 3.0  # shortest muscle per diameter, below which it is not a cylinder (ours)
@@ -33,25 +43,58 @@ _SCALED_SPREAD = 0.2  # of a make whose forces are scaled from another diameter 
 
 
 @dataclass(frozen=True)
-class Requirement(metaclass=CheckedCalls):
-    """Motion, stiffness and load of a joint with two antagonistic muscles on pulleys.
+class LengthRange(Checked):
+    """Length of a joint that may be chosen, one of its `design_lengths`, and its bounds [m]."""
+
+    name: str
+    lowest: Coordinate
+    highest: Coordinate
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.lowest < self.highest:
+            message = f"{self.name} from {show(self.lowest, 'mm')} to {show(self.highest, 'mm')} is not a range"
+            remedy = "give two lengths, the shorter first"
+            raise ParameterError(message, field="lowest", value=self.lowest, remedy=remedy)
+
+
+@dataclass(frozen=True)
+class Requirement(Checked):
+    """Load, motion and stiffness of a joint with two antagonistic muscles, and what may be chosen for it.
+
+    A file has these fields with units, see docs/size.md. Without a `joint`, muscles on pulleys are selected.
 
     Parameters
     ----------
     load
         Inertia, damping and gravity.
     angles
-        Both ends of the motion [rad].
+        Both ends of the motion [rad], the lower first.
     cycle
         Time [s] of a sine from one end to the other and back.
     supply
-        Gauge pressure of the supply [Pa].
+        Gauge pressure of the supply [Pa]; 90 % of it are used.
     stiffness
-        Isobaric stiffness, or range of it [N*m/rad], to be attainable throughout the motion. Default: any.
+        Lowest and highest isobaric stiffness [N*m/rad] to be attainable throughout the motion. Default: any.
     torque
         Torque [N*m] in either direction, in addition to gravity and inertia.
+    spread
+        Relative spread of the forces among specimens of a muscle.
+    tube
+        Length of the tubes between valves and muscles [m].
+    muscles, catalog
+        Files of muscles to choose from, and whether those of the catalog are considered, too.
     longest, widest
         Longest muscle, and largest radius of a pulley [m].
+    joint, lengths
+        A joint whose lengths are chosen within bounds; the others are kept.
+
+    Raises
+    ------
+    ParameterError
+        If the angles are not two, the lower first, or the stiffness likewise; or if a joint has no `lengths`.
+    RangeError
+        If a number is outside the range of its field.
 
     Examples
     --------
@@ -65,29 +108,36 @@ class Requirement(metaclass=CheckedCalls):
     """
 
     load: Load
-    angles: tuple[float, float]
-    cycle: float
-    supply: float
-    stiffness: tuple[float, float] | None = None
-    torque: float = 0.0
-    longest: float = 1.0
-    widest: float = 0.15
+    angles: tuple[Angle, ...]
+    cycle: Duration
+    supply: SupplyPressure
+    stiffness: tuple[Stiffness, ...] | None = None
+    torque: ReserveTorque = 0.0
+    spread: Share = 0.1
+    tube: Length = 1.0
+    muscles: tuple[Path, ...] = ()
+    catalog: bool = True
+    longest: Length = 1.0
+    widest: MomentArm = 0.15
+    joint: AntagonisticJoint | None = None
+    lengths: tuple[LengthRange, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("cycle", "supply", "longest", "widest"):
-            value = getattr(self, name)
-            if not 0 < value < math.inf:
-                raise ParameterError(f"{name} is {value:g}", value=value, remedy="give a positive number")
-        if not (np.isfinite(self.torque) and self.torque >= 0):
-            raise ParameterError(f"the torque is {self.torque:g} N*m", value=self.torque, remedy="give 0 or more")
-        if not -math.inf < self.angles[0] < self.angles[1] < math.inf:
-            message = f"the angles are {self.angles[0] / deg:g} and {self.angles[1] / deg:g} deg"
-            remedy = "give two different angles, the lower first, such as -30..30 deg"
-            raise ParameterError(message, value=self.angles, remedy=remedy)
-        low, high = self.stiffness or (1.0, 1.0)
-        if not 0 < low <= high < math.inf:
-            remedy = "give a positive stiffness, or two, the lower first"
-            raise ParameterError(f"the stiffness is {low:g} to {high:g} N*m/rad", value=self.stiffness, remedy=remedy)
+        super().__post_init__()
+        for name, pair in (("angles", self.angles), ("stiffness", self.stiffness)):
+            if pair is not None and not (
+                len(pair) == 2 and (pair[0] < pair[1] or (name == "stiffness" and 0 < pair[0] == pair[1]))
+            ):
+                remedy = "give two, the lower first, such as [-30 deg, 30 deg]"
+                raise ParameterError(f"{name} are not a range", field=name, value=pair, remedy=remedy)
+        if (self.joint is None) != (not self.lengths):
+            message, remedy = "a joint and its lengths go together", "give both, or neither to select pulleys"
+            raise ParameterError(message, field="lengths", remedy=remedy)
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Requirement:
+        """Read a file; raises `ScenarioError` with every problem: line, field, value, range and remedy."""
+        return read_component(cls, Path(path))
 
     @property
     def amplitude(self) -> float:
@@ -100,6 +150,11 @@ class Requirement(metaclass=CheckedCalls):
         return (self.angles[0] + self.angles[1]) / 2
 
     @property
+    def speed(self) -> float:
+        """Highest speed of the motion [rad/s]."""
+        return self.amplitude * 2 * math.pi / self.cycle
+
+    @property
     def reserve(self) -> float:
         r"""Torque [N*m] in either direction in excess of gravity.
 
@@ -108,44 +163,14 @@ class Requirement(metaclass=CheckedCalls):
         the required torque, and the largest of inertia and damping along the sine.
         """
         rate = 2 * math.pi / self.cycle
-        return self.torque + self.amplitude * rate * math.hypot(
-            float(self.load.total_inertia) * rate, float(self.load.damping)
-        )
+        return self.torque + self.speed * math.hypot(float(self.load.total_inertia) * rate, float(self.load.damping))
 
-    def scaled(
-        self, *, load: float = 1.0, angles: float = 1.0, stiffness: float = 1.0, cycle: float = 1.0
-    ) -> Requirement:
-        """The requirement with load and torque, range about the same middle, stiffness, or cycle times a factor."""
-        given, half = self.load, self.amplitude * angles
-        moved = GeneralLoad(
-            inertia=float(given.total_inertia) * load,
-            greatest_gravity_torque=float(given.gravity_moment) * load,
-            damping=float(given.damping) * load,
-            hanging_angle=float(given.hanging_angle),
-        )
-        wanted = self.stiffness and (self.stiffness[0] * stiffness, self.stiffness[1] * stiffness)
-        return dataclasses.replace(
-            self,
-            load=moved,
-            torque=self.torque * load,
-            angles=(self.middle - half, self.middle + half),
-            stiffness=wanted,
-            cycle=self.cycle * cycle,
-        )
-
-    def stiffness_text(self) -> str:
-        """The required stiffness as text."""
-        low, high = self.stiffness or (math.nan, math.nan)
-        return f"{low:.4g} N*m/rad" if low == high else f"{low:.4g}..{high:.4g} N*m/rad"
-
-    def describe(self) -> str:
-        """The requirement as text."""
-        stiffness = f", stiffness {self.stiffness_text()}" if self.stiffness else ""
-        torque = f", torque {self.torque:g} N*m either way" if self.torque else ""
+    def __str__(self) -> str:
+        stiffness = self.stiffness and f", stiffness {self.stiffness[0]:.4g}..{self.stiffness[1]:.4g} N*m/rad"
         return (
-            f"{self.angles[0] / deg:g}..{self.angles[1] / deg:g} deg in cycles of {self.cycle:g} s with an inertia of "
-            f"{float(self.load.total_inertia):.3g} kg*m^2 and {abs(float(self.load.gravity_moment)):.3g} N*m of gravity"
-            f"{torque}{stiffness}, supply {show(self.supply, 'bar')}"
+            f"{self.angles[0] / deg:g}..{self.angles[1] / deg:g} deg in cycles of {self.cycle:g} s, inertia "
+            f"{float(self.load.total_inertia):.3g} kg*m^2, gravity {abs(float(self.load.gravity_moment)):.3g} N*m, "
+            f"torque {self.torque:g} N*m{stiffness or ''}, supply {show(self.supply, 'bar')}"
         )
 
 
@@ -157,13 +182,13 @@ class Make(NamedTuple):
     uncertainty: float
 
     @classmethod
-    def of(cls, name: str, muscle: Muscle, fit: Fit | None, spread: float = SPREAD) -> Make:
+    def of(cls, name: str, muscle: Muscle, fit: Fit | None, spread: float = Requirement.spread) -> Make:
         """A make with the spread of its specimens and, if its law was fitted, the prediction interval of the fit.
 
         Raises `ParameterError` for a muscle without volume, and for a spread outside 0 to 1, or 1 with the fit.
         """
         if not muscle.specimen.has_volume:
-            remedy = "give its initial_diameter and braid_angle, or identify it with --diameter"
+            remedy = "give its initial_diameter and braid_angle, or identify it with --inner"
             raise ParameterError(f"{name}: the volume of the muscle is unknown", field="specimen", remedy=remedy)
         uncertainty = math.hypot(spread, 0.0 if fit is None else _relative_error(fit))
         if not (spread >= 0 and uncertainty < 1):
@@ -180,11 +205,10 @@ class Make(NamedTuple):
         """Shortest muscle [m] that is considered, of at least three diameters."""
         return max(SHORTEST, _SLENDER * float(self.muscle.specimen.initial_diameter or 0.0))
 
-    def with_strength(self, factor: float) -> Muscle:
-        """The muscle with forces times a factor; without its name, so that all makes share compiled programs."""
-        unnamed = dataclasses.replace(self.muscle.specimen, name="muscle")
-        strength = factor * float(self.muscle.strength or 1.0)
-        return dataclasses.replace(self.muscle, specimen=unnamed, strength=strength)
+    @property
+    def unnamed(self) -> Specimen:
+        """The specimen under a common name."""
+        return dataclasses.replace(self.muscle.specimen, name="muscle")
 
 
 def _relative_error(fit: Fit) -> float:
@@ -192,10 +216,10 @@ def _relative_error(fit: Fit) -> float:
     domain = fit.law.domain
     contraction = np.linspace(float(domain.contraction_min), float(domain.contraction_max), 25)
     pressure = np.linspace(float(domain.pressure_min), float(domain.pressure_max), 9)
-    found = fit.force_intervals(contraction[:, None], pressure).prediction
-    taut = np.asarray(found.value) > 0
-    half = ((np.asarray(found.upper) - np.asarray(found.lower)) / 2)[taut]
-    return float(np.sqrt(np.mean(half**2) / np.mean(np.asarray(found.value)[taut] ** 2)))
+    interval = fit.force_intervals(contraction[:, None], pressure).prediction
+    taut = np.asarray(interval.value) > 0
+    half = ((np.asarray(interval.upper) - np.asarray(interval.lower)) / 2)[taut]
+    return float(np.sqrt(np.mean(half**2) / np.mean(np.asarray(interval.value)[taut] ** 2)))
 
 
 @functools.cache
@@ -220,7 +244,7 @@ def catalog_makes() -> tuple[Make, ...]:
     )
 
 
-def read_make(path: Path, spread: float = SPREAD) -> Make:
+def read_make(path: Path, spread: float = Requirement.spread) -> Make:
     """A make from a muscle file: with the uncertainty of its fit, if its law is the file of one with points."""
     muscle = read_component(Muscle, path)
     text = read_document(path.read_text(encoding="utf-8")).data.get("law")
@@ -236,45 +260,3 @@ def with_supply(muscle: Muscle, highest: float) -> Muscle:
     domain = muscle.specimen.domain
     limited = dataclasses.replace(domain, pressure_max=min(float(domain.pressure_max), highest))
     return dataclasses.replace(muscle, specimen=dataclasses.replace(muscle.specimen, domain=limited))
-
-
-def with_length(muscle: Muscle, length: float) -> Muscle:
-    """The muscle with another initial length [m]; its volume scales with the length."""
-    specimen = muscle.specimen
-    terms = specimen.volume_terms and tuple(t * length / float(specimen.initial_length) for t in specimen.volume_terms)
-    return dataclasses.replace(
-        muscle, specimen=dataclasses.replace(specimen, initial_length=length, volume_terms=terms)
-    )
-
-
-_PARTS = 5  # contractions along the motion
-
-
-def friction_force(
-    muscle: Muscle,
-    need: Requirement,
-    candidates: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
-    minimum_tension: float,
-    *,
-    cocontracted: bool,
-) -> NDArray[np.float64]:
-    """Largest sum [N] of both muscles' friction, for lengths, radii and middle contractions of shape (candidates,)."""
-    # One muscle has its highest pressure and the other one its lowest, as for the largest torque; `cocontracted`: both
-    # have the pressure with more friction. The viscous part is that of the highest speed.
-    length, radius, contraction = candidates
-    if not muscle.has_friction:
-        return np.zeros_like(length)
-    shift = radius * need.amplitude / length
-    contractions = contraction + np.linspace(-1.0, 1.0, _PARTS)[:, None] * shift
-    rate = radius * need.amplitude * 2 * math.pi / need.cycle
-
-    def friction(pressure: float) -> NDArray[np.float64]:
-        tension = np.maximum(forces(muscle, contractions, pressure), minimum_tension)
-        sliding = half_widths(muscle.friction, tension, pressure)
-        lengths = length * (1 - contractions)
-        return sliding + np.asarray(muscle.friction.viscous_force(lengths, tension, pressure, rate))
-
-    working, opposing = (friction(float(end)) for end in (muscle.domain.pressure_max, muscle.domain.pressure_min))
-    if cocontracted:
-        return 2 * np.maximum(working, opposing).max(axis=0)
-    return (working + opposing[::-1]).max(axis=0)  # where one muscle is shorter, the other one is longer

@@ -1,58 +1,57 @@
-"""Selection of muscles, pulleys, valves and air supply for a joint, from a requirement."""
+"""Sizing of a joint from a requirement: muscles, lengths, valves and air supply."""
 
 from __future__ import annotations
 
+import csv
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
 
 from mckibben.actuator import IdealValve
 from mckibben.component.calls import checked_call
 from mckibben.config.document import plain, read_document, to_text
 from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, Reference, Samples, Signal, Sine
 from mckibben.errors import ParameterError, UnreachableError
-from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley
+from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley, RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
-from mckibben.notebook import draw, html_table
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
+from mckibben.reachability.lengths import check_lengths, with_lengths
+from mckibben.reachability.margins import CONSTRAINTS, attained_stiffness, constraint_margins, friction_torque
 from mckibben.reachability.requirement import (
     SHORTEST,
     Make,
     Requirement,
     catalog_makes,
-    friction_force,
-    with_length,
+    read_make,
     with_supply,
 )
-from mckibben.reachability.sizing import CONSTRAINTS, attained_stiffness, constraint_margins
 from mckibben.reachability.trajectory import reference_trajectory
+from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
-from mckibben.units import deg, mm, percent, show
+from mckibben.storage.files import atomic_write
+from mckibben.units import deg, mm, show
+
+Floats = NDArray[np.float64]
 
 _HEADROOM = 0.9  # of the supply: air flows into a muscle only below it
 _TENSION = 5.0  # N: least tension of both muscles
 _ANY = (1e6, -1e6)  # stiffness that every joint attains
-_ANGLES = 13  # of the search
-_RESULT_ANGLES = 61
-_NARROWEST = 0.005  # m
-_LENGTHS, _RADII, _CONTRACTIONS = 80, 24, 12  # of the search
-_STEP = 5 * mm  # of lengths of muscles; radii have steps of 0.5 mm
-_CYCLES, _PERIOD = 3, 1e-3
-_SAMPLES, _KNOTS = 200, 32  # of a cycle, of the motion and of a stiffness that is not required
-_ACTIVE = 0.05
-_BISECTIONS = 7
-_LEAST, _MOST = 0.02, 20.0  # factors within which the nearest requirement is sought
+_ANGLES, _RESULT_ANGLES = 25, 61  # of the search and of the result
+_NARROWEST, _STEP = 5 * mm, 5 * mm  # radius, and step of lengths of muscles; radii have steps of 0.5 mm
+_GRID = (80, 24, 12)  # lengths, radii and contractions of the search
+_CYCLES, _SAMPLES, _KNOTS, _PERIOD = 3, 200, 32, 1e-3  # of a run; of a cycle; s
 _REACHED, _HELD = 0.02, 0.05  # relative errors of angle and stiffness of a run that meets the requirement
 
 
@@ -60,109 +59,114 @@ class Candidate(NamedTuple):
     """A joint that meets a requirement.
 
     Torque and stiffness are attainable throughout the motion, with the lowest, nominal and highest forces within the
-    uncertainty of the make; of a stiffness range, the first end is the higher one if no stiffness is.
+    uncertainty of the muscles; of a stiffness range, the first end is the higher one if no stiffness is.
     """
 
-    make: Make  # of the muscles
+    name: str  # of the muscles
+    uncertainty: float  # of the forces, relative
+    lengths: dict[str, float]  # chosen [m]
     plant: JointPlant  # with the valve of the air supply
-    length: float  # initial, of the muscles [m]
-    radius: float  # of the pulleys [m]
-    contraction: float  # in the middle of the motion [-]
-    limiting: str  # requirement or limit that leaves the least margin
-    torque: tuple[float, float, float]  # either way, in excess of gravity and of the muscles' friction [N*m]
-    stiffness: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]  # lowest and highest [N*m/rad]
+    limiting: str  # constraint that leaves the least margin
+    torque: tuple[float, ...]  # either way, in excess of gravity and of the muscles' friction [N*m]
+    stiffness: tuple[tuple[float, float], ...]  # lowest and highest [N*m/rad]
     supply: AirSupply
-
-    def record(self) -> dict[str, Any]:
-        """The candidate as plain data."""
-        return {
-            "make": self.make.name,
-            "force_uncertainty": self.make.uncertainty,
-            "muscle_length_mm": self.length / mm,
-            "pulley_radius_mm": self.radius / mm,
-            "middle_contraction_percent": self.contraction / percent,
-            "limiting": self.limiting,
-            "torque_Nm": list(self.torque),
-            "stiffness": [list(one) for one in self.stiffness],
-            "valve": self.supply.valve_name,
-            "air_per_cycle_L": self.supply.air * 1e3,
-            "reservoir_L": self.supply.reservoir * 1e3,
-            "compressor_L_per_min": self.supply.compressor * 60e3,
-            "tube_mm": self.supply.tube / mm,
-        }
 
 
 class Check(NamedTuple):
     """A requirement, as text, the value in a run, and whether it is met."""
 
     requirement: str
-    found: str
+    value: str
     met: bool
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Result of `size`: candidates in the order of their air per cycle, and rejected makes with the reason."""
+class Selection(Result):
+    """Result of `size`.
+
+    Attributes
+    ----------
+    candidates
+        In the order of their air per cycle.
+    rejected
+        Makes that do not meet the requirement, with the reason.
+    checks
+        Comparison of a run with the requirement, by `simulated`.
+    """
 
     requirement: Requirement
     candidates: tuple[Candidate, ...]
     rejected: tuple[tuple[str, str], ...]
+    checks: tuple[Check, ...] = ()
 
-    headers = (
-        "muscle",
-        "length",
-        "pulley radius",
-        "contraction",
-        "torque beyond gravity",
-        "stiffness",
-        "valve",
-        "air per cycle",
-        "limited by",
-    )
+    figures = ("selection",)
+    files = ("scenario.yaml", "parts.csv")
 
     @property
     def best(self) -> Candidate:
         """The candidate with the least air per cycle."""
         return self.candidates[0]
 
-    def __repr__(self) -> str:
-        return f"<Selection: {self.best.make.name}, {self.best.length / mm:g} mm; {self.requirement.describe()}>"
+    def verdict(self) -> str:
+        """The best joint, and the requirement."""
+        return f"{self.best.name}, {_lengths_text(self.best.lengths)}, for {self.requirement}"
 
-    def _repr_html_(self) -> str:
-        return html_table(self.requirement.describe(), self.headers, self.rows(), self.remarks())
-
-    def rows(self) -> list[tuple[str, ...]]:
-        """The candidates as text; intervals are those of the forces."""
+    def remarks(self) -> list[Remark]:
+        """Requirements that a run does not meet, rejected makes with the reason, and remarks on the best joint."""
+        missed = (check for check in self.checks if not check.met)
         return [
-            (
-                one.make.name,
-                f"{one.length / mm:g} mm",
-                f"{one.radius / mm:g} mm",
-                f"{one.contraction / percent:.3g} %",
-                f"{one.torque[1]:.3g} ({one.torque[0]:.3g}..{one.torque[2]:.3g}) N*m",
-                _range(one.stiffness[1]),
-                one.supply.valve_name,
-                f"{one.supply.air * 1e3:.3g} L",
-                one.limiting,
-            )
-            for one in self.candidates
+            *(Remark.severe("requirement", f"not met: {check.requirement}: {check.value}") for check in missed),
+            *(Remark.warning("muscles", f"rejected: {name}: {reason}") for name, reason in self.rejected),
+            *(Remark.warning("joint", text) for text in self.best.plant.joint.remarks),
         ]
 
-    def remarks(self) -> list[str]:
-        """Rejected makes with the reason, and remarks on the best joint."""
-        return [*(f"rejected: {name}: {reason}" for name, reason in self.rejected), *self.best.plant.joint.remarks]
+    def listings(self) -> list[Listing]:
+        """Candidates with the intervals of their forces, parts of the best one, and the checks of its run."""
+        torque, stiffness = Column("N*m", digits=3), Column("N*m/rad", digits=3)
+        rows = self.candidates
+        columns: dict[str, tuple[Column, Any]] = {
+            "muscle": (Column(), [row.name for row in rows]),
+            "lengths": (Column(), [_lengths_text(row.lengths) for row in rows]),
+        }
+        for i, name in enumerate(("least torque", "torque beyond gravity", "highest torque")):
+            columns[name] = torque, [row.torque[i] for row in rows]
+        for i, name in enumerate(("lowest stiffness", "highest stiffness")):
+            columns[name] = stiffness, [row.stiffness[1][i] for row in rows]
+        columns |= {
+            "valve": (Column(), [row.supply.valve_name for row in rows]),
+            "air per cycle": (Column("m^3", shown="L", digits=3), [row.supply.air for row in rows]),
+            "limited by": (Column(), [row.limiting for row in rows]),
+        }
+        number, part, sizes = zip(*self.parts(), strict=True)
+        parts = {"number": (Column(), number), "part": (Column(), part), "size": (Column(), sizes)}
+        listings = [Listing("candidates", columns), Listing(f"parts of {self.best.name}", parts)]
+        if self.checks:
+            checks = dict(
+                zip(Check._fields, ((Column(), values) for values in zip(*self.checks, strict=True)), strict=True)
+            )
+            listings.append(Listing("simulated with these parts", checks))
+        return listings
+
+    def write(self, folder: Path) -> None:
+        """Write the scenario and the bill of materials."""
+        self.scenario().to_yaml(folder / "scenario.yaml")
+        with (
+            atomic_write(folder / "parts.csv", overwrite=True) as file,
+            file.open("w", encoding="utf-8", newline="") as text,
+        ):
+            csv.writer(text).writerows([("number", "part", "size"), *self.parts()])
 
     def parts(self, candidate: Candidate | None = None) -> list[tuple[str, str, str]]:
         """Bill of materials of a candidate, by default the best: number, part, size."""
-        one = candidate or self.best
-        supply = one.supply
-        diameter = one.make.muscle.specimen.initial_diameter
-        size = f"{show(float(diameter), 'mm', 4)} x " if diameter is not None else ""
-        path = one.length * (1 - one.contraction)
-        strongest = max(float(np.max(tension)) for tension in _largest_tensions(one, self.requirement))
+        chosen = candidate or self.best
+        joint, supply = chosen.plant.joint, chosen.supply
+        sizes = []
+        for muscle in (joint.muscle1, joint.muscle2):
+            specimen = muscle.specimen
+            diameter = "" if specimen.initial_diameter is None else f"{float(specimen.initial_diameter) / mm:.4g} mm x "
+            sizes.append(f"{specimen.name}, {diameter}{float(specimen.initial_length) / mm:.4g} mm")
         return [
-            ("2", "muscle", f"{one.make.name}, {size}{one.length / mm:g} mm, forces up to {strongest:.3g} N"),
-            ("2", "pulley", f"radius {one.radius / mm:g} mm; muscle {path / mm:g} mm long in the middle of the motion"),
+            ("2", "muscle", " and ".join(dict.fromkeys(sizes))),
+            ("1", "joint", _lengths_text(chosen.lengths)),
             ("2", "proportional valve", f"{supply.valve_name}, needed C {supply.needed * 1e8:.3g} L/(s*bar)"),
             ("2", "tube", f"inner diameter {supply.tube / mm:g} mm"),
             ("1", "reservoir", f"{supply.reservoir * 1e3:.2g} L"),
@@ -171,15 +175,14 @@ class Selection:
 
     def scenario(self, candidate: Candidate | None = None) -> Scenario:
         """A scenario of three cycles with a candidate, by default the best; a stiffness range is passed through."""
-        one = candidate or self.best
-        need = self.requirement
-        reference = _reference(need, one.plant)
+        chosen, need = candidate or self.best, self.requirement
+        reference = _reference(need, chosen.plant)
         scenario = Scenario(
-            name=f"sized: {one.make.name}, {one.length / mm:g} mm",
-            joint=one.plant.joint,
-            load=one.plant.load,
-            valve=one.supply.valve,
-            controller=DecouplingControl(one.plant.joint, one.plant.load, PolePlacement()),  # type: ignore[call-arg]
+            name=f"sized: {chosen.name}, {_lengths_text(chosen.lengths)}"[:200],
+            joint=chosen.plant.joint,
+            load=chosen.plant.load,
+            valve=chosen.supply.valve,
+            controller=DecouplingControl(chosen.plant.joint, chosen.plant.load, PolePlacement()),  # type: ignore[call-arg]
             reference=reference,
             start=Start(angle=need.angles[0], stiffness=float(reference.stiffness(0.0))),
             duration=max(round(_CYCLES * need.cycle / _PERIOD), 1) * _PERIOD,
@@ -187,11 +190,15 @@ class Selection:
         )
         text = plain(read_document(scenario.dumps()).data)
         text["controller"] = {"class": "decoupling", "feedback": {}}  # its model is the plant's
-        text["valve"] = {"from": one.supply.valve_name, "supply": show(need.supply, "bar")}
+        text["valve"] = {"from": chosen.supply.valve_name, "supply": show(need.supply, "bar")}
         return Scenario.parse(to_text(text))
 
+    def simulated(self) -> Selection:
+        """Return the selection with the checks of a run of the best joint's scenario."""
+        return dataclasses.replace(self, checks=tuple(self.verify(self.scenario().simulate())))
+
     def verify(self, result: SimulationResult) -> list[Check]:
-        """Compare a run of the scenario with the requirement."""
+        """Compare a run of the scenario with the requirement: outcome, angle within 2 %, stiffness within 5 %."""
         need, angle = self.requirement, np.asarray(result["angle"])
         error = np.abs(angle - np.asarray(result["desired_angle"])).max()
         checks = [
@@ -203,211 +210,224 @@ class Selection:
             ),
         ]
         if need.stiffness:
-            stiffness, wanted = np.asarray(result["stiffness"]), np.asarray(result["desired_stiffness"])
-            wrong = float(np.abs(stiffness / wanted - 1).max())
-            checks.append(
-                Check(
-                    f"stiffness {need.stiffness_text()}",
-                    f"{stiffness.min():.4g}..{stiffness.max():.4g} N*m/rad",
-                    wrong <= _HELD,
-                )
-            )
+            stiffness, desired = np.asarray(result["stiffness"]), np.asarray(result["desired_stiffness"])
+            met = float(np.abs(stiffness / desired - 1).max()) <= _HELD
+            asked = f"stiffness {need.stiffness[0]:.4g}..{need.stiffness[1]:.4g} N*m/rad"
+            checks.append(Check(asked, f"{stiffness.min():.4g}..{stiffness.max():.4g} N*m/rad", met))
         return checks
-
-    def records(self) -> dict[str, Any]:
-        """The result as plain data."""
-        return {
-            "requirement": self.requirement.describe(),
-            "candidates": [one.record() for one in self.candidates],
-            "rejected": dict(self.rejected),
-            "parts": [list(part) for part in self.parts()],
-        }
-
-    def plot(self) -> Any:
-        """Return a figure of the candidates, see `mckibben.report.selection`."""
-        return draw("selection", self)
 
 
 @checked_call
-def size(requirement: Requirement, makes: Sequence[Make] | None = None, *, tube_length: float = 1.0) -> Selection:
-    """Select muscles, pulleys, valves and air supply for a joint with two antagonistic muscles.
+def size(requirement: Requirement, makes: Sequence[Make] | None = None) -> Selection:
+    """Size a joint with two antagonistic muscles for a requirement: lengths, valves and air supply.
 
-    For each make the shortest muscle is sought whose joint meets the requirement with its forces at both ends of their
-    uncertainty, over a grid of lengths, radii and contractions, by the `constraint_margins` of `design`. The pressure
-    is at most 90 % of the supply, and both muscles remain taut.
+    For each make of muscles, the shortest muscle is sought whose joint with two pulleys meets the requirement with its
+    forces at both ends of their uncertainty, over a grid of lengths, radii and contractions. Where the requirement has
+    a `joint`, its `lengths` are those with the largest of the least `constraint_margins`, found by differential
+    evolution (R. Storn and K. Price, Journal of Global Optimization 11, 1997). The pressure is at most 90 % of the
+    supply, and both muscles remain taut.
 
     Parameters
     ----------
     requirement
-        Motion, stiffness, load and supply.
+        Load, motion, stiffness and supply.
     makes
-        Makes to choose from. Default: `catalog_makes`.
-    tube_length
-        Length [m] of the tubes between valves and muscles.
+        Makes to choose from. Default: the files of the requirement and `catalog_makes`.
 
     Raises
     ------
     ParameterError
-        If there are no makes, or a law is not affine in pressure.
+        If there are no makes, a law is not affine in pressure, the joint has springs, or lacks one of the lengths.
     UnreachableError
-        If no make meets the requirement, with the limit of each. `value` has the factors nearest to 1 on "load",
-        "angles", "stiffness" or "cycle", each alone, with which one of them meets it.
+        If no make meets the requirement, with the limit of each and the lengths that come closest.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.reachability import LengthRange
+    >>> from mckibben.units import bar
+    >>> knee = {"joint": catalog.joint("knee-table-2"), "lengths": (LengthRange("connector_length", 0.19, 0.22),)}
+    >>> need = Requirement(
+    ...     catalog.load("knee-table-2"), (-0.2, 0.2), 4.0, 6 * bar, stiffness=(14.0, 16.0), spread=0.0, **knee
+    ... )
+    >>> found = size(need)
+    >>> round(found.best.lengths["connector_length"] / mm)
+    207
     """
-    makes = catalog_makes() if makes is None else tuple(makes)
+    if requirement.joint is not None:
+        check_lengths(requirement.joint, requirement.lengths)
+        own = requirement.joint.muscle1.specimen.name
+        return Selection(requirement, (_candidate_of_joint(own, requirement.joint, requirement),), ())
+    if makes is None:
+        files = [read_make(path, requirement.spread) for path in requirement.muscles]
+        makes = (*files, *(catalog_makes() if requirement.catalog else ()))
     if not makes:
         raise ParameterError("there are no muscles to choose from", remedy="give a make, or leave them to the catalog")
-    for make in makes:
-        if not isinstance(make.muscle.law, PressureAffineLaw):
-            raise ParameterError(
-                f"the law of {make.name}, {type(make.muscle.law).__name__}, is not affine in pressure",
-                remedy="fit one that is, such as the exponential law",
-            )
-    found, rejected = [], []
+    candidates, rejected = [], []
     for make in makes:
         try:
-            found.append(_candidate(make, requirement, tube_length))
+            candidates.append(_candidate_of_make(make, requirement))
         except UnreachableError as error:
             rejected.append((make.name, str(error)))
-    if not found:
+    if not candidates:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in rejected)
-        factors, text = _nearest(makes, requirement, tube_length), f"no muscle meets the requirement: {reasons}"
-        raise UnreachableError(text, value=factors, remedy=_remedy(requirement, factors))
-    return Selection(requirement, tuple(sorted(found, key=lambda one: one.supply.air)), tuple(rejected))
+        remedy = "allow a longer cycle, a smaller range of angles, less load, another stiffness or longer muscles"
+        raise UnreachableError(f"no muscle meets the requirement: {reasons}", remedy=remedy)
+    return Selection(
+        requirement, tuple(sorted(candidates, key=lambda candidate: candidate.supply.air)), tuple(rejected)
+    )
 
 
-class _Grid(NamedTuple):
-    """Lengths and radii [m], and contractions [-] in the middle of the motion, each of shape (candidates,)."""
-
-    length: Array
-    radius: Array
-    contraction: Array
-
-    def lengths(self, middle: float) -> dict[str, Array]:
-        """Design lengths of the pulleys, whose path at angle 0 follows from that in the middle of the motion [rad]."""
-        path, turned = self.length * (1 - self.contraction), self.radius * middle
-        return {
-            "radius": self.radius,
-            "muscle_length": self.length,
-            "path1.rest_length": path - turned,
-            "path2.rest_length": path + turned,
-        }
-
-
-def _grid(make: Make, need: Requirement) -> _Grid:
-    domain = make.muscle.domain
-    low, high = float(domain.contraction_min), float(domain.contraction_max)
-    lengths = np.unique(np.round(np.geomspace(SHORTEST, max(need.longest, SHORTEST), _LENGTHS) / _STEP) * _STEP)
-    radii = np.unique(np.round(np.geomspace(_NARROWEST, max(need.widest, _NARROWEST), _RADII) / mm * 2) / 2 * mm)
-    parts = np.linspace(0.0, 1.0, _CONTRACTIONS)
-    length, radius, part = (each.ravel() for each in np.meshgrid(lengths, radii, parts, indexing="ij"))
-    half = radius * need.amplitude / length
-    path = length * (1 - (low + half + part * (high - low - 2 * half)))
-    contraction = 1 - np.round(path / mm * 2) / 2 * mm / length
-    return _Grid(jnp.asarray(length), jnp.asarray(radius), jnp.asarray(contraction))
+def _template(joint: AntagonisticJoint, need: Requirement, strength: float = 1.0) -> JointPlant:
+    """The plant of a joint whose forces are multiplied by a strength, within the usable supply."""
+    muscles = []
+    for muscle in (joint.muscle1, joint.muscle2):
+        if not isinstance(muscle.law, PressureAffineLaw):
+            raise ParameterError(
+                f"the law of {muscle.specimen.name}, {type(muscle.law).__name__}, is not affine in pressure",
+                remedy="fit one that is, such as the exponential law",
+            )
+        if (lowest := float(muscle.domain.pressure_min)) >= _HEADROOM * need.supply:
+            used = show(_HEADROOM * need.supply, "bar", 3)
+            raise UnreachableError(f"its law begins at {show(lowest, 'bar', 3)}, and {used} of the supply are used")
+        stronger = dataclasses.replace(muscle, strength=strength * float(muscle.strength or 1.0))
+        muscles.append(with_supply(stronger, _HEADROOM * need.supply))
+    usable = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
+    return JointPlant(usable, need.load, IdealValve())
 
 
-def _plant(muscle: Muscle, need: Requirement) -> JointPlant:
-    limited = with_supply(muscle, _HEADROOM * need.supply)
-    path = Pulley(0.03, 0.9 * float(muscle.specimen.initial_length))
-    return JointPlant(AntagonisticJoint(PairedPaths(path, path), limited, limited), need.scaled().load, IdealValve())
+def _margins(plants: Sequence[JointPlant], lengths: dict[str, Any], need: Requirement) -> Floats:
+    """Least margins of `CONSTRAINTS` over the motion and the plants, shape (candidates, constraints)."""
+    angles = np.linspace(need.angles[0], need.angles[1], _ANGLES)
+    motion = angles, np.asarray(need.stiffness or _ANY), need.reserve, need.speed
+    margins = [np.asarray(_margins_of(plant, lengths, *motion)) for plant in plants]
+    return np.nan_to_num(functools.reduce(np.minimum, margins), nan=-np.inf)
 
 
-@compiled
-def _margins(
-    plant: JointPlant, lengths: dict[str, Array], angles: ArrayLike, stiffness: ArrayLike, reserve: Array
+@jit
+def _margins_of(
+    plant: JointPlant, lengths: Any, angles: ArrayLike, stiffness: Any, reserve: ArrayLike, speed: ArrayLike
 ) -> Array:
-    """Least margins of `CONSTRAINTS` over torques and angles, shape (candidates, constraints)."""
+    """Least margins over torques and angles, shape (candidates, constraints); friction adds to the reserve."""
 
-    def one(lengths: dict[str, Array], reserve: Array) -> Array:
-        return constraint_margins(plant, lengths, angles, stiffness, reserve, _TENSION).min(axis=(1, 2))
+    def margins(lengths: dict[str, Array]) -> Array:
+        sized = with_lengths(plant, lengths)
+        opposed, both = friction_torque(sized, angles, speed, _TENSION)
+        needed = reserve + jnp.where(stiffness[0] <= stiffness[1], both, opposed)
+        return constraint_margins(sized, angles, stiffness, needed, _TENSION).min(axis=(1, 2))
 
-    return jax.vmap(one)(lengths, reserve)
-
-
-def _searched(make: Make, need: Requirement) -> tuple[_Grid, np.ndarray]:
-    """The grid of a make, and its margins with the lowest and the highest forces, shape (candidates, constraints)."""
-    grid, angles = _grid(make, need), np.linspace(*need.angles, _ANGLES)
-    reserve = need.reserve + _friction_torque(make, need, grid, cocontracted=need.stiffness is not None)
-    given = grid.lengths(need.middle), angles, np.asarray(need.stiffness or _ANY), jnp.asarray(reserve)
-    both = [
-        np.asarray(_margins(_plant(make.with_strength(1 + sign * make.uncertainty), need), *given)) for sign in (-1, 1)
-    ]
-    margins = np.nan_to_num(np.minimum(*both), nan=-np.inf)
-    lengths, radii = np.asarray(grid.length), np.asarray(grid.radius)
-    outside = (lengths < make.shortest - 1e-9) | (lengths > need.longest + 1e-9) | (radii > need.widest + 1e-9)
-    margins[outside] = -np.inf
-    return grid, margins
+    return jax.vmap(margins)(lengths)
 
 
-def _friction_torque(make: Make, need: Requirement, grid: _Grid, *, cocontracted: bool) -> np.ndarray:
-    """Torque [N*m] of both muscles' friction with the highest forces, shape (candidates,)."""
-    muscle = with_supply(make.with_strength(1 + make.uncertainty), _HEADROOM * need.supply)
-    candidates = np.asarray(grid.length), np.asarray(grid.radius), np.asarray(grid.contraction)
-    return friction_force(muscle, need, candidates, _TENSION, cocontracted=cocontracted) * candidates[1]
-
-
-def _candidate(make: Make, need: Requirement, tube_length: float) -> Candidate:
+def _candidate_of_make(make: Make, need: Requirement) -> Candidate:
+    """The joint on pulleys with the shortest muscles of a make that meets the requirement."""
     if make.shortest > need.longest:
         raise UnreachableError(f"the shortest of these muscles, {make.shortest / mm:g} mm, is longer than allowed")
     if need.widest < _NARROWEST:
         raise UnreachableError(f"the narrowest pulley, {_NARROWEST / mm:g} mm, is wider than allowed")
-    if (lowest := float(make.muscle.domain.pressure_min)) >= _HEADROOM * need.supply:
-        used = show(_HEADROOM * need.supply, "bar", 3)
-        raise UnreachableError(f"its law begins at {show(lowest, 'bar', 3)}, and {used} of the supply are used")
-    grid, margins = _searched(make, need)
-    least = margins.min(axis=1)
-    feasible = least >= 0
+    grid = _pulley_grid(make, need)
+    unnamed = _on_pulleys(dataclasses.replace(make.muscle, specimen=make.unnamed))  # makes share compiled programs
+    plants = [_template(unnamed, need, 1 + sign * make.uncertainty) for sign in (-1, 1)]
+    margins = _margins(plants, grid, need)
+    margins[(grid["muscle_length"] < make.shortest - 1e-9) | (grid["radius"] > need.widest + 1e-9)] = -np.inf
+    least, lengths = margins.min(axis=1), grid["muscle_length"]
+    feasible = (least >= 0) & (lengths <= need.longest + 1e-9)
+    at = int(np.argmax(np.where(feasible & (lengths == lengths[feasible].min(initial=math.inf)), least, -np.inf)))
     if not feasible.any():
-        at = int(np.argmax(least))
-        best = f"with muscles of {float(grid.length[at]) / mm:g} mm"
-        raise UnreachableError(f"{_described(margins[at])} (at best, {best})")
-    lengths = np.asarray(grid.length)
-    shortest = lengths[feasible].min()
-    at = int(np.argmax(np.where(feasible & (lengths == shortest), least, -np.inf)))
-    length, radius, contraction = (float(each[at]) for each in grid)
-    plants = [
-        _built(make.with_strength(1 + part * make.uncertainty), need, length, radius, contraction)
-        for part in (-1, 0, 1)
-    ]
-    angles = np.linspace(*need.angles, _RESULT_ANGLES)
-    chosen = _Grid(*(each[at : at + 1] for each in grid))
-    held = float(_friction_torque(make, need, chosen, cocontracted=need.stiffness is not None)[0])
-    most = float(_friction_torque(make, need, chosen, cocontracted=False)[0])
-    stiffness = tuple(_common(attained_stiffness(one, angles, need.reserve + held, _TENSION)) for one in plants)
-    torque = tuple(_available(one, angles) - most for one in plants)
-    motion = reference_trajectory(
-        _reference(need, plants[1]),
-        np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _SAMPLES + 1),
-        smoothing=need.cycle / 20,
+        raise _unreached(margins, grid)
+    chosen = {name: float(column[at]) for name, column in grid.items()}
+    return _candidate(make.name, make.uncertainty, _on_pulleys(make.muscle), chosen, margins[at], need)
+
+
+def _candidate_of_joint(name: str, joint: AntagonisticJoint, need: Requirement) -> Candidate:
+    """The joint with the lengths that leave the largest of the least margins."""
+    from scipy.optimize import differential_evolution  # 0.3 s
+
+    if any(joint.springs) or not isinstance(joint.tendon, RigidTendon):
+        remedy = "leave the springs out; `mckibben envelope` needs neither"
+        raise ParameterError("sizing needs two muscles and rigid tendons", field="joint", remedy=remedy)
+    plants = [_template(joint, need, 1 + sign * need.spread) for sign in (-1, 1)]
+
+    def lengths_of(x: Floats) -> dict[str, Floats]:
+        return dict(zip([length.name for length in need.lengths], np.atleast_2d(x.T).T, strict=True))
+
+    def shortfall(x: Floats) -> Floats:
+        return -np.maximum(_margins(plants, lengths_of(x), need).min(axis=1), -1e9)
+
+    bounds = [(length.lowest, length.highest) for length in need.lengths]
+    search: dict[str, Any] = {"vectorized": True, "updating": "deferred", "polish": False, "rng": 0, "tol": 1e-8}
+    fit = differential_evolution(shortfall, bounds, **search)
+    best = lengths_of(fit.x[:, None])
+    margins = _margins(plants, best, need)
+    if not margins.min() >= 0:
+        raise _unreached(margins, best)
+    chosen = {name: float(value.item()) for name, value in best.items()}
+    return _candidate(name, need.spread, joint, chosen, margins[0], need)
+
+
+def _unreached(margins: Floats, lengths: dict[str, Floats]) -> UnreachableError:
+    """The error that names the constraints broken by the closest candidate."""
+    at = int(np.argmax(margins.min(axis=1)))
+    broken = [name for name, margin in zip(CONSTRAINTS, margins[at], strict=True) if margin < 0]
+    best = _lengths_text({name: float(column[at]) for name, column in lengths.items()})
+    remedy = "allow other lengths, a smaller range of angles or less load"
+    return UnreachableError(f"limited by {' and '.join(broken)} (at best, with {best})", remedy=remedy)
+
+
+def _on_pulleys(muscle: Muscle) -> AntagonisticJoint:
+    path = Pulley(0.03, 0.9 * float(muscle.specimen.initial_length))
+    return AntagonisticJoint(PairedPaths(path, path), muscle, muscle)
+
+
+def _pulley_grid(make: Make, need: Requirement) -> dict[str, Floats]:
+    """Lengths of muscles, pulleys and paths at angle 0 [m] over a grid, each of shape (candidates,)."""
+    domain = make.muscle.domain
+    low, high = float(domain.contraction_min), float(domain.contraction_max)
+    count = dict(zip(("lengths", "radii", "contractions"), _GRID, strict=True))
+    lengths = np.geomspace(SHORTEST, max(need.longest, SHORTEST), count["lengths"])
+    radii = np.geomspace(_NARROWEST, max(need.widest, _NARROWEST), count["radii"])
+    axes = (
+        np.unique(np.round(lengths / _STEP) * _STEP),
+        np.unique(np.round(radii / mm * 2) / 2 * mm),
+        np.linspace(0.0, 1.0, count["contractions"]),
     )
-    supply = air_supply(plants[1], motion, need.cycle, need.supply, tube_length)
-    plant = dataclasses.replace(_built(make.muscle, need, length, radius, contraction), valve=supply.valve)
-    return Candidate(make, plant, length, radius, contraction, _limiting(margins[at]), torque, stiffness, supply)  # type: ignore[arg-type]
+    length, radius, part = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
+    half = radius * need.amplitude / length
+    path = np.round(length * (1 - (low + half + part * (high - low - 2 * half))) / mm * 2) / 2 * mm
+    turned = radius * need.middle
+    return {
+        "muscle_length": length,
+        "radius": radius,
+        "path1.rest_length": path - turned,
+        "path2.rest_length": path + turned,
+    }
 
 
-def _built(muscle: Muscle, need: Requirement, length: float, radius: float, contraction: float) -> JointPlant:
-    limited = with_length(with_supply(muscle, _HEADROOM * need.supply), length)
-    path, turned = length * (1 - contraction), radius * need.middle
-    paths = PairedPaths(Pulley(radius, path - turned), Pulley(radius, path + turned))
-    return JointPlant(AntagonisticJoint(paths, limited, limited), need.load, IdealValve())
-
-
-def _common(band: tuple[Array, Array]) -> tuple[float, float]:
-    """Stiffness that is attainable at all angles."""
-    return float(np.max(band[0])), float(np.min(band[1]))
-
-
-def _available(plant: JointPlant, angles: np.ndarray) -> float:
-    """Torque [N*m] in either direction in excess of gravity, attainable at all angles."""
-    low, high = plant.joint.attainable_torque(angles, minimum_tension=_TENSION)
-    held = -plant.load.gravity_torque(angles)
-    return float(np.minimum(high - held, held - low).min())
-
-
-def _largest_tensions(one: Candidate, need: Requirement) -> tuple[Array, Array]:
-    highest = float(one.plant.joint.muscle1.domain.pressure_max)
-    angles = np.linspace(*need.angles, _ANGLES)
-    return one.plant.joint.tensions(angles, (highest, highest))
+def _candidate(
+    name: str,
+    uncertainty: float,
+    joint: AntagonisticJoint,
+    lengths: dict[str, float],
+    margins: Floats,
+    need: Requirement,
+) -> Candidate:
+    """Torque, stiffness and air supply of a joint with chosen lengths."""
+    angles = np.linspace(need.angles[0], need.angles[1], _RESULT_ANGLES)
+    plants = [with_lengths(_template(joint, need, 1 + part * uncertainty), lengths) for part in (-1, 0, 1)]
+    stiffness, torque = [], []
+    for plant in plants:
+        opposed, both = (float(part) for part in friction_torque(plant, angles, need.speed, _TENSION))
+        low, high = attained_stiffness(plant, angles, need.reserve + (both if need.stiffness else opposed), _TENSION)
+        stiffness.append((float(np.max(low)), float(np.min(high))))
+        low, high = plant.joint.attainable_torque(angles, minimum_tension=_TENSION)
+        gravity = -plant.load.gravity_torque(angles)
+        torque.append(float(np.minimum(high - gravity, gravity - low).min()) - opposed)
+    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _SAMPLES + 1)
+    motion = reference_trajectory(_reference(need, plants[1]), times, smoothing=need.cycle / 20)
+    supply = air_supply(plants[1], motion, need.cycle, need.supply, need.tube)
+    plant = dataclasses.replace(plants[1], valve=supply.valve)
+    limiting = CONSTRAINTS[int(np.argmin(margins))]
+    return Candidate(name, uncertainty, lengths, plant, limiting, tuple(torque), tuple(stiffness), supply)
 
 
 def _reference(need: Requirement, plant: JointPlant) -> Reference:
@@ -425,60 +445,5 @@ def _reference(need: Requirement, plant: JointPlant) -> Reference:
     return Reference(angle=angle, stiffness=Samples(tuple(times.tolist()), tuple(middle)))
 
 
-def _range(stiffness: tuple[float, float]) -> str:
-    low, high = stiffness
-    return f"{low:.3g}..{high:.3g} N*m/rad" if low <= high else "varies with the angle"
-
-
-def _limiting(margins: np.ndarray) -> str:
-    return CONSTRAINTS[int(np.argmin(margins))]
-
-
-def _described(margins: np.ndarray) -> str:
-    missed = min(-_ACTIVE, 0.5 * float(margins.min()))
-    broken = [name for name, margin in zip(CONSTRAINTS, margins, strict=True) if margin < missed]
-    return f"limited by {' and '.join(broken or [_limiting(margins)])}"
-
-
-def _nearest(makes: Sequence[Make], need: Requirement, tube_length: float) -> dict[str, float]:
-    """Factors nearest to 1 on load, range, stiffness or cycle, each alone, with which a make meets the requirement."""
-
-    def meets(**factors: float) -> bool:
-        changed = need.scaled(**factors)
-        for make in makes:
-            with suppress(UnreachableError):
-                return bool(_candidate(make, changed, tube_length))
-        return False
-
-    def nearest(name: str, end: float) -> float:
-        """By bisection of the logarithm between 1 and an end; NaN if the end is not met."""
-        if not meets(**{name: end}):
-            return math.nan
-        within, beyond = math.log(end), 0.0
-        for _ in range(_BISECTIONS):
-            middle = (within + beyond) / 2
-            within, beyond = (middle, beyond) if meets(**{name: math.exp(middle)}) else (within, middle)
-        return math.exp(within)
-
-    found = {name: nearest(name, _LEAST) for name in ("load", "angles")} | {"cycle": nearest("cycle", _MOST)}
-    if need.stiffness:
-        softer = nearest("stiffness", _LEAST)
-        found["stiffness"] = softer if math.isfinite(softer) else nearest("stiffness", _MOST)
-    return {name: factor for name, factor in found.items() if math.isfinite(factor)}
-
-
-def _remedy(need: Requirement, factors: dict[str, float]) -> str:
-    """The nearest possible requirements in words."""
-    texts = []
-    for name, factor in factors.items():
-        changed = need.scaled(**{name: factor})
-        first, last = (angle / deg for angle in changed.angles)
-        texts.append(
-            {
-                "load": f"{factor / percent:.3g} % of load and torque",
-                "angles": f"angles of {first:.3g}..{last:.3g} deg",
-                "stiffness": f"a stiffness of {changed.stiffness_text()}",
-                "cycle": f"a cycle of {changed.cycle:.3g} s",
-            }[name]
-        )
-    return f"possible, each alone: {', or '.join(texts)}" if texts else "relax several requirements at once"
+def _lengths_text(lengths: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value / mm:.4g} mm" for name, value in lengths.items())

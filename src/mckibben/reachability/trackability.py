@@ -26,6 +26,7 @@ from mckibben.reachability.trajectory import (
     reference_trajectory,
     smoothed,
 )
+from mckibben.result import Result
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.feasibility import shortcomings, static_bands
 from mckibben.simulation.problem import sampled_signal, sampling_times
@@ -58,11 +59,11 @@ def bands_along(plant: JointPlant, trajectory: ReferenceTrajectory) -> Stiffness
     """Attainable stiffness at each sample, without muscle friction; see `check_trackability`."""
     motion = trajectory.angle, trajectory.velocity, trajectory.acceleration, trajectory.jerk, trajectory.stiffness_rate
     points, shape = scan_points(_is_affine(plant))[:, None], np.shape(trajectory.angle)
-    lanes = [np.broadcast_to(each, (points.size, *shape)).ravel() for each in (*motion, points)]
+    lanes = [np.broadcast_to(column, (points.size, *shape)).ravel() for column in (*motion, points)]
     shared = numeric((plant, None, 0.0))
     (low, high), _ = static_bands("auto", shared, trajectory.angle)
     states, _ = _states("auto", shared[0], tuple(lanes))
-    torque, feasible, stiffness, *commands = (np.reshape(each, (points.size, *shape)) for each in states)
+    torque, feasible, stiffness, *commands = (np.reshape(column, (points.size, *shape)) for column in states)
     stiffness = np.where(feasible, stiffness, np.nan)
     joint = plant.supplied_joint
     domains = [muscle.specimen.domain for muscle in (joint.muscle1, joint.muscle2)]
@@ -130,19 +131,29 @@ def _range_of(values: Values) -> AttainableRange:
     return AttainableRange(np.asarray(np.fmin.reduce(values), float), -np.asarray(np.fmin.reduce(-values), float))
 
 
-@dataclass(frozen=True)
-class Trackability:
-    """Result of the trackability check of a reference."""
+class Trackability(Result):
+    """Result of the trackability check of a reference.
 
-    trajectory: ReferenceTrajectory  # the reference with jumps and corners smoothed
-    bands: StiffnessBands  # attainable along it
-    breakpoints: Values  # times of jumps and corners [s]
-    smoothing_sufficient: bool  # whether they are trackable when smoothed
-    deviation: float  # largest of the angle due to smoothing, away from jumps [rad]
-    cause: str = ""  # which muscle leaves its domain at the first angle that cannot be held, if one does
+    Attributes
+    ----------
+    trajectory, bands
+        The reference with jumps and corners smoothed, and the stiffness attainable along it.
+    breakpoints
+        Times of jumps and corners [s].
+    smoothing_sufficient
+        Whether they are trackable when smoothed.
+    deviation
+        Largest deviation of the angle due to smoothing, away from jumps [rad].
+    cause
+        The muscle that leaves its domain at the first angle that cannot be held, if one does.
+    """
 
-    def __repr__(self) -> str:
-        return f"<Trackability: {self.describe()}>"
+    trajectory: ReferenceTrajectory
+    bands: StiffnessBands
+    breakpoints: Values
+    smoothing_sufficient: bool
+    deviation: float
+    cause: str = ""
 
     @property
     def violated(self) -> NDArray[np.bool_]:
@@ -154,7 +165,7 @@ class Trackability:
         """Whether all samples are trackable."""
         return not self.violated.any()
 
-    def describe(self) -> str:
+    def verdict(self) -> str:
         """Verdict in words: which condition is violated, when and by how much."""
         bands, desired = self.bands, self.trajectory.stiffness
         static, dynamic, limited = (b.violation(desired) for b in (bands.static, bands.dynamic, bands.rate_limited))
@@ -237,7 +248,7 @@ def check_trackability(
     >>> found = check_trackability(printed, Reference(Sine(20 * deg, 0.5), 72.5), duration=2.0, control_period=0.01)
     >>> found.trackable
     False
-    >>> print(found.describe())
+    >>> print(found.verdict())
     not even statically trackable: the joint cannot give the torque for 65% of the run, ...
     >>> print(found.cause)
     at 10.72 deg, contraction -3.1 % is outside -3..25 % of MAS-10-180N-AA-MC-O (muscle 1); give the joint a longer ...
@@ -265,20 +276,11 @@ class TrackabilityChecker:
         """Sample period [s]."""
         return float(self.times[1]) if self.times.size > 1 else 1.0
 
-    def slowed(self, speed: float) -> TrackabilityChecker:
-        """Checker of a slower, longer run with the same number of samples."""
-        return self if speed == 1 else TrackabilityChecker(self.plant, self.times / speed, self.checked)
-
     def trajectory(self, reference: Reference, smoothing: float) -> ReferenceTrajectory:
         """The reference trajectory at the checked samples."""
         whole = reference_trajectory(reference, self.times, smoothing=smoothing)
         series = {name: value[self.checked] for name, value in vars(whole).items() if name != "smoothing"}
         return ReferenceTrajectory(**series, smoothing=smoothing)
-
-    def static_trajectory(self, angle: Values) -> ReferenceTrajectory:
-        """Trajectory at rest at each of the given angles."""
-        rest = np.zeros_like(angle)
-        return ReferenceTrajectory(self.times[self.checked], angle, rest, rest, rest, rest, rest, _MIN_SMOOTHING)
 
     def breakpoints(self, reference: Reference) -> Values:
         """Jumps and corners of a reference [s]."""

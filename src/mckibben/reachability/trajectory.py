@@ -1,4 +1,4 @@
-"""Reference trajectories: derivatives, smoothing of jumps and corners, scaling in amplitude and time."""
+"""Reference trajectories: derivatives, smoothing of jumps and corners, scaling of amplitude and speed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.control import Constant, Multisine, Ramp, Reference, Samples, Signal, Sine, Step
-from mckibben.errors import ParameterError
 from mckibben.simulation import sampled_signal
 
 Values = NDArray[np.float64]
@@ -35,6 +34,19 @@ class ReferenceTrajectory:
     stiffness: Values
     stiffness_rate: Values
     smoothing: float
+
+    def scaled(self, *, amplitude: float = 1.0, speed: float = 1.0) -> ReferenceTrajectory:
+        """The trajectory with factors on the amplitude of the angle, about its midrange, and on the speed."""
+        centre = (self.angle.min() + self.angle.max()) / 2
+        return dataclasses.replace(
+            self,
+            times=self.times / speed,
+            angle=centre + amplitude * (self.angle - centre),
+            velocity=amplitude * speed * self.velocity,
+            acceleration=amplitude * speed**2 * self.acceleration,
+            jerk=amplitude * speed**3 * self.jerk,
+            stiffness_rate=speed * self.stiffness_rate,
+        )
 
 
 def reference_trajectory(reference: Reference, times: Values, *, smoothing: float) -> ReferenceTrajectory:
@@ -73,8 +85,8 @@ def derivatives(signal: Signal, times: Values, order: int, *, smoothing: float) 
 def _sine_derivatives(sine: Sine, times: Values, order: int) -> list[Values]:
     a, w = float(sine.amplitude), 2 * math.pi * float(sine.frequency)
     phase = w * times + float(sine.phase)
-    found = [a * w**k * np.sin(phase + k * math.pi / 2) for k in range(order + 1)]
-    return [found[0] + float(sine.offset), *found[1:]]
+    derivatives = [a * w**k * np.sin(phase + k * math.pi / 2) for k in range(order + 1)]
+    return [derivatives[0] + float(sine.offset), *derivatives[1:]]
 
 
 def smoothed(signal: Signal, times: Values, width: float, *, order: int = 0) -> Values:
@@ -129,58 +141,3 @@ def is_near(times: Values, at: ArrayLike, tolerance: float) -> NDArray[np.bool_]
     after = np.searchsorted(at, times)
     before = np.abs(times - at[np.maximum(after - 1, 0)])
     return np.minimum(before, np.abs(at[np.minimum(after, at.size - 1)] - times)) <= tolerance
-
-
-def centre_of(signal: Signal, times: Values) -> float:
-    """Centre about which a signal is scaled: offset of sines, initial value of a step, else the midrange."""
-    match signal:
-        case Sine() | Multisine():
-            return float(signal.offset)
-        case Step():
-            return float(signal.before)
-        case Constant():
-            return float(signal.value)
-    values = np.asarray(signal(times), float)
-    return float(values.min() + values.max()) / 2
-
-
-def scaled(signal: Signal, factor: float, about: float, centre: float, times: Values) -> Signal:
-    """Scale the deviation of a signal from `about` and add it to `centre`; the kind is kept where possible."""
-
-    def map_value(value: float | Values) -> float | Values:
-        return centre + factor * (value - about)
-
-    match signal:
-        case Constant():
-            return Constant(float(map_value(float(signal.value))))
-        case Step():
-            return Step(float(map_value(float(signal.before))), float(map_value(float(signal.after))), signal.at)
-        case Sine():
-            offset = float(map_value(float(signal.offset)))
-            return dataclasses.replace(signal, amplitude=factor * signal.amplitude, offset=offset)
-        case Multisine():
-            amplitudes = tuple(factor * amplitude for amplitude in signal.amplitudes)
-            offset = float(map_value(float(signal.offset)))
-            return dataclasses.replace(signal, amplitudes=amplitudes, offset=offset)
-        case Samples():
-            return Samples(signal.times, map_value(np.asarray(signal.values, float)))
-    return Samples(times, map_value(np.asarray(signal(times), float)))
-
-
-def slowed(signal: Signal, factor: float) -> Signal:
-    """Scale the speed of a signal by a factor up to 1; constants and steps do not change."""
-    match signal:
-        case Constant() | Step():
-            return signal
-        case Ramp():
-            return dataclasses.replace(signal, duration=signal.duration / factor)
-        case Sine():
-            return dataclasses.replace(signal, frequency=factor * signal.frequency)
-        case Multisine():
-            return dataclasses.replace(signal, frequencies=tuple(factor * f for f in signal.frequencies))
-        case Samples():
-            times = np.asarray(signal.times, float)
-            return Samples(times[0] + (times - times[0]) / factor, signal.values)  # type: ignore[arg-type]
-    raise ParameterError(
-        f"a {type(signal).__name__} cannot be slowed", value=signal, remedy="give it as sines or as samples"
-    )

@@ -8,23 +8,17 @@ from __future__ import annotations
 
 import errno
 import hashlib
-import io
 import json
 import os
 import struct
 import threading
-import warnings
 import zlib
 from collections.abc import Iterator, Mapping
-from itertools import zip_longest
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, NamedTuple, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
-from mckibben.errors import FileError, McKibbenWarning, Problem
+from mckibben.errors import FileError, Problem
 from mckibben.storage.files import atomic_write, is_same_file
 
 HEADER = b"H"
@@ -50,13 +44,6 @@ def json_record(kind: bytes, number: int, content: Mapping[str, Any]) -> Journal
     return JournalRecord(kind, number, json.dumps(content, ensure_ascii=False, allow_nan=False).encode())
 
 
-def array_record(kind: bytes, number: int, arrays: Mapping[str, NDArray]) -> JournalRecord:
-    """A record that holds arrays by name."""
-    content = io.BytesIO()
-    np.savez(content, **arrays)  # type: ignore[arg-type]  # our names, none that savez reserves
-    return JournalRecord(kind, number, content.getvalue())
-
-
 def _digest(header: JournalRecord) -> bytes:
     """Digest of a header, by which the records of its journal are known."""
     return hashlib.sha256(header.number.to_bytes(8, "little") + header.payload).digest()[:8]
@@ -70,12 +57,6 @@ def _encoded(record: JournalRecord, owner: bytes, position: int) -> bytes:
         return _FRONT.pack(_MAGIC, kind, _VERSION, checksum, len(payload), number, owner, position)
 
     return front(zlib.crc32(record.payload, zlib.crc32(front(0)))) + record.payload
-
-
-def unpack_arrays(payload: bytes) -> dict[str, NDArray]:
-    """Arrays of a record."""
-    with np.load(io.BytesIO(payload), allow_pickle=False) as file:
-        return dict(file.items())
 
 
 class JournalReader:
@@ -133,12 +114,6 @@ class JournalReader:
         message = "is damaged or incomplete: the job that wrote the file is unknown"
         remedy = "restore the file from a copy, or start again: choose another folder, or remove the file"
         return self._error(str(self.path), [Problem(message, field="header", remedy=remedy)])
-
-    def warn_of_damage(self, what: str) -> None:
-        """Warn of damaged records after the last has been read."""
-        if self.damaged:
-            message = f"{self.path}: {self.damaged} damaged {what} will be recomputed"
-            warnings.warn(message, McKibbenWarning, stacklevel=5)
 
     def header(self) -> dict[str, Any] | None:
         """Content of the first intact record, if it is a header."""
@@ -233,13 +208,6 @@ class Journal:
             temporary.write_bytes(content)
         return cls(path, owner, len(content))
 
-    @classmethod
-    def resume(cls, reader: JournalReader) -> Self:
-        """Continue a journal after reading it to its end; an incomplete last record is truncated."""
-        journal = cls(reader.path, reader.owner, reader.end)
-        os.ftruncate(journal._file, reader.end)
-        return journal
-
     def append(self, *records: JournalRecord) -> None:
         """Append records, all or none; `FileNotFoundError` if the file was removed or moved."""
         with self._lock:
@@ -279,67 +247,3 @@ def _write_at(file: int, position: int, content: bytes) -> None:
     while view:
         view = view[os.write(file, view) :]
     os.fsync(file)
-
-
-def read_header(path: Path, kind: str, version: int) -> dict[str, Any]:
-    """Header of a journal of the given kind ("format") and version; `FileError` for any other file."""
-    try:
-        header = JournalReader(path).checked_header()
-    except FileError:
-        raise
-    except (OSError, ValueError, RecursionError) as error:
-        raise FileError(str(path), [Problem(f"it cannot be read: {error}")]) from None
-    if header is None or header.get("format") != kind:
-        raise FileError(str(path), [Problem(f"it is not a {kind}", remedy="choose another folder, or remove the file")])
-    if header.get("version") != version:
-        message = f"it has format version {header.get('version')}; this version of mckibben reads {version}"
-        raise FileError(str(path), [Problem(message, remedy="choose another folder, or another version of mckibben")])
-    return header
-
-
-def header_differences(
-    kept: Mapping[str, Any], wanted: Mapping[str, Any], job: str, *, remedy: str, ignore: tuple[str, ...] = ()
-) -> list[Problem]:
-    """Differences between a journal's header and the job that continues it, each with its field."""
-    found = []
-    for name in dict.fromkeys([*wanted, *kept]):
-        before, now = kept.get(name), wanted.get(name)
-        if name in ignore or before == now:
-            continue
-        for field, old, new in _details(name, before, now):
-            found.append(Problem(_begun_with(job, old, new), field=field, remedy=remedy))
-    return found
-
-
-def _details(name: str, before: Any, now: Any) -> Iterator[tuple[str, Any, Any]]:
-    """Field, old and new value of each difference between two values."""
-    if isinstance(before, dict) and isinstance(now, dict):
-        yield from (
-            (f"{name} {key}", before.get(key), now.get(key))
-            for key in {**before, **now}
-            if before.get(key) != now.get(key)
-        )
-    elif isinstance(before, list) and isinstance(now, list):
-        yield from ((name, old, new) for old, new in zip_longest(before, now) if old != new)
-    elif isinstance(before, str) and isinstance(now, str) and "\n" in before + now:
-        pairs = zip_longest(before.splitlines(), now.splitlines())
-        old, new = next(pair for pair in pairs if pair[0] != pair[1])
-        yield name, old and repr(old.strip()), new and repr(new.strip())
-    else:
-        yield name, before, now
-
-
-def _begun_with(job: str, before: Any, now: Any) -> str:
-    old, new = (text if len(text := _in_words(value)) <= 160 else f"{text[:156]}..." for value in (before, now))
-    if before is None:
-        return f"{job} was started without {new}"
-    return f"{job} was started with {old} too" if now is None else f"{job} was started with {old}, not {new}"
-
-
-def _in_words(value: Any) -> str:
-    """Summary of a header value; a list of numbers as its count and range."""
-    if isinstance(value, dict):
-        return ", ".join(f"{name} ({_in_words(one)})" for name, one in value.items())
-    if isinstance(value, list) and value and all(isinstance(one, int | float) for one in value):
-        return f"{len(value)} values from {min(value):.6g} to {max(value):.6g}"
-    return str(value)

@@ -14,7 +14,7 @@ import numpy as np
 
 from mckibben.errors import DatasetError, McKibbenWarning, Problem
 from mckibben.rig.bench import Bench
-from mckibben.storage.journal import HEADER, JournalReader
+from mckibben.rig.journal import HEADER, JournalReader
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recording

@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 
 import mckibben
 from mckibben.errors import FileError, Problem, RangeError, RigError
+from mckibben.rig.journal import Journal, JournalRecord, json_record
 from mckibben.rig.record import EVENT, SAMPLES, VERSION, Column, pack_rows, read_header, rows_in, segments
 from mckibben.storage.files import make_folder
-from mckibben.storage.journal import Journal, JournalRecord, json_record
 
 PERIOD = 0.25
 """Interval [s] at which appended rows are written and synced to the disk."""

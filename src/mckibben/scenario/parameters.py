@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 
 from mckibben.component.base import Component, Units
 from mckibben.component.classes import class_name
-from mckibben.component.schema import declared_fields, inherited_fields
+from mckibben.component.schema import component_field, declared_fields, field_types, inherited_fields
 from mckibben.config.fields import OneOf
 from mckibben.control import Constant, Signal
 from mckibben.errors import ParameterError, closest, quoted

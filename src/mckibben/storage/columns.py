@@ -57,15 +57,15 @@ def read_columns(
 
 def _column(header: list[str], name: str, unit: str, problems: list[Problem]) -> tuple[int, float]:
     """Index and scale of the column of a quantity."""
-    found = [i for i, title in enumerate(header) if title.startswith(f"{name}_")]
-    if len(found) != 1:
-        what = "has several columns" if found else "has no column"
+    places = [i for i, title in enumerate(header) if title.startswith(f"{name}_")]
+    if len(places) != 1:
+        what = "has several columns" if places else "has no column"
         problems.append(Problem(f"{what} {name}_...", 1, remedy=f"title one column {name}_{unit}"))
         return 0, 1.0
     try:
-        return found[0], factor(header[found[0]][len(name) + 1 : len(name) + 41], unit)
+        return places[0], factor(header[places[0]][len(name) + 1 : len(name) + 41], unit)
     except UnitError as error:
-        problems.append(Problem.of(error, 1, header[found[0]]))
+        problems.append(Problem.of(error, 1, header[places[0]]))
         return 0, 1.0
 
 

@@ -176,11 +176,11 @@ def _sync(path: Path, flags: int) -> None:
 def make_folder(path: str | os.PathLike[str]) -> Path:
     """Create a folder and its parents unless they exist, synced; `FileError` if it cannot be created."""
     path = Path(path)
-    made = [one for one in (path, *path.parents) if not one.exists()]
+    new = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
         path.mkdir(parents=True, exist_ok=True)
-        for one in made:
-            sync_folder(one.parent)
+        for folder in new:
+            sync_folder(folder.parent)
     except FileExistsError as error:
         raise FileError(str(path), [Problem("it is a file", remedy="give a folder")]) from error
     except OSError as error:
@@ -204,9 +204,9 @@ _ELSEWHERE = "choose another folder, or move the existing file"
 def similar_file(path: Path) -> str:
     """Return the remedy for a missing file: the file of its folder whose name without suffix is close; or nothing."""
     with suppress(OSError):
-        names = {one.stem: one.name for one in sorted(path.parent.iterdir()) if one.is_file()}
-        if found := closest(path.stem, list(names)):
-            return f"did you mean {quoted(names[found])}?"
+        names = {file.stem: file.name for file in sorted(path.parent.iterdir()) if file.is_file()}
+        if close := closest(path.stem, list(names)):
+            return f"did you mean {quoted(names[close])}?"
     return ""
 
 

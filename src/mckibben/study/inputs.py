@@ -44,7 +44,9 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
         if name in known:
             message = f"{name} is a dataset of the catalog, which cannot be joined with others"
             raise NotInCatalogError(message, value=name, remedy="give one dataset of the catalog, or files only")
-        close = difflib.get_close_matches(name, known, 1) or [one for one in known if name and one.startswith(name)]
+        close = difflib.get_close_matches(name, known, 1) or [
+            known_name for known_name in known if name and known_name.startswith(name)
+        ]
         if close or not re.search(r"[./\\]", name):
             message = f"there is no file {name!r}, and no dataset of that name"
             remedy = f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}"
@@ -94,13 +96,13 @@ def law_type_named(name: str) -> type[ForceLaw]:
     for installed in (False, True):
         laws = law_types(installed=installed)
         known = {
-            one: {_plain(one), _plain(law.__name__), _plain(law.__name__.removesuffix("Law"))}
-            for one, law in laws.items()
+            key: {_plain(key), _plain(law.__name__), _plain(law.__name__.removesuffix("Law"))}
+            for key, law in laws.items()
         }
-        if found := [one for one, words in known.items() if _plain(name) in words]:
-            if len(found) > 1:
-                raise _unknown("law", name, f"it could be {' or '.join(found)}")
-            return laws[found[0]]
+        if keys := [key for key, words in known.items() if _plain(name) in words]:
+            if len(keys) > 1:
+                raise _unknown("law", name, f"it could be {' or '.join(keys)}")
+            return laws[keys[0]]
     short = [re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws]
     broken = "".join(f"; {problem}" for problem in load_installed())
     remedy = f"{suggest(name.lower(), short)}; load the module of a user-defined law first (--extension){broken}"

@@ -46,8 +46,8 @@ class LinearSystem:
 
     def poles(self) -> NDArray[np.complex128]:
         """Return the poles in discrete time, the largest first."""
-        found = np.linalg.eigvals(self.a).astype(np.complex128)
-        return found[np.argsort(-np.abs(found))]
+        poles = np.linalg.eigvals(self.a).astype(np.complex128)
+        return poles[np.argsort(-np.abs(poles))]
 
     def to_control(self) -> Any:
         """Return a `control.StateSpace` of python-control with the same names; `ParameterError` if it is missing."""
@@ -83,7 +83,7 @@ def linearize(scenario: Scenario, time: float = 0.0, *, closed: bool = False) ->
         raise ParameterError(f"linearize takes a Scenario, not {scenario!r:.60}", value=scenario, remedy=remedy)
     substeps = scenario.needed_substeps()
     loop, sampled, names = with_run(scenario, linear_loop, substeps=substeps, time=time)
-    a, b, c = (np.asarray(each, float) for each in loop)
+    a, b, c = (np.asarray(matrix, float) for matrix in loop)
     rows = [np.eye(len(names))[names.index(name)] for name in _STATES.values()]
     return LinearSystem(
         a if closed else a - b @ c,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Iterator
 from typing import Any
 
 import jax.numpy as jnp
@@ -15,8 +15,9 @@ from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
+from mckibben.result import Column, Listing, Result, column
 from mckibben.scenario import Scenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
 from mckibben.units import bar, deg
@@ -34,80 +35,52 @@ SHOWN = {
 """Names of the tests in tables and figures."""
 
 
-@dataclass(frozen=True)
-class StiffnessTests:
+class StiffnessTests(Result):
     """Stiffness [N*m/rad] over amplitude and rate of a motion about the angle held by a scenario's controller."""
 
+    figures = ("stiffness",)
+
     scenario: Scenario
-    angle: float  # held [rad]
-    pressures: tuple[float, float]  # held, gauge [Pa]
-    asked: float  # setpoint
-    isobaric: float  # slope without friction (Eq. 8), at constant pressures
-    closed_valve: float  # likewise, with closed valves
-    polytropic_index: float  # of the closed valves; for air with a temperature that of fast motion
-    secant: Values  # with friction, over the amplitudes (`AntagonisticJoint.secant_stiffness`)
-    closed_secant: Values
-    tests: dict[str, DynamicStiffness]  # simulated, by name
-    closed_dynamic: NDArray[np.complex128] | None = None  # K' + i K'' over the rates, for air with a temperature
+    angle: float = column("rad", "angle held", "deg")
+    pressures: tuple[float, float]
+    """Held, gauge [Pa]."""
+    setpoint: float = column("N*m/rad", "setpoint")
+    isobaric: float = column("N*m/rad", "without friction, at constant pressures (Eq. 8)")
+    closed_valve: float = column("N*m/rad", "without friction, with closed valves")
+    polytropic_index: float = column("1", "polytropic index of the closed valves")
+    """For air with a temperature that of fast motion."""
+    amplitude: Values = column("rad", "amplitude", "deg", digits=3)
+    secant: Values = column("N*m/rad", "constant pressures")
+    """With friction (`AntagonisticJoint.secant_stiffness`)."""
+    closed_secant: Values = column("N*m/rad", "closed valves")
+    tests: dict[str, DynamicStiffness]
+    """Simulated, by name."""
+    closed_dynamic: NDArray[np.complex128] | None = None
+    """K' + i K'' over the rates, for air with a temperature."""
 
-    def __repr__(self) -> str:
+    def verdict(self) -> str:
+        """Return what is held, and the range of the stiffness over the amplitudes."""
+        pressures = " and ".join(f"{pressure / bar:.3g}" for pressure in self.pressures)
         low, high = self.secant.min(), self.secant.max()
-        return (
-            f"<StiffnessTests of {self.scenario.name!r}: isobaric {self.isobaric:.4g}, {low:.4g}..{high:.4g} N*m/rad>"
-        )
+        held = f"{self.scenario.name}, held at {round(self.angle / deg, 3) + 0.0:g} deg by {pressures} bar"
+        return f"{held}: {low:.4g} to {high:.4g} N*m/rad at constant pressures"
 
-    @property
-    def amplitudes(self) -> Values:
-        """Amplitudes of the motion [rad]."""
-        return self.tests[HELD].amplitude
-
-    def describe(self) -> str:
-        """Setpoint of the tests and stiffness without friction, as text."""
-        angle, pressures = round(self.angle / deg, 3) + 0.0, ", ".join(f"{p / bar:.3g}" for p in self.pressures)
-        return (
-            f"held: {angle:g} deg at {pressures} bar, setpoint {self.asked:.4g} N*m/rad; without friction "
-            f"{self.isobaric:.4g} N*m/rad at constant pressures, {self.closed_valve:.4g} with closed valves (n = "
-            f"{self.polytropic_index:g})"
-        )
-
-    def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Headers and rows of a table of every other amplitude and rate; for a controller, the magnitude."""
-        constant = (HELD, CLOSED) if self.closed_dynamic is None else (HELD,)
-        varied = [(name, test) for name, test in self.tests.items() if name not in constant]
-        headers = ["amplitude", *(SHOWN[name] for name in constant)]
-        headers += [f"{SHOWN[name]}, {rate:.2g} Hz" for name, test in varied for rate in test.frequency[::2]]
-        columns = [self.secant, self.closed_secant][: len(constant)]
-        for name, test in varied:
-            columns += [*(test.magnitude if name == CONTROLLED else test.stiffness)[::2]]
-        rows: list[tuple[str, ...]] = [
-            (f"{amplitude / deg:.3g} deg", *(f"{column[i]:.4g}" for column in columns))
-            for i, amplitude in enumerate(self.amplitudes)
-        ]
-        return tuple(headers), rows[::2]
-
-    def records(self) -> dict[str, Any]:
-        """The results as plain data; angles in deg, pressures in bar, stiffness in N*m/rad."""
-        dynamic = self.closed_dynamic
-        closed = (
-            {} if dynamic is None else {"closed_storage": dynamic.real.tolist(), "closed_loss": dynamic.imag.tolist()}
-        )
-        return {
-            "scenario": self.scenario.name,
-            "angle_deg": self.angle / deg,
-            "pressures_bar": [p / bar for p in self.pressures],
-            "asked": self.asked,
-            "isobaric": self.isobaric,
-            "closed_valve": self.closed_valve,
-            "polytropic_index": self.polytropic_index,
-            "amplitude_deg": (self.amplitudes / deg).tolist(),
-            "secant": self.secant.tolist(),
-            "closed_secant": self.closed_secant.tolist(),
-            **closed,
-            "tests": {
-                name: {key: getattr(test, key).tolist() for key in ("frequency", "stiffness", "loss")}
-                for name, test in self.tests.items()
-            },
-        }
+    def listings(self) -> Iterator[Listing]:
+        """Yield setpoint and closed forms, then each simulated test over the rates; the magnitude for a controller."""
+        yield from super().listings()
+        for name, test in self.tests.items():
+            stiffness = test.magnitude if name == CONTROLLED else test.stiffness
+            columns: dict[str, tuple[Column, Any]] = {"amplitude": (Column("rad", "amplitude", "deg"), self.amplitude)}
+            for rate, values, loss in zip(test.frequency, stiffness, test.loss, strict=True):
+                columns[f"{rate:.3g} Hz"] = Column("N*m/rad"), values
+                columns[f"loss at {rate:.3g} Hz"] = Column("N*m/rad"), loss
+            detail = name == HELD or (name == CLOSED and self.closed_dynamic is None)
+            yield Listing(f"Simulated: {SHOWN[name]}", columns, detail=detail)
+        if self.closed_dynamic is not None:
+            unit = Column("N*m/rad")
+            columns = {"rate": (Column("Hz"), self.tests[CLOSED].frequency)}
+            columns |= {"storage": (unit, self.closed_dynamic.real), "loss": (unit, self.closed_dynamic.imag)}
+            yield Listing("Closed valves without friction, linearised", columns)
 
 
 def stiffness_tests(
@@ -147,21 +120,22 @@ def stiffness_tests(
     numbers = _closed_forms(plant.joint, state.angle, state.pressures, tests[HELD].amplitude, index, dead)
     isobaric, closed_valve, secant, closed_secant = map(np.asarray, numbers)
     return StiffnessTests(
-        scenario,
-        float(state.angle),
-        (float(state.pressures[0]), float(state.pressures[1])),
-        float(setpoint.stiffness),
-        float(isobaric),
-        float(closed_valve),
-        float(index),
-        secant,
-        closed_secant,
-        tests,
-        dynamic,
+        scenario=scenario,
+        angle=float(state.angle),
+        pressures=(float(state.pressures[0]), float(state.pressures[1])),
+        setpoint=float(setpoint.stiffness),
+        isobaric=float(isobaric),
+        closed_valve=float(closed_valve),
+        polytropic_index=float(index),
+        amplitude=tests[HELD].amplitude,
+        secant=secant,
+        closed_secant=closed_secant,
+        tests=tests,
+        closed_dynamic=dynamic,
     )
 
 
-@compiled
+@jit
 def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index: Any, dead_volume: Any) -> tuple:
     air = {"polytropic_index": index, "dead_volume": dead_volume}
     return (
@@ -172,10 +146,10 @@ def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index
     )
 
 
-@compiled
+@jit
 def _closed_dynamic(plant: JointPlant, state: Any, rates: Any) -> Any:
     """Complex stiffness [N*m/rad] of small motions at rates [Hz] with closed valves, without friction."""
-    volumes = [one.volume for one in plant.air_volumes(state)]
+    volumes = [air.volume for air in plant.air_volumes(state)]
     valve: Any = plant.valve
     pairs = zip(state.pressures, volumes, strict=True)
     indices = tuple(valve.index_at(pressure, volume, rates) for pressure, volume in pairs)

@@ -25,7 +25,7 @@ from mckibben.identification.grouping import Grouping
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import pressure_pair
 from mckibben.muscle import ForceLaw
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 
 
 @dataclass(frozen=True)
@@ -76,8 +76,8 @@ def joint_bands(
     True
     """
     check_level(level)
-    one = isinstance(fits, Fit)
-    pair: Sequence[Fit] = (fits,) if one else fits
+    common = isinstance(fits, Fit)
+    pair: Sequence[Fit] = (fits,) if common else fits
     if not all(isinstance(fit, Fit) for fit in pair) or len(pair) not in (1, 2):
         raise ParameterError("a joint has two muscles", remedy="give one fit for both, or a tuple of two")
     both = pair[0], pair[-1]
@@ -86,8 +86,8 @@ def joint_bands(
     pressures = pressure_pair(pressures)  # type: ignore[arg-type]  # JAX accepts the same arrays as NumPy
     where = np.broadcast_arrays(*(np.asarray(x, np.float64) for x in (angle, *pressures)))
     shape = where[0].shape
-    answers = torque_and_stiffness_gradients(with_laws, values, *where, one=one)
-    found, gradients, contractions = jax.tree.map(np.asarray, answers)
+    answers = torque_and_stiffness_gradients(with_laws, values, *where)
+    answers_of_both, gradients, contractions = jax.tree.map(np.asarray, answers)
     bands: list[IntervalEstimate] = []
     for i in range(2):
         parts: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
@@ -95,7 +95,7 @@ def joint_bands(
             regression = fit.require_regression()
             columns = np.moveaxis(gradient[i], 0, -1)[..., regression.free]
             parts.append(variance_of(regression.error_model(by), columns))
-        bands.append(t_interval(level, found[i], parts))
+        bands.append(t_interval(level, answers_of_both[i], parts))
     doubtful = np.zeros(shape, bool)
     for contraction, pressure, fit in zip(contractions, where[1:], both, strict=True):
         force = fit.force_intervals(contraction, pressure, level=level, by=by).confidence
@@ -103,14 +103,14 @@ def joint_bands(
     return JointBands(bands[0], bands[1], doubtful)
 
 
-@compiled
+@jit
 def torque_and_stiffness_gradients(
-    joint: AntagonisticJoint, values: tuple[Any, ...], angle: Any, pressure1: Any, pressure2: Any, *, one: bool
+    joint: AntagonisticJoint, values: tuple[Any, ...], angle: Any, pressure1: Any, pressure2: Any
 ) -> tuple[Array, list[Array], tuple[Array, Array]]:
     """Torque and stiffness, shape (2, ...); gradients per fit, shape (2, parameters, ...); contractions."""
 
-    def answer(given: tuple[Any, ...]) -> Array:
-        laws = _with(joint.muscle1.law, given[0]), _with(joint.muscle2.law, given[-1])
+    def answer(parameters: tuple[Any, ...]) -> Array:
+        laws = _with(joint.muscle1.law, parameters[0]), _with(joint.muscle2.law, parameters[-1])
         changed = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, laws)
         return jnp.stack(changed.torque_and_stiffness(angle, (pressure1, pressure2)))
 
@@ -121,7 +121,7 @@ def torque_and_stiffness_gradients(
 
         return jax.vmap(column, out_axes=1)(jnp.eye(jnp.size(values[i])))
 
-    gradients = [gradient(i) for i in range(1 if one else 2)]
+    gradients = [gradient(i) for i in range(len(values))]
     return answer(values), gradients, joint.contractions(angle, (pressure1, pressure2))
 
 

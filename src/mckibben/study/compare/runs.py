@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mckibben.control import Reference, Samples, Sine
 from mckibben.control.base import Setpoint
 from mckibben.numerics.batching import lanes_of
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, with_values
 from mckibben.simulation.problem import check_frequencies, sample_reference, sampled_reference, sampling_times
@@ -94,7 +94,7 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
     shares = {name: plant.share for name, plant in suite.plants.items()}
     order = np.random.default_rng(seed).spawn(2)
     joint = _dealt(shares, count, order[0])
-    names = _dealt({name: each.share for name, each in suite.references.items()}, count, order[1])
+    names = _dealt({name: case.share for name, case in suite.references.items()}, count, order[1])
     conditions = dict(sample(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
     if suite.has_noise and "sensors.seed" not in conditions:
         conditions["sensors.seed"] = np.arange(count, dtype=np.int64) + (1000 * seed) % 2**30
@@ -129,7 +129,7 @@ def _sampled(reference: Reference, times: NDArray[np.float64]) -> Column:
     return np.stack(_sampled_lanes(lanes, shared, times))
 
 
-@compiled
+@jit
 def _sampled_lanes(lanes: Reference, shared: Reference, times: NDArray[np.float64]) -> Setpoint:
     return jax.vmap(lambda lane: sample_reference(eqx.combine(lane, shared), times))(lanes)
 
@@ -150,7 +150,7 @@ def _groups(runs: Runs, setpoints: Column) -> tuple[Group, ...]:
     for several in parts.values():
         rows = np.sort(np.concatenate([rows for rows, _ in several]))
         within = [(np.searchsorted(rows, own), plant) for own, plant in several]
-        joint, names = ([each[int(row)] for row in rows] for each in (runs.joint, runs.reference_name))
+        joint, names = ([column[int(row)] for row in rows] for column in (runs.joint, runs.reference_name))
         reference = Reference(*(Samples(times, values[rows]) for values in setpoints))
         groups.append(Group(rows, joint, names, merged(within, rows.size), reference))
     return tuple(groups)
@@ -164,7 +164,7 @@ def _dealt(shares: dict[str, int], count: int, order: np.random.Generator) -> li
 
 
 def _rows(names: Sequence[str], name: str) -> NDArray[np.int64]:
-    return np.array([row for row, each in enumerate(names) if each == name], dtype=np.int64)
+    return np.array([row for row, other in enumerate(names) if other == name], dtype=np.int64)
 
 
 def _reference_values(suite: Suite, name: str, count: int, seed: int) -> dict[str, Column]:
@@ -190,12 +190,12 @@ def merged(parts: list[tuple[NDArray[np.int64], Any]], count: int) -> Any:
     def join(*leaves: Any) -> Any:
         if not eqx.is_array_like(leaves[0]):
             return leaves[0]
-        found = [np.asarray(leaf) for leaf in leaves]
-        if all(each.ndim == 0 and each == found[0] for each in found):
+        values = [np.asarray(leaf) for leaf in leaves]
+        if all(value.ndim == 0 and value == values[0] for value in values):
             return leaves[0]
-        whole = np.empty(count, np.result_type(*found))
-        for (rows, _), values in zip(parts, found, strict=True):
-            whole[rows] = values
+        whole = np.empty(count, np.result_type(*values))
+        for (rows, _), part in zip(parts, values, strict=True):
+            whole[rows] = part
         return whole
 
     return jax.tree.map(join, *(tree for _, tree in parts))

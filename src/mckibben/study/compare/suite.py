@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
 from pydantic import Field, ValidationInfo, field_validator
 
 from mckibben.actuator import IdealValve
 from mckibben.component.schema import independent, inherit
-from mckibben.config.document import Document, dotted
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model
-from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference, Step
-from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
+from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference
+from mckibben.errors import McKibbenError, ParameterError, ScenarioError
 from mckibben.plant import NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario, list_parameters
 from mckibben.scenario.scenario import (
@@ -34,7 +31,8 @@ from mckibben.scenario.scenario import (
     model_scope,
 )
 from mckibben.simulation import ACCURACY
-from mckibben.study.parameters import SweptParameter, parse_sweep, parse_sweeps, sweep_parameters
+from mckibben.study.compare.checks import check_differs, problems_of_setup, problems_of_suite
+from mckibben.study.parameters import SweptParameter, parse_sweeps, sweep_parameters
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
 from mckibben.units import (
     Accuracy,
@@ -45,141 +43,6 @@ from mckibben.units import (
     Duration,
     PositiveTime,
 )
-
-_OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
-_LONGEST_NAME = 80
-
-
-def filename(name: str) -> str:
-    """A name as part of a path: "Sliding mode, 2" becomes "sliding-mode-2"."""
-    return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"
-
-
-def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Problem]:
-    """Problems of interdependent parts; `nominal` is the reserved name of the suite's own joint."""
-    found: list[Problem] = []
-
-    def check(place: tuple[str | int, ...], call: Callable[[], object]) -> None:
-        found.extend(_problems_at(place, document, call))
-
-    for key, reserved in (("other_joints", nominal), ("references", ""), ("controllers", "")):
-        for name in getattr(suite, key):
-            check((key, name), lambda name=name, reserved=reserved: _check_name(name, reserved))
-    for name in suite.controllers:
-        check(("controllers", name), lambda name=name: _check_controller(suite, name))
-    check(("valve",), suite.example)
-    if found:  # no scenario can be built
-        return found
-    check(("conditions",), lambda: _check_differs(suite))
-    check(("tuning", "cost"), lambda: _check_cost(suite))
-    for i, text in enumerate(suite.conditions):
-        check(("conditions", i), lambda text=text: _check_within(_OF_PLANT, [parse_sweep(text, suite.example())]))
-    if not found:
-        check(("conditions",), suite.conditions_over)
-    for name, case in suite.references.items():
-        before = len(found)
-        for i, text in enumerate(case.over):
-            check(
-                ("references", name, "over", i),
-                lambda name=name, text=text: _check_within(("reference",), [parse_sweep(text, suite.example(name))]),
-            )
-        if len(found) == before:
-            check(("references", name, "over"), lambda name=name: suite.reference_over(name))
-    for i, name in enumerate(suite.true_model):
-        check(("true_model", i), lambda name=name: _check_known(suite, name))
-    for key, names in (
-        ("over", list(suite.tuning.over)),
-        ("starts_of", list(suite.tuning.starts_of)),
-        ("untuned", suite.tuning.untuned),
-    ):
-        for i, name in enumerate(names):
-            place = ("tuning", key, i if key == "untuned" else name)
-            check(place, lambda name=name: _check_known(suite, name))
-    if not found:
-        for name in suite.other_joints:
-            check(("other_joints", name), lambda name=name: _check_joint(suite, name))
-        for name in suite.controllers:
-            place = ("tuning", "over", name) if name in suite.tuning.over else ("controllers", name)
-            check(place, lambda name=name: _check_within(("controller",), suite.tuned_over(name)))
-    return found
-
-
-def problems_of_setup(suite: Suite, name: str, document: Document) -> list[Problem]:
-    """Problems of the suite of a setup alone."""
-    own = suite.of_setup(name)
-
-    def check() -> None:
-        _check_name(name, "")
-        parse_sweeps(own.conditions, own.example())
-        for controller in own.controllers:
-            own.tuned_over(controller)
-
-    return _problems_at(("setups", name), document, check)
-
-
-def _problems_at(place: tuple[str | int, ...], document: Document, call: Callable[[], object]) -> list[Problem]:
-    """The problems at a place of a document that a call raises, if any."""
-    try:
-        call()
-    except ScenarioError as error:  # of a scenario that the suite makes
-        return [
-            replace(one, message=f"{one.field}: {one.message}", line=document.line(place), field=dotted(place))
-            for one in error.problems
-        ]
-    except McKibbenError as error:
-        return [Problem.of(error, document.line(place), dotted(place))]
-    return []
-
-
-def _check_name(name: str, reserved: str) -> None:
-    if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
-        raise ParameterError(f"a name is one line of 1 to {_LONGEST_NAME} characters", remedy="give another")
-    if name == reserved:
-        raise ParameterError(f"{name!r} is the name of the suite's own joint", remedy="give another")
-
-
-def _check_controller(suite: Suite, name: str) -> None:
-    """Check that its file name is unique."""
-    same = next(other for other in suite.controllers if filename(other) == filename(name))
-    if same != name:
-        raise ParameterError(f"would be kept in the same file as {same!r}", remedy="give it another name")
-
-
-def _check_differs(suite: Suite) -> None:
-    first, *others = suite.references.values()
-    if not (others or first.over or suite.conditions or suite.has_noise or suite.other_joints):
-        raise ParameterError("all runs are identical", remedy="give conditions, or `over` of a reference")
-
-
-def _check_cost(suite: Suite) -> None:
-    """Check that every run has a value of each metric."""
-    steps = all(isinstance(case.reference.stiffness, Step) for case in suite.references.values())
-    if "coupling" in suite.cost.metrics and not steps:
-        raise ParameterError(
-            "coupling is defined for stiffness steps only", remedy="leave it out, or let all references step"
-        )
-
-
-def _check_joint(suite: Suite, name: str) -> None:
-    """Check that the conditions apply to the joint's plant as well."""
-    parse_sweeps([text for text in suite.conditions if suite.has(name, text)], suite.example(joint=name))
-    suite.example(joint=name).plant()
-
-
-def _check_known(suite: Suite, name: str) -> None:
-    if name not in suite.controllers:
-        raise ParameterError(f"there is no controller {name!r}", remedy=suggest(name, list(suite.controllers)))
-
-
-def _check_within(sections: tuple[str, ...], over: Sequence[SweptParameter]) -> None:
-    for one in over:
-        if one.name.split(".")[0] not in sections:
-            whole = {"reference": "the reference", "controller": "the controller"}.get(sections[0], "the plant")
-            raise ParameterError(
-                f"{one.name} is not a parameter of {whole}",
-                remedy=f"give a parameter of {', '.join(sections)}: conditions vary the plant, `over` the reference",
-            )
-
 
 _Share = Annotated[int, BoundedInt(1, 1000)]
 _Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
@@ -354,18 +217,18 @@ class Suite(RunSettings):
             own = type(scenario.controller)
             controllers = {name: section for name, (kind, section) in _OTHERS.items() if kind is not own}
         if "conditions" not in settings:
-            masses = [each for each in list_parameters(scenario) if each.part == "load" and each.unit == "kg"]
+            masses = [p for p in list_parameters(scenario) if p.part == "load" and p.unit == "kg"]
             strengths = [f"joint.muscle{number}.strength=+-10 %" for number in (1, 2)]
-            settings["conditions"] = (*strengths, *(f"{each.name}=+-20 %" for each in masses if each.nominal))
+            settings["conditions"] = (*strengths, *(f"{mass.name}=+-20 %" for mass in masses if mass.nominal))
         shared = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
-        given = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
+        parts = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
         steps: dict[str, Any] = (
             {"substeps": scenario.substeps} if scenario.substeps is not None else {"accuracy": scenario.accuracy}
         )
         references = {"reference": ReferenceCase(reference=scenario.signals)}
         together = {"scenario": scenario.controller, **controllers}
-        suite = cls(**given, **steps, references=references, controllers=together, **settings)
-        _check_differs(suite)
+        suite = cls(**parts, **steps, references=references, controllers=together, **settings)
+        check_differs(suite)
         return suite
 
     @field_validator("evaluation", mode="after")
@@ -396,15 +259,15 @@ class Suite(RunSettings):
     def of_setup(self, name: str) -> Suite:
         """Return the suite of one of the setups alone; its valves are those of all models too."""
         setup = self.setups[name]
-        given = setup.model_dump(exclude_none=True, include={"max_angular_velocity", "substeps"})
-        given |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
+        update = setup.model_dump(exclude_none=True, include={"max_angular_velocity", "substeps"})
+        update |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
         conditions = (*self.conditions, *setup.conditions)
-        return self.model_copy(update=given | {"name": f"{self.name}: {name}", "conditions": conditions})
+        return self.model_copy(update=update | {"name": f"{self.name}: {name}", "conditions": conditions})
 
     @property
     def has_noise(self) -> bool:
         """Whether its sensors have noise."""
-        return "sensors.seed" in [one.name for one in list_parameters(self.example())]
+        return "sensors.seed" in [parameter.name for parameter in list_parameters(self.example())]
 
     @property
     def cost(self) -> Cost:
@@ -473,12 +336,14 @@ class Suite(RunSettings):
 
     def tuned_inside(self, controller: str, tuned: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         """Tuned values [SI] of other controllers that a controller wraps, by their names in the wrapper."""
-        found: dict[str, float] = {}
+        values_inside: dict[str, float] = {}
         for part, inner in vars(self.controllers[controller]).items():
             for other, values in tuned.items():
                 if isinstance(inner, Controller) and inner == self.controllers[other]:
-                    found |= {f"controller.{part}.{name.partition('.')[2]}": value for name, value in values.items()}
-        return found
+                    values_inside |= {
+                        f"controller.{part}.{name.partition('.')[2]}": value for name, value in values.items()
+                    }
+        return values_inside
 
     def example(self, reference: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
         """A run of the first controller."""

@@ -1,61 +1,49 @@
-"""The table of all runs of a benchmark, as a NetCDF file that also holds the suite."""
+"""The table of all runs of a comparison, as a NetCDF file that also holds the suite."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from mckibben.dataset.schema import load_netcdf, write_netcdf
 from mckibben.errors import FileError, Problem
-from mckibben.simulation import Metrics
-from mckibben.study.compare.compare import BenchmarkResult
+from mckibben.simulation import Batch, Metrics
+from mckibben.study.compare.runs import Runs
 from mckibben.study.compare.suite import Suite
 
-if TYPE_CHECKING:
+
+def write_table(
+    suite: Suite, runs: Runs, batches: Mapping[str, Batch], tuned: Mapping[str, Mapping[str, float]], path: Path
+) -> None:
+    """Write metrics and outcomes along ``controller`` and ``run``, along ``run`` their conditions, and the suite."""
     import xarray as xr
 
-
-def table_of(result: BenchmarkResult) -> xr.Dataset:
-    """All runs along ``controller`` and ``run``: metrics and outcomes; along ``run`` their conditions."""
-    import xarray as xr
-
-    batches = result.batches
-    names = list(batches)
-    table: dict[str, Any] = {
-        name: (("controller", "run"), np.stack([batches[each].metrics[name] for each in names]))
+    first = next(iter(batches.values())).table["outcome"]
+    columns: dict[str, Any] = {
+        name: (("controller", "run"), np.stack([batch.metrics[name] for batch in batches.values()]))
         for name in Metrics._fields
     }
-    codes = np.stack([batches[each].table["outcome"].to_numpy() for each in names])
-    flags = {key: batches[names[0]].table["outcome"].attrs[key] for key in ("flag_values", "flag_meanings")}
-    table["outcome"] = (("controller", "run"), codes, flags)
-    table["joint"] = ("run", np.array(result.runs.joint, dtype=str))
-    table["reference"] = ("run", np.array(result.runs.reference_name, dtype=str))
-    for name, values in result.runs.conditions.items():
-        table[name] = ("run", values)
-    for reference, columns in result.runs.reference_values.items():
-        rows = np.array([each == reference for each in result.runs.reference_name])
-        for name, values in columns.items():
-            column = table.get(name, ("run", np.full(result.runs.count, np.nan)))[1]
+    codes = np.stack([batch["outcome"] for batch in batches.values()])
+    flags = {key: first.attrs[key] for key in ("flag_values", "flag_meanings")}
+    columns["outcome"] = ("controller", "run"), codes, flags
+    columns |= {"joint": ("run", np.array(runs.joint, dtype=str))}
+    columns |= {"reference": ("run", np.array(runs.reference_name, dtype=str))}
+    columns |= {name: ("run", values) for name, values in runs.conditions.items()}
+    for reference, varied in runs.reference_values.items():
+        rows = np.array([name == reference for name in runs.reference_name])
+        for name, values in varied.items():
+            column = columns.setdefault(name, ("run", np.full(runs.count, np.nan)))[1]
             column[rows] = values
-            table[name] = ("run", column)
-    found = xr.Dataset(table, coords={"controller": names}, attrs={"title": result.suite.name})
-    found.attrs["tuned"] = json.dumps(result.tuned)
-    return found
-
-
-def write_table(result: BenchmarkResult, path: Path) -> None:
-    """Write `table_of` and the suite to a NetCDF file."""
-    from mckibben.dataset.schema import write_netcdf
-
-    write_netcdf(table_of(result).assign_attrs(suite=result.suite.dumps(folder=path.parent)), path)
+    attrs = {"title": suite.name, "tuned": json.dumps(tuned), "suite": suite.dumps(folder=path.parent)}
+    write_netcdf(xr.Dataset(columns, coords={"controller": list(batches)}, attrs=attrs), path)
 
 
 def read_runs(path: Path) -> tuple[Suite, dict[str, dict[str, float]], int]:
-    """Suite, tuned values and number of runs from a file written by `write_table`."""
-    from mckibben.dataset.schema import load_netcdf
-
+    """Return suite, tuned values and number of runs from a file written by `write_table`."""
     table = load_netcdf(path)
     try:
         suite, tuned, count = table.attrs["suite"], json.loads(table.attrs["tuned"]), table.sizes["run"]

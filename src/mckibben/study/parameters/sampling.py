@@ -80,20 +80,20 @@ def sweep_parameters(scenario: Scenario, distributions: Mapping[str, Distributio
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> [each.text for each in sweep_parameters(scenario, {"load.mass2": Uniform(0.2, 1.0)})]
+    >>> [swept.text for swept in sweep_parameters(scenario, {"load.mass2": Uniform(0.2, 1.0)})]
     ['load.mass2=0.2 kg..1 kg']
     """
-    found = find_parameters(scenario, distributions)
-    for name, given in distributions.items():
-        if not isinstance(given, Distribution):
+    parameters = find_parameters(scenario, distributions)
+    for name, distribution in distributions.items():
+        if not isinstance(distribution, Distribution):
             remedy = f"give a Distribution of mckibben.study.parameters, or texts, such as ['{name}=+-10 %']"
             raise CallError(
-                f"over[{name!r}] is {described(given)}",
+                f"over[{name!r}] is {described(distribution)}",
                 field=f"over[{name!r}]",
-                value=given,
+                value=distribution,
                 remedy=f"{remedy}; `simulate_many` takes arrays",
             )
-    return tuple(SweptParameter(*pair) for pair in zip(found, distributions.values(), strict=True))
+    return tuple(SweptParameter(*pair) for pair in zip(parameters, distributions.values(), strict=True))
 
 
 def _fitted(parameter: ScenarioParameter, distribution: Distribution) -> Distribution:
@@ -183,13 +183,13 @@ def parse_sweeps(texts: Iterable[str], scenario: Scenario) -> tuple[SweptParamet
 
 def parse_distinct(texts: Iterable[str], parse: Callable[[str], SweptParameter]) -> tuple[SweptParameter, ...]:
     """Parse each text; raises ParameterError if a parameter is repeated."""
-    found: dict[str, str] = {}
+    texts_of: dict[str, str] = {}
     several = []
     for text in texts:
         swept = parse(text)
-        if swept.name in found:
-            _fail(f"{quoted(found[swept.name])} and {quoted(text)} are about the same parameter", "keep one of them")
-        found[swept.name] = text
+        if swept.name in texts_of:
+            _fail(f"{quoted(texts_of[swept.name])} and {quoted(text)} are about the same parameter", "keep one of them")
+        texts_of[swept.name] = text
         several.append(swept)
     return tuple(several)
 
@@ -234,7 +234,7 @@ def _parse_range(text: str, parameter: ScenarioParameter) -> Distribution:
 def _parse_values(text: str, parameter: ScenarioParameter) -> Values:
     if not parameter.is_integer and re.search(r"[0-9],[0-9]", text):
         _fail(f"{quoted(text)} has a comma between digits", "write decimals with a point, and lists like `1 kg, 2 kg`")
-    return Values(tuple(_read(parameter.mark, each) for each in text.split(",")))
+    return Values(tuple(_read(parameter.mark, value) for value in text.split(",")))
 
 
 def _parse_amount(text: str, parameter: ScenarioParameter) -> tuple[float, float]:
@@ -275,8 +275,8 @@ def _read(mark: Any, text: str) -> Any:
 
 def _split_ending(ending: re.Pattern[str], text: str) -> tuple[str, str | None]:
     """Text without an ending, and the last group of the ending."""
-    found = ending.fullmatch(text)
-    return (found[1], found[found.lastindex or 1]) if found else (text, None)
+    match = ending.fullmatch(text)
+    return (match[1], match[match.lastindex or 1]) if match else (text, None)
 
 
 def _fail(message: str, remedy: str) -> NoReturn:
@@ -289,9 +289,6 @@ def _prefixed(text: str, error: ParameterError) -> ParameterError:
     return ParameterError(f"{quoted(text)}: {error.message}", remedy=error.remedy, **fields)
 
 
-MAX_TOTAL = 2**30
-"""Most rows of a table of which parts are computed: the length of a Sobol sequence."""
-
 Table = dict[str, NDArray]
 """Values [SI] by name, float64 or int64, one row per run."""
 
@@ -300,11 +297,7 @@ SamplingMethod = Literal["sobol", "random", "grid"]
 
 
 def sample(
-    swept: Sequence[SweptParameter],
-    method: SamplingMethod = "sobol",
-    samples: int = 1024,
-    seed: int = 0,
-    rows: slice | None = None,
+    swept: Sequence[SweptParameter], method: SamplingMethod = "sobol", samples: int = 1024, seed: int = 0
 ) -> Table:
     """Sample combinations of values.
 
@@ -319,8 +312,6 @@ def sample(
         table begins with the shorter one. "grid": all combinations; the last parameter varies fastest.
     samples, seed
         Number of rows, and seed of the scrambling or the draws; not of a grid.
-    rows
-        Rows of the table to compute, start and end. Default: all.
 
     Examples
     --------
@@ -333,68 +324,44 @@ def sample(
     load.mass2 [1. 1. 1. 2. 2. 2.]
     load.mass1 [0.1 0.2 0.4 0.1 0.2 0.4]
     """
-    names = [each.name for each in swept]
+    names = [parameter.name for parameter in swept]
     if not names:
         raise ParameterError("nothing is varied", remedy="name a parameter, as in 'load.mass2=0.2 kg..1.0 kg'")
     for name in names:
         if names.count(name) > 1:
             raise ParameterError(f"{name} is varied twice", remedy="keep one of them")
-    total = count_rows(swept, method, samples)
-    start, stop, _ = (rows or slice(None)).indices(total)
-    if stop - start > MAX_ROWS:
-        message = f"{stop - start} combinations are more than {MAX_ROWS}"
-        remedy = "choose fewer, or compute parts of a sweep with --part"
-        raise ParameterError(message, value=stop - start, upper=MAX_ROWS, remedy=remedy)
     if method == "grid":
-        return _grid(swept, start, stop)
+        return _grid(swept)
+    check_count("samples", samples, 1, MAX_ROWS)
     check_count("seed", seed, 0, 2**63 - 1)
+    generator = np.random.Generator(np.random.PCG64(seed))
     if method == "sobol":
-        quantiles = _sobol(len(swept), start, stop, seed)
+        from scipy.stats import qmc
+
+        with warnings.catch_warnings():  # of a number that is not a power of two
+            warnings.simplefilter("ignore", UserWarning)
+            quantiles = qmc.Sobol(len(swept), scramble=True, rng=generator).random(samples)
     elif method == "random":
-        bits = np.random.PCG64(seed).advance(start * len(swept))
-        quantiles = np.random.Generator(bits).random((stop - start, len(swept)))
+        quantiles = generator.random((samples, len(swept)))
     else:
         raise ParameterError(f"there is no design {method!r}", remedy="choose sobol, random or grid")
-    return {each.name: each.distribution.ppf(quantiles[:, i]) for i, each in enumerate(swept)}
+    return {parameter.name: parameter.distribution.ppf(quantiles[:, i]) for i, parameter in enumerate(swept)}
 
 
-def count_rows(swept: Sequence[SweptParameter], method: str, samples: int) -> int:
-    """Number of rows of a table; raises ParameterError if there are too many, or a grid has no number of points."""
-    if method == "grid":
-        rows = math.prod(len(axis) for axis in _axes(swept))
-        if rows > MAX_TOTAL:
-            message = f"the grid has {rows} combinations, more than {MAX_TOTAL}"
-            raise ParameterError(message, value=rows, upper=MAX_TOTAL, remedy="choose fewer points")
-        return rows
-    check_count("samples", samples, 1, MAX_TOTAL)
-    return samples
-
-
-def _axes(swept: Sequence[SweptParameter]) -> list[NDArray]:
+def _grid(swept: Sequence[SweptParameter]) -> Table:
+    """All combinations of the grid points of each parameter."""
     axes = []
-    for each in swept:
+    for parameter in swept:
         try:
-            axes.append(each.distribution.grid())
+            axes.append(parameter.distribution.grid())
         except ParameterError as error:
-            raise ParameterError(f"{each.text}: {error.message}", remedy=error.remedy) from None
-    return axes
-
-
-def _grid(swept: Sequence[SweptParameter], start: int, stop: int) -> Table:
-    axes = _axes(swept)
-    places = np.unravel_index(np.arange(start, stop), [len(axis) for axis in axes])
-    return {each.name: axis[place] for each, axis, place in zip(swept, axes, places, strict=True)}
-
-
-def _sobol(dimensions: int, start: int, stop: int, seed: int) -> NDArray[np.float64]:
-    from scipy.stats import qmc
-
-    sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.Generator(np.random.PCG64(seed)))
-    if start:
-        sequence.fast_forward(start)
-    with warnings.catch_warnings():  # of a number that is not a power of two
-        warnings.simplefilter("ignore", UserWarning)
-        return sequence.random(stop - start)
+            raise ParameterError(f"{parameter.text}: {error.message}", remedy=error.remedy) from None
+    rows = math.prod(len(axis) for axis in axes)
+    if rows > MAX_ROWS:
+        message = f"{rows} combinations are more than {MAX_ROWS}"
+        raise ParameterError(message, value=rows, upper=MAX_ROWS, remedy="choose fewer points")
+    places = np.unravel_index(np.arange(rows), [len(axis) for axis in axes])
+    return {parameter.name: axis[place] for parameter, axis, place in zip(swept, axes, places, strict=True)}
 
 
 def check_count(what: str, value: object, least: int, most: int) -> None:

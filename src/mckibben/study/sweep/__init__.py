@@ -1,6 +1,6 @@
 """Sweeps: many runs of a scenario over ranges of its parameters."""
 
-from mckibben.study.sweep.result import SweepResult, summary
-from mckibben.study.sweep.sweep import InterruptedSweep, sweep
+from mckibben.study.sweep.result import SweepResult
+from mckibben.study.sweep.sweep import Sweep, sweep
 
-__all__ = ["InterruptedSweep", "SweepResult", "summary", "sweep"]
+__all__ = ["Sweep", "SweepResult", "sweep"]

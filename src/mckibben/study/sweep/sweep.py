@@ -1,144 +1,152 @@
-"""Sweeps: run a plan, store its blocks in a journal, and continue an interrupted sweep."""
+"""Sweeps: many runs of a scenario over ranges of its parameters."""
 
 from __future__ import annotations
 
 import hashlib
+import json
 import os
-import tempfile
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from mckibben.component.calls import checked_call
-from mckibben.errors import FileError, ParameterError, Problem
-from mckibben.notebook import Progress, notebook_progress
-from mckibben.scenario import Known, Scenario
-from mckibben.simulation.software import engine_of_job
-from mckibben.storage.files import check_free, explain_write_errors, file_lock, make_folder
-from mckibben.storage.journal import Journal, JournalReader, JournalRecord, array_record, read_header, unpack_arrays
-from mckibben.study.sweep.compute import Columns, check_cluster, compute_on_cluster, compute_on_threads
-from mckibben.study.sweep.plan import (
-    FORMAT,
-    VERSION,
-    Sweepable,
-    SweepOptions,
-    SweepPlan,
-    manifest_differences,
-    parse_part,
-)
-from mckibben.study.sweep.result import SweepResult
+from mckibben.errors import FileError, ParameterError, Problem, SimulationError, suggest
+from mckibben.notebook import Progress
+from mckibben.scenario import ModelFollows, Scenario, batched, followed_names, run_many
+from mckibben.simulation import Batch, Metrics
+from mckibben.simulation.accuracy import STEP_COLUMNS
+from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
+from mckibben.simulation.metrics import METRICS
+from mckibben.simulation.problem import check_frequencies
+from mckibben.simulation.software import engine_of_job, software
+from mckibben.storage.store import STUDY, check_no_study, read_store
+from mckibben.study.cluster import check_cluster
+from mckibben.study.parameters import Distribution, SweptParameter, parse_sweeps, sample, sweep_parameters
+from mckibben.study.study import Study, Table, select
+from mckibben.study.sweep.feasibility import feasibility
+from mckibben.study.sweep.result import SweepResult, digest_of_model
 
-JOURNAL = "sweep.journal"
-TABLE = "sweep.nc"
-_BLOCK, _TABLE = b"B", b"T"  # kinds of records; the table's record holds the digest of its file
+FORMAT = "mckibben sweep"
+_SAMPLES = 1024
+_MIN_BATCHES = 16  # of a sweep on a CPU, as long as they fill a vector
+_MAX_BLOCKS = 256
+_MAX_BATCHES = 64  # per block: an interruption loses one block per thread
 
-
-class SweepStore:
-    """Blocks of a sweep in a journal with the manifest as header; use `begin` or `resume` inside `lock`."""
-
-    def __init__(self, folder: Path, plan: SweepPlan) -> None:
-        self.folder = folder
-        self.plan = plan
-        self.kept: set[int] = set()
-        self._journal: Journal | None = None
-
-    @contextmanager
-    def lock(self) -> Iterator[None]:
-        """Lock out other processes; creates the folder if needed."""
-        make_folder(self.folder)
-        writing = explain_write_errors(self.folder, self._kept, "make room, and continue with --resume (resume=True)")
-        with file_lock(self.folder / ".lock", "computing this sweep"), writing:
-            try:
-                yield
-            finally:
-                if self._journal is not None:
-                    self._journal.close()
-
-    def _kept(self) -> str:
-        return "" if self._journal is None else f"{self.runs} of {self.plan.rows} runs are kept"
-
-    def begin(self) -> None:
-        """Create the journal."""
-        check_unused(self.folder)
-        self._journal = Journal.create(self.folder / JOURNAL, self.plan.header)
-
-    def resume(self) -> None:
-        """Open the journal and find the intact blocks; warn of damaged ones, which count as missing."""
-        reader = JournalReader(self.folder / JOURNAL)
-        self.kept = {record.number for record in reader if record.kind == _BLOCK}
-        self._journal = Journal.resume(reader)
-        reader.warn_of_damage("blocks")
-
-    @property
-    def missing(self) -> list[int]:
-        """Blocks that are not stored."""
-        return [block for block in self.plan.blocks if block not in self.kept]
-
-    @property
-    def runs(self) -> int:
-        """Number of stored runs."""
-        spans = [self.plan.block_rows(block) for block in self.kept]
-        return sum(span.stop - span.start for span in spans)
-
-    def keep(self, block: int, columns: Columns) -> None:
-        """Append the results of a block; thread-safe."""
-        assert self._journal is not None
-        self._journal.append(array_record(_BLOCK, block, columns))
-        self.kept.add(block)
-
-    def columns(self) -> Columns:
-        """Results of all runs."""
-        parts: dict[int, Columns] = {}
-        for record in JournalReader(self.folder / JOURNAL):
-            if record.kind == _BLOCK:
-                parts[record.number] = unpack_arrays(record.payload)
-        if len(parts) < len(self.plan.blocks):
-            problem = Problem("blocks are damaged", remedy="recompute them with --resume (resume=True)")
-            raise FileError(str(self.folder / JOURNAL), [problem])
-        ordered = [parts[block] for block in self.plan.blocks]
-        return {name: np.concatenate([part.pop(name) for part in ordered]) for name in list(ordered[0])}  # freed early
-
-    def write_table(self, swept: SweepResult) -> None:
-        """Write the table."""
-        swept.to_netcdf(self.folder / TABLE)
-        assert self._journal is not None
-        self._journal.append(JournalRecord(_TABLE, 0, self._digest()))
-
-    def read_table(self) -> SweepResult | None:
-        """The table, if the file is unchanged."""
-        digests = [record.payload for record in JournalReader(self.folder / JOURNAL) if record.kind == _TABLE]
-        try:
-            return SweepResult.from_netcdf(self.folder / TABLE) if digests[-1:] == [self._digest()] else None
-        except OSError:  # missing
-            return None
-
-    def _digest(self) -> bytes:
-        with (self.folder / TABLE).open("rb") as file:
-            return hashlib.file_digest(file, "sha256").digest()
+Sweepable = Sequence[str | SweptParameter] | Mapping[str, Distribution]
+"""Parameters and their distributions: texts for `parse_sweep`, or objects."""
 
 
-def check_unused(folder: Path) -> None:
-    """Raise an error if a folder contains a sweep, or files of the same names."""
-    if (folder / JOURNAL).exists():
-        remedy = "continue it with --resume (resume=True), or choose another folder"
-        raise FileError(str(folder), [Problem("a sweep already exists", remedy=remedy)])
-    check_free(folder, [JOURNAL, TABLE])
+@dataclass(frozen=True, eq=False)
+class Sweep(Study):
+    """A sweep of a scenario: its rows are the values of the varied parameters, its records metrics and outcomes."""
 
+    scenario: Scenario
+    swept: tuple[SweptParameter, ...]
+    method: Any  # of `sample`
+    samples: int
+    seed: int
+    metrics: tuple[str, ...]
+    precision: int  # bits
+    model_follows: tuple[str, ...]  # varied plant parameters that the controller's model follows
+    batch_size: int  # tables are padded to a multiple: a result must not depend on the number of runs
+    software: Mapping[str, str]  # versions, engine and compiler, required of all processes
+    block: int
+    folder: str = "."  # base of paths in the settings
+    source: str = ""  # origin of the scenario
 
-def read_manifest(folder: Path) -> dict[str, Any]:
-    """Manifest of the sweep in a folder."""
-    if not (folder / JOURNAL).is_file():
-        problem = Problem(f"there is no sweep to continue ({JOURNAL})", remedy="leave --resume (resume=True) out")
-        raise FileError(str(folder), [problem])
-    return read_header(folder / JOURNAL, FORMAT, VERSION)
+    unit = "runs"
+    ignore = ("source",)
 
+    @classmethod
+    def of(
+        cls,
+        scenario: Scenario,
+        over: Sweepable | None,
+        *,
+        design: str | None = None,
+        samples: int | None = None,
+        seed: int | None = None,
+        metrics: Sequence[str] | None = None,
+        precision: int | None = None,
+        block: int | None = None,
+        model_follows: ModelFollows | None = None,
+        engine: str = "auto",
+        **about: Any,
+    ) -> Sweep:
+        """Return a sweep with the arguments of `sweep`; raises `ParameterError` for invalid ones."""
+        method: Any = "sobol" if design is None else design
+        if method == "grid" and samples is not None:
+            message, remedy = "the points of a grid determine the number of runs", "leave the number of samples out"
+            raise ParameterError(message, value=samples, remedy=f"{remedy}, or choose another design")
+        if precision not in (None, 32, 64) or isinstance(precision, bool):
+            raise ParameterError(f"a precision of {precision!r} bits", value=precision, remedy="choose 64 or 32")
+        swept = _swept(over, scenario)
+        followed = followed_names(scenario, model_follows or (), [parameter.name for parameter in swept])
+        seed = 0 if seed is None or method == "grid" else seed
+        table = sample(swept, method, _SAMPLES if samples is None else samples, seed)
+        rows = len(next(iter(table.values())))
+        many = batched(scenario, table)  # find invalid combinations before the computation
+        check_frequencies(many.reference(), scenario.control_period)
+        size, block = _sizes(rows, block, engine)
+        chosen, bits = parse_metrics(metrics), precision or 64
+        return cls(scenario, swept, method, rows, seed, chosen, bits, followed, size, software(engine), block, **about)
 
-class InterruptedSweep(KeyboardInterrupt):
-    """Ctrl-C during a sweep; the text says how many runs are stored, and where."""
+    def about(self) -> dict[str, Any]:
+        """Return all that determines the numbers, as JSON."""
+        first = {name: column[:1] for name, column in self.rows().items()}
+        return {
+            "format": FORMAT,
+            "scenario": self.scenario.dumps(folder=self.folder),
+            "source": _plain(Path(self.source).name if Path(self.source).is_absolute() else self.source),
+            "over": [parameter.text for parameter in self.swept],
+            "model_follows": list(self.model_follows),
+            "design": self.method,
+            "samples": self.samples,
+            "seed": self.seed,
+            "metrics": list(self.metrics),
+            "precision": self.precision,
+            "block": self.block,
+            "batch_size": self.batch_size,
+            "software": dict(self.software),
+            "digest of values": _digest_of_table(self.rows()),
+            "first": {name: column[0].item() for name, column in first.items()},
+            "digest of model": digest_of_model(self.scenario, first, self.model_follows),
+        }
+
+    def rows(self) -> Table:
+        """Return the values of the varied parameters."""
+        return sample(self.swept, self.method, self.samples, self.seed)
+
+    def compute(self, rows: Table, /) -> Table:
+        """Return metrics, outcomes, integration steps and feasibility; raises `SimulationError` with other software."""
+        engine = self.software["engine"]
+        here = software("auto" if engine == "native" else engine)
+        if here != self.software:
+            message = f"a worker has {_listed(here)}, the sweep {_listed(self.software)}"
+            raise SimulationError(message, remedy="start workers in the same environment")
+        count = len(next(iter(rows.values())))
+        padding = -count % self.batch_size
+        full = {name: np.concatenate([column, np.repeat(column[-1:], padding)]) for name, column in rows.items()}
+        batch = self._simulate(full, chunk=self.batch_size, engine=engine)
+        columns = {name: batch.table[name].to_numpy() for name in (*self.metrics, "outcome", *STEP_COLUMNS)}
+        return select(columns | feasibility(self.scenario, full, self.batch_size), slice(count))
+
+    def block_size(self) -> int:
+        """Return the number of runs that are computed and kept together."""
+        return self.block
+
+    def with_known_engine(self, engine: str) -> Sweep:
+        """Return the sweep with the engine that computes all its runs, as a trial shows."""
+        trial = lambda: {self._simulate(select(self.rows(), slice(1))).engine}  # noqa: E731
+        return replace(self, software=software(engine_of_job(trial, engine=engine)))
+
+    def _simulate(self, rows: Table, **options: Any) -> Batch:
+        own = {"model_follows": self.model_follows, "metrics": self.metrics, "precision": self.precision, "workers": 1}
+        return run_many(self.scenario, dict(rows), **own, **options)
 
 
 @checked_call
@@ -156,16 +164,15 @@ def sweep(
     dask: str | None = None,
     workers: int | None = None,
     block: int | None = None,
-    known: Known | None = None,
+    model_follows: ModelFollows | None = None,
     engine: str = "auto",
-    part: str | None = None,
     source: str = "",
     progress: Progress | None = None,
 ) -> SweepResult:
     """Simulate a scenario many times with some of its parameters varied.
 
-    The runs are computed in blocks, each stored when finished. The numbers are identical to the last bit for any number
-    of threads or processes, and after any number of interruptions.
+    The runs are computed in blocks, each kept in `out`/study.sqlite when finished. The numbers are identical to the
+    last bit for any number of threads or processes, and after any number of interruptions.
 
     Parameters
     ----------
@@ -174,7 +181,7 @@ def sweep(
     over
         Varied parameters: texts such as "load.mass2=0.2 kg..1.0 kg" (see `parse_sweep`), or distributions [SI] by name.
     out
-        Output folder. Default: nothing is stored.
+        Folder of the study. Default: nothing is kept.
     design, samples, seed
         Sampling as for `mckibben.study.parameters.sample`. Defaults: "sobol", 1024 and 0.
     metrics
@@ -189,13 +196,11 @@ def sweep(
         Threads or local processes. Default: one per core.
     block
         Runs per block. Default: chosen by the number of runs.
-    known
+    model_follows
         Varied plant parameters that the controller's model follows, "all" for all of them. Default: none; the
         controller's model is the scenario's in all runs.
     engine
         As for `simulate_many`; one engine computes all runs. Default: that of the sweep that is continued, or "auto".
-    part
-        "k/n": compute the k-th of n parts of the runs only; `merge` joins them. Default: all runs.
     source
         Origin of the scenario, for the record.
     progress
@@ -206,10 +211,10 @@ def sweep(
     ParameterError
         If an option is invalid, or a row of values does not give a valid scenario.
     FileError
-        If `out` contains a sweep or files of these names and `resume` is not set; with `resume`, if it contains none or
-        a different one; if another process is computing it; or if the disk is full.
-    InterruptedSweep
-        On Ctrl-C; finished blocks are stored.
+        If `out` has a study and `resume` is not set; with `resume`, if it has none or a different one; if another
+        process is computing it; or if the disk is full.
+    InterruptedStudy
+        On Ctrl-C; finished blocks are kept.
 
     Examples
     --------
@@ -218,95 +223,106 @@ def sweep(
     >>> swept.table["load.mass2"].to_numpy().round(3)
     array([0.482, 0.551, 0.512, 0.431])
     """
-    options = SweepOptions(over, design, samples, seed, metrics, precision, block, known)
+    options: dict[str, Any] = {"over": over, "design": design, "samples": samples, "seed": seed, "metrics": metrics}
+    options |= {
+        "precision": precision,
+        "block": block,
+        "model_follows": model_follows,
+        "engine": engine,
+        "source": source,
+    }
     if dask is not None:
         check_cluster(dask)
-    which = (1, 1) if part is None else parse_part(part)
-    settings = (dask, workers, progress or notebook_progress())
-    if out is None:
-        if resume:
-            raise ParameterError("there is no sweep to continue", remedy="give its folder")
-        with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
-            store = SweepStore(Path(folder), _planned(scenario, options, source=source, engine=engine, part=which))
-            with store.lock():
-                store.begin()
-                return _computed(store, *settings)
-    folder = Path(out)
+    if out is not None:
+        options["folder"] = os.fspath(out)
+        if not resume:
+            check_no_study(Path(out) / STUDY)
+    elif resume:
+        raise ParameterError("there is no sweep to continue", remedy="give its folder")
     if resume:
-        manifest = read_manifest(folder)
-        source = manifest.get("source", "")
-        engine = engine_of_job(str, manifest["software"], engine)
-        which = tuple(manifest["part"]) if part is None else parse_part(part)
-        about = {"folder": os.fspath(out), "source": source, "engine": engine}
-        plan = SweepPlan.of(scenario, options.completed(manifest), part=which, **about)
-        if found := manifest_differences(manifest, plan.header):
-            raise FileError(str(folder), found)
-        store = SweepStore(folder, plan)
-        if (finished := store.read_table()) is not None:
-            return finished
-        with store.lock():
-            if (finished := store.read_table()) is not None:  # by another process in the meantime
-                return finished
-            store.resume()
-            return _stored(store, *settings)
-    check_unused(folder)
-    store = SweepStore(
-        folder, _planned(scenario, options, folder=os.fspath(out), source=source, engine=engine, part=which)
-    )
-    with store.lock():
-        store.begin()
-        return _stored(store, *settings)
+        study = Sweep.of(scenario, **_completed(options, _begun(Path(options["folder"]) / STUDY)))
+    else:
+        study = Sweep.of(scenario, **options).with_known_engine(engine)
+    records = study.run(out, resume=resume, workers=workers, dask=dask, progress=progress)
+    inputs = {parameter: records.rows[parameter.name] for parameter in study.swept}
+    return SweepResult.of(scenario.name, study.about(), inputs, study.metrics, records.columns, records.computed)
 
 
-def _planned(scenario: Scenario, options: SweepOptions, *, engine: str, **about: Any) -> SweepPlan:
-    """Plan of a new sweep, whose engine is known to compute its runs."""
-    plan = SweepPlan.of(scenario, options, engine=engine, **about)
-    return plan.with_engine(engine_of_job(lambda: plan.task.engines_used(plan.table), engine=engine))
+def _begun(path: Path) -> dict[str, Any]:
+    """Settings of the sweep in a file."""
+    if not path.is_file():
+        problem = Problem("there is no sweep to continue", remedy="leave --resume (resume=True) out")
+        raise FileError(str(path.parent), [problem])
+    with read_store(path) as store:
+        about = store.about()
+    if about is None or about.get("format") != FORMAT:
+        raise FileError(str(path), [Problem("it is not a sweep", remedy="choose another folder")])
+    return about
 
 
-def _reporting(progress: Progress | None, runs: int) -> Callable[[int], None]:
-    """Callback for the number of finished runs that also reports their rate."""
-    calls, began = 0, (0.0, 0)
-
-    def report(done: int) -> None:
-        nonlocal calls, began
-        calls, now = calls + 1, time.monotonic()
-        if calls <= 2:  # the first block includes compilation
-            began = (now, done)
-        text = f"{done} of {runs} runs"
-        if done > began[1] and now > began[0] + 1:
-            text += f", {(done - began[1]) / (now - began[0]):.4g} runs/s"
-        if progress:
-            progress(text, done / runs)
-
-    return report
+def _completed(options: Mapping[str, Any], begun: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options with missing ones taken from the settings of a sweep."""
+    design = options["design"] or begun["design"]
+    own = {name: begun[name] for name in options.keys() & begun.keys() if name != "samples" or design != "grid"}
+    own["engine"] = engine_of_job(set, begun["software"], options["engine"])
+    left = {name: value for name, value in options.items() if value not in (None, "") and name != "engine"}
+    return own | left
 
 
-def _stored(store: SweepStore, *settings: Any) -> SweepResult:
-    """Compute the missing blocks and write the table."""
-    try:
-        swept = _computed(store, *settings)
-        store.write_table(swept)
-    except KeyboardInterrupt:
-        text = f"{store.runs} of {store.plan.rows} runs are kept in {store.folder}; continue with --resume"
-        raise InterruptedSweep(text) from None
-    return swept
+def parse_metrics(names: Iterable[str] | None) -> tuple[str, ...]:
+    """Return metrics by their names in `Metrics` or in results; None for all. `ParameterError` for unknown ones."""
+    if names is None:
+        return Metrics._fields
+    if isinstance(names, str):
+        names = names.split(",")
+    chosen = [METRICS[name][0] if name in METRICS else name for name in names]
+    for name in chosen:
+        if name not in Metrics._fields:
+            raise ParameterError(f"there is no metric {name!r}", value=name, remedy=suggest(name, Metrics._fields))
+    if not chosen:
+        raise ParameterError("no metric is chosen", remedy=f"choose some of {', '.join(Metrics._fields)}")
+    return tuple(name for name in Metrics._fields if name in chosen)
 
 
-def _computed(store: SweepStore, dask: str | None, workers: int | None, progress: Progress | None) -> SweepResult:
-    plan, before = store.plan, store.runs
-    done = before
-    report = _reporting(progress, plan.rows)
-    report(done)
-    if store.missing:
-        blocks = ((block, plan.block_table(block)) for block in store.missing)
-        if dask is None:
-            finished = compute_on_threads(plan.task, blocks, store.keep, workers)
-        else:
-            finished = compute_on_cluster(plan.task, blocks, store.keep, dask, workers)
-        with closing(finished):  # type: ignore[arg-type]  # they are generators
-            for block in finished:
-                rows = plan.block_rows(block)
-                done += rows.stop - rows.start
-                report(done)
-    return SweepResult.of(plan, store.columns(), plan.rows - before)
+def _swept(over: Sweepable | None, scenario: Scenario) -> tuple[SweptParameter, ...]:
+    if isinstance(over, str):
+        over = [over]
+    if isinstance(over, Mapping) and over:
+        return sweep_parameters(scenario, over)
+    if not over:
+        raise ParameterError("nothing is varied", remedy="give a parameter, such as --over 'load.mass2=0.2 kg..1.0 kg'")
+    parsed = iter(parse_sweeps([text for text in over if isinstance(text, str)], scenario))
+    return tuple(next(parsed) if isinstance(item, str) else item for item in over)
+
+
+def _sizes(rows: int, block: int | None, engine: str = "auto") -> tuple[int, int]:
+    """Runs per batch, and runs per block; functions of the number of runs, the platform and CUDA alone."""
+    cpu = jax.default_backend() == "cpu" and engine != "cuda"
+    batches, largest = (_MIN_BATCHES, CHUNK) if cpu else (1, ON_ACCELERATOR)
+    batches = max(batches, -(-rows // largest))  # of equal size, so that the last one needs little padding
+    batch_size = _full_vectors(-(-rows // batches))
+    if block is None:
+        return batch_size, batch_size * min(max(rows // (batch_size * _MAX_BLOCKS), 1), _MAX_BATCHES if cpu else 4)
+    if isinstance(block, bool) or not isinstance(block, int) or block < 1:
+        raise ParameterError(f"a block of {block!r} runs", value=block, remedy="give a whole number, 1 or more")
+    return min(batch_size, _full_vectors(block)), block
+
+
+def _full_vectors(rows: int) -> int:
+    return -(-rows // VECTOR) * VECTOR
+
+
+def _plain(text: str) -> str:
+    """Text that is valid UTF-8: the bytes of a path may not be."""
+    return text.encode(errors="backslashreplace").decode()
+
+
+def _listed(versions: Mapping[str, str]) -> str:
+    return ", ".join(f"{name} {version}" for name, version in versions.items())
+
+
+def _digest_of_table(table: Table) -> str:
+    digest = hashlib.sha256(json.dumps([(name, column.dtype.str) for name, column in table.items()]).encode())
+    for column in table.values():
+        digest.update(np.ascontiguousarray(column).tobytes())
+    return digest.hexdigest()

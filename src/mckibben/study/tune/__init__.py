@@ -1,16 +1,21 @@
-"""Tuning: minimisation of a cost over scenario parameters, by gradient, differential evolution or CMA-ES."""
+"""Tuning: minimisation of a cost over scenario parameters, by CMA-ES or along the gradient."""
 
 from mckibben.study.tune.cost import Cost, Term, parse_cost
 from mckibben.study.tune.margin import on_small_step, stability_margin
-from mckibben.study.tune.search import Method, SearchSpace, gain_ranges, parse_ranges
-from mckibben.study.tune.tune import TuningResult, read_trials, tune
+from mckibben.study.tune.result import TuneResult
+from mckibben.study.tune.search import Method, Search
+from mckibben.study.tune.space import SearchSpace, gain_ranges, parse_ranges
+from mckibben.study.tune.trials import Trial, read_trials
+from mckibben.study.tune.tune import tune
 
 __all__ = [
     "Cost",
     "Method",
+    "Search",
     "SearchSpace",
     "Term",
-    "TuningResult",
+    "Trial",
+    "TuneResult",
     "gain_ranges",
     "on_small_step",
     "parse_cost",

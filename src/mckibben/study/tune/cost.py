@@ -57,8 +57,7 @@ class Cost:
 
     terms: tuple[Term, ...]
     gain_margin: float = 1.0  # factor by which the gains may increase; 1 for no margin
-    worst: bool = False  # take the highest cost over several scenarios or conditions instead of the mean
-    percentile: float | None = None  # take this percentile of them
+    percentile: float | None = None  # of the cost over scenarios and conditions, 100 for the worst; None: their mean
     delay_margin: float = 0.0  # additional delay of the commands, unknown to the controllers [s]
     disk_margin: float | None = 0.0  # least of the linearised loop in all of them; None for that of `tune`
 
@@ -79,8 +78,6 @@ class Cost:
         ):
             if not holds:
                 raise ParameterError(f"the {what} is {value:g}", value=value, remedy=remedy)
-        if self.percentile is not None and self.worst:
-            raise ParameterError("the worst case is the 100th percentile", remedy="give one of the two")
 
     @classmethod
     def of(cls, scales: Mapping[str, float], **options: Any) -> Self:
@@ -122,12 +119,12 @@ def parse_cost(text: str, **options: Any) -> Cost:
     parts = [part.strip() for part in _PLUS.split(text)]
     terms = []
     for part in parts:
-        found = _TERM.fullmatch(part)
-        if found is None:
+        match = _TERM.fullmatch(part)
+        if match is None:
             raise ParameterError(
                 f"{part!r} is not a term of a cost", value=part, remedy="write it like angle_rmse/0.1 deg"
             )
-        metric, scale = found["metric"], found["scale"]
+        metric, scale = match["metric"], match["scale"]
         Term(metric, 1.0)  # raises for an unknown metric
         if scale is None and len(parts) > 1:
             unit = _unit(metric).replace("ratio", "%")
@@ -137,12 +134,12 @@ def parse_cost(text: str, **options: Any) -> Cost:
                 remedy=f"write it like {metric}/0.1 {unit}",
             )
         try:
-            weight = float(found["weight"] or 1.0)
+            weight = float(match["weight"] or 1.0)
             size = 1.0 if scale is None else quantity(scale, _unit(metric))
         except UnitError as error:
             raise ParameterError(f"{part!r}: {error}", value=part) from None
         except ValueError:
-            raise ParameterError(f"{found['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
+            raise ParameterError(f"{match['weight']!r} is not a number", value=part, remedy="write 2*metric") from None
         terms.append(Term(metric, size, weight))
     return Cost(tuple(terms), **options)
 

@@ -1,0 +1,261 @@
+"""Estimates with deviations, and the output-error fit that calibrations of joints, valves and air share."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from mckibben.errors import IdentificationError
+from mckibben.result import Column, Listing, Remark, Result
+from mckibben.units import factor, show
+
+Floats = NDArray[np.float64]
+
+DETERMINED = 0.5
+"""Ratio of posterior to prior standard deviation below which a quantity counts as determined by the recordings."""
+UNEXPLAINED = 2.0
+"""Ratio of residual to noise above which a model does not describe the recordings."""
+SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
+"""Units of quantities in texts that differ from SI."""
+_NEGLIGIBLE = 2e-3  # ratio of residual to the highest pressure up to which a misfit is irrelevant
+_INTERVAL = 1.96  # standard deviations to the bounds of a 95 % interval
+_LEAST_RECORDINGS = 3  # for their scatter
+_STAGES, _BRIEF, _EVALUATIONS = 3, 10, 60  # re-estimations of the variance; evaluations of a start and of a stage
+
+Linearised = Callable[[Floats], tuple[Floats, Floats]]
+"""Errors, shape (samples,), and their derivatives, shape (samples, parameters), at parameters."""
+
+
+@dataclass(frozen=True)
+class JointEstimate:
+    """An estimated quantity in SI, with posterior and prior standard deviation.
+
+    With `logarithmic` its logarithm is estimated, and the deviations are those of the logarithm times the value.
+    """
+
+    value: float
+    deviation: float
+    prior: float
+    unit: str
+    logarithmic: bool = False
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Bounds of the 95 % interval."""
+        if not self.logarithmic:
+            return self.value - _INTERVAL * self.deviation, self.value + _INTERVAL * self.deviation
+        width = math.exp(_INTERVAL * self.deviation / self.value)
+        return self.value / width, self.value * width
+
+    @property
+    def determined(self) -> bool:
+        """Whether the recordings determine it: its standard deviation is below half of the prior one."""
+        return self.deviation < DETERMINED * self.prior
+
+    def __str__(self) -> str:
+        unit = SHOWN.get(self.unit, self.unit)
+        return f"{show(self.value, unit, 4)} with a standard deviation of {show(self.deviation, unit, 2)}"
+
+
+class Calibration(Result):
+    """Base of calibrations: estimates by name, with their prior deviations."""
+
+    quantities: dict[str, JointEstimate]
+    writers: Mapping[str, Callable[[Path], None]] = field(default_factory=dict, kw_only=True)
+    """Functions that write documents with the estimates, by file name."""
+
+    files = ("model.yaml", "valve.yaml", "scenario.yaml")
+
+    def write(self, folder: Path) -> None:
+        """Write the documents with the estimates."""
+        for name, write in self.writers.items():
+            write(folder / name)
+
+    def verdict(self) -> str:
+        """The determined quantities."""
+        determined = [name for name, estimate in self.quantities.items() if estimate.determined]
+        return f"determined: {', '.join(determined) or 'nothing'}"
+
+    def listings(self) -> list[Listing]:
+        """Declared numbers, and estimates with deviations in the unit of their row."""
+        return [*super().listings(), estimates_listing(self.quantities)]
+
+
+def estimates_listing(quantities: Mapping[str, JointEstimate]) -> Listing:
+    """Return a table of estimates, each in its own unit."""
+    estimates = list(quantities.values())
+    units = [SHOWN.get(estimate.unit, estimate.unit) for estimate in estimates]
+    sizes = [factor(unit) for unit in units]
+
+    def scaled(values: Sequence[float]) -> list[float]:
+        return [value / size for value, size in zip(values, sizes, strict=True)]
+
+    lower, upper = zip(*(estimate.interval for estimate in estimates), strict=True)
+    columns: dict[str, tuple[Column, Any]] = {
+        "quantity": (Column(), list(quantities)),
+        "estimate": (Column(), scaled([estimate.value for estimate in estimates])),
+        "deviation": (Column(digits=2), scaled([estimate.deviation for estimate in estimates])),
+        "before": (Column(digits=2), scaled([estimate.prior for estimate in estimates])),
+        "unit": (Column(), ["" if unit == "1" else unit for unit in units]),
+        "determined": (Column(), [estimate.determined for estimate in estimates]),
+        "lower": (Column(title="95 % from"), scaled(lower)),
+        "upper": (Column(title="to"), scaled(upper)),
+    }
+    return Listing("calibration", columns)
+
+
+class OutputErrorFit(NamedTuple):
+    """Parameters, Gauss-Newton Hessian with the prior, errors and slopes by recording, and variance of a sample."""
+
+    z: Floats
+    hessian: Floats
+    errors: list[Floats]
+    slopes: list[Floats]
+    variance: float
+
+    @property
+    def residual(self) -> float:
+        """Root mean square error."""
+        return float(np.sqrt(np.mean(np.concatenate(self.errors) ** 2)))
+
+
+def fit_output_error(
+    linearised: Linearised,
+    starts: Sequence[Floats],
+    sizes: Sequence[int],
+    variance: float,
+    least: float,
+    *,
+    prior: Floats | float = 1.0,
+    positive: NDArray[np.bool_] | None = None,
+) -> OutputErrorFit:
+    r"""Minimise errors of simulated samples, with a normal prior of the parameters about 0.
+
+    .. math:: \frac{1}{\sigma^2} \sum_k e_k(z)^2 + \sum_i w_i z_i^2
+
+    by `scipy.optimize.least_squares` (trust region), with sigma^2 the variance of the residuals times their correlation
+    time, re-estimated three times.
+
+    Parameters
+    ----------
+    linearised
+        Errors of all samples and their derivatives.
+    starts
+        Starts of the search, of which the one with the least objective after ten evaluations is continued.
+    sizes
+        Number of samples of each recording, in order.
+    variance, least
+        First and least variance of a sample.
+    prior
+        Weights w of the prior.
+    positive
+        Parameters that are not negative.
+
+    Raises
+    ------
+    IdentificationError
+        If no start has finite errors.
+
+    References
+    ----------
+    L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models).
+    """
+    weights = np.sqrt(prior * np.ones(starts[0].size))
+    lower = np.where(positive, 0.0, -np.inf) if positive is not None else -np.inf
+    edges = np.cumsum(sizes)[:-1]
+
+    def search(z: Floats, variance: float, evaluations: int) -> Any:
+        from scipy.optimize import least_squares  # 0.2 s
+
+        last: dict[bytes, tuple[Floats, Floats]] = {}
+
+        def at(z: Floats) -> tuple[Floats, Floats]:
+            if z.tobytes() not in last:
+                error, slope = linearised(z)
+                last.clear()
+                last[z.tobytes()] = (
+                    np.concatenate([error / math.sqrt(variance), weights * z]),
+                    np.concatenate([slope / math.sqrt(variance), np.diag(weights)]),
+                )
+            return last[z.tobytes()]
+
+        bounds = (lower, np.inf)
+        return least_squares(
+            lambda z: at(z)[0], z, lambda z: at(z)[1], bounds, x_scale="jac", xtol=1e-6, max_nfev=evaluations
+        )
+
+    finite = [z for z in starts if all(np.isfinite(part).all() for part in linearised(z))]
+    if not finite:
+        raise IdentificationError("the simulated model diverges", remedy="give a model closer to the recordings")
+    evaluations = _BRIEF if len(finite) > 1 else _EVALUATIONS
+    z = min((search(z, variance, evaluations) for z in finite), key=lambda fit: fit.cost).x
+    error = slope = np.zeros(0)
+    for _ in range(_STAGES):
+        z = search(z, variance, _EVALUATIONS).x
+        error, slope = linearised(z)
+        variance = max(variance_of(np.split(error, edges)), least)
+    hessian = slope.T @ slope / variance + np.diag(weights**2)
+    return OutputErrorFit(z, hessian, np.split(error, edges), np.split(slope, edges), variance)
+
+
+def variance_of(parts: Sequence[Floats]) -> float:
+    """Variance of residuals times the number of samples equivalent to one independent sample."""
+    times = [correlation_time(part) for part in parts]
+    return float(sum(part @ part for part in parts) / sum(part.size for part in parts) * np.mean(times))
+
+
+def correlation_time(residuals: Floats) -> float:
+    """Number of residual samples equivalent to one independent sample."""
+    spectrum = np.abs(np.fft.rfft(residuals, 2 * residuals.size)) ** 2
+    correlation = np.fft.irfft(spectrum)[: residuals.size]
+    correlation /= max(correlation[0], 1e-300)
+    negative = np.flatnonzero(correlation < 0)
+    return float(1 + 2 * correlation[1 : negative[0] if negative.size else residuals.size].sum())
+
+
+def noise_of(errors: Sequence[Floats]) -> float:
+    """Root mean square of the white noise in errors, from differences of successive samples."""
+    return float(np.sqrt(np.mean(np.concatenate([np.diff(part) for part in errors]) ** 2) / 2))
+
+
+def misfit_remarks(residual: float, noise: float, highest: float, remedy: str) -> list[Remark]:
+    """Return the remark on a residual pressure [Pa] that its noise does not explain, where it matters."""
+    if residual <= max(UNEXPLAINED * noise, _NEGLIGIBLE * highest):
+        return []
+    text = (
+        f"the residual of {show(residual, 'kPa', 2)} is far above the noise, {show(noise, 'kPa', 2)}: the model does "
+    )
+    text += "not describe the recordings, and the intervals are too narrow"
+    return [Remark.warning("residual", text, f"check {remedy}")]
+
+
+class Scatter(NamedTuple):
+    """Variance of the influence of each recording on each parameter relative to the expected one, and its p-value."""
+
+    ratio: Floats
+    p_value: Floats
+
+
+def scatter_between(covariance: Floats, parts: Sequence[tuple[Floats, Floats]]) -> Scatter:
+    """Scatter of the estimates between recordings, from gradient and Hessian of each; 1 for less than three.
+
+    The sum of squares of the influences C g_r is compared with the expected one, by H_r - H_r C H_r (Birge ratio), as
+    a chi-squared variable with Satterthwaite's degrees of freedom.
+    """
+    if len(parts) < _LEAST_RECORDINGS:
+        return Scatter(*np.ones((2, len(covariance))))
+    influence = np.array([covariance @ gradient for gradient, _ in parts])
+    expected = np.array(
+        [np.diag(covariance @ (hessian - hessian @ covariance @ hessian) @ covariance) for _, hessian in parts]
+    )
+    total = np.maximum(expected.sum(axis=0), 1e-300)
+    freedom = np.maximum(total**2 / np.maximum((expected**2).sum(axis=0), 1e-300) - 1, 1)
+    ratio = (influence**2).sum(axis=0) / total
+    return Scatter(ratio, chdtrc(freedom, ratio * freedom))

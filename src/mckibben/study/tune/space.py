@@ -1,0 +1,132 @@
+"""Search spaces: parameters with ranges, mapped to the unit cube."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mckibben.errors import ParameterError
+from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, list_parameters
+from mckibben.study.parameters import LogUniform, SweptParameter, Uniform, parse_sweep
+from mckibben.study.parameters.sampling import parse_distinct
+from mckibben.study.tune.search import Vector
+from mckibben.units import quantity
+
+AT_BOUND = 0.01
+"""Distance from a face of the unit cube within which a parameter counts as at its bound."""
+
+_DIGITS = 6  # digits of values written to files
+
+
+@dataclass(frozen=True)
+class SearchSpace:
+    """Parameters with ranges (else raises ParameterError); points of the unit cube map to their values [SI]."""
+
+    swept: tuple[SweptParameter, ...]
+
+    def __post_init__(self) -> None:
+        if not self.swept:
+            raise ParameterError("nothing to tune", remedy="give at least one parameter")
+        for swept in self.swept:
+            if not isinstance(swept.distribution, Uniform | LogUniform):
+                raise ParameterError(
+                    f"{swept.name} has no range to search", remedy="give one, such as `1..10 bar/rad log`"
+                )
+
+    def __len__(self) -> int:
+        return len(self.swept)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(swept.name for swept in self.swept)
+
+    @property
+    def nominal(self) -> Vector:
+        """Nominal values [SI]; the middle of the range if there is none."""
+        middle = self.values(np.full((1, len(self)), 0.5))[0]
+        nominal = (swept.parameter.nominal for swept in self.swept)
+        return np.array([m if n is None else float(n) for n, m in zip(nominal, middle, strict=True)])
+
+    def values(self, points: Vector) -> Vector:
+        """Values [SI] at points, both of shape (n, parameters)."""
+        return np.stack([swept.distribution.ppf(points[:, i]) for i, swept in enumerate(self.swept)], axis=1)
+
+    def point(self, values: Vector) -> Vector:
+        """Point of values [SI] of shape (parameters,), clipped to the ranges."""
+        pairs = zip(self.swept, values, strict=True)
+        return np.array([float(swept.distribution.quantile(value)) for swept, value in pairs])
+
+    def rounded(self, values: Vector) -> Vector:
+        """Values [SI] rounded to six digits in the unit of files, within the ranges."""
+        written = [
+            round(value)
+            if swept.parameter.is_integer
+            else quantity(swept.parameter.show(value, _DIGITS), swept.parameter.unit)
+            for swept, value in zip(self.swept, values, strict=True)
+        ]
+        return np.array(written).clip(*np.array([swept.distribution.bounds for swept in self.swept]).T)
+
+    def at_bound(self, point: Sequence[float] | Vector) -> tuple[str, ...]:
+        """Names of the parameters within `AT_BOUND` of an end of their range."""
+        return tuple(swept.name for swept, at in zip(self.swept, point, strict=True) if min(at, 1 - at) < AT_BOUND)
+
+
+_GAINS = ("kp", "ki", "kd", "bandwidth", "stiffness_bandwidth", "slope", "rswept")
+
+
+def is_gain(name: str) -> bool:
+    """Whether a scenario parameter is a gain of its controller."""
+    *above, last = name.split(".")
+    return above[:1] == ["controller"] and "adaptation" not in above and last in _GAINS
+
+
+def gain_ranges(scenario: Scenario, decades: float = 2.0) -> dict[str, LogUniform]:
+    """Logarithmic ranges around all nonzero gains of a scenario, a number of decades down and up.
+
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> gain_ranges(scenario, 1.0)["controller.position.kp"]
+    LogUniform(low=20000.0, high=2000000.0, points=None)
+    """
+    gains = (swept for swept in list_parameters(scenario) if is_gain(swept.name) and swept.nominal)
+    return {swept.name: _range_around(swept, decades) for swept in gains}
+
+
+def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
+    """Parse parameters and their ranges from texts: ``NAME=LOW..HIGH``, followed by ``log`` for a logarithmic one.
+
+    A name alone gets a range from 0.01 to 100 times its value; without texts, all gains are used.
+
+    Raises `ParameterError` if a name is unknown or repeated, a range is invalid, or there is no nonzero value for a
+    range around it.
+
+    Examples
+    --------
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> [swept.text for swept in parse_ranges(["controller.position.kp", "valve.time_constant=5..50 ms"], scenario)]
+    ['controller.position.kp=0.02 bar/rad..200 bar/rad log', 'valve.time_constant=5 ms..50 ms']
+    """
+    if not texts:
+        gains = gain_ranges(scenario)
+        if not gains:
+            raise ParameterError("all gains are zero", remedy="give parameters with --parameters 'NAME=LOW..HIGH'")
+        return tuple(SweptParameter(find_parameter(scenario, name), around) for name, around in gains.items())
+
+    def parse(text: str) -> SweptParameter:
+        if "=" in text:
+            return parse_sweep(text, scenario)
+        parameter = find_parameter(scenario, text)
+        if not parameter.nominal or parameter.is_integer:
+            what = "a whole number" if parameter.is_integer else "zero, or not given"
+            remedy = f"write {parameter.name}=LOW..HIGH"
+            raise ParameterError(f"{parameter.name} is {what}: there is no range around it", value=text, remedy=remedy)
+        return SweptParameter(parameter, _range_around(parameter, 2.0))
+
+    return parse_distinct(texts, parse)
+
+
+def _range_around(parameter: ScenarioParameter, decades: float) -> LogUniform:
+    nominal, factor = float(parameter.nominal or 0.0), 10.0**decades
+    return LogUniform(*sorted((nominal / factor, nominal * factor)))

@@ -1,0 +1,170 @@
+"""The figures and the page of a comparison: complete, alone, the same bytes each time, one colour a controller."""
+
+import base64
+import html
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from mckibben.report.comparison import (
+    comparison_air,
+    comparison_errors,
+    comparison_front,
+    write_comparison,
+)
+from mckibben.report.page import typeset
+from mckibben.simulation import Batch, Metrics, Outcome
+from mckibben.simulation.outcome import OUTCOMES
+from mckibben.study.compare import CompareResult, Suite, draw
+from mckibben.study.tune.trials import Trial
+from mckibben.units import deg
+
+pytestmark = pytest.mark.slow
+
+
+TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
+RUNS = 16
+
+
+class Page(HTMLParser):
+    """Tags, and whether each is closed."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.open = [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "br", "link"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def made(lost=None):
+    """Three controllers, the second better by a decade, the third with the lost runs."""
+    suite = Suite.parse(TEXT)
+    runs = draw(suite, RUNS, 1)
+    rng = np.random.default_rng(2)
+    flags = {"flag_values": np.arange(len(OUTCOMES)), "flag_meanings": " ".join(each.name for each in OUTCOMES)}
+    batches = {}
+    for name, scale in (("PID 3", 1.0), ("decoupling", 0.1), ("as it is", 0.5)):
+        table = {metric: ("run", scale * rng.lognormal(size=RUNS)) for metric in Metrics._fields}
+        codes = np.zeros(RUNS, int)
+        if name == "as it is" and lost is not None:
+            codes[list(lost)] = OUTCOMES.index(Outcome.SWUNG_OVER)
+        batches[name] = Batch(xr.Dataset({**table, "outcome": ("run", codes, flags)}))
+    tuned = {name: {each.name: each.parameter.nominal for each in suite.tuned_over(name)} for name in batches}
+    costs = {"PID 3": (1.25, 20.5), "decoupling": (0.5, 0.6)}
+    metrics = [{"air": air * 1e-3, "angle_rmse": 1 / air * deg, "stiffness_rmse": 0.6} for air in (10.0, 20.0, 40.0)]
+    tried = {name: tuple(Trial((at["air"],), 1.0, metrics=at) for at in metrics) for name in ("PID 3", "decoupling")}
+    at_bound = dict.fromkeys(batches, ())
+    at_air = CompareResult(suite, runs, tuned, {}, {}, {name: batches[name] for name in tried})
+    return CompareResult(suite, runs, tuned, costs, at_bound, batches, tried, at_air)
+
+
+@pytest.fixture(scope="module")
+def result():
+    return made([3, 7])
+
+
+@pytest.fixture(scope="module")
+def numbers(result):
+    return result.numbers
+
+
+@pytest.fixture(scope="module")
+def kept(result, numbers, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("page")
+    return write_comparison(result, folder)
+
+
+@pytest.fixture(scope="module")
+def text(kept):
+    return kept.read_text(encoding="utf-8")
+
+
+def plain(text):
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", text)).split())
+
+
+def test_the_page_is_complete_and_needs_nothing_else(kept, text):
+    page = Page(text)
+    assert page.open == []
+    for tag, attributes in page.tags:
+        assert tag not in ("script", "link", "iframe", "object")
+        assert attributes.get("src", "data:image/").startswith("data:image/")
+    assert "url(" not in text
+    assert len([tag for tag, _ in page.tags if tag == "table"]) == 3
+    assert not list(kept.parent.glob(".*"))
+
+
+def test_every_figure_is_embedded_and_lies_beside_the_page(kept, text):
+    for name in ("errors", "air", "front"):
+        assert f'<figure id="{name}">' in text
+        drawing = (kept.parent / "figures" / f"{name}.svg").read_bytes()
+        assert base64.b64encode(drawing).decode("ascii") in text
+        assert (kept.parent / "figures" / f"{name}.png").stat().st_size > 5000
+
+
+def test_a_front_is_drawn_for_each_controller_that_was_tuned(result, numbers):
+    (axes,) = comparison_front(result).axes
+    assert [line.get_label() for line in axes.lines] == ["PID 3", "decoupling"]
+    for line in axes.lines:
+        np.testing.assert_allclose(line.get_xdata(), [10.0, 20.0, 40.0])
+        np.testing.assert_allclose(line.get_ydata(), [0.1, 0.05, 0.025])
+
+
+def test_its_words_and_numbers(text, result):
+    words = plain(text)
+    assert "3 controllers on 16 unseen runs" in words
+    assert "Each except as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
+    for listing in result.listings():
+        for row in listing.rows():
+            assert plain(str(typeset(" ".join(row)))) in words
+    assert "as it is not tuned" in words
+    assert "cost 20.5 before, 1.25 tuned" in words
+    assert "position.kp 1.2 bar/rad" in words
+    assert "--repeat 'PID 3 15'" in words, "a run that there is"
+    assert Suite.parse(html.unescape(re.search(r"<summary>.*<code>(.*)</code>", text, re.S)[1])) == result.suite
+
+
+def colours(figure):
+    return {line.get_label(): line.get_color() for axes in figure.axes for line in axes.lines}
+
+
+def test_a_controller_has_one_colour_in_all_figures(result, numbers):
+    assert numbers["order"] != list(result.batches), "else there is nothing to see"
+    several = [comparison_errors(result), comparison_air(result)]
+    for name in result.batches:
+        assert len({colours(figure)[name] for figure in several}) == 1
+    assert len({colours(several[0])[name] for name in result.batches}) == 3
+
+
+def test_errors_are_distributions(result):
+    """Of the controller that lost 2 of 16 runs the line ends at 14/16."""
+    angle, stiffness = comparison_errors(result).axes
+    for axes, metric, unit in ((angle, "angle_rmse", deg), (stiffness, "stiffness_rmse", 1.0)):
+        lines = {line.get_label(): line for line in axes.lines}
+        for name in result.batches:
+            values, share = lines[name].get_data()
+            expected = np.sort(result.metric(name, metric) / unit)
+            expected = expected[np.isfinite(expected)]
+            assert np.allclose(values, [expected[0], *expected])
+            assert np.allclose(share, np.arange(expected.size + 1) / 16)
+    assert lines["as it is"].get_ydata()[-1] == 14 / 16
+
+
+def test_air_and_error_are_drawn_with_the_middle_of_the_runs(result, numbers):
+    (axes,) = comparison_air(result).axes
+    (mark,) = [line for line in axes.lines if line.get_label() == "decoupling"]
+    found = numbers["controllers"]["decoupling"]["metrics"]
+    assert mark.get_xydata()[0] == pytest.approx([found["air_L"]["median"], found["angle_rmse_deg"]["median"]])
+    across = axes.lines[axes.lines.index(mark) - 2].get_xdata()
+    assert across == pytest.approx(np.percentile(result.metric("decoupling", "air") * 1e3, [5, 95]))

@@ -1,0 +1,60 @@
+"""A study of its own class: rows in, records out, for any number of threads, blocks and interruptions."""
+
+import numpy as np
+import pytest
+
+from mckibben.errors import FileError
+from mckibben.study.study import InterruptedStudy, Study
+
+
+class Draws(Study):
+    """Squares of draws; counts what it computes."""
+
+    unit = "draws"
+
+    def __init__(self, count=100, seed=3, block=7, fail_at=None):
+        self.count, self.seed, self.block, self.fail_at, self.computed = count, seed, block, fail_at, 0
+
+    def about(self):
+        return {"format": "draws", "count": self.count, "seed": self.seed, "block": self.block}
+
+    def rows(self):
+        return {"x": np.random.default_rng(self.seed).normal(size=self.count)}
+
+    def block_size(self):
+        return self.block
+
+    def compute(self, rows):
+        if self.fail_at is not None and self.computed >= self.fail_at:
+            raise KeyboardInterrupt
+        self.computed += len(rows["x"])
+        return {"square": rows["x"] ** 2, "sign": np.sign(rows["x"]).astype(np.int8)}
+
+
+@pytest.mark.parametrize("block", [1, 7, 100, 1000])
+@pytest.mark.parametrize("workers", [1, 3])
+def test_records_are_those_of_the_rows(block, workers):
+    records = Draws(block=block).run(workers=workers)
+    np.testing.assert_array_equal(records.columns["square"], Draws().rows()["x"] ** 2)
+    assert records.columns["sign"].dtype == np.int8 and records.computed == 100
+
+
+def test_an_interrupted_study_goes_on(tmp_path):
+    with pytest.raises(InterruptedStudy, match="of 100 draws are kept; continue with --resume"):
+        Draws(fail_at=21).run(tmp_path, workers=1)
+    study, steps = Draws(), []
+    records = study.run(tmp_path, resume=True, progress=lambda *step: steps.append(step))
+    assert study.computed == records.computed < 100
+    assert steps[0][0] == f"{100 - records.computed} of 100 draws" and steps[0][1] == pytest.approx(
+        1 - records.computed / 100
+    )
+    np.testing.assert_array_equal(records.columns["square"], Draws().run().columns["square"])
+    assert Draws().run(tmp_path, resume=True).computed == 0
+
+
+def test_another_study_is_refused(tmp_path):
+    Draws().run(tmp_path)
+    with pytest.raises(FileError, match="seed: the study was started with 3, not 4"):
+        Draws(seed=4).run(tmp_path, resume=True)
+    with pytest.raises(FileError, match="a study exists already"):
+        Draws().run(tmp_path)
