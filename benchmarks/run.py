@@ -82,7 +82,6 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     from identification import identification
     from leg import leg
     from precision import precision
-    from reading import reading
     from reference import reference_problem
     from simulators import simulators
     from single import single
@@ -95,7 +94,6 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
         "gpu": lambda: gpu(quick=quick),
         "gradient": lambda: gradient(problem, folder, quick=quick),
         "cold": lambda: cold(folder, quick=quick),
-        "reading": lambda: reading(folder, quick=quick),
         "identification": lambda: identification(folder, quick=quick),
         "leg": lambda: leg(folder, quick=quick),
         "simulators": lambda: simulators(folder, quick=quick),
