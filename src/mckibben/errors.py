@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Number
+from typing import TYPE_CHECKING, ClassVar
 
 LONGEST_VALUE = 80
 """Maximum number of characters of a value in a message."""
@@ -85,6 +86,20 @@ def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> Attribut
     nearest = name if name in meant else closest(name, known)
     hint = f"; did you mean {meant.get(nearest, nearest)}?" if nearest else ""
     return AttributeError(f"{with_article(type(owner).__name__)} has no {name!r}{hint}", name=name, obj=owner)
+
+
+class Suggesting:
+    """Base of classes that answer an unknown attribute with the closest one, or with its meaning in `suggestions`."""
+
+    suggestions: ClassVar[Mapping[str, str]] = {}
+    """Meaning of names that users try on objects of the class; that of ``()`` is a construction without arguments."""
+
+    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
+
+        def __getattr__(self, name: str) -> object:
+            if isinstance(attribute := getattr(type(self), name, None), property):
+                return attribute.fget(self)  # raises its own error
+            raise no_attribute(self, name, self.suggestions)
 
 
 def _plain(name: str) -> str:

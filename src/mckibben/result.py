@@ -42,7 +42,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, dataclass_transform
 
 import numpy as np
 
-from mckibben.errors import ParameterError, printable
+from mckibben.errors import ParameterError, Suggesting, printable
 from mckibben.storage.files import check_free, json_ready, make_folder, write_json
 from mckibben.units import factor
 
@@ -291,7 +291,7 @@ def _plain(values: object) -> object:
 
 
 @dataclass_transform(frozen_default=True, field_specifiers=(column, field))
-class Result:
+class Result(Suggesting):
     """Base of results: a frozen dataclass whose fields with a `column` are its numbers.
 
     Subclasses declare fields as ``gain: np.ndarray = column("1", "gain margin")``: a number or text is a

@@ -10,8 +10,6 @@ In text (scenario files, the command line, catalog files) a quantity is one numb
 
 >>> quantity("6 bar", "Pa")
 600000.0
->>> quantity("13 N*m/rad", "N*m/rad")
-13.0
 """
 
 from __future__ import annotations
@@ -20,6 +18,8 @@ import functools
 import math
 import re
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 from typing import Annotated, Any, NoReturn
 
 from mckibben.errors import LONGEST_VALUE, RangeError, UnitError, quoted
@@ -44,11 +44,10 @@ mrad = 1e-3
 deg = math.pi / 180
 percent = 1e-2
 
-# All known units: text with any other unit is refused. Each has its size in SI and its dimensions as powers of
-# metre, kilogram, second, radian and kelvin. An angle is a dimension of its own here, so that N*m/rad (a stiffness) and
-# N*m (a torque) are not interchangeable.
-_LENGTH, _MASS, _TIME, _ANGLE = (1, 0, 0, 0, 0), (0, 1, 0, 0, 0), (0, 0, 1, 0, 0), (0, 0, 0, 1, 0)
-_TEMPERATURE, _NOTHING = (0, 0, 0, 0, 1), (0, 0, 0, 0, 0)
+# Size in SI, and powers of metre, kilogram, second, radian and kelvin. An angle is a dimension of its own, so that
+# N*m/rad (a stiffness) and N*m (a torque) are not interchangeable.
+_LENGTH, _MASS, _TIME, _ANGLE, _TEMPERATURE = ((0,) * i + (1,) + (0,) * (4 - i) for i in range(5))
+_NOTHING = (0, 0, 0, 0, 0)
 _FORCE, _PRESSURE = (1, 1, -2, 0, 0), (-1, 1, -2, 0, 0)
 _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "m": (1.0, _LENGTH),
@@ -67,6 +66,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "us": (1e-6, _TIME),
     "ns": (1e-9, _TIME),
     "min": (60.0, _TIME),
+    "h": (3600.0, _TIME),
     "Hz": (1.0, (0, 0, -1, 0, 0)),
     "N": (1.0, _FORCE),
     "kN": (1e3, _FORCE),
@@ -159,11 +159,8 @@ def dimensions(unit: str) -> tuple[float, float, float, float, float]:
 
     >>> dimensions("N*m/rad")
     (2, 1, -2, -1, 0)
-    >>> dimensions("s^0.5")
-    (0.0, 0.0, 0.5, 0.0, 0.0)
     """
-    metre, kilogram, second, radian, kelvin = _dimensions(_parse(unit))
-    return metre, kilogram, second, radian, kelvin
+    return tuple(_dimensions(_parse(unit)))  # type: ignore[return-value]
 
 
 def factor(unit: str, to: str = "") -> float:
@@ -217,6 +214,9 @@ def quantity(text: str, unit: str) -> float:
         step = f"{360 / 2 ** min(abs(float(number.group())), 64):.6g} deg"
         raise UnitError(f"{quoted(text)} is not an angle", value=text, unit=unit, remedy=f"write the step: {step!r}")
     value = float(number.group()) * factor(rest or "1", unit)
+    mantissa = number.group().lower().partition("e")[0]
+    if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # by `Quantity.write`
+        value = float(Fraction(number.group()) * Fraction(factor(rest or "1", unit)))
     if not math.isfinite(value):
         raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=unit)
     return value
@@ -310,14 +310,18 @@ class Quantity:
         return number
 
     def write(self, value: float) -> str:
-        """Text in the shown unit that `read` converts back to the same float, or in SI if no such text exists."""
+        """Text in the shown unit that `read` converts back to the same float.
+
+        Some floats are not a float times the factor: they get 20 digits, and `quantity` rounds the product once.
+        """
         if self.shown == "1":
             return f"{value:.16g}" if float(f"{value:.16g}") == value else repr(value)
         for digits in (15, 16, 17):
             text = show(value, self.shown, digits)
             if quantity(text, self.unit) == value:
                 return text
-        return show(value, self.unit, 17)
+        text = f"{Decimal(value) / Decimal(factor(self.shown, self.unit)):.20g} {self.shown}"
+        return text if quantity(text, self.unit) == value else show(value, self.unit, 17)
 
     @functools.cached_property
     def limits(self) -> tuple[float, float]:

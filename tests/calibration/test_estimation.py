@@ -246,17 +246,6 @@ def test_nothing_to_calibrate_from():
         calibrate_joint(knee(), PendulumLoad(mass=0.3, length=0.2), [], JointPrior())
 
 
-def test_a_correction_is_constant_beyond_its_contractions():
-    law = catalog.law("lei-mas-10-180n")
-    more = corrected_law(law, ForceCorrection((-5.0, 2.0, 1.0), (1e-5, 2e-5, 0.0), 0.1, 0.05))
-    contraction = np.array([0.05, 0.1, 0.125, 0.15, 0.18])
-    v = np.array([-1.0, 0.0, 0.5, 1.0, 1.0])
-    expected = -5 + 2 * v + v**2 + 3e5 * (1e-5 + 2e-5 * v)
-    assert np.asarray(more.force(contraction, 3e5) - law.force(contraction, 3e5)) == pytest.approx(expected)
-    force = more.force(contraction, 3e5)
-    assert np.asarray(more.pressure_for(force, contraction)) == pytest.approx(3e5)
-
-
 def test_scaled_arms_keep_the_length_at_their_angle():
     geometry = catalog.joint("knee-table-2").geometry
     scaled = ScaledArms(geometry, 0.98, angle=0.1)

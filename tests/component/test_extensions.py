@@ -164,7 +164,7 @@ def test_a_law_of_a_package_is_identified_and_read_with_its_version_and_equation
     run("identify", "dmsp-10-250-martens2017", "--law", "acme", "--out", "fit")
     (path,) = (tmp_path / "fit").rglob("fit.yaml")
     content = yaml.safe_load(path.read_text())
-    assert (content["law"], content["version"]) == ("acme_parts:AcmeLaw", "acme 1.2")
+    assert (content["law"]["class"], content["version"]) == ("acme_parts:AcmeLaw", "acme 1.2")
     run("validate", path, "dmsp-10-250-martens2017")
     with commands(tmp_path) as without:
         assert "--extension" in run("validate", path, "dmsp-10-250-martens2017", code=2, by=without)[1]
@@ -191,7 +191,7 @@ def test_a_valve_and_a_law_of_a_package_are_simulated(run, tmp_path):
     assert "equation" in message and "p + k eps" in message
     kept.write_text(kept.read_text().replace("acme 1.2", "acme 1.1"))
     out, warned = run("simulate", kept, "--json")
-    assert json.loads(out)["outcome"]
+    assert json.loads(out)["verdict"]
     assert "acme 1.1" in warned and "acme 1.2" in warned
 
 

@@ -212,3 +212,18 @@ def test_a_scan_of_a_segment_has_no_copies_of_the_law_for_its_401_states(knee, a
         return joint.attainable_stiffness(angle, torque, amplitude=amplitude), known
 
     assert len(write_native(computed, [np.asarray(x) for x in (0.1, 1.0, 20.0)], []).source) < 400_000
+
+
+def test_as_printed_cocontraction_moves_the_stiffness_at_0_deg_within_70_4_and_73_5(as_printed, bands):
+    free = [float(x) for x in attainable(as_printed, 0.0, 0.0)]
+    assert free == pytest.approx([70.392, 73.464], abs=0.001)  # Eq. 3 by hand: p = 6 and 0 bar
+    assert bands("as printed", 0) == pytest.approx((70.4, 73.5), abs=0.11)
+
+
+def test_as_printed_the_bands_at_0_and_5_deg_do_not_overlap(bands):
+    assert bands("as printed", 0)[1] < bands("as printed", 5)[0] - 1
+
+
+def test_as_printed_a_constant_stiffness_is_out_of_reach_soon_after_2_deg(bands):
+    assert bands("as printed", 2)[0] < 73.0 < bands("as printed", 2)[1]
+    assert bands("as printed", 4)[0] > bands("as printed", 0)[1]

@@ -88,3 +88,7 @@ def test_a_braid_angle_from_which_a_muscle_extends_is_refused():
     with pytest.raises(RangeError) as refused:
         ChouLaw(braid_angle=66 * deg, initial_diameter=10 * mm)
     assert refused.value.field == "braid_angle" and refused.value.upper == pytest.approx(54.7 * deg, abs=1e-3)
+
+
+def test_equation_3_crosses_zero_at_23_4_percent_for_6_bar(law):
+    assert float(law.force(23.35 * percent, 6 * bar)) > 0 > float(law.force(23.45 * percent, 6 * bar))

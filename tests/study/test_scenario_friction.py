@@ -81,7 +81,7 @@ def test_its_numbers_can_be_varied():
     scenario = Scenario.parse(COMPENSATED)
     name = "joint.muscle.friction.half_width"
     assert find_parameter(scenario, name).nominal == 12.0
-    many = batched(scenario, {name: [8.0, 12.0]}, known=[name])
+    many = batched(scenario, {name: [8.0, 12.0]}, model_follows=[name])
     np.testing.assert_array_equal(many.plant().joint.muscle1.friction.half_width, [8.0, 12.0])
     assert np.ndim(jax.tree.leaves(many.control().model.muscle2.friction)[0]) == 1
 

@@ -127,7 +127,7 @@ def test_what_is_left_out_is_that_of_the_classes():
 
 def test_they_can_be_varied(real):
     table = {name: [value, value * 2 if isinstance(value, int) else value * 1.5] for name, value in NUMBERS.items()}
-    many = batched(real, table, known="all")
+    many = batched(real, table, model_follows="all")
     plant, control = many.plant(), many.control()
     np.testing.assert_array_equal(plant.sensors.seed, [7, 14])
     np.testing.assert_array_equal(plant.disturbance.height, [0.5, 0.75])

@@ -328,7 +328,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
     bands = friction_places(problem)  # at the bound there is no derivative; the covariance is taken at its edge
     z[bands] = np.maximum(z[bands], (LEAST_FRICTION - 1) / problem.prior["friction"] + _INSIDE)
     _, gradients, curvature = data(z)
-    inverse: Any = np.linalg.inv(curvature + np.eye(count))
+    inverse = np.asarray(np.linalg.inv(curvature + np.eye(count)), float)
     time = float(np.mean([correlation_time(errors[:, i]) for errors in means for i in range(groups)]))
     covariance = inverse @ (_long_run(gradients, time) + np.eye(count)) @ inverse
     return z, covariance, residual, noise

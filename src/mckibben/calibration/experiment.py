@@ -11,9 +11,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
-from mckibben.calibration.equations import JointPrior, JointRecording, path_lengths, sliding_length
+from mckibben.calibration.equations import JointPrior, JointRecording, Samples, path_lengths, sliding_length
 from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.component.schema import ENDINGS, independent, inherited_fields, origin_of, replaced, write_text
@@ -163,7 +163,7 @@ class Sweeps:
 
 
 @compiled
-def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Any) -> Array:
+def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Samples) -> Array:
     """Attainable stiffness [N*m/rad] with each load, shape (loads, 2, angles), of muscles that are well taut."""
     middle = joint.contractions((angles[0] + angles[-1]) / 2, (0.0, 0.0))
     muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
@@ -174,7 +174,7 @@ def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Any) -> Array:
 
 
 @compiled
-def _with_weight(load: Load, mass: Any, distance: Any) -> GeneralLoad:
+def _with_weight(load: Load, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
     return load.with_weight(mass, distance)
 
 
@@ -309,7 +309,7 @@ def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
     files = [origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2)]
     if not any(file.endswith(ENDINGS) for file in files):
         return prior
-    from mckibben.identification.storage import find_fit  # 0.1 s
+    from mckibben.identification.fit import find_fit  # 0.1 s
 
     first, second = (find_fit(Path(file)) if file.endswith(ENDINGS) else None for file in files)
     return replace(prior, fits=(first, second))

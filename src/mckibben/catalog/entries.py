@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from mckibben.actuator import Actuator, AirValve
-from mckibben.catalog import FOLDER, find, names
+from mckibben.catalog.publications import FOLDER, find, names
 from mckibben.component.base import field_quantities
 from mckibben.component.calls import checked_call
 from mckibben.component.classes import Catalog, find_class, register

@@ -68,7 +68,7 @@ def compare(
 
             again = resume and (folders[name] / "study.sqlite").exists()
             results[name] = run(own, out=folders[name], resume=again, progress=step)
-            report.write_benchmark(results[name], results[name].numbers, folders[name])
+            report.write_comparison(results[name], folders[name])
     if not read.setups:
         show_study(results[""], out, "comparison.html", details=details, json=json)
         return

@@ -13,14 +13,14 @@ from dataclasses import dataclass
 from inspect import get_annotations
 from numbers import Integral, Real
 from types import NoneType, SimpleNamespace, UnionType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
 
 import equinox as eqx
 import numpy as np
 
 from mckibben.component.calls import CheckedCalls
 from mckibben.component.checks import check_kind, known_numbers
-from mckibben.errors import Problem, RangeError, described, no_attribute, printable, quoted, refuse_problems
+from mckibben.errors import Problem, RangeError, Suggesting, described, printable, quoted, refuse_problems
 from mckibben.result import Column, Listing
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, factor, show
 
@@ -76,8 +76,6 @@ class Described:
     """Keys in files that give several fields one value."""
     together: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Groups of optional fields of which all are given or none; a study varies them where they are given."""
-    suggestions: ClassVar[Mapping[str, str]] = {}
-    """Meaning of names that users try on objects of the class; that of ``()`` is a construction without arguments."""
 
     @classmethod
     def from_file(cls, value: Any) -> Any:
@@ -93,18 +91,11 @@ class Described:
 _ComponentMeta: Any = type("_ComponentMeta", (CheckedCalls, type(eqx.Module)), {})
 
 
-class Component(Described, eqx.Module, metaclass=_ComponentMeta):  # pyrefly: ignore[invalid-inheritance]
+class Component(Described, Suggesting, eqx.Module, metaclass=_ComponentMeta):  # pyrefly: ignore[invalid-inheritance]
     """Module with fields of the declared types and numbers in range; the check of a subclass begins with this one."""
 
     def __check_init__(self) -> None:
         check_fields(self)
-
-    if not TYPE_CHECKING:  # an unknown attribute stays an error of the type checker
-
-        def __getattr__(self, name: str) -> Any:
-            if isinstance(attribute := getattr(type(self), name, None), property):
-                return attribute.fget(self)  # raises its own error
-            raise no_attribute(self, name, self.suggestions)
 
     def _repr_html_(self) -> str:
         names, values = zip(*_rows(self), strict=True) if dataclasses.fields(self) else ((), ())
@@ -112,7 +103,7 @@ class Component(Described, eqx.Module, metaclass=_ComponentMeta):  # pyrefly: ig
         return Listing(type(self).__name__, columns).to_html()
 
 
-class Checked(Described, metaclass=CheckedCalls):
+class Checked(Described, Suggesting, metaclass=CheckedCalls):
     """Base of dataclasses whose fields are checked as those of components."""
 
     def __post_init__(self) -> None:

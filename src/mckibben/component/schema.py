@@ -2,8 +2,7 @@
 
 A field of a document, or of a component, that holds a component is marked with `ComponentField`. Its section names the
 class, by name or `short_name`, with the key ``class`` (otherwise the base's `default_class`), and gives its fields.
-Instead of a section, or as its key ``from``, a file may give the name of a catalog entry or the path of a file; the
-other keys of the section are then changes to it.
+Instead of a section, or as its key ``from``, a file may name a catalog entry or a file; other keys are changes to it.
 """
 
 from __future__ import annotations

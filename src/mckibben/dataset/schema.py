@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.raw import Budget, check_regular, unreadable
-from mckibben.errors import DatasetError, FileError, Problem
+from mckibben.errors import DatasetError, FileError, Problem, Suggesting
 from mckibben.storage.files import atomic_write, check_seal, sealed
 
 if TYPE_CHECKING:
@@ -329,7 +329,7 @@ class FileLines(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class MeasuredTable:
+class MeasuredTable(Suggesting):
     """Base of datasets: a table of measured points or samples that fits its schema.
 
     Attributes
@@ -340,6 +340,11 @@ class MeasuredTable:
         Lines of the files from which it was read; empty for a dataset of arrays, or of selected points.
     """
 
+    suggestions: ClassVar[Mapping[str, str]] = {
+        "fit": "mk.identify(mk.ExponentialLaw, data)",
+        "identify": "mk.identify(mk.ExponentialLaw, data)",
+        "save": "to_netcdf(path)",
+    }
     schema: ClassVar[Mapping[str, Variable]]
     """Variables; the first gives the length."""
     word: ClassVar[str] = "dataset"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -17,7 +16,7 @@ from jaxtyping import Array
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
-from mckibben.identification.storage import read_fit
+from mckibben.identification import Fit
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import compiled_as_given, numeric
@@ -167,7 +166,7 @@ def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -
             message = f"{law} is not a law that was read from the file of a fit"
             remedy = f"give {', '.join(known)}, and the muscle the file of a fit"
             raise ExportError(message, field="random_plant", value=f"{law}=fit", remedy=remedy)
-        draws = read_fit(Path(file)).draws(np.random.default_rng(seed), count)
+        draws = Fit.from_yaml(file).draws(np.random.default_rng(seed), count)
         found |= {f"{law}.{name}": values for name, values in draws.items()}
     return found
 

@@ -61,7 +61,7 @@ class Muscle(Component):
     @classmethod
     def from_file(cls, value: Any) -> Any:
         """Return the section of a muscle for one of a return spring; `RangeError` for a fit."""
-        if isinstance(value, dict) and "parameters" in value:
+        if isinstance(value, dict) and {"law"} <= value.keys() <= {"law", "equation", "version", "fit"}:
             remedy = "give the muscle a specimen, and the file as its law"
             raise RangeError("is a fit, the law of a muscle", remedy=remedy)
         if not isinstance(value, dict) or value.get("class") != "return_spring":

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,11 @@ class Envelope(Result):
     stiffness
         Constant stiffness [N*m/rad] that is trackable along the reference, lowest and highest; None if there is none.
     """
+
+    suggestions: ClassVar[Mapping[str, str]] = {
+        **{name: f"static.{name}" for name in ("small_motion", "torque_range", "angles")},
+        **{name: f"trackability.{name}" for name in ("trackable", "violated", "bands", "trajectory")},
+    }
 
     scenario: Scenario
     static: StaticEnvelope

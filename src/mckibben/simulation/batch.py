@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.component.checks import whole_periods
@@ -195,7 +195,7 @@ def simulate_many(
     metrics: Sequence[str] = Metrics._fields,
     keep: Sequence[str] = (),
     every: float | None = None,
-    precision: Any = 64,
+    precision: object = 64,
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
@@ -315,7 +315,7 @@ class _Runs(NamedTuple):
     engine: str
     size: int  # runs per chunk
 
-    def begun(self, lanes: SimulationProblem) -> tuple[Any, Any, Array]:
+    def begun(self, lanes: SimulationProblem) -> tuple[PyTree, PyTree, Array]:
         """Shared and varying parts of the runs of a chunk, those of their beginnings included, and their spans."""
         begun, span = _begun(lanes, self.shared, self.times, self.asked)
         varies = bool(jax.tree.leaves(lanes.reference))
@@ -377,7 +377,7 @@ class _Runs(NamedTuple):
         return max(first_substeps(eqx.combine(run, self.shared), self.times, self.period) for run in runs)
 
 
-def _last(leaf: Any) -> Any:
+def _last(leaf: NDArray) -> NDArray:
     return np.moveaxis(leaf, 0, -1)
 
 
@@ -420,7 +420,7 @@ _begun = compiled_batch(_begin)
 
 
 @BatchFunction
-def _positions(shared: Any, lane: Any) -> tuple[Array, ...]:
+def _positions(shared: PyTree, lane: PyTree) -> tuple[Array, ...]:
     """Positions of one run over time."""
     problem, begun, period, substeps, every = shared
     own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
@@ -428,7 +428,7 @@ def _positions(shared: Any, lane: Any) -> tuple[Array, ...]:
 
 
 @BatchFunction
-def _run(shared: Any, lane: Any) -> dict[str, Array]:
+def _run(shared: PyTree, lane: PyTree) -> dict[str, Array]:
     """Columns of one run."""
     problem, begun, period, asked, substeps = shared
     own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)

@@ -47,7 +47,7 @@ class CompareResult(Result):
     with no more air than the tuned first controller, by medians of the training runs; None if the first is not tuned.
     """
 
-    figures = ("benchmark_errors",)
+    figures = ("comparison_errors",)
     files = ("runs.nc", "suite.yaml", "controllers")
 
     suite: Suite

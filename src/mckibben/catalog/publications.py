@@ -1,0 +1,71 @@
+"""Files of the catalog: names, sources, and entries in the units of their source."""
+
+from __future__ import annotations
+
+import functools
+from importlib import resources
+from typing import Any
+
+from mckibben.errors import NotInCatalogError, suggest
+from mckibben.numerics.runtime import programs_folder
+from mckibben.storage.private import listing
+
+KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints", "valves", "legs", "robots")
+FOLDER = resources.files("mckibben.catalog")
+
+
+def names(kind: str) -> list[str]:
+    """Return the names of a kind: "specimens", "laws", "datasets", "geometries", "loads", "joints", "valves", "legs" or
+    "robots".
+
+    Raises `NotInCatalogError` for any other kind.
+    """
+    if kind not in KINDS:
+        raise NotInCatalogError(f"the catalog has no {kind!r}", value=kind, remedy=f"it has {', '.join(KINDS)}")
+    return [name for publication in _publications() for name in publication.get(kind, {})]
+
+
+def cite(name: str) -> str:
+    """Return the source of an entry, the location within it, and notes."""
+    entries = [
+        (publication, publication[kind][name])
+        for publication in _publications()
+        for kind in KINDS
+        if name in publication.get(kind, {})
+    ]
+    if not entries:
+        raise _unknown("entry", name, [known for kind in KINDS for known in names(kind)])
+    publication = entries[0][0]
+    places = "; ".join(dict.fromkeys(entry["where"] for _, entry in entries))
+    return "\n".join([publication["source"], f"({places})", *(f"- {note}" for note in publication.get("notes", []))])
+
+
+def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
+    """Return an entry in the units of its source, with the source."""
+    for publication in _publications():
+        if name in publication.get(kind, {}):
+            return publication[kind][name], publication["source"]
+    raise _unknown(_SINGULAR[kind], name, names(kind))
+
+
+_SINGULAR: dict[str, str] = dict(
+    zip(KINDS, ("specimen", "law", "dataset", "geometry", "load", "joint", "valve", "leg", "robot"), strict=True)
+)
+
+
+@functools.cache
+def _publications() -> tuple[dict[str, Any], ...]:
+    return tuple(listing(programs_folder(), "catalog", _read)["publications"])
+
+
+def _read() -> dict[str, Any]:
+    from ruamel.yaml import YAML
+
+    reader = YAML(typ="safe", pure=True)
+    files = sorted((f for f in FOLDER.iterdir() if f.name.endswith(".yaml")), key=lambda f: f.name)
+    return {"publications": [reader.load(file.read_text(encoding="utf-8")) for file in files]}
+
+
+def _unknown(kind: str, name: str, known: list[str]) -> NotInCatalogError:
+    remedy = suggest(name, list(dict.fromkeys(known)))
+    return NotInCatalogError(f"the catalog has no {kind} {name!r}", value=name, remedy=remedy)
