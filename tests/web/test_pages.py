@@ -128,7 +128,7 @@ def test_a_joint_that_cannot_be_is_an_error_with_a_remedy(kind):
 
 @pytest.mark.slow
 def test_the_page_names_the_binding_limits_as_the_command_does():
-    remarks = Scenario.parse(workbench.START).envelope().remarks()
+    remarks = [remark.text for remark in Scenario.parse(workbench.START).envelope().remarks()]
     made = design.JointDesign(angle=0.0)
     low, high = design.limits_at(made, design.compute(made, MUSCLE)).split("; ")
     assert remarks[0].startswith(low) and remarks[1].startswith(high)
