@@ -131,6 +131,8 @@ def describe(table: Table) -> str:
     """Rows of text: column, quantity, unit, its origin, range and remarks of each column; last the number of rows."""
     rows = [("column", "quantity", "unit", "unit from", "range", "")]
     for column in table.columns.values():
+        if column.quantity == "contraction" and not column.unit:  # follows from lengths
+            continue
         shown = ""
         if column.values.dtype.kind == "f" and np.isfinite(column.values).any():
             scale = si_factor(Header(column.quantity, column.unit))

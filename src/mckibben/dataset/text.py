@@ -22,11 +22,12 @@ _SEPARATORS = ("\t", ";", ",", "|", " ")
 _COMMENT = ("#", "%", "//", "'", "!", "*")
 _SEARCHED = 300  # lines in which a header is looked for
 _SAMPLED = 20_000  # cells of a column that may determine the decimal sign
+_LISTED = 1000  # corrupt rows that are named
 _LONGEST = 2**16  # characters of a line
 _STAMP = re.compile(r"(\d\d:\d\d:\d\d\.\d{3}) -> ")
 _SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
 _TYPOGRAPHY = str.maketrans("\u2212\uff0d\uff0e\uff0c" + "".join(map(chr, range(0xFF10, 0xFF1A))), "--.,0123456789")
-_DASH = re.compile(r"(?<![^\s;,|\"])(?:\u2013|([+-])\s+)(?=[0-9.,])")
+_DASH = re.compile(r"(?<![^\s;,|\"])(?:\u2013|([+-])[ \t]+)(?=[0-9.,])")
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:([.,])\d+)?")
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
@@ -264,7 +265,7 @@ def _aligned(
             counts[:] = len(header)
         elif (counts == len(header) + 1).all() and numbered and certain:
             header = ["row number", *header]
-    for at in np.flatnonzero(counts != len(header)):
+    for at in np.flatnonzero(counts != len(header))[:_LISTED].tolist():
         text = f"has {counts[at]} cell{'s' if counts[at] != 1 else ''}, the header {len(header)}"
         if rows[at][0] == len(lines):
             text += ", and no line end: the file was truncated here"

@@ -53,6 +53,7 @@ _WORDS: Mapping[str, Mapping[str, str]] = {
 _MARKS = np.array([9999.0, 99999.0, 999999.0, 999.9, 999.99, 999.0, 9999.9, 32767.0, 32768.0, 65535.0, 1e29])
 _ENDS = (127.0, 255.0, 511.0, 1023.0, 2047.0, 4095.0, 8191.0, 16383.0)
 _ROUNDING = 0.5e-3, 0.002  # m and relative: precision of lengths
+_LISTED = 1000  # corrupt cells of a column that are named
 _LONGEST = 20.0  # m
 _UNNAMED = re.compile(r"column \d+")
 _MEASURED = re.compile("force|kraft|press|druck|length|länge|contract|kontrak", re.IGNORECASE)
@@ -302,7 +303,7 @@ class _Reader:
         wrong = ~np.isfinite(values)
         if name == "set_pressure":
             wrong &= filled
-        for row in np.flatnonzero(wrong).tolist():
+        for row in np.flatnonzero(wrong)[:_LISTED].tolist():
             text, line = f"{str(cells[row])[:40]!r} is not a number", int(self.table.lines[row])
             self.asked.append(question("corrupt", text, line=line, field=column.name, remedy="correct it"))
             self.table.repairs.append(f"{self.table.place} {line}, {column.name}: {text}")
