@@ -11,7 +11,7 @@ from mckibben.errors import RangeError, ScenarioError
 from mckibben.muscle import MaxwellSlip, NoFriction
 from mckibben.reachability.envelope import envelope
 from mckibben.scenario import Scenario, batched, find_parameter
-from mckibben.study.sweep.compute import feasibility
+from mckibben.study.sweep.feasibility import feasibility
 from mckibben.units import bar, deg, mm
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()

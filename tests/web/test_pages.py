@@ -26,14 +26,14 @@ from nicegui.testing import user_simulation
 import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
 from mckibben.control import Reference, Sine
-from mckibben.dataset.quantities import LEAVE_OUT
-from mckibben.errors import DatasetError, McKibbenError, ParameterError, ScenarioError, StoppedError
+from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.identification import identify_with_friction
+from mckibben.identification.fitting import WITH_FRICTION
 from mckibben.joint import KneeGeometry
 from mckibben.muscle import ChouLaw, ExponentialLaw
 from mckibben.result import Remark, Result
 from mckibben.units import bar, deg, mm
-from mckibben.web import app, design, identify, reading, rig, session, studies, tune, wording, workbench
+from mckibben.web import app, design, identify, rig, session, studies, tune, wording, workbench
 from mckibben.web.results import Presented
 
 RIG = (Path(__file__).parents[2] / "examples" / "rig.csv").read_text(encoding="utf-8")
@@ -128,7 +128,7 @@ def test_a_joint_that_cannot_be_is_an_error_with_a_remedy(kind):
 
 @pytest.mark.slow
 def test_the_page_names_the_binding_limits_as_the_command_does():
-    remarks = Scenario.parse(workbench.START).envelope().remarks()
+    remarks = [remark.text for remark in Scenario.parse(workbench.START).envelope().remarks()]
     made = design.JointDesign(angle=0.0)
     low, high = design.limits_at(made, design.compute(made, MUSCLE)).split("; ")
     assert remarks[0].startswith(low) and remarks[1].startswith(high)
@@ -265,14 +265,15 @@ def test_a_reference_too_fast_for_the_joint_is_a_remark():
 
 
 def test_an_outlier_is_named_and_can_be_kept():
-    rows = [f"{p},{c},{float(MUSCLE.law.force(c / 100, p * bar))}" for p in (3, 4, 5, 6) for c in range(0, 12, 2)]
-    rows[7] = "4,2,400"  # the law has 280 N
+    pressure, contraction = (np.ravel(axis) for axis in np.meshgrid(np.arange(3, 7) * bar, np.arange(0, 12, 2) / 100))
+    force = np.array(MUSCLE.law.force(contraction, pressure))
+    force[7] *= 1.4
+    data = mk.IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force)
 
     async def visit():
         async with visitor() as user:
             await user.open("/identify")
-            await paste(user, "\n".join(["pressure_bar,contraction_percent,force_N", *rows]))
-            await user.should_see("24 points", retries=60)
+            state(identify.IdentificationState).use("points", data)
             kept = state(identify.IdentificationState)
             user.find(marker="fit").click()
             await user.should_see("23 points", retries=400)
@@ -288,8 +289,7 @@ def test_an_outlier_is_named_and_can_be_kept():
 @pytest.mark.parametrize(
     ("text", "shown"),
     [
-        ("x: 1; identify the friction with identify_hysteresis (command line: --friction on)", wording.FRICTION),
-        (f"correct it{LEAVE_OUT}", wording.SKIP),
+        (f"x: 1; {WITH_FRICTION}", wording.FRICTION),
         ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
         ("is a scenario of a joint, which `mckibben simulate` reads; give a recipe", "the page Run"),
         ("did you mean 'kp'? `mckibben sweep SCENARIO.yaml --list` shows all", "did you mean 'kp'?"),
@@ -299,14 +299,6 @@ def test_advice_names_what_the_page_has(text, shown):
     found = wording.on_page(text)
     assert shown in found
     assert not re.search("--|identify_hysteresis|mk[.]|`", found)
-
-
-def test_the_remedy_of_a_displacement_names_the_choices_of_the_page(tmp_path):
-    (tmp_path / "rig.csv").write_text("pressure_bar,displacement_mm,force_N\n1,0,10\n1,5,5\n", encoding="utf-8")
-    with pytest.raises(DatasetError) as found:
-        read_dataset(tmp_path / "rig.csv", initial_length=0.2)
-    remedy = wording.on_page(found.value.problems[0].remedy)
-    assert all(f"displacement: {choice}" in remedy for value, choice in reading.DISPLACEMENTS.items() if value)
 
 
 def test_problems_are_listed_by_line_and_shown_as_text():

@@ -208,9 +208,9 @@ class PathDependentModel:
         force = self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
         if self.rate is None or not (viscous.any() or by_rate.any()):
             return force
-        half, rate = np.maximum(tension / 2, 1e-9), self.rate[:, None]
+        rate, most = self.rate[:, None], np.maximum(tension - limit, 0.0)
         drag = viscous * rate + by_rate * limit * np.tanh(rate / np.exp(log_speed))
-        return force + half * np.tanh(drag / half)
+        return force + np.clip(drag, -most, most)
 
     def fit(self, start: Mapping[str, float], free: tuple[str, ...], *, evaluations: int = 200) -> PathSolution:
         """Bounded least squares from a start; the drift amplitudes are always free."""

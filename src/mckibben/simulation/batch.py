@@ -260,7 +260,7 @@ def simulate_many(
     >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
     >>> simulate_many(plant, control, Reference(angle=Sine(0.03, 1.0), stiffness=72.5), duration=0.5,
     ...               over={"load.mass2": np.linspace(0.3, 0.7, 3)}, metrics=["angle_rmse"])
-    <Batch: 3 runs (3 completed), metrics angle_rmse>
+    <Batch: 3 runs: 3 completed>
     """
     kind = float_type(precision)
     check_accuracy(accuracy, substeps, np.finfo(kind).bits)

@@ -199,13 +199,13 @@ class Grip:
                 deflections[k] = now
                 total += stiffness * now
             if travel and self._follows_rate and tension > 2 * _LEAST and span > 0:
-                half, rate = tension / 2, travel / span
+                rate = travel / span
                 by_pressure, by_length = self._viscous_growth
                 damping = self._viscous + by_pressure * (pressure - reference)
                 damping += by_length * (self.length * (1 - self.start) + stretch - self._reference_length)
                 growth, speed = self._by_rate
                 drag = max(damping, 0.0) * rate + growth * limit * math.tanh(rate / speed)
-                total += half * math.tanh(drag / half)
+                total += min(max(drag, limit - tension), tension - limit)
         for k, time in enumerate(self._times):
             most = tension / (2 * len(self._times))
             now = _followed(self._relaxing[k], self._share * travel, span / time)
