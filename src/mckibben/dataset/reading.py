@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -268,11 +268,7 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     common = [name for name in columns if all(name in table for table in tables)]
     if problems := _differences(tables, columns, common):
         raise DatasetError(source, problems)
-    attrs = dict(tables[0].attrs)
-    attrs["source"] = ", ".join(dict.fromkeys(str(table.attrs["source"]) for table in tables))
-    for name in (*OF_FILE, "preprocessing"):
-        said = [(file, table.attrs[name]) for file, table in zip(names, tables, strict=True) if name in table.attrs]
-        attrs |= {name: "\n".join(f"{file}:\n{text}" for file, text in said)} if said else {}
+    attrs = _joined_attributes(names, tables)
     tables = [table[common] for table in tables]
     tables = _distinct_repeats(tables) if "repeat" in common else tables
     tables = _one_after_another(tables, apart=isinstance(parts[0], Recording)) if "time" in common else tables
@@ -282,6 +278,16 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     lines = [part.lines[0] if part.lines else FileLines("row", range(1, len(part) + 1), {}) for part in parts]
     named = tuple(part._replace(file=name) for name, part in zip(names, lines, strict=True))
     return type(parts[0])(joined.assign_attrs(attrs), named), source
+
+
+def _joined_attributes(names: Sequence[str], tables: Sequence[xr.Dataset]) -> dict[Hashable, Any]:
+    """Attributes of the first table, with all sources, and what is said of each file."""
+    attrs = dict(tables[0].attrs)
+    attrs["source"] = ", ".join(dict.fromkeys(str(table.attrs["source"]) for table in tables))
+    for name in (*OF_FILE, "preprocessing"):
+        said = [(file, table.attrs[name]) for file, table in zip(names, tables, strict=True) if name in table.attrs]
+        attrs |= {name: "\n".join(f"{file}:\n{text}" for file, text in said)} if said else {}
+    return attrs
 
 
 def _differences(tables: Sequence[xr.Dataset], columns: Sequence[str], common: Sequence[str]) -> list[Problem]:
