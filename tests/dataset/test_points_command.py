@@ -8,8 +8,10 @@ import typer
 from typer.testing import CliRunner
 
 from mckibben.cli.points import points
-from mckibben.dataset import read_dataset
+from mckibben.dataset import Recording, read_dataset
 from mckibben.errors import DatasetError, FileError, RangeError, UnitError
+
+from .conftest import C, F, P, problems_of
 
 APP = typer.Typer()
 APP.command()(points)
@@ -126,3 +128,31 @@ def test_files_at_several_lengths_are_read_with_the_lengths_in_their_names(run):
     run(*given, error=RangeError)
     Path("name.yaml").write_text("from_name: M{length_mm}\n")
     run(*given, "--read", "name.yaml", error=DatasetError)
+
+
+def test_the_samples_of_a_recording_are_points_for_a_fit(tmp_path):
+    time, pressure = np.arange(400.0), np.repeat([2e5, 3e5, 4e5, 5e5], 100)
+    contraction = np.tile(np.concatenate([np.linspace(0, 0.15, 50), np.linspace(0.15, 0, 50)]), 4)
+    force = 2e-3 * pressure * (1 - contraction / 0.28) ** 2
+    samples = {"time": time, "pressure": pressure, "contraction": contraction, "force": force}
+    Recording.of(**samples).to_netcdf(tmp_path / "rig.nc")
+    data = read_dataset(tmp_path / "rig.nc", slack_force=0.0)
+    np.testing.assert_array_equal(data.force, force)
+    assert data.pressures.tolist() == [2e5, 3e5, 4e5, 5e5] and len(data.directions) == 2
+
+
+@pytest.mark.parametrize(
+    ("header", "shift", "option"),
+    [
+        ("Druck [barr]", 0.0, "--column 'Druck [barr]=pressure_bar'"),
+        ("Druck (bar)", 1.013, "--column 'Druck (bar)=pressure_bar_abs'"),
+    ],
+)
+def test_a_question_names_the_column_and_an_option_that_answers_it(header, shift, option, tmp_path):
+    points = np.column_stack([P + shift, C, F])
+    np.savetxt(tmp_path / "a.csv", points, "%.3f", ";", header=f"{header};Kontraktion [%];Kraft [N]", comments="")
+    (problem,) = problems_of(tmp_path / "a.csv")
+    assert option in problem
+    name, _, meant = option.removeprefix("--column ").strip("'").rpartition("=")
+    data = read_dataset(tmp_path / "a.csv", columns={name: meant}, ambient=1.013e5)
+    np.testing.assert_allclose(data.pressure, P * 1e5, rtol=1e-3)
