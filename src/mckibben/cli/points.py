@@ -53,7 +53,7 @@ def points(
     durations = {"dwell": parse_quantity("--dwell", dwell, "s"), "settle": parse_quantity("--settle", settle, "s")}
     samples = read_recording(recording, reading.recipe)
     report_reading(samples.table.attrs)
-    found = samples.plateaus(**tolerances, **durations)
+    plateaus = samples.plateaus(**tolerances, **durations)
     repairs = samples.table.attrs.get("repairs", "").splitlines()
-    notes = [*found.notes, *(f"left out: {repair}" for repair in repairs)]
-    return replace(found, notes=tuple(map(on_command_line, notes)), recipe=reading.recipe)
+    notes = [*plateaus.notes, *(f"left out: {repair}" for repair in repairs)]
+    return replace(plateaus, notes=tuple(map(on_command_line, notes)), recipe=reading.recipe)

@@ -39,7 +39,7 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
     starts = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
     lengths = np.diff(starts, append=count)
     heights = values[starts]
-    found: dict[str, NDArray[np.bool_]] = {}
+    masks: dict[str, NDArray[np.bool_]] = {}
     low, high = heights.min(), heights.max()
     if low == high:
         return {}
@@ -50,8 +50,8 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
     for end, value in (("floor", low), ("ceiling", high)):
         longest = int(lengths[heights == value].max())
         if longest >= max(_LEAST, _LONGER * usual):
-            found[end] = _stretches(values == value)
-    return found
+            masks[end] = _stretches(values == value)
+    return masks
 
 
 def _noisy(heights: NDArray[np.float64], inside: NDArray[np.bool_]) -> bool:
@@ -163,8 +163,8 @@ def extracted_points(
     points = points.assign(force_spread=("point", spread)).assign_attrs(table.attrs)
     notes = [*account.notes]
     if not points.attrs["slack_force"]:
-        points, found = without_offset(points)
-        points, notes = with_notes(points, found), notes + found
+        points, more = without_offset(points)
+        points, notes = with_notes(points, more), notes + more
     dataset = IsobaricDataset(points)
     _check_sign(dataset)
     notes += [question.problem.message for question in _questions(dataset)]
@@ -227,8 +227,8 @@ class SampleAccount:
     def counts(self, rest: str) -> dict[str, int]:
         """Number of samples by reason; samples without one count as `rest`."""
         self.assign_reason(self.of < 0, rest)
-        found = np.bincount(self.of, minlength=len(self.reasons))
-        return {reason: int(n) for reason, n in zip(self.reasons, found, strict=True) if n or reason == "used"}
+        sizes = np.bincount(self.of, minlength=len(self.reasons))
+        return {reason: int(n) for reason, n in zip(self.reasons, sizes, strict=True) if n or reason == "used"}
 
     def describe(self, rest: str) -> str:
         """`counts` and notes as indented text."""

@@ -187,12 +187,12 @@ class Recording(MeasuredTable):
             signals.append((force, force_tolerance))
         least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
         unusable = account.broken | (account.of >= 0)
-        found = steady_segments(signals, unusable, least)
-        account.assign_reason(found.drifting, "drifting")
-        first, last = found.first, found.last
+        segments = steady_segments(signals, unusable, least)
+        account.assign_reason(segments.drifting, "drifting")
+        first, last = segments.first, segments.last
         firsts = zip(first, last, strict=True)
         begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
-        begins, ends = np.maximum(begins, first + found.edge), last - found.edge
+        begins, ends = np.maximum(begins, first + segments.edge), last - segments.edge
         # first to last sample plus one interval: each sample stands for one
         whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
         for a, b in zip(first[~whole], last[~whole], strict=True):
