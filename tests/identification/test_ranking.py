@@ -11,7 +11,8 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify, rank
 from mckibben.identification.fitting import residual_correlation
-from mckibben.identification.regression import NotIdentifiableError, cross_validate
+from mckibben.identification.least_squares import solve
+from mckibben.identification.regression import NotIdentifiableError, contraction_blocks, cross_validate
 from mckibben.identification.summary import unphysical
 from mckibben.muscle import (
     LAWS,
@@ -143,6 +144,23 @@ def test_what_is_left_has_to_determine_the_law():
     assert "pressure" not in entry.cross_validation
     assert "without 2 bar the law is not determined" in entry.remarks
     assert not entry.flags
+
+
+def test_a_block_that_alone_determines_the_decay_is_predicted_with_the_decay_at_its_bound():
+    """Three of the map's four contractions do not determine an exponential, but the map determines Eq. 2."""
+    ranking = rank(catalog.dataset(MAP), [ReynoldsLaw, ExponentialLaw, HuntLaw])
+    assert [entry.law for entry in ranking.entries] == ["HuntLaw", "ExponentialLaw", "ReynoldsLaw"]
+    errors = ranking.of("ExponentialLaw").cross_validation["contraction"].by_block
+    assert errors["12.4 %"] > 30  # three contractions say little about the fourth
+    regression = ranking.of("ExponentialLaw").fit.regression
+    kept = contraction_blocks(regression.points) != "12.4 %"
+    costs = []
+    for start in (0.1, 0.5, 0.9):  # whatever the start
+        solution = solve(regression.problem.subset(kept), np.array([start]))
+        assert solution.position == 0.0
+        costs.append(solution.cost)
+    assert costs == pytest.approx([costs[0]] * 3, rel=1e-9)
+    assert regression.solution.position[0] == pytest.approx(0.647, abs=1e-3)
 
 
 @pytest.mark.slow

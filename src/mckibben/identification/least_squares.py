@@ -27,7 +27,14 @@ from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification.estimator import Bools, Floats, least_squares, tsqr_r
+from mckibben.identification.estimator import (
+    CONDITION_LIMIT,
+    Bools,
+    Floats,
+    condition_number,
+    least_squares,
+    tsqr_r,
+)
 from mckibben.muscle import Domain, ForceLaw, Parameter
 from mckibben.notebook import stop_check
 from mckibben.numerics.compiled import jit
@@ -358,12 +365,14 @@ def grid_costs(problem: FitProblem, positions: Floats) -> Floats:
 
 _INSIDE = 1e-9  # a search starts off the faces of the cube
 _FACE = 1e-4  # it stays inside the cube: this close to a face counts as on the face
+_EQUAL = 1e-9  # relative difference of costs that is rounding
 
 
 def solve(problem: FitProblem, start: Floats) -> Solution:
     """Least squares over the shape, from a start in the unit cube.
 
-    The projected Jacobian is Kaufman's approximation (BIT 15, 1975, 49-57).
+    The projected Jacobian is Kaufman's approximation (BIT 15, 1975, 49-57). A shape parameter that the points do not
+    determine is at a bound of its range, the lower one where the cost is equal at both.
     """
 
     def projection(position: Floats) -> Projection:
@@ -385,6 +394,21 @@ def solve(problem: FitProblem, start: Floats) -> Solution:
         )
         faces = np.where(search.values < _FACE, 0.0, np.where(search.values > 1 - _FACE, 1.0, search.values))
         inside, on_face = projection(search.values), projection(faces)
-        best = on_face if on_face.cost * (1 - 1e-9) <= inside.cost else inside
+        best = on_face if on_face.cost * (1 - _EQUAL) <= inside.cost else inside
+        best = _undetermined_at_bound(problem, best)
         converged = search.converged
     return Solution(problem, best.values, best.position, best.cost, best.triangle, converged and np.isfinite(best.cost))
+
+
+def _undetermined_at_bound(problem: FitProblem, best: Projection) -> Projection:
+    """Projection of equal cost with an undetermined shape parameter at its bound, if there is one."""
+    for i, end in itertools.product(range(len(best.position)), (0.0, 1.0)):
+        if condition_number(best.triangle) < CONDITION_LIMIT:
+            return best
+        position = best.position.copy()
+        position[i] = end
+        at_bound = project(problem, position, project(problem, position).values[: problem.linear])
+        free = ~problem.at_bound(position)
+        if at_bound.cost * (1 - _EQUAL) <= best.cost and condition_number(at_bound.triangle[:, free]) < CONDITION_LIMIT:
+            return at_bound
+    return best
