@@ -10,7 +10,6 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify, rank
-from mckibben.identification.fitting import residual_correlation
 from mckibben.identification.least_squares import solve
 from mckibben.identification.regression import NotIdentifiableError, contraction_blocks, cross_validate
 from mckibben.identification.summary import unphysical
@@ -131,7 +130,6 @@ def test_directions_and_repeats_are_left_out_where_they_are_recorded():
     assert entry.cross_validation["repeat"].rmse < 4
     errors = [found.rmse for kind, found in entry.cross_validation.items() if kind != "highest pressure"]
     assert entry.error == pytest.approx(np.prod(errors) ** (1 / 4))
-    assert not entry.residual_correlation.pattern
     assert rank(made.select(made.pressure < 1.5 * bar), [ChouLaw]).missing["direction"] == "no direction is recorded"
 
 
@@ -161,16 +159,6 @@ def test_a_block_that_alone_determines_the_decay_is_predicted_with_the_decay_at_
         costs.append(solution.cost)
     assert costs == pytest.approx([costs[0]] * 3, rel=1e-9)
     assert regression.solution.position[0] == pytest.approx(0.647, abs=1e-3)
-
-
-@pytest.mark.slow
-def test_noise_leaves_no_pattern_and_a_wrong_law_does():
-    law = catalog.law("lei-mas-10-180n")
-    patterns = [identify(ExponentialLaw, made_by(law, noise=1.0, seed=seed)) for seed in range(20)]
-    found = [residual_correlation(fit.regression.points, fit.residuals).pattern for fit in patterns]
-    assert sum(bool(text) for text in found) <= 3  # two tests at 2.3 % each
-    wrong = identify(ReynoldsLaw, made_by(law, noise=1.0))
-    assert residual_correlation(wrong.regression.points, wrong.residuals).pattern == "contraction and pressure"
 
 
 @pytest.mark.slow

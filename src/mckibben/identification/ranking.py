@@ -14,7 +14,7 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, described
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import ResidualCorrelation, identify, residual_correlation, without_direction_means
+from mckibben.identification.fitting import identify, without_direction_means
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
     MOST_BLOCKS,
@@ -65,7 +65,6 @@ class RankedLaw:
     refused: str = ""
     cross_validation: dict[str, CrossValidation] = field(default_factory=dict, repr=False)
     aicc: float = math.nan
-    residual_correlation: ResidualCorrelation | None = None
     flags: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -177,7 +176,6 @@ class Ranking(Result):
         fitted = [entry for entry in self.entries if entry.fit]
         least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
         newtons = [Column("N", f"held-out {name}s", digits=3) for name in self.blocks]
-        patterns = [entry.residual_correlation for entry in fitted]
         columns: dict[str, tuple[Column, list[object]]] = {
             "law": (Column(), [entry.law.removesuffix("Law") for entry in fitted]),
             "parameters": (Column(), [entry.parameters for entry in fitted]),
@@ -187,7 +185,6 @@ class Ranking(Result):
             crosses = [entry.cross_validation.get(name) for entry in fitted]
             columns[name] = mark, [cross.rmse if cross else math.nan for cross in crosses]
         columns["aicc"] = Column("", "AICc difference"), [entry.aicc - least for entry in fitted]
-        columns["pattern"] = Column("", "residual pattern"), [(p.pattern if p else "") or "-" for p in patterns]
         yield Listing("laws", columns)
 
     @property
@@ -314,7 +311,7 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
     flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []
     if reason := unphysical(fit.law):
         flags.append(reason)
-    residuals, effective = regression.solution.residuals, regression.solution.effective_parameters
+    effective = regression.solution.effective_parameters
     if effective < len(fit.estimates):
         remarks.append(f"its prior leaves {effective:.1f} effective parameters")
     return RankedLaw(
@@ -322,7 +319,6 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
         fit,
         cross_validation=cross_validation,
         aicc=regression.solution.aicc,
-        residual_correlation=residual_correlation(regression.points, residuals),
         flags=tuple(flags),
         remarks=tuple(remarks),
     )
