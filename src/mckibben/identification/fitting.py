@@ -274,11 +274,11 @@ def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut
     if levels is None:
         return None, f"{_NO_CROSS_VALIDATION}: {reason}"
     try:
-        found = regression.cross_validated("pressure", levels)
+        cross = regression.cross_validated("pressure", levels)
     except NotIdentifiableError as error:
         return None, f"without the points at {show(float(error.block), 'bar')} {error.reason}: {_NO_CROSS_VALIDATION}"
-    by_pressure = {float(level): error for level, error in found.by_block.items()}
-    return LeaveOnePressureOut(found.rmse, found.max_error, by_pressure), ""
+    by_pressure = {float(level): error for level, error in cross.by_block.items()}
+    return LeaveOnePressureOut(cross.rmse, cross.max_error, by_pressure), ""
 
 
 def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:

@@ -82,7 +82,10 @@ def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, 
 def _columns(
     law: ForceLaw, values: ArrayLike, contraction: ArrayLike, pressure: ArrayLike, *, names: tuple[str, ...]
 ) -> Array:
-    return _force_and_columns(lambda given: dataclasses.replace(law, **given), names, values, contraction, pressure)[1]
+    def replaced(fields: dict[str, Any]) -> ForceLaw:
+        return dataclasses.replace(law, **fields)
+
+    return _force_and_columns(replaced, names, values, contraction, pressure)[1]
 
 
 @jit
@@ -98,7 +101,7 @@ def _columns_and_residuals(
     """Weighted columns of the design matrix, then weighted residuals [N]: shape (parameters + 1, n)."""
     names = tuple(p.name for p in law_type.parameters())
     modelled, columns = _force_and_columns(
-        lambda given: law_type(**given, **constants), names, values, contraction, pressure
+        lambda fields: law_type(**fields, **constants), names, values, contraction, pressure
     )
     return jnp.concatenate([columns, (jnp.asarray(force) - modelled)[None]]) * jnp.asarray(weights)
 
@@ -106,7 +109,7 @@ def _columns_and_residuals(
 @jit
 def _grid_of_columns_and_residuals(law_type: type[ForceLaw], values: ArrayLike, *others: Any) -> Array:
     """`_columns_and_residuals` of many values, shape (count, parameters)."""
-    return jax.vmap(lambda one: _columns_and_residuals(law_type, one, *others))(jnp.asarray(values))
+    return jax.vmap(lambda row: _columns_and_residuals(law_type, row, *others))(jnp.asarray(values))
 
 
 def _force_and_columns(
@@ -170,7 +173,7 @@ class UnitCube:
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """Weighted least-squares problem of a law; subsets (`kept`) of one dataset share compiled code.
+    """Weighted least-squares problem of a law; subsets (`selected`) of one dataset share compiled code.
 
     A `prior` of shape (rows, parameters) adds the residuals ``-prior @ values`` [N], each as uncertain as a point: a
     Gaussian prior about zero. `constants` are fields of the law that are not estimated.
@@ -180,7 +183,7 @@ class FitProblem:
     contraction: Floats = field(repr=False)
     pressure: Floats = field(repr=False)
     force: Floats = field(repr=False)
-    kept: Bools = field(repr=False)
+    selected: Bools = field(repr=False)
     weights: Floats | None = field(default=None, repr=False)
     constants: Mapping[str, Any] = field(default_factory=dict)
     prior: Floats | None = field(default=None, repr=False)
@@ -196,13 +199,13 @@ class FitProblem:
         )
         return cls(law_type, contraction, pressure, force, np.arange(count + pad[1]) < count)
 
-    def subset(self, kept: Bools) -> FitProblem:
+    def subset(self, selected: Bools) -> FitProblem:
         """Problem of the selected points; shape (m,) with m <= n, in the order of the points."""
-        return replace(self, kept=np.pad(kept, (0, len(self.kept) - len(kept))))
+        return replace(self, selected=np.pad(selected, (0, len(self.selected) - len(selected))))
 
     def weighted(self, weights: Floats) -> FitProblem:
         """Problem with other weights; shape (m,) with m <= n, in the order of the points."""
-        return replace(self, weights=np.pad(weights, (0, len(self.kept) - len(weights))))
+        return replace(self, weights=np.pad(weights, (0, len(self.selected) - len(weights))))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -243,8 +246,8 @@ class FitProblem:
         return np.concatenate([rows, np.vstack([self.prior.T, -self.prior @ values])], axis=1)
 
     def response(self, values: Floats) -> tuple[Floats, Floats]:
-        """Weighted residuals [N], shape (kept + prior,), and Jacobian of the force, (kept + prior, parameters)."""
-        rows = self.with_prior(self.columns_and_residuals(values)[:, self.kept], values)
+        """Weighted residuals [N], shape (rows,), and Jacobian of the force, (rows, parameters), the prior last."""
+        rows = self.with_prior(self.columns_and_residuals(values)[:, self.selected], values)
         return rows[-1], rows[:-1].T
 
     def at_bound(self, position: Floats) -> Bools:
@@ -254,8 +257,8 @@ class FitProblem:
 
     @cached_property
     def _factors(self) -> Floats:
-        kept = self.kept.astype(np.float64)
-        return kept if self.weights is None else kept * np.sqrt(self.weights)
+        factors = self.selected.astype(np.float64)
+        return factors if self.weights is None else factors * np.sqrt(self.weights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,13 +274,13 @@ class Solution:
 
     @property
     def residuals(self) -> Floats:
-        """Measured minus fitted force [N], shape (kept,)."""
-        return self.augmented[0][: np.count_nonzero(self.problem.kept)]
+        """Measured minus fitted force [N], shape (selected,)."""
+        return self.augmented[0][: np.count_nonzero(self.problem.selected)]
 
     @property
     def jacobian(self) -> Floats:
-        """Derivative of the force with respect to all parameters, shape (kept, parameters)."""
-        return self.augmented[1][: np.count_nonzero(self.problem.kept)]
+        """Derivative of the force with respect to all parameters, shape (selected, parameters)."""
+        return self.augmented[1][: np.count_nonzero(self.problem.selected)]
 
     @property
     def effective_parameters(self) -> float:
@@ -285,7 +288,7 @@ class Solution:
         if self.problem.prior is None:
             return float(len(self.values))
         q = np.linalg.qr(self.augmented[1])[0]
-        return len(self.values) - float(np.sum(q[np.count_nonzero(self.problem.kept) :] ** 2))
+        return len(self.values) - float(np.sum(q[np.count_nonzero(self.problem.selected) :] ** 2))
 
     @property
     def aicc(self) -> float:
@@ -353,7 +356,7 @@ def grid_costs(problem: FitProblem, positions: Floats) -> Floats:
     for start in range(0, len(positions), _TOGETHER):
         some = positions[start : start + _TOGETHER]
         short = (0, min(_TOGETHER, len(positions)) - len(some))  # one program for all
-        shapes = np.array([problem.cube.values(one) for one in some]).reshape(some.shape)
+        shapes = np.array([problem.cube.values(position) for position in some]).reshape(some.shape)
         values = np.pad(np.hstack([np.zeros((len(some), linear)), shapes]), (short, (0, 0)), mode="edge")
         for i, rows in enumerate(problem.columns_and_residuals(values)[: len(some)], start):
             rows = problem.with_prior(rows, values[i - start])

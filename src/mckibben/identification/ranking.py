@@ -71,13 +71,13 @@ class RankedLaw:
     @property
     def error(self) -> float:
         """Geometric mean of the cross-validation RMSE of `interpolation` [N]; infinite without any."""
-        errors = [found.rmse for found in self.interpolation.values()]
+        errors = [cross.rmse for cross in self.interpolation.values()]
         return math.prod(errors) ** (1 / len(errors)) if errors else math.inf
 
     @property
     def interpolation(self) -> dict[str, CrossValidation]:
         """Cross-validation errors that count for the order: all but those at the highest pressure."""
-        return {name: found for name, found in self.cross_validation.items() if name != EXTRAPOLATION}
+        return {name: cross for name, cross in self.cross_validation.items() if name != EXTRAPOLATION}
 
     @property
     def parameters(self) -> int:
@@ -241,13 +241,13 @@ def rank(
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
     blocks, missing = _blocks(points)
     progress, entries = progress or notebook_progress(), []
-    found: dict[type[ForceLaw], RankedLaw] = {}
+    ranked: dict[type[ForceLaw], RankedLaw] = {}
     for i, kind in enumerate(kinds):
         if progress:
             progress(kind.__name__, i / len(kinds))
         same = GaussianProcessLaw if kind is SmoothLaw else kind  # `identify` chooses among the same laws for both
-        found[same] = found.get(same) or _ranked(same, means, blocks)
-        entries.append(dataclasses.replace(found[same], law=kind.__name__))
+        ranked[same] = ranked.get(same) or _ranked(same, means, blocks)
+        entries.append(dataclasses.replace(ranked[same], law=kind.__name__))
     if progress:
         progress("ranked", 1.0)
     entries.sort(key=_order)
@@ -299,13 +299,13 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
     ]
     for name, labels in blocks.items():
         try:
-            found = regression.cross_validated(name, labels)
+            cross = regression.cross_validated(name, labels)
         except NotIdentifiableError as error:
             block = show(float(error.block), "bar") if name == "pressure" else f"{name} {error.block}"
             remarks.append(f"without {block} {error.reason}")
         else:
-            residuals = without_direction_means(found.residuals, regression.points)
-            cross_validation[name] = dataclasses.replace(found, residuals=residuals)
+            residuals = without_direction_means(cross.residuals, regression.points)
+            cross_validation[name] = dataclasses.replace(cross, residuals=residuals)
     bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
     misspecified = bounds and regression.problem.prior is None  # deviations make a bound harmless
     flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []

@@ -184,10 +184,10 @@ class _Profile:
         labels = group_labels(self.points, finest_grouping(self.points))
         direction = np.zeros((1, columns.shape[1]))
         direction[0, -1] = 1.0
-        found, freedom = ClusterRobustErrors.of(scaled, best.residuals, labels).variance(direction)
+        variance, freedom = ClusterRobustErrors.of(scaled, best.residuals, labels).variance(direction)
         squares = best.cost / max(len(self.points) - columns.shape[1], 1)
         independent = squares * float(np.linalg.pinv(scaled.T @ scaled)[-1, -1])
-        return float(np.clip(freedom[0], 1.0, _MOST_FREEDOM)), max(float(found[0]) / independent, 1.0)
+        return float(np.clip(freedom[0], 1.0, _MOST_FREEDOM)), max(float(variance[0]) / independent, 1.0)
 
     def _points(self, threshold: float) -> IsobaricDataset:
         return _shifted(self.points, threshold) if threshold > 0 else self.points
