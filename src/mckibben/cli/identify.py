@@ -13,7 +13,7 @@ from mckibben.cli.command import command
 from mckibben.cli.options import Data, Reading, parse_positive, reads_files
 from mckibben.errors import ParameterError, UnitError
 from mckibben.result import Listing, Remark, Result
-from mckibben.storage.files import atomic_write, make_subfolder
+from mckibben.storage.files import make_subfolder
 from mckibben.units import quantity, show
 
 if TYPE_CHECKING:
@@ -120,8 +120,8 @@ class _Source(Result):
 
     def write_muscle(self, folder: Path, fit: Fit, law: Any = "fit.yaml", **friction: Any) -> None:
         """Write the muscle file next to its fit, if the initial length is known."""
-        from mckibben.muscle.air import inner_volume, volume_terms
-        from mckibben.scenario import muscle_text
+        from mckibben.muscle.air import inner_volume
+        from mckibben.scenario import write_muscle
 
         attrs, (diameter, volume) = self.points.table.attrs, self.inner
         common = os.path.commonprefix([Path(file).stem for file in self.files_read])  # noqa: RUF071, of characters
@@ -129,13 +129,16 @@ class _Source(Result):
         length = attrs.get("initial_length")
         if volume is None and diameter is not None and length:
             volume = inner_volume(length, diameter)
-        terms = volume_terms(fit.law, length, volume) if length and volume is not None else None
-        text = muscle_text(
-            law, specimen=attrs["specimen"] or common, initial_length=length, volume_terms=terms, **friction
+        name = attrs["specimen"] or common
+        write_muscle(
+            folder / "muscle.yaml",
+            fit.law,
+            specimen=name,
+            initial_length=length,
+            volume=volume,
+            law=law,
+            **friction,
         )
-        if text:
-            with atomic_write(folder / "muscle.yaml", overwrite=True) as part:
-                part.write_text(text, encoding="utf-8")
 
     def remarks(self) -> Iterable[Remark]:
         """Return a remark on a muscle that cannot be used in scenarios."""
@@ -272,14 +275,13 @@ class _Pool(Result):
 
     def write(self, folder: Path) -> None:
         """Write the fit, and the muscle of another length."""
-        from mckibben.scenario import muscle_text
+        from mckibben.scenario import write_muscle
 
         self.pooled.fit.to_yaml(folder / "fit.yaml")
         if self.length is not None:
             specimen = self.pooled.specimen(self.length)
-            text = muscle_text("fit.yaml", specimen=specimen.name, initial_length=float(specimen.initial_length))
-            with atomic_write(folder / "muscle.yaml", overwrite=True) as part:
-                part.write_text(text, encoding="utf-8")
+            length = float(specimen.initial_length)
+            write_muscle(folder / "muscle.yaml", self.pooled.fit.law, specimen=specimen.name, initial_length=length)
 
 
 def _inner(text: str) -> tuple[float | None, float | None]:

@@ -190,7 +190,8 @@ def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, o
     if own:
         attrs = {name: text for name, text in attrs.items() if name == "repairs"}
         attrs |= {"preprocessing": table.preprocessing} if table.preprocessing != "none" else {}
-    return replace(kind(made.table.assign_attrs(attrs)), lines=(FileLines(table.place, table.lines.tolist(), units),))
+    lines = FileLines(table.place, table.lines.tolist(), units, columns=() if own else table.rows())
+    return replace(kind(made.table.assign_attrs(attrs)), lines=(lines,))
 
 
 def _read_points(path: Path, recipe: Recipe) -> tuple[IsobaricDataset, bool]:

@@ -319,13 +319,14 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
 class FileLines(NamedTuple):
     """Lines, or rows of a table, from which the points of a file were read; `file` is empty for a single file.
 
-    `units` are those of its columns, by quantity.
+    `units` are those of its columns, by quantity; `columns` are the `Table.rows` of a foreign file.
     """
 
     unit: str
     numbers: Sequence[int]
     units: Mapping[str, str]
     file: str = ""
+    columns: Sequence[tuple[str, ...]] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -61,8 +61,8 @@ def _held(angles: np.ndarray, holds: np.ndarray) -> str:
 
 def page() -> None:
     """The page."""
-    kept = session()
-    design, known = kept.state(JointDesign), muscles(kept.state(IdentificationState).muscle)
+    visitor = session()
+    design, known = visitor.state(JointDesign), muscles(visitor.state(IdentificationState).muscle)
     if design.muscle not in known:
         design.muscle = next(iter(known))
     with frame("/"):

@@ -79,16 +79,11 @@ def _topics(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
-def rows_read(text: str) -> tuple[list[tuple[str, ...]], str]:
-    """Cells of the table of columns that were read, without those of its header, and the line below it."""
-    header, *lines, last = text.split("\n")
-    starts = [0, *map(header.index, ("quantity", "unit", "unit from", "range"))]
-    rows: list[tuple[str, ...]] = []
-    for one in lines:
-        *cells, end = (one[start:stop].strip() for start, stop in zip(starts, [*starts[1:], None], strict=True))
-        found, _, remark = end.partition("  ")
-        rows.append((*cells, found, remark.strip()))
-    return rows, last
+def understood(data: IsobaricDataset) -> list[tuple[str, ...]]:
+    """What was understood of the columns of the files, `dataset.Table.rows`, once; without ranges if several differ."""
+    several = len(data.lines) > 1
+    rows = (row for part in data.lines for row in part.columns)
+    return list(dict.fromkeys((*row[:4], "", *row[5:]) if several else row for row in rows))
 
 
 def column_names(text: str) -> dict[str, str]:

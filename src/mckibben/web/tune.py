@@ -54,9 +54,9 @@ class StudyState(JobState):
 
 def page() -> None:
     """The page."""
-    kept = session()
+    visitor = session()
     with frame("/tune"):
-        _Page(kept.state(StudyState), kept.state(Workbench), kept.folder)
+        _Page(visitor.state(StudyState), visitor.state(Workbench), visitor.folder)
 
 
 class _Page(JobPage[StudyState]):
@@ -145,8 +145,7 @@ class _Page(JobPage[StudyState]):
 
         def done(study: Study, heard: list[str]) -> None:
             state.results = {name: study} | {other: old for other, old in state.results.items() if other != name}
-            shown = [remark.text for remark in study.presented.remarks]
-            state.notes = [text for text in heard if text not in shown]
+            state.notes = study.presented.others(heard)
 
         state.error, state.notes = None, []
         self.start_job(lambda progress: compute(text, request, folder, progress), done)
