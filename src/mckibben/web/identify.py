@@ -92,13 +92,13 @@ class IdentificationState(JobState):
         self.notes, self.error = heard, None
 
 
-def keep_muscle(found: FitWithFriction, data: IsobaricDataset, folder: Path, inner: str = "") -> Muscle | None:
+def keep_muscle(identified: FitWithFriction, data: IsobaricDataset, folder: Path, inner: str = "") -> Muscle | None:
     """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown.
 
     An inner diameter, or the measured volume of air, gives it a volume, as `mckibben identify --inner`.
     """
-    found.fit.to_yaml(folder / "fit.yaml")
-    attrs, loops = data.table.attrs, found.hysteresis
+    identified.fit.to_yaml(folder / "fit.yaml")
+    attrs, loops = data.table.attrs, identified.hysteresis
     length, volume = attrs.get("initial_length"), None
     if length and inner.strip():
         try:
@@ -108,7 +108,7 @@ def keep_muscle(found: FitWithFriction, data: IsobaricDataset, folder: Path, inn
     path = folder / "muscle.yaml"
     written = write_muscle(
         path,
-        found.fit.law,
+        identified.fit.law,
         specimen=attrs["specimen"],
         initial_length=length,
         volume=volume,

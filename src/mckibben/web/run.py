@@ -6,7 +6,6 @@ import dataclasses
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from nicegui import events, ui
@@ -21,6 +20,7 @@ from mckibben.web.layout import (
     PALETTE,
     JobPage,
     NumberField,
+    Series,
     band,
     button,
     chart,
@@ -313,10 +313,10 @@ class _Page(JobPage[Workbench]):
         """Curves of the current run over the kept ones."""
         time, columns, overlays = now.columns["time"], now.columns, self.state.overlays
 
-        def reference(name: str, unit: float) -> dict[str, Any]:
+        def reference(name: str, unit: float) -> Series:
             return line("reference", time, columns[name] / unit, BLACK, dash=True, width=1.5)
 
-        def curves(name: str, unit: float) -> list[dict[str, Any]]:
+        def curves(name: str, unit: float) -> list[Series]:
             older = [
                 line(
                     run.name, run.columns["time"], run.columns[name] / unit, PALETTE[1 + i % _MOST_OVERLAYS], width=1.5

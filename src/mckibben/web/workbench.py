@@ -92,12 +92,12 @@ _ADAPTIVE = 3  # integration steps per control period of a smooth run: with one 
 
 def parse(text: str, folder: Path) -> Scenario:
     """Parse a scenario that names only files of the session, and is short enough for a page."""
-    found = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
-    steps = steps_of(found)
+    scenario = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
+    steps = steps_of(scenario)
     if steps > MOST_STEPS:
         message = f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}"
         raise ParameterError(message, value=steps, remedy="shorten the duration, or use `mckibben simulate`")
-    return found
+    return scenario
 
 
 def steps_of(scenario: Scenario) -> float:
@@ -105,24 +105,24 @@ def steps_of(scenario: Scenario) -> float:
     return scenario.duration / scenario.control_period * (scenario.substeps or _ADAPTIVE)
 
 
-def controller_kind(controller: Any) -> tuple[type, type]:
+def controller_kind(controller: object) -> tuple[type, type]:
     """Classes of a controller and of its loop of the angle, by which the page tells kinds apart."""
     return type(controller), type(getattr(controller, "position", None))
 
 
 @functools.cache
 def _kinds() -> dict[tuple[type, type], str]:
-    found = {}
+    kinds = {}
     for name, section in CONTROLLERS.items():
         scenario = Scenario.parse(with_section(START, section, ("controller",)))
-        found[controller_kind(scenario.controller)] = name
-    return found
+        kinds[controller_kind(scenario.controller)] = name
+    return kinds
 
 
 def chosen_kinds(scenario: Scenario) -> dict[str, str | None]:
     """Kinds of controller and references of a scenario by the label of their field; None if the page has no such."""
     signals = (scenario.signals.angle, scenario.signals.stiffness)
-    angle, stiffness = (name if (name := type(one).__name__.lower()) in SIGNALS else None for one in signals)
+    angle, stiffness = (name if (name := type(signal).__name__.lower()) in SIGNALS else None for signal in signals)
     return {"controller": _kinds().get(controller_kind(scenario.controller)), "angle": angle, "stiffness": stiffness}
 
 
