@@ -294,6 +294,7 @@ def test_an_outlier_is_named_and_can_be_kept():
         ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
         ("is a scenario of a joint, which `mckibben simulate` reads; give a recipe", "the page Run"),
         ("did you mean 'kp'? `mckibben sweep SCENARIO.yaml --list` shows all", "did you mean 'kp'?"),
+        ("tuning reduced the least disk margin; --disk-margin 0.4 bounds it", "a disk margin of 0.4 bounds it"),
     ],
 )
 def test_advice_names_what_the_page_has(text, shown):

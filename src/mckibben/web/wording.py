@@ -20,6 +20,7 @@ _INSTEAD = {
     "accept=['corrupt']": f"tick “{SKIP}”",
     WITH_FRICTION: f"to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
+    "--disk-margin": "a disk margin of",
     f"; {LISTING}": "",
     f" {LISTING}": "",
     LISTING: "",
