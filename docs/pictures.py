@@ -21,23 +21,9 @@ ROOT = Path(__file__).parents[1]
 IMAGES = ROOT / "docs" / "images"
 REST = 162 * mm
 
-GEOMETRIES = {
-    "pulley": mk.PairedPaths(mk.Pulley(30 * mm, REST), mk.Pulley(30 * mm, REST)),
-    "cam": mk.PairedPaths(mk.Cam(30 * mm, REST, arm_slope=8 * mm), mk.Cam(30 * mm, REST, arm_slope=-8 * mm)),
-    "two-bone-path": mk.PairedPaths(
-        mk.TwoBonePath(-30 * mm, REST, -35 * mm, -10 * mm), mk.TwoBonePath(30 * mm, REST, 35 * mm, -10 * mm)
-    ),
-    "tabulated-path": mk.PairedPaths(
-        *(
-            mk.TabulatedPath(
-                [angle * deg for angle in (-40, -20, 0, 20, 40)],
-                arms=[arm * mm for arm in (26, 29, 30, 29, 26.5)],
-                rest_length=REST,
-            )
-            for _ in range(2)
-        )
-    ),
-}
+BONES = mk.PairedPaths(
+    mk.TwoBonePath(-30 * mm, REST, -35 * mm, -10 * mm), mk.TwoBonePath(30 * mm, REST, 35 * mm, -10 * mm)
+)
 
 OF_GALLERY = {
     "uncertainty": "03_uncertainty",
@@ -52,11 +38,12 @@ def main() -> None:
     """Write all pictures."""
     scenario = mk.Scenario.read(ROOT / "examples" / "pre-contracted-step-pid.yaml")
     plant = scenario.plant()
-    drawings = {"drawing-knee": mk.report.draw_joint(plant, 25 * deg, (2 * bar, 4 * bar))}
-    for name, geometry in GEOMETRIES.items():
-        joint = mk.AntagonisticJoint(geometry, plant.joint.muscle1, plant.joint.muscle2)
-        drawings[f"drawing-{name}"] = mk.report.draw_joint(joint, 15 * deg, labels=False)
-    drawings["control-loop"] = draw_control_loop()
+    bones = mk.AntagonisticJoint(BONES, plant.joint.muscle1, plant.joint.muscle2)
+    drawings = {
+        "drawing-knee": mk.report.draw_joint(plant, 25 * deg, (2 * bar, 4 * bar)),
+        "drawing-two-bone-path": mk.report.draw_joint(bones, 15 * deg, labels=False),
+        "control-loop": draw_control_loop(),
+    }
     for name, figure in drawings.items():
         png, _ = save(figure, IMAGES, name)
         png.unlink()  # the pages show the SVG
@@ -127,17 +114,6 @@ def _leg() -> None:
     for name, figure in figures.items():
         _, svg = save(figure, IMAGES, name)
         svg.unlink()  # larger than the PNG
-    _leg_in_space()
-
-
-def _leg_in_space() -> None:
-    """Picture of the leg in space: the stiffness of its foot."""
-    leg = mk.leg.LegScenario.read(ROOT / "examples" / "leg" / "lei-leg-in-space.yaml")
-    assert leg.stiffness is not None
-    posture = leg.leg.posture_angles(leg.stiffness.posture)
-    figure = mk.report.foot_ellipses(leg.leg, posture, found=solve_foot_stiffness(leg))
-    _, svg = save(figure, IMAGES, "leg-space-foot-stiffness")
-    svg.unlink()
 
 
 if __name__ == "__main__":

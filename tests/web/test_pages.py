@@ -252,16 +252,17 @@ def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction()
         .replace("duration: 6", "duration: 0.1")
         .replace("at: 3 s", "at: 0.05 s")
     )
-    run, remarks = workbench.compute(scenario, Path())
+    run, presented = workbench.compute(scenario, Path())
     assert run.columns[workbench.SMALL_MOTION].min() > run.columns["stiffness"].max()
-    assert remarks[-1:] == scenario.joint.remarks
+    assert set(scenario.joint.remarks) <= {remark.text for remark in presented.remarks}
 
 
 def test_a_reference_too_fast_for_the_joint_is_a_remark():
     slow = Scenario.parse(workbench.START).replace(duration=1.0, reference=Reference(Sine(10 * deg, 0.5), 15.0))
     fast = slow.replace(reference=Reference(Sine(10 * deg, 8.0), 15.0))
     for scenario, poor in ((slow, False), (fast, True)):
-        assert any("worse than a joint at rest" in one for one in workbench.compute(scenario, Path())[1]) == poor
+        _, presented = workbench.compute(scenario, Path())
+        assert any("worse than a joint at rest" in remark.text for remark in presented.remarks) == poor
 
 
 def test_an_outlier_is_named_and_can_be_kept():
@@ -293,6 +294,7 @@ def test_an_outlier_is_named_and_can_be_kept():
         ("a bound: see how others fit (mk.rank, or --law all)", "Rank all laws"),
         ("is a scenario of a joint, which `mckibben simulate` reads; give a recipe", "the page Run"),
         ("did you mean 'kp'? `mckibben sweep SCENARIO.yaml --list` shows all", "did you mean 'kp'?"),
+        ("tuning reduced the least disk margin; --disk-margin 0.4 bounds it", "a disk margin of 0.4 bounds it"),
     ],
 )
 def test_advice_names_what_the_page_has(text, shown):
@@ -388,7 +390,7 @@ def test_a_cancelled_fit_and_a_refused_file_leave_the_last_fit(monkeypatch):
 
     def keep_muscle(*given):
         made = written(*given)
-        laws.append(type(given[0].law))
+        laws.append(type(given[0].fit.law))
         if cancel:
             state(identify.IdentificationState).jobs.cancel()
         return made
@@ -491,7 +493,7 @@ def test_a_parameter_changes_the_run_and_runs_are_overlaid():
     first, bench = asyncio.run(visit())
     assert "ki: 90 bar/(rad*s)" in bench.current.text
     assert bench.current.metrics["angle_rmse_deg"] < first.metrics["angle_rmse_deg"]
-    assert [one.text for one in bench.kept] == [first.text]
+    assert [one.text for one in bench.overlays] == [first.text]
     assert Scenario.parse(bench.text).dumps() == bench.text
 
 
@@ -597,13 +599,13 @@ def test_a_test_on_the_simulated_rig_is_vented_or_gives_points():
             bench.pace = 0
             bench.text = rig._START.replace("[1 bar, 2 bar, 3 bar, 4 bar, 5 bar, 6 bar]", "[2 bar, 3 bar]")
             user.find(marker="start").click()
-            await until(lambda: bench.data is not None)
+            await until(lambda: bench.result is not None)
             return stopped, rows, bench
 
     stopped, rows, bench = asyncio.run(visit())
     assert isinstance(stopped, StoppedError) and "vented" in stopped.message
     assert bench.error is None and len(bench.rows) > rows
-    assert sorted({round(p / bar) for p in bench.data.pressure}) == [2, 3]
+    assert sorted({round(p / bar) for p in bench.result.pressure}) == [2, 3]
 
 
 def test_the_page_moves_no_hardware(tmp_path):

@@ -14,11 +14,11 @@ from mckibben.cli.options import (
     reads_files,
     report_reading,
 )
-from mckibben.result import Result
 
 if TYPE_CHECKING:
     from mckibben.calibration import AirFit
     from mckibben.dataset import Recording
+    from mckibben.result import Result
 
 
 @reads_files("slack_force", "specimen")

@@ -202,7 +202,7 @@ def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, o
         attrs = {name: text for name, text in attrs.items() if name == "repairs"}
         attrs |= {"preprocessing": table.preprocessing} if table.preprocessing != "none" else {}
     headers = {name: column.header for name, column in table.columns.items()}
-    lines = FileLines(table.place, table.lines.tolist(), units, headers=headers)
+    lines = FileLines(table.place, table.lines.tolist(), units, headers=headers, columns=() if own else table.rows())
     return replace(kind(made.table.assign_attrs(attrs)), lines=(lines,))
 
 

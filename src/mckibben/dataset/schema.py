@@ -320,7 +320,7 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
 class FileLines(NamedTuple):
     """Lines, or rows of a table, from which the points of a file were read; `file` is empty for a single file.
 
-    `units` and `headers` are those of its columns, by quantity.
+    `units` and `headers` are those of its columns, by quantity; `columns` are the `Table.rows` of a foreign file.
     """
 
     unit: str
@@ -328,6 +328,7 @@ class FileLines(NamedTuple):
     units: Mapping[str, str]
     file: str = ""
     headers: Mapping[str, str] = MappingProxyType({})
+    columns: Sequence[tuple[str, ...]] = ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -118,6 +118,25 @@ class Table:
         asked = "\n".join(str(question.problem) for question in self.questions)
         return f"<pre>{escape(describe(self))}\n{escape(asked)}</pre>"
 
+    def rows(self) -> list[tuple[str, str, str, str, str, str]]:
+        """Header, quantity, unit, origin of the unit, range [unit] and remarks of each column, as text."""
+        rows = []
+        for column in self.columns.values():
+            if column.quantity == "contraction" and not column.unit:  # follows from lengths
+                continue
+            shown = ""
+            if column.values.dtype.kind == "f" and np.isfinite(column.values).any():
+                scale = si_factor(Header(column.quantity, column.unit))
+                low, high = (f"{bound(column.values) / scale:.4g}" for bound in (np.nanmin, np.nanmax))
+                shown = low if low == high else f"{low}..{high}"
+            remarks = [column.reference] if column.reference != "gauge" else []
+            remarks += ["sign reversed"] if column.sign < 0 else []
+            if column.quantity in MOTIONS and self.initial_length:
+                remarks.append(f"initial length {show(self.initial_length, 'mm', 5)}")
+            origin, text = column.source if column.unit else "", ", ".join(filter(None, remarks))
+            rows.append((printable(column.header), column.quantity, column.unit, origin, shown, text))
+        return rows
+
     def ask(self, accept: Sequence[str]) -> None:
         """Raise a `DatasetError` with all questions that are not answered by a topic of `accept`."""
         open_questions = [
@@ -128,24 +147,8 @@ class Table:
 
 
 def describe(table: Table) -> str:
-    """Rows of text: column, quantity, unit, its origin, range and remarks of each column; last the number of rows."""
-    rows = [("column", "quantity", "unit", "unit from", "range", "")]
-    for column in table.columns.values():
-        if column.quantity == "contraction" and not column.unit:  # follows from lengths
-            continue
-        shown = ""
-        if column.values.dtype.kind == "f" and np.isfinite(column.values).any():
-            scale = si_factor(Header(column.quantity, column.unit))
-            low, high = (f"{bound(column.values) / scale:.4g}" for bound in (np.nanmin, np.nanmax))
-            shown = low if low == high else f"{low}..{high}"
-        remarks = [column.reference] if column.reference != "gauge" else []
-        remarks += ["sign reversed"] if column.sign < 0 else []
-        if column.quantity in MOTIONS and table.initial_length:
-            remarks.append(f"initial length {show(table.initial_length, 'mm', 5)}")
-        origin = column.source if column.unit else ""
-        rows.append(
-            (printable(column.header), column.quantity, column.unit, origin, shown, ", ".join(filter(None, remarks)))
-        )
+    """The `Table.rows` as text under their heading; last the number of rows."""
+    rows = [("column", "quantity", "unit", "unit from", "range", ""), *table.rows()]
     widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
     lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
     return "\n".join([*lines, f"{len(table.lines)} rows"])

@@ -20,7 +20,7 @@ from mckibben.errors import ParameterError, SimulationError
 from mckibben.joint.mechanism import Mechanism, muscle_sizes
 from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
 from mckibben.report.palette import MUSCLES, VERMILLION
-from mckibben.report.style import DESIRED, draw_band, pressure_colours, robust_limits, styled
+from mckibben.report.style import DESIRED, Look, draw_band, pressure_colours, robust_limits, styled
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg
 
@@ -80,7 +80,7 @@ def animate(
         raise SimulationError("the run diverged: there is nothing to draw", remedy="animate a run that is finite")
     frames = _frames(result, _plant_of(result) if plant is None else plant)
     milliseconds = round(1000 * min(result.times[-1] / len(frames), _MOST_FRAMES / _RATE / len(frames)))
-    options: dict[str, Any] = {"lossless": True, "quality": 30, "method": 2}
+    options: Look = {"lossless": True, "quality": 30, "method": 2}
     if kind == "GIF":
         frames, options = _differences(frames), {"optimize": False, "transparency": _CLEAR, "disposal": 1}
     options |= {"save_all": True, "append_images": frames[1:], "loop": 0, "duration": max(milliseconds, 20)}

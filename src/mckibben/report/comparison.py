@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.report.figures import ReportFigure, described
 from mckibben.report.page import Section, write_document
-from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
+from mckibben.report.style import DOUBLE, Look, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.report.tables import Table, number, table_of
 from mckibben.report.tracking import tracking
 from mckibben.units import deg
@@ -49,7 +48,7 @@ def comparison_errors(result: CompareResult) -> Figure:
     return figure
 
 
-def _marker(look: Mapping[str, Any]) -> str:
+def _marker(look: Look) -> str:
     """Marker of a controller, different if its colour is reused."""
     return "D" if "alpha" in look else "o"
 
@@ -63,7 +62,7 @@ def comparison_air(result: CompareResult) -> Figure:
         air, angle = result.metric(name, "air") * 1e3, result.metric(name, "angle_rmse") / deg
         if not (np.isfinite(angle) & np.isfinite(air)).any():
             continue  # all runs diverged, or the volume of a muscle unknown
-        (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
+        (x0, x, x1), (y0, y, y1) = (np.nanpercentile(values, [5, 50, 95]) for values in (air, angle))
         axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
         axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
         axes.plot(x, y, marker=_marker(look), markersize=4.5, linestyle="", color=look["color"], label=name)

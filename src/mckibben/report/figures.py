@@ -59,13 +59,15 @@ def described(key: str, figure: Figure, suffix: str = "", **values: object) -> R
 
 
 def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
-    found = reproduction.identification
-    rig = found.rig
+    identification = reproduction.identification
+    rig = identification.rig
     levels, points = len(rig.test.pressures), len(rig.test)
     yield described("fig3-isobaric-curves", isobaric_curves(rig.test), rig=rig, levels=levels, points=points)
-    laws = {EXPERIMENTAL: found.fits[RIG].law, CHOU: ChouLaw.of(rig.muscle.specimen)}
-    yield described("fig4-law-comparison", law_comparison(rig.retest, laws, found.retested))
-    measured = {name_of(name): (found.data[name], found.fits[name]) for name in found.measured}
+    laws = {EXPERIMENTAL: identification.fits[RIG].law, CHOU: ChouLaw.of(rig.muscle.specimen)}
+    yield described("fig4-law-comparison", law_comparison(rig.retest, laws, identification.retested))
+    measured = {
+        name_of(name): (identification.data[name], identification.fits[name]) for name in identification.measured
+    }
     yield described("measured-muscles", measured_muscles(measured))
 
 
@@ -78,7 +80,7 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
         }
         for setting in SETTINGS
     }
-    at_rest = {name: found.at(0.0) for name, found in maps.items()}
+    at_rest = {name: joint_map.at(0.0) for name, joint_map in maps.items()}
     ranges = "; ".join(f"{name}: {low:.1f} to {high:.1f} N·m/rad at 0 degrees" for name, (low, high) in at_rest.items())
     yield described("attainable-stiffness", attainable_stiffness(maps, references), ranges=ranges)
     yield described("torque-stiffness-map", torque_stiffness_map(maps))
@@ -90,7 +92,7 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
         f"{reference.value} stiffness": {name: runs[setting.key, reference, name].result for name in (PID, BP)}
         for reference in StiffnessReference
     }
-    panels = {f"{name}, {title}": (name, found[name]) for name in (PID, BP) for title, found in columns.items()}
+    panels = {f"{name}, {title}": (name, results[name]) for name in (PID, BP) for title, results in columns.items()}
     step = f"{setting.before} to {setting.after}".replace(" N*m/rad to", " to")
     yield described("fig7-control-results", control_results(panels), suffix, setting=setting, step=step)
     constant = columns[f"{StiffnessReference.CONSTANT.value} stiffness"]
@@ -100,13 +102,13 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
 
 def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
     runs, seeds = reproduction.tracking.runs, reproduction.tracking.seeds
-    found: dict[str, dict[str, dict[str, ControllerRun]]] = {}
+    compared: dict[str, dict[str, dict[str, ControllerRun]]] = {}
     for setting in SETTINGS:
         for reference in StiffnessReference:
-            found.setdefault(setting.name, {})[reference.value] = {
+            compared.setdefault(setting.name, {})[reference.value] = {
                 name: run for (key, w, name), run in runs.items() if key == setting.key and w is reference
             }
-    yield described("controller-comparison", controller_comparison(found), seeds=seeds)
+    yield described("controller-comparison", controller_comparison(compared), seeds=seeds)
     histories = {}
     for setting in SETTINGS:
         for name in (BP, TUNED_BP):

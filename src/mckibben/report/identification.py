@@ -21,6 +21,7 @@ from mckibben.report.style import (
     DOUBLE,
     LOADING,
     UNLOADING,
+    Look,
     beside,
     blank,
     by_direction,
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
     from mckibben.identification import Fit, Grouping, HysteresisFit, RankedLaw, Ranking
 
 _SHOWN = 6  # laws whose residuals are drawn
-_LOOKS: dict[str, dict[str, Any]] = {
+_LOOKS: dict[str, Look] = {
     "seen": {"color": "#888888", "marker": "|", "label": "fitted points"},
     "pressure": {"color": BLUE, "marker": "o", "label": "held-out pressures"},
     "contraction": {"color": ORANGE, "marker": "v", "label": "held-out contractions"},
@@ -49,9 +50,9 @@ _LOOKS: dict[str, dict[str, Any]] = {
 
 
 @styled
-def ranking(found: Ranking) -> Figure:
+def ranking(ranked: Ranking) -> Figure:
     """Cross-validation errors of all laws, and residuals of the best ones coloured by pressure."""
-    fitted = [entry for entry in found.entries if entry.fit]
+    fitted = [entry for entry in ranked.entries if entry.fit]
     shown = fitted[:_SHOWN]
     rows = -(-len(shown) // 3)
     above = 0.26 * max(len(fitted), 3) + 0.9
@@ -59,12 +60,12 @@ def ranking(found: Ranking) -> Figure:
     upper, lower = (
         figure.add_subfigure(part) for part in figure.add_gridspec(2, 1, height_ratios=[above, 1.75 * rows])
     )
-    _errors(upper.subplots(), fitted, found)
-    levels = found.points.pressures / bar
+    _errors(upper.subplots(), fitted, ranked)
+    levels = ranked.points.pressures / bar
     scale = Normalize(float(levels.min()), float(levels.max()) if len(levels) > 1 else float(levels.min()) + 1)
     grid = panels(lower, len(shown), 3, sharex=True)
     for i, (axes, entry) in enumerate(zip(grid, shown, strict=True)):
-        _residuals(axes, entry, found, scale)
+        _residuals(axes, entry, ranked, scale)
         letter(axes, i + 1, _short(entry.law))
         if i % 3 == 0:
             axes.set_ylabel("measured − law [N]")
@@ -75,10 +76,10 @@ def ranking(found: Ranking) -> Figure:
     return figure
 
 
-def _errors(axes: Axes, fitted: list[RankedLaw], found: Ranking) -> None:
+def _errors(axes: Axes, fitted: list[RankedLaw], ranked: Ranking) -> None:
     places = np.arange(len(fitted))
     kinds = {"seen": [entry.fit.rmse if entry.fit else np.nan for entry in fitted]}
-    for name in found.blocks:
+    for name in ranked.blocks:
         kinds[name] = [
             entry.cross_validation[name].rmse if name in entry.cross_validation else np.nan for entry in fitted
         ]
@@ -94,18 +95,18 @@ def _errors(axes: Axes, fitted: list[RankedLaw], found: Ranking) -> None:
     log_ticks(axes.xaxis, 1.0, 2.0, 5.0)
     axes.set_xlabel("RMSE [N]")
     axes.grid(axis="x", which="both", alpha=0.3)
-    order = "by cross-validation error" if found.blocks else "by AICc (no block could be held out)"
+    order = "by cross-validation error" if ranked.blocks else "by AICc (no block could be held out)"
     letter(axes, 0, f"laws (number of parameters), {order}")
     axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), framealpha=0.95)
     if any(entry.flags for entry in fitted):
         beside(axes, "shaded: flagged, see the table")
 
 
-def _residuals(axes: Axes, entry: RankedLaw, found: Ranking, scale: Normalize) -> None:
+def _residuals(axes: Axes, entry: RankedLaw, ranked: Ranking, scale: Normalize) -> None:
     assert entry.fit is not None
     residuals = entry.fit.residuals
     assert residuals is not None
-    points = found.points
+    points = ranked.points
     axes.axhline(0, color="#888888", linewidth=0.6, zorder=1)
     axes.scatter(
         points.contraction / percent,
@@ -126,8 +127,8 @@ def _short(law: str) -> str:
 
 
 _MOST = 6  # pressures with their own panel
-_CURVE: dict[str, Any] = {"color": "#222222", "linewidth": 0.9, "zorder": 3}
-_MEAN: dict[str, Any] = {"color": BLUE, "alpha": 0.45, "linewidth": 0, "zorder": 2}
+_CURVE: Look = {"color": "#222222", "linewidth": 0.9, "zorder": 3}
+_MEAN: Look = {"color": BLUE, "alpha": 0.45, "linewidth": 0, "zorder": 2}
 
 
 @styled
@@ -191,29 +192,29 @@ _MODEL = {"color": BLACK, "linewidth": 0.8, "zorder": 4}
 
 
 @styled
-def loops(dataset: IsobaricDataset, found: HysteresisFit) -> Figure:
+def loops(dataset: IsobaricDataset, fit: HysteresisFit) -> Figure:
     """Hysteresis loops, measured and modelled: force (top), and friction force by pressure (bottom).
 
     Raises `RangeError` if the dataset is not the identified one.
     """
     means = dataset.plateau_means()
-    if len(means) != len(found.residuals):
+    if len(means) != len(fit.residuals):
         raise RangeError(
-            f"the hysteresis was identified from {len(found.residuals)} points, the dataset has {len(means)}",
+            f"the hysteresis was identified from {len(fit.residuals)} points, the dataset has {len(means)}",
             remedy="use the dataset of the identification",
         )
-    shown = _spread(np.unique(means.levels[found.tension > 0]))
+    shown = _spread(np.unique(means.levels[fit.tension > 0]))
     columns = min(3, len(shown))
     below = 1.75 * -(-len(shown) // columns)
     figure = blank(DOUBLE, 3.0 + below)
     parts: Any = figure.subfigures(2, 1, height_ratios=[3.0, below])
     upper, lower = parts
     curves = upper.subplots()
-    _forces(curves, means, found)
+    _forces(curves, means, fit)
     letter(curves, 0, "force")
     grid = panels(lower, len(shown), columns, sharex=True, sharey=True)
     for i, (axes, level) in enumerate(zip(grid, shown, strict=True)):
-        error = _loop(axes, means, found, level)
+        error = _loop(axes, means, fit, level)
         letter(axes, i + 1, f"{level / bar:g} bar, RMSE {error:.2g} N")
         axes.set(xlabel=_CONTRACTION, ylabel="friction [N]")
         axes.label_outer()
@@ -225,9 +226,9 @@ def _spread(levels: NDArray[np.float64]) -> NDArray[np.float64]:
     return levels[np.linspace(0, len(levels) - 1, min(len(levels), _MOST)).round().astype(int)]
 
 
-def _forces(axes: Axes, means: IsobaricDataset, found: HysteresisFit) -> None:
+def _forces(axes: Axes, means: IsobaricDataset, fit: HysteresisFit) -> None:
     """Draw all points, and the modelled force of each pass."""
-    force, model = means.force - found.offset, found.tension + found.friction_force
+    force, model = means.force - fit.offset, fit.tension + fit.friction_force
     loading = means.table["direction"].to_numpy() == "loading"
     for side, look in ((loading, LOADING), (~loading, UNLOADING)):
         axes.plot(means.contraction[side] / percent, force[side], linestyle="none", markersize=_size(means), **look)
@@ -238,7 +239,7 @@ def _forces(axes: Axes, means: IsobaricDataset, found: HysteresisFit) -> None:
         Line2D([], [], linestyle="none", markersize=4, label="unloading (shortening)", **UNLOADING),
         Line2D([], [], label="law and friction", **_MODEL),
     ]
-    friction = found.friction
+    friction = fit.friction
     title = f"half width {friction.half_width:.3g} N at {friction.reference_pressure / bar:.3g} bar"
     if friction.growth:
         title += f", {friction.growth * bar:+.2g} N/bar"
@@ -246,19 +247,19 @@ def _forces(axes: Axes, means: IsobaricDataset, found: HysteresisFit) -> None:
     axes.set(xlabel=_CONTRACTION, ylabel="force [N]")
 
 
-def _loop(axes: Axes, means: IsobaricDataset, found: HysteresisFit, level: float) -> float:
+def _loop(axes: Axes, means: IsobaricDataset, fit: HysteresisFit, level: float) -> float:
     """Draw the friction force at a pressure, measured and modelled; return the RMSE [N]."""
-    here = np.isclose(means.levels, level, rtol=0, atol=1.0) & (found.tension > 0)
+    here = np.isclose(means.levels, level, rtol=0, atol=1.0) & (fit.tension > 0)
     loading = means.table["direction"].to_numpy() == "loading"
-    measured = found.residuals + found.friction_force
+    measured = fit.residuals + fit.friction_force
     for side, look in ((here & loading, LOADING), (here & ~loading, UNLOADING)):
         axes.plot(means.contraction[side] / percent, measured[side], linestyle="none", markersize=_size(means), **look)
     for rows in _passes(means):
         if here[rows].any():
             rows = rows[here[rows]]
-            axes.plot(means.contraction[rows] / percent, found.friction_force[rows], **_MODEL)
+            axes.plot(means.contraction[rows] / percent, fit.friction_force[rows], **_MODEL)
     axes.axhline(0.0, color="#999999", linewidth=0.5, zorder=0)
-    return float(np.sqrt(np.mean(found.residuals[here] ** 2)))
+    return float(np.sqrt(np.mean(fit.residuals[here] ** 2)))
 
 
 def _passes(means: IsobaricDataset) -> list[NDArray[np.int64]]:

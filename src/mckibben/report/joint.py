@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -24,6 +24,7 @@ from mckibben.report.palette import BLACK, BLUE, MUSCLES, ORANGE, VERMILLION
 from mckibben.report.style import (
     DESIRED,
     DOUBLE,
+    Look,
     beside,
     blank,
     draw_band,
@@ -66,15 +67,17 @@ def attainable_stiffness(
     """
     figure = blank(DOUBLE, 3.1)
     grid = figure.subplots(1, len(maps), squeeze=False)[0]
-    for i, (axes, (name, found)) in enumerate(zip(grid, maps.items(), strict=True)):
-        angles = found.angles / deg
-        draw_band(axes, angles, found.lowest, found.highest, label="attainable in static equilibrium", color="#BFD9EA")
-        for edge in (found.lowest, found.highest):
+    for i, (axes, (name, joint_map)) in enumerate(zip(grid, maps.items(), strict=True)):
+        angles = joint_map.angles / deg
+        draw_band(
+            axes, angles, joint_map.lowest, joint_map.highest, label="attainable in static equilibrium", color="#BFD9EA"
+        )
+        for edge in (joint_map.lowest, joint_map.highest):
             axes.plot(angles, edge, color=BLUE, linewidth=0.9)
         for (reference, result), look in zip(((references or {}).get(name) or {}).items(), _REFERENCES, strict=False):
             for label, x, y in _path(result, reference):
                 axes.plot(x, y, label=label, zorder=4, **look)
-        first, last = (limit / deg for limit in found.static_range)
+        first, last = (limit / deg for limit in joint_map.static_range)
         for limit in (first, last):
             axes.axvline(limit, color="#888888", linewidth=0.7, linestyle="-.")
         axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS if i == 0 else "")
@@ -94,42 +97,44 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
     figure = blank(DOUBLE, 2.55 * len(maps) + 0.4)
     grid = figure.subplots(len(maps), 3, squeeze=False, sharey=True, sharex="row")
     titles = ("K_min", "K_max", "K_max − K_min")
-    for i, (name, found) in enumerate(maps.items()):
-        values = (found.lowest_at, found.highest_at, found.highest_at - found.lowest_at)
-        span = _levels(found.lowest_at, found.highest_at)
+    for i, (name, joint_map) in enumerate(maps.items()):
+        values = (joint_map.lowest_at, joint_map.highest_at, joint_map.highest_at - joint_map.lowest_at)
+        span = _levels(joint_map.lowest_at, joint_map.highest_at)
         for j, (axes, value) in enumerate(zip(grid[i], values, strict=True)):
             levels = span if j < 2 else _levels(np.zeros(1), value)
             cmap = "viridis" if j < 2 else "cividis"
-            _filled(axes, found, value, levels, cmap)
+            _filled(axes, joint_map, value, levels, cmap)
             filled = ScalarMappable(BoundaryNorm(levels, 256), cmap)
-            axes.plot(found.angles / deg, found.gravity_torque, color="white", linewidth=2.6, zorder=4)
+            axes.plot(joint_map.angles / deg, joint_map.gravity_torque, color="white", linewidth=2.6, zorder=4)
             look = {**DESIRED, "linewidth": 1.2, "zorder": 5}
-            axes.plot(found.angles / deg, found.gravity_torque, label="static torque of the load", **look)
+            axes.plot(joint_map.angles / deg, joint_map.gravity_torque, label="static torque of the load", **look)
             axes.set_facecolor("#F3F3F3")
             axes.grid(False)
             if j:
                 label = _STIFFNESS if j == 1 else "K_max − K_min [N·m/rad]"
                 figure.colorbar(filled, ax=list(grid[i, :2]) if j == 1 else axes, label=label, fraction=0.06, pad=0.02)
             letter(axes, 3 * i + j, f"{name}: {titles[j]}" if j < 2 else titles[j])
-            reach = found.angles[~np.isnan(found.lowest_at).all(axis=0)] / deg
-            edge = found.angles[[0, -1]] / deg
+            reach = joint_map.angles[~np.isnan(joint_map.lowest_at).all(axis=0)] / deg
+            edge = joint_map.angles[[0, -1]] / deg
             axes.set_xlim(max(edge[0], 1.15 * reach.min()), min(edge[1], 1.15 * reach.max()))
             axes.set(xlabel=_ANGLE, ylabel=_TORQUE if j == 0 else "")
     legend_above(figure, *grid.ravel())
     return figure
 
 
-def _filled(axes: Axes, found: JointMap, value: NDArray[np.float64], levels: NDArray[np.float64], cmap: str) -> None:
+def _filled(
+    axes: Axes, joint_map: JointMap, value: NDArray[np.float64], levels: NDArray[np.float64], cmap: str
+) -> None:
     """Filled contours clipped to the smooth outline of the attainable set."""
     held = ~np.isnan(value)
     columns = np.flatnonzero(held.any(axis=0))
-    rows = np.arange(len(found.torques))
+    rows = np.arange(len(joint_map.torques))
     whole = np.stack([np.interp(rows, rows[held[:, j]], value[held[:, j], j]) for j in columns], axis=1)
-    angles = found.angles[columns] / deg
-    filled = axes.contourf(angles, found.torques, whole, levels, cmap=cmap)
+    angles = joint_map.angles[columns] / deg
+    filled = axes.contourf(angles, joint_map.torques, whole, levels, cmap=cmap)
     lines = axes.contour(filled, levels=levels[::2], colors="white", linewidths=0.4, alpha=0.7)
-    low = [found.torques[held[:, j]].min() for j in columns]
-    high = [found.torques[held[:, j]].max() for j in columns]
+    low = [joint_map.torques[held[:, j]].min() for j in columns]
+    high = [joint_map.torques[held[:, j]].max() for j in columns]
     outline = np.column_stack([np.append(angles, angles[::-1]), np.append(low, high[::-1])])
     edge = Polygon(outline, closed=True, transform=axes.transData)
     for drawn in (filled, lines):
@@ -278,7 +283,7 @@ def stiffness(tests: StiffnessTests) -> Figure:
         test = tests.tests[name]
         for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
             label = f"simulated, {test.frequency[row]:.2g} Hz" if color == BLUE else None
-            look: dict[str, Any] = {"color": color, "linestyle": "", "marker": marker}
+            look: Look = {"color": color, "linestyle": "", "marker": marker}
             look |= {"markersize": size, "fillstyle": "none"}
             first.plot(amplitudes, test.stiffness[row], label=label, **look)
         for axes in others:
@@ -308,7 +313,7 @@ def stiffness(tests: StiffnessTests) -> Figure:
 def _box(axes: Axes, angles: Sequence[float], stiffness: Sequence[float], label: str) -> None:
     """Draw a range of angles [rad] and of stiffness [N*m/rad]."""
     (first, last), (low, high) = (angle / deg for angle in angles), stiffness
-    look: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.4}
+    look: Look = {"fill": False, "edgecolor": BLACK, "linewidth": 1.4}
     axes.add_patch(Rectangle((first, low), last - first, high - low, label=label, **look))
 
 

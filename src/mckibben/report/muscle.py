@@ -139,16 +139,16 @@ def recording(recording: Recording) -> Figure:
 
 
 @styled
-def measured_muscles(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
+def measured_muscles(muscles: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
     """Datasets side by side, each with its fit and residuals."""
-    residuals = any(fit for _, fit in found.values())
-    figure = blank(DOUBLE if len(found) > 1 else 5.4, 5.0 if residuals else 3.4)
+    residuals = any(fit for _, fit in muscles.values())
+    figure = blank(DOUBLE if len(muscles) > 1 else 5.4, 5.0 if residuals else 3.4)
     heights = [2.4, 1] if residuals else [1]
-    grid = figure.subplots(len(heights), len(found), squeeze=False, sharex="col", height_ratios=heights)
-    low = min(float(data.levels.min()) for data, _ in found.values()) / bar
-    high = max(float(data.levels.max()) for data, _ in found.values()) / bar
+    grid = figure.subplots(len(heights), len(muscles), squeeze=False, sharex="col", height_ratios=heights)
+    low = min(float(data.levels.min()) for data, _ in muscles.values()) / bar
+    high = max(float(data.levels.max()) for data, _ in muscles.values()) / bar
     scale = Normalize(low, max(high, low + 0.1))
-    for i, (name, (data, fit)) in enumerate(found.items()):
+    for i, (name, (data, fit)) in enumerate(muscles.items()):
         data = data.plateau_means()
         axes = grid[0, i]
         taut = data.taut
@@ -165,7 +165,7 @@ def measured_muscles(found: Mapping[str, tuple[IsobaricDataset, Fit | None]]) ->
             beside(grid[1, i], f"RMSE {np.sqrt(np.mean(difference**2)):.2f} N")
         else:
             axes.set_xlabel(_CONTRACTION)
-        if len(found) > 1:
+        if len(muscles) > 1:
             letter(axes, i, name)
         else:
             axes.set_title(name)

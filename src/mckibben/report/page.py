@@ -111,7 +111,9 @@ def write_document(
 
     `source` is the file from which the results follow, `again` the commands that repeat them.
     """
-    parts = [section._replace(figures=[embedded(one, path.parent) for one in section.figures]) for section in sections]
+    parts = [
+        section._replace(figures=[embedded(figure, path.parent) for figure in section.figures]) for section in sections
+    ]
     template = template_of("document.html.jinja")
     texts = {"title": title, "lead": lead, "source_title": source_title, "source": source, "again": again}
     return write_page(path, template.render(style=style_sheet(), sections=parts, **texts))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,6 +19,7 @@ from mckibben.report.palette import BAND, BLACK, BLUE, VERMILLION
 from mckibben.report.style import (
     DIRECTIONS,
     DOUBLE,
+    Look,
     beside,
     blank,
     by_direction,
@@ -309,8 +310,8 @@ def _shade(axes: Axes, plan: ExperimentPlan, errors: NDArray[np.float64], scale:
     axes.grid(False)
 
 
-def _marks(direction: str, size: float) -> dict[str, Any]:
-    look: dict[str, Any] = DIRECTIONS.get(direction, {"color": "#333333", "marker": "o"})
+def _marks(direction: str, size: float) -> Look:
+    look: Look = DIRECTIONS.get(direction, {"color": "#333333", "marker": "o"})
     return look | {"linestyle": "", "markersize": size, "markeredgewidth": size / 9, "markeredgecolor": "white"}
 
 
@@ -356,7 +357,7 @@ def _quantity_states(panels: tuple[Axes, Axes], plan: ExperimentPlan) -> None:
     if not len(states):
         return
     x, y = states[:, 0] / percent, states[:, 1] / bar
-    look: dict[str, Any] = {"color": BLUE, "linestyle": "", "marker": "+", "markersize": 8, "markeredgewidth": 1.6}
+    look: Look = {"color": BLUE, "linestyle": "", "marker": "+", "markersize": 8, "markeredgewidth": 1.6}
     if len(states) > _MOST_STATES:
         look = {"color": BLUE, "linewidth": 1.0}
         x = np.where([0, 1, 1, 0, 0], x.max(), x.min())

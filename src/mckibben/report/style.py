@@ -39,8 +39,11 @@ if TYPE_CHECKING:
 SINGLE, DOUBLE = 3.5, 7.2
 """Widths of one and of two columns of a journal [inches]."""
 
-DESIRED: dict[str, Any] = {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.0, "zorder": 3}
-CONTROLLERS: dict[str, dict[str, Any]] = {
+Look = dict[str, Any]
+"""Options of an artist of matplotlib."""
+
+DESIRED: Look = {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.0, "zorder": 3}
+CONTROLLERS: dict[str, Look] = {
     "PID": {"color": VERMILLION, "linestyle": "-", "marker": "o"},
     "BP": {"color": BLUE, "linestyle": "-", "marker": "s"},
     "PID, position gains doubled": {"color": GREEN, "linestyle": (0, (5, 1, 1, 1)), "marker": "P"},
@@ -49,7 +52,7 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
     "BP on tuned gains, free": {"color": PURPLE, "linestyle": (0, (1, 1)), "marker": "v"},
 }
 """Fixed styles of the controllers of the paper; `looks_of` assigns styles to others."""
-_SPARE: tuple[dict[str, Any], ...] = (
+_SPARE: tuple[Look, ...] = (
     {"color": VERMILLION, "linestyle": "-"},
     {"color": BLUE, "linestyle": "-"},
     {"color": GREEN, "linestyle": (0, (6, 1.2))},
@@ -60,17 +63,17 @@ _SPARE: tuple[dict[str, Any], ...] = (
     {"color": "#7F7F7F", "linestyle": "-"},
 )
 
-_AGAIN: tuple[dict[str, Any], ...] = (
+_AGAIN: tuple[Look, ...] = (
     {"linestyle": (0, (8, 1.5)), "linewidth": 2.2, "alpha": 0.55},
     {"linestyle": (0, (1, 2)), "linewidth": 2.2, "alpha": 0.55},
 )
 """Variations that distinguish a reused colour from its first use."""
 
-LOADING: dict[str, Any] = {"color": BLUE, "marker": "^"}
-UNLOADING: dict[str, Any] = {"color": VERMILLION, "marker": "v"}
+LOADING: Look = {"color": BLUE, "marker": "^"}
+UNLOADING: Look = {"color": VERMILLION, "marker": "v"}
 DIRECTIONS = {"loading": LOADING, "unloading": UNLOADING}
-EXPERIMENTAL: dict[str, Any] = {"color": "#8E3B8E", "linestyle": "-"}
-THEORETICAL: dict[str, Any] = {"color": GREEN, "linestyle": (0, (5, 1.5))}
+EXPERIMENTAL: Look = {"color": "#8E3B8E", "linestyle": "-"}
+THEORETICAL: Look = {"color": GREEN, "linestyle": (0, (5, 1.5))}
 """Styles of Fig. 4: loading, unloading, experimental law, theoretical law."""
 
 P = ParamSpec("P")
@@ -140,12 +143,12 @@ def blank(width: float, height: float) -> Figure:
     return NotebookFigure(figsize=(width, height), layout="constrained")
 
 
-def looks_of(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+def looks_of(names: Iterable[str]) -> dict[str, Look]:
     """Colour and line style by name: those of `CONTROLLERS`, and unused ones for other names."""
     names = list(names)
     taken = {CONTROLLERS[name]["color"] for name in names if name in CONTROLLERS}
     spare = [look for look in _SPARE if look["color"] not in taken] or list(_SPARE)
-    looks: dict[str, dict[str, Any]] = {}
+    looks: dict[str, Look] = {}
     count = 0
     for name in names:
         if name in CONTROLLERS:
@@ -271,9 +274,9 @@ def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, **look:
     if not len(x):
         return
     every = max(len(x) // _MOST_VERTICES, 1)
-    kept = np.unique(np.append(np.arange(0, len(x), every), len(x) - 1))
-    style: dict[str, Any] = {"color": BAND, "linewidth": 0.0, "zorder": 0} | look
-    axes.fill_between(x[kept], low[kept], high[kept], **style)
+    rows = np.unique(np.append(np.arange(0, len(x), every), len(x) - 1))
+    style: Look = {"color": BAND, "linewidth": 0.0, "zorder": 0} | look
+    axes.fill_between(x[rows], low[rows], high[rows], **style)
 
 
 def plain_numbers(axis: Axis) -> None:
@@ -302,20 +305,20 @@ _CHARACTER, _HANDLE, _LEGEND_ROW = 0.058, 0.45, 0.15  # inches of a legend
 
 def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
     """Draw one legend above the figure, each label once in order of appearance."""
-    found: dict[str, Any] = {}
+    handles: Look = {}
     for panel in axes:
         for handle in panel.get_children():
             label = str(handle.get_label())
             if isinstance(handle, Line2D | Patch | Collection) and label and not _NO_LABEL.match(label):
-                found.setdefault(label, handle)
-    widest = max(map(len, found), default=0) * _CHARACTER + _HANDLE
-    columns = max(1, min(columns, len(found), int(figure.get_figwidth() / widest)))
-    rows = -(-len(found) // columns)
+                handles.setdefault(label, handle)
+    widest = max(map(len, handles), default=0) * _CHARACTER + _HANDLE
+    columns = max(1, min(columns, len(handles), int(figure.get_figwidth() / widest)))
+    rows = -(-len(handles) // columns)
     figure.set_figheight(figure.get_figheight() + max(0, rows - 2) * _LEGEND_ROW)
-    figure.legend(list(found.values()), list(found), loc="outside upper center", ncols=columns)
+    figure.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=columns)
 
 
 def beside(axes: Axes, text: str, **place: Any) -> None:
     """Annotate the upper right corner of a panel."""
-    settings: dict[str, Any] = {"x": 0.985, "y": 0.96, "ha": "right", "va": "top", "fontsize": 7} | place
+    settings: Look = {"x": 0.985, "y": 0.96, "ha": "right", "va": "top", "fontsize": 7} | place
     axes.text(s=text, transform=axes.transAxes, bbox=_HALO, zorder=5, **settings)

@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from mckibben.paper import Reproduction
     from mckibben.result import Listing
 
+Numbers = Mapping[str, Any]
+"""Nested numbers of `Reproduction.results`, by name."""
+
 NAMES = {
     RIG: "simulated rig (Eq. 3 with friction)",
     MARTENS: "DMSP-10-250, measured",
@@ -105,7 +108,7 @@ def unit_text(unit: str) -> str:
     return unit.replace("percent", "%").replace("*", "·")
 
 
-def fit_table(results: Mapping[str, Any]) -> Table:
+def fit_table(results: Numbers) -> Table:
     """Fit errors of Eq. 2 by dataset."""
     columns = {
         "RMSE [N]": "rmse_N",
@@ -123,7 +126,7 @@ def fit_table(results: Mapping[str, Any]) -> Table:
     return Table(caption, ("dataset", "decay μ [1/%]", *columns), rows)
 
 
-def parameter_table(results: Mapping[str, Any]) -> Table:
+def parameter_table(results: Numbers) -> Table:
     """Estimates with standard errors, and the published values of Eq. 3, in its units."""
     fits = results["identification"]
     law = catalog.law("lei-mas-10-180n")
@@ -134,8 +137,8 @@ def parameter_table(results: Mapping[str, Any]) -> Table:
         symbol = name.replace("decay", "μ").translate(str.maketrans("12", "₁₂"))
         cells = [f"{symbol} [{unit_text(unit)}]", f"{published:g}".replace("-", "−")]
         for fit in fits.values():
-            found = fit["parameters"][name]
-            cells.append(with_error(found["estimate"], found["standard_error"]))
+            parameter = fit["parameters"][name]
+            cells.append(with_error(parameter["estimate"], parameter["standard_error"]))
         rows.append(cells)
     return Table(
         "Parameters of Eq. 2: estimate ± standard error, in the units of Eq. 3. They are strongly correlated: "
@@ -145,13 +148,13 @@ def parameter_table(results: Mapping[str, Any]) -> Table:
     )
 
 
-def validation_tables(results: Mapping[str, Any]) -> list[Table]:
+def validation_tables(results: Numbers) -> list[Table]:
     """Validation errors by pressure on the rig, and over all points on measured muscles."""
-    found = results["validation"]
-    retest = found["retest_rmse_N"]
+    validation = results["validation"]
+    retest = validation["retest_rmse_N"]
     columns = {f"second test: {law}": values for law, values in retest.items()}
-    columns |= {f"pressures held out: {law}": values for law, values in found["held_out_pressures_rmse_N"].items()}
-    columns |= {f"repeat held out: {law}": values for law, values in found["held_out_repeat_rmse_N"].items()}
+    columns |= {f"pressures held out: {law}": values for law, values in validation["held_out_pressures_rmse_N"].items()}
+    columns |= {f"repeat held out: {law}": values for law, values in validation["held_out_repeat_rmse_N"].items()}
     rows = [place for place in next(iter(columns.values())) if place[0].isdigit()]  # by pressure, also by direction
     pressures = sorted(rows, key=lambda place: float(place.split()[0]))
     by_pressure = Table(
@@ -162,7 +165,7 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
         ("pressure", *(f"{name} [N]" for name in columns)),
         [(p, *(number(values[p]) for values in columns.values())) for p in pressures],
     )
-    measured = found["measured_rmse_N"]
+    measured = validation["measured_rmse_N"]
     laws = list(next(iter(measured.values())))
     overall = Table(
         "Measured muscles, RMSE [N] over all taut points: laws fitted to these points, and laws from other sources.",
@@ -172,19 +175,19 @@ def validation_tables(results: Mapping[str, Any]) -> list[Table]:
     return [by_pressure, overall]
 
 
-def joint_table(results: Mapping[str, Any]) -> Table:
+def joint_table(results: Numbers) -> Table:
     """Attainable set of the knee."""
-    found = {setting: results["joint"][setting.key] for setting in SETTINGS}
+    attainable = {setting: results["joint"][setting.key] for setting in SETTINGS}
     rows = [
         (s.name, s.connectors, *map(number, [*of["attainable_stiffness_at_0_deg"], *of["static_range_deg"]]))
-        for s, of in found.items()
+        for s, of in attainable.items()
     ]
     head = ("geometry", "connectors", "K_min at 0° [N·m/rad]", "K_max at 0° [N·m/rad]",
             "equilibrium from [deg]", "to [deg]")  # fmt: skip
     return Table("Knee with its load, pressures and contractions within their limits.", head, rows)
 
 
-def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
+def tracking_tables(results: Numbers) -> list[Table]:
     """Tracking errors by geometry, stiffness reference and controller; median and worst over seeds."""
     columns = {
         "angle RMSE [deg]": "angle_rmse_deg",
@@ -211,7 +214,7 @@ def tracking_tables(results: Mapping[str, Any]) -> list[Table]:
     return tables
 
 
-def _tracking_row(name: str, run: Mapping[str, Any], columns: Mapping[str, str], seeds: int) -> tuple[str, ...]:
+def _tracking_row(name: str, run: Numbers, columns: Mapping[str, str], seeds: int) -> tuple[str, ...]:
     def cell(key: str) -> str:
         never = "never" if "settling" in key else "–"
         median = never if run[key] is None else number(run[key])
@@ -227,7 +230,7 @@ def _tracking_row(name: str, run: Mapping[str, Any], columns: Mapping[str, str],
     )
 
 
-def gains_table(reproduction: Reproduction, results: Mapping[str, Any]) -> Table:
+def gains_table(reproduction: Reproduction, results: Numbers) -> Table:
     """Moderate and tuned gains of both loops, in the same units."""
     units = {
         "position": ("bar/rad", "bar/(rad*s)", "bar*s/rad"),
@@ -279,7 +282,7 @@ def settings_table(reproduction: Reproduction) -> Table:
     )
 
 
-def coupling_table(results: Mapping[str, Any]) -> Table:
+def coupling_table(results: Numbers) -> Table:
     """Coupling of position and stiffness."""
     keys = ("angle_by_step_deg", "stiffness_by_motion", "stiffness_at_rest")
     rows = [(s.name, *(number(results["coupling"][s.key][key]) for key in keys)) for s in SETTINGS]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +18,7 @@ from mckibben.report.style import (
     CONTROLLERS,
     DESIRED,
     DOUBLE,
+    Look,
     blank,
     draw_band,
     legend_above,
@@ -129,7 +130,7 @@ def control_results(panels: Mapping[str, tuple[str, SimulationResult]]) -> Figur
     return figure
 
 
-def _stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, dict[str, Any]]) -> None:
+def _stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
     first = next(iter(runs.values()))
     draw_band(axes, first.times, first["lowest_stiffness"], first["highest_stiffness"], label=_BAND)
     for name, result in runs.items():
@@ -267,7 +268,7 @@ _GAINS = {
     "ki": {"color": GREEN, "linestyle": (0, (5, 1.5))},
     "kd": {"color": PURPLE, "linestyle": (0, (1, 1))},
 }
-_ABOVE: dict[str, Any] = {
+_ABOVE: Look = {
     "xycoords": "axes fraction",
     "textcoords": "offset points",
     "va": "bottom",
@@ -295,7 +296,7 @@ def controller_comparison(runs: Mapping[str, Mapping[str, Mapping[str, Controlle
             axes.grid(axis="y", visible=False)
             letter(axes, len(_METRICS) * i + j, geometry)
     references = next(iter(runs.values()))
-    grey: dict[str, Any] = {"linestyle": "", "color": "#444444"}
+    grey: Look = {"linestyle": "", "color": "#444444"}
     handles = [
         Line2D([], [], marker="o", markersize=5, markerfacecolor=face, label=f"{name} stiffness", **grey)
         for name, face in zip(references, ("#444444", "white"), strict=False)
@@ -343,7 +344,7 @@ def _dots(
     stable = [run.worst(metric) / unit for *_, run in runs if run.unstable == 0]
     end = 2.0 * max((value for value in stable if value < _WIDEST * smallest), default=10 * smallest)
     for (name, k, run), median in zip(runs, medians, strict=True):
-        look: dict[str, Any] = CONTROLLERS.get(name, {"color": "#444444", "marker": "o"})
+        look: Look = CONTROLLERS.get(name, {"color": "#444444", "marker": "o"})
         place, color = names.index(name) + (-0.17 if k == 0 else 0.17), look["color"]
         worst = run.worst(metric) / unit
         lost = not (median <= end) or run.unstable > _seeds(run) / 2

@@ -5,7 +5,7 @@ from types import ModuleType
 from typing import NoReturn
 
 from mckibben.errors import CallError
-from mckibben.scenario.muscle import muscle_text, read_specimen
+from mckibben.scenario.muscle import muscle_text, read_specimen, write_muscle
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
 from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario, with_run
 from mckibben.scenario.values import (
@@ -49,4 +49,5 @@ __all__ = [
     "valid_rows",
     "with_run",
     "with_values",
+    "write_muscle",
 ]

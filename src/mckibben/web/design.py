@@ -124,7 +124,9 @@ class JointDesign:
     angle: float = 10.0
 
     def __post_init__(self) -> None:
-        self.dimensions = {name: one.value for name, one in KINDS[self.kind].dimensions.items()} | self.dimensions
+        self.dimensions = {
+            name: dimension.value for name, dimension in KINDS[self.kind].dimensions.items()
+        } | self.dimensions
 
 
 class Designed(NamedTuple):
@@ -178,18 +180,18 @@ def joint_of(design: JointDesign, muscle: Muscle) -> AntagonisticJoint:
     return AntagonisticJoint(KINDS[design.kind].geometry(length, **design.dimensions), muscle, muscle)
 
 
-def limits_at(design: JointDesign, found: Designed) -> str:
+def limits_at(design: JointDesign, designed: Designed) -> str:
     """Binding limits of the attainable stiffness at the drawn angle, as `mckibben envelope` names them."""
-    here = found.here
+    here = designed.here
     if not math.isfinite(float(here.stiffness[0])):
         return ""
-    joint, ends = found.joint, [np.array(one)[:, None] for one in here.ends]
+    joint, ends = designed.joint, [np.array(end)[:, None] for end in here.ends]
     supplied = rated_for(joint, (design.pressure * bar,) * 2)
     texts = active_limits(supplied, (joint.muscle1, joint.muscle2), np.array([design.angle * deg]), ends)
-    return "; ".join(one for one in texts if "stiffness: " in one)
+    return "; ".join(text for text in texts if "stiffness: " in text)
 
 
-def connector_length(geometry: Any) -> float | None:
+def connector_length(geometry: Geometry) -> float | None:
     """Length of the connectors [m]; None for a geometry without connectors."""
     return getattr(getattr(geometry, "path1", geometry), "connector_length", None)
 
@@ -202,7 +204,7 @@ def highest_pressures(muscle: Muscle) -> tuple[float, float]:
 
 def pressure_limits(muscle: Muscle) -> tuple[float, float]:
     """Lowest and highest pressure [bar] of a muscle's domain."""
-    low, high = (float(one) / bar * 100 for one in (muscle.domain.pressure_min, muscle.domain.pressure_max))
+    low, high = (float(limit) / bar * 100 for limit in (muscle.domain.pressure_min, muscle.domain.pressure_max))
     return max(math.ceil(round(low, 6)) / 100, 0.0), math.floor(round(high, 6)) / 100
 
 
@@ -211,7 +213,7 @@ def compute(design: JointDesign, muscle: Muscle) -> Designed:
     joint = joint_of(design, muscle)
     limits = pressure_limits(muscle)[0] * bar, design.pressure * bar
     *ranges, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, limits)
-    stiffness, small, torque = (one and (np.asarray(one[0]), np.asarray(one[1])) for one in ranges)
+    stiffness, small, torque = (edges and (np.asarray(edges[0]), np.asarray(edges[1])) for edges in ranges)
     return Designed(joint, stiffness, small, torque, here)
 
 
@@ -229,7 +231,7 @@ def scenario_lines(design: JointDesign, muscle: Muscle) -> str:
     )
 
 
-def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[Any, Any]) -> str:
+def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[ArrayLike, ArrayLike]) -> str:
     """SVG of a joint at an angle [rad], to scale; contains only numbers."""
     mechanism = Mechanism(joint.geometry, (-POSE * deg, POSE * deg))
     strands, height = mechanism.strands(angle), mechanism.height / mm
@@ -244,7 +246,7 @@ def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[Any, Any
         return f'<polyline points="{points(*places)}" fill="none" {look}/>'
 
     top = mechanism.height * mechanism.up
-    levers = [one.end for one, straight in zip(strands, mechanism.straight, strict=True) if straight]
+    levers = [strand.end for strand, straight in zip(strands, mechanism.straight, strict=True) if straight]
     parts = [
         *(f'<polygon points="{points(*outline)}" fill="#dce1e8"/>' for outline in mechanism.cams(angle)),
         path("#c3cad1", 2.2 * bone, top, (0, 0)),
@@ -257,7 +259,7 @@ def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[Any, Any
         thick = (SLENDER * length if diameter is None else diameter) / mm
         body = path(color, float(thick), *strand.body(float(length))).replace("round", "butt")
         parts += [path("#6b7680", 0.5 * bone, strand.start, strand.end, *strand.wrap), body]
-    side = max(0.62 * height, 1.3 * max(abs(one.start[0]) for one in strands) / mm)
+    side = max(0.62 * height, 1.3 * max(abs(strand.start[0]) for strand in strands) / mm)
     box = f"{-side:.1f} {-1.06 * height:.1f} {2 * side:.1f} {1.68 * height:.1f}"
     return (
         f'<svg viewBox="{box}" role="img" aria-label="drawing of the joint" '

@@ -19,12 +19,12 @@ from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.errors import ScenarioError, UnitError, printable
-from mckibben.identification import Fit, HysteresisFit, identify_with_friction, rank
+from mckibben.identification import FitWithFriction, identify_with_friction, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
-from mckibben.muscle.air import inner_volume, volume_terms
+from mckibben.muscle.air import inner_volume
 from mckibben.result import Remark
-from mckibben.scenario import muscle_text
+from mckibben.scenario import write_muscle
 from mckibben.units import factor, quantity
 from mckibben.web.layout import (
     JobPage,
@@ -41,7 +41,7 @@ from mckibben.web.layout import (
     text_area,
     upload,
 )
-from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal, rows_read
+from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal, understood
 from mckibben.web.results import Presented, show_result
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
@@ -92,43 +92,37 @@ class IdentificationState(JobState):
         self.notes, self.error = heard, None
 
 
-def keep_muscle(
-    fit: Fit, loops: HysteresisFit | None, data: IsobaricDataset, folder: Path, diameter: str = ""
-) -> Muscle | None:
+def keep_muscle(identified: FitWithFriction, data: IsobaricDataset, folder: Path, inner: str = "") -> Muscle | None:
     """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown.
 
     An inner diameter, or the measured volume of air, gives it a volume, as `mckibben identify --inner`.
     """
-    fit.to_yaml(folder / "fit.yaml")
-    attrs = data.table.attrs
-    length = attrs.get("initial_length")
-    slip, unknown = (loops.friction, loops.undetermined) if loops else (None, ())
-    terms = None
-    if length and diameter.strip():
+    identified.fit.to_yaml(folder / "fit.yaml")
+    attrs, loops = data.table.attrs, identified.hysteresis
+    length, volume = attrs.get("initial_length"), None
+    if length and inner.strip():
         try:
-            volume = quantity(diameter, "m^3")
+            volume = quantity(inner, "m^3")
         except UnitError:
-            volume = inner_volume(length, quantity(diameter, "m"))
-        terms = volume_terms(fit.law, length, volume)
-    text = muscle_text(
-        "fit.yaml",
+            volume = inner_volume(length, quantity(inner, "m"))
+    path = folder / "muscle.yaml"
+    written = write_muscle(
+        path,
+        identified.fit.law,
         specimen=attrs["specimen"],
         initial_length=length,
-        friction=slip,
-        undetermined=unknown,
-        volume_terms=terms,
+        volume=volume,
+        friction=loops.friction if loops else None,
+        undetermined=loops.undetermined if loops else (),
     )
-    if not text:
-        return None
-    (folder / "muscle.yaml").write_text(text, encoding="utf-8")
-    return read_component(Muscle, folder / "muscle.yaml")
+    return read_component(Muscle, path) if written else None
 
 
 def page() -> None:
     """The page."""
-    kept = session()
+    visitor = session()
     with frame("/identify"):
-        _Page(kept.state(IdentificationState), kept.folder)
+        _Page(visitor.state(IdentificationState), visitor.folder)
 
 
 class _Page(JobPage[IdentificationState]):
@@ -186,12 +180,12 @@ class _Page(JobPage[IdentificationState]):
 
     async def uploaded(self, event: events.MultiUploadEventArguments) -> None:
         """Store the uploaded files of a test; a recipe fills the fields by which they, or earlier ones, are read."""
-        files = [one for one in event.files if not one.name.lower().endswith((".yaml", ".yml"))]
-        for one in event.files:
-            if one not in files:
-                text = (await one.read()).decode("utf-8", errors="replace")
+        files = [file for file in event.files if not file.name.lower().endswith((".yaml", ".yml"))]
+        for file in event.files:
+            if file not in files:
+                text = (await file.read()).decode("utf-8", errors="replace")
                 try:
-                    self.state.reading.take(Recipe.parse(text, source=printable(one.name, 80)))
+                    self.state.reading.take(Recipe.parse(text, source=printable(file.name, 80)))
                 except ScenarioError as error:
                     ui.notify(printable(on_page(str(error)), 1000), type="negative", multi_line=True)
                     return
@@ -199,17 +193,17 @@ class _Page(JobPage[IdentificationState]):
             self.options.value = True
             self.read()
             return
-        paths = [self.new_file(one.name) for one in files]
-        for one, path in zip(files, paths, strict=True):
-            await one.save(path)
+        paths = [self.new_file(file.name) for file in files]
+        for file, path in zip(files, paths, strict=True):
+            await file.save(path)
         more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
         self.take(printable(files[0].name, 80) + more, *paths)
 
     def new_file(self, name: str) -> Path:
         """Path of a new file in a folder of its own, as two tabs may send data at once, with our ending and prefix."""
-        given = Path(name)
-        ending = suffix if _READABLE.fullmatch(suffix := given.suffix.lower()) else ".csv"
-        stem = re.sub(r'[\x00-\x1f/\\:*?"<>|]', "_", given.stem)[-60:]  # the characters that no system forbids
+        sent = Path(name)
+        ending = suffix if _READABLE.fullmatch(suffix := sent.suffix.lower()) else ".csv"
+        stem = re.sub(r'[\x00-\x1f/\\:*?"<>|]', "_", sent.stem)[-60:]  # the characters that no system forbids
         return Path(tempfile.mkdtemp(dir=self.folder, prefix="data-")) / f"data-{stem}{ending}"
 
     def paste(self) -> None:
@@ -248,8 +242,8 @@ class _Page(JobPage[IdentificationState]):
 
     def named(self, text: str) -> str:
         """A text with the names of our files without their folder."""
-        for one in self.state.sources:
-            text = text.replace(str(one), one.name.removeprefix("data-"))
+        for path in self.state.sources:
+            text = text.replace(str(path), path.name.removeprefix("data-"))
         return text
 
     def read(self) -> None:
@@ -267,19 +261,19 @@ class _Page(JobPage[IdentificationState]):
         friction = _FRICTION[state.friction]
 
         def compute(_: Callable[[str, float], None]) -> tuple[Presented, Muscle | None, Path]:
-            found = identify_with_friction(law, data, friction=friction, robust=not keep)
-            kept = Path(tempfile.mkdtemp(dir=folder))
-            muscle = keep_muscle(found.fit, found.hysteresis, data, kept, diameter)
-            return Presented.of(found), muscle, kept
+            fit = identify_with_friction(law, data, friction=friction, robust=not keep)
+            written = Path(tempfile.mkdtemp(dir=folder))
+            muscle = keep_muscle(fit, data, written, diameter)
+            return Presented.of(fit), muscle, written
 
         def done(made: tuple[Presented, Muscle | None, Path], heard: list[str]) -> None:
-            fit, state.muscle, kept = made
+            fit, state.muscle, written = made
             state.show_first("fit", fit, heard)
             for name in ("fit.yaml", "muscle.yaml"):  # only now: a cancelled fit leaves the files of the last one
                 (folder / name).unlink(missing_ok=True)
-                if (kept / name).exists():
-                    (kept / name).replace(folder / name)
-            kept.rmdir()
+                if (written / name).exists():
+                    (written / name).replace(folder / name)
+            written.rmdir()
 
         self.start_job(compute, done)
 
@@ -330,13 +324,9 @@ class _Page(JobPage[IdentificationState]):
                 for name, unit in _SHOWN.items()
                 for low, high in [np.array([f(data.table[name].to_numpy()) for f in (np.min, np.max)]) / factor(unit)]
             ]
-            if read := attrs.get("columns_read"):
-                cells, last = rows_read(read)
+            if cells := understood(data):
                 titles = ("column", "quantity", "unit", "unit from", "range", "remark")
-                table(titles, [[*map(self.named, row)] for row in cells], texts=range(6)).classes("understood").mark(
-                    "read"
-                )
-                quiet(self.named(last))
+                table(titles, cells, texts=range(6)).classes("understood").mark("read")
             recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
             table(("column", "unit", "from", "to"), rows, texts=(0, 1))
             lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []
@@ -358,13 +348,13 @@ class _Page(JobPage[IdentificationState]):
 
     def download(self) -> None:
         """Offer fit.yaml, the recipe of a file and, if the length is known, muscle.yaml for download."""
-        kept = io.BytesIO()
-        with zipfile.ZipFile(kept, "w", zipfile.ZIP_DEFLATED) as folder:
+        content = io.BytesIO()
+        with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as folder:
             for name in ("muscle.yaml", "fit.yaml") if self.state.muscle is not None else ("fit.yaml",):
                 folder.writestr(name, (self.folder / name).read_bytes())
             if self.state.read_by is not None:
                 folder.writestr("recipe.yaml", self.state.read_by.recipe().dumps())
-        ui.download.content(kept.getvalue(), "muscle.zip")
+        ui.download.content(content.getvalue(), "muscle.zip")
 
     def design(self) -> None:
         """Use the muscle on the joint page."""

@@ -34,6 +34,7 @@ from mckibben.web.layout import (
     LATER,
     NumberField,
     NumberSlider,
+    Series,
     band,
     button,
     chart,
@@ -61,8 +62,8 @@ def _held(angles: np.ndarray, holds: np.ndarray) -> str:
 
 def page() -> None:
     """The page."""
-    kept = session()
-    design, known = kept.state(JointDesign), muscles(kept.state(IdentificationState).muscle)
+    visitor = session()
+    design, known = visitor.state(JointDesign), muscles(visitor.state(IdentificationState).muscle)
     if design.muscle not in known:
         design.muscle = next(iter(known))
     with frame("/"):
@@ -119,7 +120,7 @@ class _Page:
             with panel("At this angle"), ui.element("div").classes("facts") as facts:
                 self.facts = [self.fact(name) for name in ("stiffness", "torque of the muscles", "moment arms")]
         self.shown = self.drawing, self.stiffness, self.small_panel, self.torque, facts
-        self.found: Designed | None = None
+        self.newest: Designed | None = None
         ui.timer(0.0, self.again, once=True)
         ui.timer(LATER, self.show_rest)
 
@@ -141,21 +142,23 @@ class _Page:
 
     def slider(self, made: NumberSlider) -> None:
         """Keep the field of a new slider: the results are grey while it shows a value that is refused."""
-        self.fields = [*(one for one in self.fields if not one.is_deleted), made.field]
+        self.fields = [*(field for field in self.fields if not field.is_deleted), made.field]
         made.field.on_value_change(self.grey)
 
     def form(self) -> None:
         """Sliders for the dimensions of this kind of joint."""
         self.dimensions.clear()
         with self.dimensions:
-            for name, one in KINDS[self.design.kind].dimensions.items():
+            for name, dimension in KINDS[self.design.kind].dimensions.items():
 
                 async def changed(value: float, name: str = name) -> None:
                     self.design.dimensions[name] = value
                     await self.again()
 
                 value = self.design.dimensions[name]
-                self.slider(NumberSlider(one.label, one.unit, one.limits, one.step, value, changed))
+                self.slider(
+                    NumberSlider(dimension.label, dimension.unit, dimension.limits, dimension.step, value, changed)
+                )
 
     def pressure_form(self) -> None:
         """Slider for the highest pressure, in the range of the muscle."""
@@ -173,9 +176,9 @@ class _Page:
     def grey(self, _: Any = None, *, old: bool | None = None) -> None:
         """Grey the results if they are old, or if the value of a field is refused; otherwise show their colours."""
         self.old = self.old if old is None else old
-        refused = any(not one.validate() for one in self.fields if not one.is_deleted)
-        for one in self.shown:
-            one.classes(**{"add" if self.old or refused else "remove": "stale"})
+        refused = any(not field.validate() for field in self.fields if not field.is_deleted)
+        for part in self.shown:
+            part.classes(**{"add" if self.old or refused else "remove": "stale"})
         for text in (self.note, self.limits):
             text.classes(**{"add" if refused else "remove": "stale"})
 
@@ -204,20 +207,20 @@ class _Page:
             self.form()
         await self.again()
 
-    def show(self, found: Designed) -> None:
+    def show(self, designed: Designed) -> None:
         """Draw the stiffness; `show_rest` draws the rest."""
         self.grey(old=False)
         angles = ANGLES / deg
-        low, high = found.stiffness
+        low, high = designed.stiffness
         lowest, highest = line("lowest", angles, low, BLUE), line("highest", angles, high, VERMILLION)
         draw(self.stiffness, [*band("attainable", angles, low, high, "#9aa7b3"), lowest | self.mark(), highest])
-        self.small_panel.visible = found.small_motion is not None
-        if found.small_motion is not None:  # in its own chart, as it can be many times the isobaric stiffness
-            ends = zip(("at the lowest", "at the highest"), found.small_motion, (BLUE, VERMILLION), strict=True)
+        self.small_panel.visible = designed.small_motion is not None
+        if designed.small_motion is not None:  # in its own chart, as it can be many times the isobaric stiffness
+            ends = zip(("at the lowest", "at the highest"), designed.small_motion, (BLUE, VERMILLION), strict=True)
             draw(self.small, [line(name, angles, edge, color) for name, edge, color in ends])
-        self.found = found
+        self.newest = designed
 
-    def mark(self) -> dict[str, Any]:
+    def mark(self) -> Series:
         """Line at the drawn angle."""
         look = {"color": BLACK, "type": [4, 3], "width": 1}
         data = [{"xAxis": self.design.angle}]
@@ -227,25 +230,25 @@ class _Page:
 
     async def show_rest(self) -> None:
         """Show drawing, torque and texts of the newest joint, unless already shown."""
-        found, self.found = self.found, None
-        if found is None:
+        designed, self.newest = self.newest, None
+        if designed is None:
             return
         if self.errors.default_slot.children:
             self.errors.clear()
-        design, here, angles = self.design, found.here, ANGLES / deg
+        design, here, angles = self.design, designed.here, ANGLES / deg
         muscle = self.known[design.muscle]
-        self.drawing.content, _ = await in_thread(drawing, found.joint, design.angle * deg, here.contractions)
-        least, most = found.torque
+        self.drawing.content, _ = await in_thread(drawing, designed.joint, design.angle * deg, here.contractions)
+        least, most = designed.torque
         load = line("load", [-POSE, POSE], [design.torque] * 2, BLACK, dash=True, width=1.5)
         lower, upper = (line(name, angles, edge, GREEN) for name, edge in (("lowest", least), ("highest", most)))
         curves = [*band("attainable", angles, least, most, GREEN), lower | self.mark(), upper, load]
         draw(self.torque, curves, legend=("attainable", "load"))
-        self.note.text = _held(angles, np.isfinite(found.stiffness[0]))
-        self.limits.text, _ = await in_thread(limits_at, design, found)
+        self.note.text = _held(angles, np.isfinite(designed.stiffness[0]))
+        self.limits.text, _ = await in_thread(limits_at, design, designed)
         least, most = pressure_limits(muscle)
         measured = f"The law was measured from {least:g} to {most:g} bar; with extrapolate: true, scenarios go beyond."
         self.lowest.text = measured if least else ""
-        own, between = muscle.specimen.initial_length / mm, connector_length(found.joint.geometry)
+        own, between = muscle.specimen.initial_length / mm, connector_length(designed.joint.geometry)
         connectors = "" if between is None else f"connectors {between / mm:.1f} mm, "
         self.series.text = f"{connectors}muscles of {own:g} mm"
         (k1, k2), (t1, t2), arms = (tuple(float(x) for x in pair) for pair in (here.stiffness, here.torque, here.arms))
@@ -254,14 +257,14 @@ class _Page:
         self.facts[1].text = f"{t1:.3g} to {t2:.3g} N·m" if math.isfinite(t1) else "a muscle is outside its range"
         self.facts[2].text = f"{arms[0] / mm:.1f} and {arms[1] / mm:.1f} mm"
         domain, names = muscle.domain, ("antagonist", "agonist")
-        for text, name, one in zip(self.contractions, names, map(float, here.contractions), strict=True):
-            inside = domain.contraction_min <= one <= domain.contraction_max
-            text.text = f"{name} {one / percent:.1f} %" + ("" if inside else ", out of range")
+        for label, name, contraction in zip(self.contractions, names, map(float, here.contractions), strict=True):
+            inside = domain.contraction_min <= contraction <= domain.contraction_max
+            label.text = f"{name} {contraction / percent:.1f} %" + ("" if inside else ", out of range")
 
     def fail(self, error: Exception) -> None:
         """Show why this joint is impossible; the results of the last possible one turn grey."""
         assert isinstance(error, McKibbenError)
-        self.found, self.note.text, self.limits.text = None, "", ""
+        self.newest, self.note.text, self.limits.text = None, "", ""
         self.grey(old=True)
         self.errors.clear()
         with self.errors:

@@ -26,6 +26,9 @@ from mckibben.web.wording import on_page, quotes
 
 State = TypeVar("State", bound=JobState)
 
+Series = dict[str, Any]
+"""Options of a curve of a chart."""
+
 PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 
 LATER = 0.05
@@ -64,7 +67,9 @@ def side() -> Iterator[None]:
         yield
 
 
-def button(label: str, action: Callable[..., Any], mark: str = "", *, main: bool = False, **options: Any) -> ui.button:
+def button(
+    label: str, action: Callable[..., object], mark: str = "", *, main: bool = False, **options: Any
+) -> ui.button:
     """A button, flat unless it is a main one of its panel."""
     made = ui.button(label, on_click=action, **options).props(f"{'unelevated' if main else 'flat'} no-caps")
     return made.mark(mark) if mark else made
@@ -118,12 +123,12 @@ def show_error(error: McKibbenError) -> None:
     _message(f"{count} problem{'s' if count != 1 else ''}", "")
     rows = [
         (
-            "" if one.line is None else one.line,
-            printable(one.field, 80),
-            printable(quotes(one.message), 400),
-            printable(on_page(one.remedy), 400),
+            "" if problem.line is None else problem.line,
+            printable(problem.field, 80),
+            printable(quotes(problem.message), 400),
+            printable(on_page(problem.remedy), 400),
         )
-        for one in error.problems[:100]
+        for problem in error.problems[:100]
     ]
     place = "column" if isinstance(error, DatasetError) else "field"
     table(("line", place, "problem", "remedy"), rows, texts=range(4))
@@ -152,8 +157,8 @@ class JobPage(Generic[State]):
     ) -> None:
         """As `Jobs.start`; an error is stored in the state. The page scrolls to the results, or stays where it is."""
 
-        def end(found: Any, heard: list[str]) -> None:
-            done(found, heard)
+        def end(result: Any, heard: list[str]) -> None:
+            done(result, heard)
             self.ended = scroll
 
         self.state.jobs.start(compute, end, self.fail)
@@ -221,7 +226,7 @@ _BREAKS_AT_DOTS = r"""
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, texts: Collection[int] = (0,)) -> ui.table:
     """A table; the columns of these numbers are texts, others are aligned to the right."""
-    columns: list[dict[str, Any]] = [
+    columns: list[dict[str, str]] = [
         {"name": str(i), "label": name, "field": str(i), "align": "left" if i in texts else "right"}
         for i, name in enumerate(header)
     ]
@@ -268,16 +273,16 @@ class NumberField(ui.number):
         self,
         label: str | None,
         value: float,
-        holds: Callable[[float], Any],
+        holds: Callable[[float], bool],
         allowed: str,
-        changed: Callable[[float], Any],
+        changed: Callable[[float], object],
         *,
         step: float | None = None,
     ) -> None:
         def refused(number: float | None) -> str | None:
             return None if number is not None and math.isfinite(number) and holds(number) else f"give {allowed}"
 
-        def taken() -> Any:
+        def taken() -> object:
             return changed(self.value) if self.value is not None and self.validate() else None
 
         super().__init__(label, value=value, step=step, on_change=taken, validation=refused)
@@ -310,7 +315,7 @@ class NumberSlider:
         limits: tuple[float, float],
         step: float,
         value: float,
-        changed: Callable[[float], Any],
+        changed: Callable[[float], Awaitable[None]],
     ) -> None:
         low, high = limits
         self._changed = changed
@@ -318,7 +323,7 @@ class NumberSlider:
             with ui.row().classes("w-full items-center justify-between no-wrap"):
                 ui.label(label).classes("quiet")
                 self.field = NumberField(
-                    None, value, lambda one: low <= one <= high, f"{low:g} to {high:g}", self._field, step=step
+                    None, value, lambda number: low <= number <= high, f"{low:g} to {high:g}", self._field, step=step
                 )
                 self.field.props(f'dense borderless suffix="{unit}" aria-label="{label}" debounce=300')
                 self.field.classes("number").style("width: 120px; margin: -10px 0")
@@ -343,11 +348,11 @@ def points(x: ArrayLike, y: ArrayLike, most: int = 1500) -> list[list[float | No
     """Pairs for a chart, limited in number, with gaps where a value is not finite."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     step = max(1, -(-len(x) // most))
-    kept = zip(x[::step].tolist(), y[::step].tolist(), strict=True)
-    return [[round(a, 5), float(f"{b:.5g}") if math.isfinite(b) else None] for a, b in kept]
+    pairs = zip(x[::step].tolist(), y[::step].tolist(), strict=True)
+    return [[round(a, 5), float(f"{b:.5g}") if math.isfinite(b) else None] for a, b in pairs]
 
 
-def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = False, width: float = 2) -> dict[str, Any]:
+def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = False, width: float = 2) -> Series:
     """A curve of a chart."""
     look = {"color": color, "width": width, "type": [6, 4] if dash else "solid"}
     return {
@@ -361,10 +366,10 @@ def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = Fals
     }
 
 
-def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -> list[dict[str, Any]]:
+def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -> list[Series]:
     """The area between two curves, from two stacked series."""
     low, high = np.asarray(low, float), np.asarray(high, float)
-    shared: dict[str, Any] = {
+    shared: Series = {
         "type": "line",
         "stack": name,
         "stackStrategy": "all",
@@ -389,7 +394,7 @@ def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -
 _MANY = 40  # points of one color that would hide a curve
 
 
-def dots(name: str, x: ArrayLike, y: ArrayLike, color: str) -> dict[str, Any]:
+def dots(name: str, x: ArrayLike, y: ArrayLike, color: str) -> Series:
     """Points of a chart, below its curves; many are small and pale."""
     data, many = points(x, y), len(np.asarray(x)) > _MANY
     look = {"color": color, "opacity": 0.35 if many else 1}
@@ -440,18 +445,20 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
     return ui.echart(options).classes("w-full").style(f"height: {height}px")
 
 
-def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[str] | None = None) -> None:
+def draw(on: ui.echart, series: Iterable[Series], *, legend: Iterable[str] | None = None) -> None:
     """Replace the curves of a chart; the legend omits the lower ends of bands.
 
     If their number is unchanged, only the curves are sent, directly to the chart: the page is not rendered again.
     """
     series = list(series)
-    names = [one["name"] for one in series if not one["name"].endswith(" from")] if legend is None else list(legend)
+    names = (
+        [curve["name"] for curve in series if not curve["name"].endswith(" from")] if legend is None else list(legend)
+    )
     names, alike = list(dict.fromkeys(names)), series and len(on.options["series"]) == len(series)
     with on.props.suspend_updates():  # what is sent later, such as another class, must not bring back older curves
         on.options["title"]["show"], on.options["legend"]["data"], on.options["series"] = not series, names, series
     if not alike:
         on.update()
         return
-    changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
+    changed = [{key: curve[key] for key in ("type", "name", "data", "markLine") if key in curve} for curve in series]
     on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})

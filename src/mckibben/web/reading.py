@@ -55,23 +55,23 @@ class ReadingFields:
         """Fill all fields from a recipe."""
         self.clear()
         for name in (*TEXTS, "displacement"):
-            if (given := getattr(recipe, name)) is not None:
-                text = ", ".join(given) if name == "accept" else given
-                setattr(self, name, show(given, _UNITS[name], 12) if name in _UNITS else text)
+            if (option := getattr(recipe, name)) is not None:
+                text = ", ".join(option) if name == "accept" else option
+                setattr(self, name, show(option, _UNITS[name], 12) if name in _UNITS else text)
         self.negative = recipe.force_sign == -1
         self.columns = "\n".join(f"{header} = {name}" for header, name in (recipe.columns or {}).items())
-        kept = {"contraction", "sample_rate", "part", *(["force_sign"] if recipe.force_sign == 1 else [])}
-        self.others = recipe.model_dump(include=kept, exclude_none=True)
+        others = {"contraction", "sample_rate", "part", *(["force_sign"] if recipe.force_sign == 1 else [])}
+        self.others = recipe.model_dump(include=others, exclude_none=True)
 
     def recipe(self) -> Recipe:
         """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
         texts = {name: getattr(self, name).strip() for name in (*TEXTS, "displacement")}
-        given: dict[str, Any] = {name: text for name, text in texts.items() if text}
-        given |= {"columns": names} if (names := column_names(self.columns)) else {}
-        given |= self.others | ({"force_sign": -1} if self.negative else {})
+        options: dict[str, Any] = {name: text for name, text in texts.items() if text}
+        options |= {"columns": names} if (names := column_names(self.columns)) else {}
+        options |= self.others | ({"force_sign": -1} if self.negative else {})
         if accepted := [*_topics(self.accept), *(["corrupt"] if self.skip else [])]:
-            given["accept"] = accepted
-        return Recipe(**given)
+            options["accept"] = accepted
+        return Recipe(**options)
 
 
 def _topics(text: str) -> list[str]:
@@ -79,37 +79,32 @@ def _topics(text: str) -> list[str]:
     return [word.strip() for word in text.split(",") if word.strip()]
 
 
-def rows_read(text: str) -> tuple[list[tuple[str, ...]], str]:
-    """Cells of the table of columns that were read, without those of its header, and the line below it."""
-    header, *lines, last = text.split("\n")
-    starts = [0, *map(header.index, ("quantity", "unit", "unit from", "range"))]
-    rows: list[tuple[str, ...]] = []
-    for one in lines:
-        *cells, end = (one[start:stop].strip() for start, stop in zip(starts, [*starts[1:], None], strict=True))
-        found, _, remark = end.partition("  ")
-        rows.append((*cells, found, remark.strip()))
-    return rows, last
+def understood(data: IsobaricDataset) -> list[tuple[str, ...]]:
+    """What was understood of the columns of the files, `dataset.Table.rows`, once; without ranges if several differ."""
+    several = len(data.lines) > 1
+    rows = (row for part in data.lines for row in part.columns)
+    return list(dict.fromkeys((*row[:4], "", *row[5:]) if several else row for row in rows))
 
 
 def column_names(text: str) -> dict[str, str]:
     """Headers of a file to names, from lines such as ``Druck [bar] = pressure_bar``."""
-    found = {}
-    for number, one in enumerate(filter(str.strip, text.splitlines()), start=1):
-        header, equals, name = (part.strip() for part in one.rpartition("="))
+    names = {}
+    for number, line in enumerate(filter(str.strip, text.splitlines()), start=1):
+        header, equals, name = (part.strip() for part in line.rpartition("="))
         if not (header and equals and name):
             raise ParameterError(
-                f"columns, line {number} is not a pair", value=one, remedy="write HEADER = pressure_bar"
+                f"columns, line {number} is not a pair", value=line, remedy="write HEADER = pressure_bar"
             )
-        found[header] = name
-    return found
+        names[header] = name
+    return names
 
 
 def refusal(name: str, text: str | None) -> str | None:
     """Reason why a text is not a value of a recipe's field; None if it is valid or empty."""
     try:
-        given: dict[str, Any] = {name: text.strip()} if text and text.strip() else {}
-        given = {"accept": _topics(given["accept"])} if "accept" in given else given
-        Recipe(**given)
+        options: dict[str, Any] = {name: text.strip()} if text and text.strip() else {}
+        options = {"accept": _topics(options["accept"])} if "accept" in options else options
+        Recipe(**options)
     except ScenarioError as error:
         return "; ".join(filter(None, (error.problems[0].message, error.problems[0].remedy)))
     return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import io
 import threading
 import zipfile
@@ -15,13 +16,14 @@ from mckibben.report import png_of
 from mckibben.result import Listing, Remark, Result
 from mckibben.storage.files import to_json
 from mckibben.web.layout import button, panel, quiet, show_remarks, table
+from mckibben.web.session import in_thread
 
 _RESOLUTION = 150  # dpi
 _drawing = threading.Lock()  # the house style is set for the whole process while a figure is drawn
 
 
 class Presented(NamedTuple):
-    """What is shown of a result, computed in the thread of its job; `picture` is a PNG, empty without a figure."""
+    """What is shown of a result, computed in the thread of its job; `picture` is a PNG, or empty."""
 
     result: Result
     remarks: tuple[Remark, ...]
@@ -29,24 +31,45 @@ class Presented(NamedTuple):
     picture: bytes
 
     @classmethod
-    def of(cls, result: Result) -> Presented:
-        """Compute the tables of a result, and draw its first figure."""
-        with _drawing:
-            picture = png_of(result.plot(), _RESOLUTION) if result.figures else b""
-        return cls(result, tuple(result.remarks()), tuple(result.listings()), picture)
+    def of(cls, result: Result, *, charts: bool = False) -> Presented:
+        """Compute the tables of a result, and draw its first figure.
+
+        If the page has `charts` of the result, these are in place of the figure, and tables are closed at first.
+        """
+        listings = result.listings()
+        if charts:
+            titled = ((table.title or "all numbers", table) for table in listings)
+            listings = (dataclasses.replace(table, title=title, detail=True) for title, table in titled)
+        return cls(result, tuple(result.remarks()), tuple(listings), b"" if charts else _picture_of(result))
+
+    def others(self, heard: list[str]) -> list[str]:
+        """Warnings that are not remarks of the result."""
+        shown = [remark.text for remark in self.remarks]
+        return [text for text in heard if text not in shown]
 
     def archive(self) -> bytes:
         """Zip file of results.json and the figure."""
-        content = io.BytesIO()
+        content, picture = io.BytesIO(), self.picture or _picture_of(self.result)
         with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as folder:
             folder.writestr("results.json", to_json(self.result.to_dict()))
-            if self.picture:
-                folder.writestr("figure.png", self.picture)
+            if picture:
+                folder.writestr("figure.png", picture)
         return content.getvalue()
+
+
+def _picture_of(result: Result) -> bytes:
+    """The first figure of a result as PNG; empty if it has none."""
+    with _drawing:
+        return png_of(result.plot(), _RESOLUTION) if result.figures else b""
 
 
 def show_result(presented: Presented, name: str) -> ui.column:
     """Show a result in a panel, to which the page may add; `name` is that of the download."""
+
+    async def download() -> None:
+        archive, _ = await in_thread(presented.archive)
+        ui.download.content(archive, f"{name}.zip")
+
     with panel(printable(presented.result.verdict(), 500)) as shown:
         show_remarks(presented.remarks)
         if presented.picture:
@@ -59,7 +82,7 @@ def show_result(presented: Presented, name: str) -> ui.column:
             else:
                 quiet(listing.title)
                 show_listing(listing)
-        button("Download results", lambda: ui.download.content(presented.archive(), f"{name}.zip"), f"download-{name}")
+        button("Download results", download, f"download-{name}")
     return shown
 
 

@@ -17,6 +17,7 @@ from mckibben.config.model import parse_model
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ParameterError, RigError
 from mckibben.report.palette import BLUE, GREEN, VERMILLION
+from mckibben.result import Result, column
 from mckibben.rig.session import Progress
 from mckibben.study.rig.document import RigTest
 from mckibben.study.rig.running import CheckedTest, check, data_name, run_test
@@ -24,11 +25,30 @@ from mckibben.units import bar, percent
 from mckibben.web import resource
 from mckibben.web.identify import IdentificationState
 from mckibben.web.layout import JobPage, button, chart, dots, draw, frame, line, panel, select, side, text_area
+from mckibben.web.results import Presented, show_result
 from mckibben.web.session import JobState, session
 
 _MOST_SAMPLES = 5_000_000
 _START = resource("starts/isobaric-test.yaml")
 _PACES = {20: "20 times as fast", 100: "100 times as fast", 0: "as fast as possible"}
+
+
+class Measured(Result):
+    """Points of a test on a rig."""
+
+    data: IsobaricDataset
+    pressure: np.ndarray = column("Pa", "pressure", shown="bar")
+    contraction: np.ndarray = column("1", "contraction", shown="%")
+    force: np.ndarray = column("N", "force")
+
+    @classmethod
+    def of(cls, data: IsobaricDataset) -> Measured:
+        """From the dataset of the test."""
+        return cls(data, data.pressure, data.contraction, data.force)
+
+    def verdict(self) -> str:
+        """Number of points and pressures."""
+        return f"{len(self.data)} points measured, at {len(self.data.pressures)} pressures"
 
 
 @dataclass
@@ -41,7 +61,8 @@ class RigState(JobState):
     points: int = 0
     total: int = 1
     old: bool = False  # whether the rows are of a test before the last one, which has not begun
-    data: IsobaricDataset | None = None
+    result: Measured | None = None
+    presented: Presented | None = None
     source: Path | None = None
     vent: threading.Event = field(default_factory=threading.Event)
 
@@ -51,11 +72,12 @@ def checked(text: str, folder: Path) -> CheckedTest:
     test, document = parse_model(RigTest, text, source="protocol", folder=folder, confined=True)
     if test.rig.physical:
         raise ParameterError("this page runs the simulated rig only", remedy="use `mckibben rig run` for a card")
-    found = check(test, document)
-    if found.dry_run.samples > _MOST_SAMPLES:
-        message = f"the test has {found.dry_run.samples} samples, more than {_MOST_SAMPLES}"
-        raise ParameterError(message, value=found.dry_run.samples, remedy="use fewer points, or use `mckibben rig run`")
-    return found
+    checked_test = check(test, document)
+    samples = checked_test.dry_run.samples
+    if samples > _MOST_SAMPLES:
+        message = f"the test has {samples} samples, more than {_MOST_SAMPLES}"
+        raise ParameterError(message, value=samples, remedy="use fewer points, or use `mckibben rig run`")
+    return checked_test
 
 
 def measure(
@@ -85,9 +107,9 @@ def measure(
 
 def page() -> None:
     """The page."""
-    kept = session()
+    visitor = session()
     with frame("/rig"):
-        _Page(kept.state(RigState), kept.folder)
+        _Page(visitor.state(RigState), visitor.folder)
 
 
 class _Page(JobPage[RigState]):
@@ -129,15 +151,15 @@ class _Page(JobPage[RigState]):
             now = dots("now", contraction[-1:], force[-1:], VERMILLION) | {"symbolSize": 11}
             draw(self.loop, [line("measured", contraction, force, BLUE, width=1), now])
         if self.news():
-            for one in self.charts:
-                one.classes(**{"add" if state.old and state.error is not None else "remove": "stale"})
+            for plot in self.charts:
+                plot.classes(**{"add" if state.old and state.error is not None else "remove": "stale"})
             self.show_results(self.results, self.show)
 
     def show(self) -> None:
         """Show the error or the remarks of the test, and what can be done with its points."""
         self.show_notes()
-        if (data := self.state.data) is not None:
-            with panel(f"{len(data)} points measured"):
+        if self.state.presented is not None:
+            with show_result(self.state.presented, "test"):
                 button("Identify the muscle", self.identify, main=True)
 
     def start(self) -> None:
@@ -147,14 +169,15 @@ class _Page(JobPage[RigState]):
             ui.notify("a test is running: vent first")
             return
         state.vent.clear()
-        state.error, state.data, state.old = None, None, True
+        state.error, state.result, state.presented, state.old = None, None, None, True
         text = state.text
 
-        def compute(shown: Callable[[str, float], None]) -> IsobaricDataset:
-            return measure(state, text, folder, shown)
+        def compute(shown: Callable[[str, float], None]) -> tuple[Measured, Presented]:
+            result = Measured.of(measure(state, text, folder, shown))
+            return result, Presented.of(result, charts=True)
 
-        def done(found: IsobaricDataset, heard: list[str]) -> None:
-            state.data, state.notes = found, heard
+        def done(measured: tuple[Measured, Presented], heard: list[str]) -> None:
+            (state.result, state.presented), state.notes = measured, heard
 
         self.start_job(compute, done)
 
@@ -164,8 +187,8 @@ class _Page(JobPage[RigState]):
 
     def identify(self) -> None:
         """Use the points on the muscle page."""
-        found = session().state(IdentificationState)
-        assert self.state.data is not None
-        found.use("test on the simulated rig", self.state.data, [self.state.source] if self.state.source else [])
-        found.jobs.version += 1
+        muscle, result = session().state(IdentificationState), self.state.result
+        assert result is not None
+        muscle.use("test on the simulated rig", result.data, [self.state.source] if self.state.source else [])
+        muscle.jobs.version += 1
         ui.navigate.to("/identify")

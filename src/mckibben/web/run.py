@@ -20,6 +20,7 @@ from mckibben.web.layout import (
     PALETTE,
     JobPage,
     NumberField,
+    Series,
     band,
     button,
     chart,
@@ -36,6 +37,7 @@ from mckibben.web.layout import (
     upload,
 )
 from mckibben.web.parts import CHOICES
+from mckibben.web.results import Presented, show_result
 from mckibben.web.session import session
 from mckibben.web.workbench import (
     ANGLES,
@@ -43,7 +45,7 @@ from mckibben.web.workbench import (
     SIGNALS,
     SMALL_MOTION,
     START,
-    Kept,
+    Curves,
     Workbench,
     chosen_kinds,
     compute,
@@ -56,7 +58,7 @@ _NEW_JOINT = (
     "The joint is that of the page Joint, with another reference of the stiffness. Load, valve and gains are still "
     "those of the scenario before: set them here, and tune the gains on the page Tune."
 )
-_MOST_KEPT = len(PALETTE) - 1
+_MOST_OVERLAYS = len(PALETTE) - 1
 _GROUPS = {"controller.": "Gains", "reference.": "References"}
 _PLANT = {
     "joint.": "Joint and muscles",
@@ -70,9 +72,9 @@ _PLANT = {
 
 def page() -> None:
     """The page."""
-    kept = session()
+    visitor = session()
     with frame("/run"):
-        _Page(kept.state(Workbench), kept.folder)
+        _Page(visitor.state(Workbench), visitor.folder)
 
 
 _HIDDEN = re.compile(r"\.(model|specimen|law|domain)\.")
@@ -123,7 +125,7 @@ class _Page(JobPage[Workbench]):
                     self.small = chart("time [s]", "stiffness [N·m/rad]", height=200)
                 with panel("Pressures"):
                     self.pressure = chart("time [s]", "pressure [bar]", height=230)
-                with panel("Numbers"):
+                with panel("Kept runs") as self.comparison:
                     self.numbers = ui.column().classes("w-full")
         ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
         ui.timer(0.1, self.refresh)
@@ -164,30 +166,33 @@ class _Page(JobPage[Workbench]):
             if state.scenario is not None and not state.jobs.busy:
                 for label, kind in state.options.items():
                     self.selects[label].value = kind
-            for shown in (self.angle, self.results, self.form):
-                shown.classes(**{"remove" if state.error is None else "add": "stale"})
+            for part in (self.angle, self.results, self.form):
+                part.classes(**{"remove" if state.error is None else "add": "stale"})
             if state.current is not None:
                 self.plot(state.current)
 
     def show(self) -> None:
-        """Show the error or the remarks of the last run."""
+        """Show the error or the warnings of the last run, and the result of the last scenario that ran."""
+        state = self.state
         self.show_notes()
-        if self.state.error is not None and self.state.current is not None:
-            quiet("The fields and curves are those of the last scenario that ran.")
+        if state.presented is not None:
+            with ui.column().classes("w-full" + (" stale" if state.error else "")), show_result(state.presented, "run"):
+                if state.error is not None:
+                    quiet("Fields, curves and numbers are those of the last scenario that ran.")
 
     def change(self, make: Callable[[], Scenario], *, form: bool = True, note: str = "", scroll: bool = False) -> None:
         """Change the scenario and run it, with a note on the change; rebuild the fields if its structure changed."""
         state, folder = self.state, self.folder
 
-        def run(progress: Callable[[str, float], None]) -> tuple[Scenario, dict[str, str | None], Kept, list[str]]:
+        def run(progress: Callable[[str, float], None]) -> tuple[Scenario, dict[str, str | None], Curves, Presented]:
             scenario = make()
             progress("run", 0.1)  # unless another has been requested since
             return scenario, _options(scenario), *compute(scenario, folder)
 
-        def done(found: tuple[Scenario, dict[str, str | None], Kept, list[str]], heard: list[str]) -> None:
-            state.scenario, state.options, state.current, remarks = found
+        def done(ran: tuple[Scenario, dict[str, str | None], Curves, Presented], heard: list[str]) -> None:
+            state.scenario, state.options, state.current, state.presented = ran
             state.text, state.error = state.current.text, None
-            state.notes = [*filter(None, [note]), *remarks, *heard]
+            state.notes = [*filter(None, [note]), *state.presented.others(heard)]
             state.form += form
 
         self.start_job(run, done, scroll=scroll)  # not from a field or a select, which may be changed again
@@ -255,14 +260,20 @@ class _Page(JobPage[Workbench]):
 
     def fields(self, scenario: Scenario) -> None:
         """Fields for the numbers set in a scenario."""
-        every = [(one, one.nominal) for one in list_parameters(scenario) if one.nominal is not None]
+        parameters = list_parameters(scenario)
         for prefix, title in {**_GROUPS, **_PLANT}.items():
-            found = [one for one in every if one[0].name.startswith(prefix) and not _HIDDEN.search(one[0].name)]
-            if not found:
+            shown = [
+                (parameter, parameter.nominal)
+                for parameter in parameters
+                if parameter.nominal is not None
+                and parameter.name.startswith(prefix)
+                and not _HIDDEN.search(parameter.name)
+            ]
+            if not shown:
                 continue
             with panel(), _section(title, opened=prefix in _GROUPS), ui.element("div").classes("fields"):
-                for one, nominal in found:
-                    self.number(one, nominal, one.name.removeprefix(prefix))
+                for parameter, nominal in shown:
+                    self.number(parameter, nominal, parameter.name.removeprefix(prefix))
 
     def number(self, parameter: ScenarioParameter, nominal: float, name: str) -> None:
         """A number field, in the unit of files."""
@@ -289,41 +300,44 @@ class _Page(JobPage[Workbench]):
         """Keep the current run for comparison."""
         state = self.state
         if state.current is not None:
-            number = len(state.kept) + 1
-            state.kept.append(dataclasses.replace(state.current, name=f"run {number}"))
-            del state.kept[:-_MOST_KEPT]
+            state.overlays.append(dataclasses.replace(state.current, name=f"run {len(state.overlays) + 1}"))
+            del state.overlays[:-_MOST_OVERLAYS]
             state.jobs.version += 1
 
     def clear(self) -> None:
         """Remove all kept runs."""
-        self.state.kept.clear()
+        self.state.overlays.clear()
         self.state.jobs.version += 1
 
-    def plot(self, now: Kept) -> None:
+    def plot(self, now: Curves) -> None:
         """Curves of the current run over the kept ones."""
-        time, columns, overlays = now.columns["time"], now.columns, self.state.kept
-        pairs = [(one, PALETTE[1 + i % _MOST_KEPT]) for i, one in enumerate(overlays)]
-        desired = line("reference", time, columns["desired_angle"] / deg, BLACK, dash=True, width=1.5)
-        older = [line(one.name, one.columns["time"], one.columns["angle"] / deg, c, width=1.5) for one, c in pairs]
-        draw(self.angle, [*older, line("now", time, columns["angle"] / deg, BLUE), desired])
-        desired = line("reference", time, columns["desired_stiffness"], BLACK, dash=True, width=1.5)
-        older = [line(one.name, one.columns["time"], one.columns["stiffness"], c, width=1.5) for one, c in pairs]
-        bounds = band("attainable at rest", time, *now.band, "#9aa7b3")
-        draw(self.stiffness, [*bounds, *older, line("now", time, columns["stiffness"], BLUE), desired])
-        small = columns.get(SMALL_MOTION)
-        self.small_panel.visible = small is not None
-        if small is not None:  # in its own chart, as it can be many times the isobaric stiffness
+        time, columns, overlays = now.columns["time"], now.columns, self.state.overlays
+
+        def reference(name: str, unit: float) -> Series:
+            return line("reference", time, columns[name] / unit, BLACK, dash=True, width=1.5)
+
+        def curves(name: str, unit: float) -> list[Series]:
             older = [
-                line(one.name, one.columns["time"], one.columns[SMALL_MOTION], c, width=1.5)
-                for one, c in pairs
-                if SMALL_MOTION in one.columns
+                line(
+                    run.name, run.columns["time"], run.columns[name] / unit, PALETTE[1 + i % _MOST_OVERLAYS], width=1.5
+                )
+                for i, run in enumerate(overlays)
+                if name in run.columns
             ]
-            draw(self.small, [*older, line("now", time, small, BLUE)])
+            return [*older, line("now", time, columns[name] / unit, BLUE)]
+
+        draw(self.angle, [*curves("angle", deg), reference("desired_angle", deg)])
+        bounds = band("attainable at rest", time, *now.band, "#9aa7b3")
+        draw(self.stiffness, [*bounds, *curves("stiffness", 1.0), reference("desired_stiffness", 1.0)])
+        self.small_panel.visible = SMALL_MOTION in columns
+        if self.small_panel.visible:  # in its own chart, as it can be many times the isobaric stiffness
+            draw(self.small, curves(SMALL_MOTION, 1.0))
         colors = (("muscle 1", "pressure1", MUSCLES[0]), ("muscle 2", "pressure2", MUSCLES[1]))
         draw(self.pressure, [line(name, time, columns[key] / bar, color) for name, key, color in colors])
+        self.comparison.visible = bool(overlays)
         self.numbers.clear()
         with self.numbers:
-            rows = [_row(one) for one in (dataclasses.replace(now, name="now"), *overlays)]
+            rows = [_row(run) for run in (dataclasses.replace(now, name="now"), *overlays)]
             table(("run", "angle RMSE [°]", "stiffness RMSE [N·m/rad]", "coupling [°]", "air [L]", "outcome"), rows)
 
 
@@ -337,10 +351,10 @@ def _section(title: str, *, opened: bool = False) -> ui.expansion:
     return ui.expansion(title, value=opened).classes("w-full").props("dense header-class=heading")
 
 
-def _row(one: Kept) -> tuple[str, ...]:
+def _row(run: Curves) -> tuple[str, ...]:
     names = ("angle_rmse_deg", "stiffness_rmse", "coupling_deg", "air_L")
-    numbers = (f"{one.metrics[name]:.3g}" if np.isfinite(one.metrics[name]) else "-" for name in names)
-    return printable(one.name, 60), *numbers, one.outcome
+    numbers = (f"{run.metrics[name]:.3g}" if np.isfinite(run.metrics[name]) else "-" for name in names)
+    return printable(run.name, 60), *numbers, run.outcome
 
 
 def _step(value: float) -> float:

@@ -53,10 +53,10 @@ class Access:
         if scope["type"] != "http" or scope["method"] != "GET":
             return None
         query = parse_qs(scope["query_string"].decode("latin-1"), keep_blank_values=True)
-        given = query.pop("token", [""])[0]
-        if not (navigates(headers) and (_equal(given, self.token) or _equal(given, self.once))):
+        token = query.pop("token", [""])[0]
+        if not (navigates(headers) and (_equal(token, self.token) or _equal(token, self.once))):
             return None
-        if _equal(given, self.once):
+        if _equal(token, self.once):
             self.once = ""
         where = "/" + quote(scope["path"].lstrip("/\\")) + ("?" + urlencode(query, doseq=True) if query else "")
         if foreign(headers):  # a redirect would still count as the other site's, and go without the cookie
@@ -68,9 +68,9 @@ class Access:
         return answer
 
 
-def _equal(given: str, expected: str) -> bool:
+def _equal(sent: str, expected: str) -> bool:
     """Whether a secret was given, compared in constant time."""
-    return bool(expected) and secrets.compare_digest(given.encode(), expected.encode())
+    return bool(expected) and secrets.compare_digest(sent.encode(), expected.encode())
 
 
 def foreign(headers: Headers) -> bool:
@@ -124,10 +124,10 @@ class Guard:
             nonlocal began
             if message["type"] == "http.response.start":
                 began = True
-                found = MutableHeaders(scope=message)
-                found["Content-Security-Policy"] = _POLICY
-                found["X-Content-Type-Options"] = "nosniff"
-                found["Referrer-Policy"] = "no-referrer"
+                headers = MutableHeaders(scope=message)
+                headers["Content-Security-Policy"] = _POLICY
+                headers["X-Content-Type-Options"] = "nosniff"
+                headers["Referrer-Policy"] = "no-referrer"
             await send(message)
 
         try:

@@ -55,11 +55,11 @@ _sessions: OrderedDict[str, Session] = OrderedDict()
 def session() -> Session:
     """The session of the requesting browser; the least recently used session gives way to a new one."""
     name = app.storage.browser["id"]
-    found = _sessions.pop(name, None) or Session()
-    _sessions[name] = found
+    visitor = _sessions.pop(name, None) or Session()
+    _sessions[name] = visitor
     if len(_sessions) > _MOST_SESSIONS:
         _sessions.popitem(last=False)[1].end()
-    return found
+    return visitor
 
 
 def end_sessions() -> None:
@@ -81,21 +81,21 @@ def collect_warnings() -> None:
     warnings.simplefilter("always", McKibbenWarning)
 
     def heard(message: Warning | str, category: type[Warning], *where: Any, **others: Any) -> None:
-        kept = _heard.get()
-        if kept is None or not issubclass(category, McKibbenWarning):
+        texts = _heard.get()
+        if texts is None or not issubclass(category, McKibbenWarning):
             _show_otherwise(message, category, *where, **others)
-        elif str(message) not in kept:
-            kept.append(str(message))
+        elif str(message) not in texts:
+            texts.append(str(message))
 
     warnings.showwarning = heard
 
 
 async def in_thread(function: Callable[..., T], *arguments: Any) -> tuple[T, list[str]]:
     """Run a function in a thread; return its result and warnings. Any exception becomes a `McKibbenError`."""
-    kept: list[str] = []
+    texts: list[str] = []
 
     def run() -> T:
-        _heard.set(kept)  # of this context, which belongs to the thread
+        _heard.set(texts)  # of this context, which belongs to the thread
         try:
             return function(*arguments)
         except (McKibbenError, _CancelledError):
@@ -104,7 +104,7 @@ async def in_thread(function: Callable[..., T], *arguments: Any) -> tuple[T, lis
             reason = printable(f"{type(error).__name__}: {error}", 1000)
             raise McKibbenError(reason, remedy="this is a fault of mckibben: please report it") from error
 
-    return await asyncio.to_thread(run), kept
+    return await asyncio.to_thread(run), texts
 
 
 class Latest(Generic[T]):
@@ -125,11 +125,11 @@ class Latest(Generic[T]):
             while self._waiting is not None:
                 newest, self._waiting = self._waiting, None
                 try:
-                    found, _ = await in_thread(self._compute, *newest)
+                    result, _ = await in_thread(self._compute, *newest)
                 except McKibbenError as error:
                     self._fail(error)
                 else:
-                    self._show(found)
+                    self._show(result)
         finally:
             self._busy = False
 
@@ -182,13 +182,13 @@ class Jobs:
         async def run() -> None:
             with suppress(_CancelledError):
                 try:
-                    found, heard = await in_thread(work)
+                    result, heard = await in_thread(work)
                 except McKibbenError as error:
                     if number == self._number:
                         fail(error)
                 else:
                     if number == self._number:
-                        done(found, heard)
+                        done(result, heard)
             if number == self._number:
                 self._running = 0
                 self.version += 1

@@ -56,7 +56,7 @@ class ComparisonRequest:
     def suggest(self, scenario: Scenario) -> None:
         """Replace the suggested conditions by those of a scenario: another mass or inertia of its load."""
         before, name = self.suggested, f"load.{scenario.load.adapted_mass or 'inertia'}"
-        known = any(one.name == name for one in list_parameters(scenario))
+        known = any(parameter.name == name for parameter in list_parameters(scenario))
         self.suggested = f"{name}=+-30 %" if known else ""
         if self.conditions == before:
             self.conditions = self.suggested
@@ -71,7 +71,7 @@ class Study(NamedTuple):
 
 
 def _lines(text: str) -> list[str]:
-    return [one.strip() for one in text.splitlines() if one.strip()]
+    return [line.strip() for line in text.splitlines() if line.strip()]
 
 
 def _check_budget(scenario: Scenario, runs: float) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from nicegui import ui
 
@@ -54,9 +53,9 @@ class StudyState(JobState):
 
 def page() -> None:
     """The page."""
-    kept = session()
+    visitor = session()
     with frame("/tune"):
-        _Page(kept.state(StudyState), kept.state(Workbench), kept.folder)
+        _Page(visitor.state(StudyState), visitor.state(Workbench), visitor.folder)
 
 
 class _Page(JobPage[StudyState]):
@@ -74,7 +73,7 @@ class _Page(JobPage[StudyState]):
             self.progress = progress_row(state.jobs)
             with panel("Tune"):
                 _lines("cost", tuning, "cost")
-                methods = [AUTOMATIC, *(one.value for one in Method)]
+                methods = [AUTOMATIC, *(method.value for method in Method)]
                 select(methods, "method", "method").bind_value(tuning, "method")
                 with ui.element("div").classes("fields"):
                     self.tuning_fields = [
@@ -133,10 +132,16 @@ class _Page(JobPage[StudyState]):
         """Compare controllers."""
         self.start("compared", compared, self.state.comparison, self.comparison_fields)
 
-    def start(self, name: str, compute: Callable[..., Any], request: Any, fields: list[NumberField]) -> None:
+    def start(
+        self,
+        name: str,
+        compute: Callable[..., Study],
+        request: TuningRequest | ComparisonRequest,
+        fields: list[NumberField],
+    ) -> None:
         """Compute a study, at most one at a time, and store its result in the state under a name."""
         state, text, folder = self.state, self.text(), self.folder
-        if wrong := [one.label for one in fields if one.error]:
+        if wrong := [field.label for field in fields if field.error]:
             ui.notify(f"correct first: {', '.join(map(str, wrong))}", type="negative")
             return
         if state.jobs.busy:
@@ -145,8 +150,7 @@ class _Page(JobPage[StudyState]):
 
         def done(study: Study, heard: list[str]) -> None:
             state.results = {name: study} | {other: old for other, old in state.results.items() if other != name}
-            shown = [remark.text for remark in study.presented.remarks]
-            state.notes = [text for text in heard if text not in shown]
+            state.notes = study.presented.others(heard)
 
         state.error, state.notes = None, []
         self.start_job(lambda progress: compute(text, request, folder, progress), done)
@@ -186,11 +190,11 @@ class _Page(JobPage[StudyState]):
         button("Run it", lambda: self.run(scenarios[str(chosen.value)]), f"use-{name}", main=True)
 
 
-def _lines(label: str, on: Any, name: str) -> None:
+def _lines(label: str, on: TuningRequest | ComparisonRequest, name: str) -> None:
     ui.textarea(label).props("dense autogrow maxlength=4000").classes("w-full mono").mark(name).bind_value(on, name)
 
 
-def _number(label: str, on: Any, name: str, low: float, high: float) -> NumberField:
+def _number(label: str, on: TuningRequest | ComparisonRequest, name: str, low: float, high: float) -> NumberField:
     """A number field of a request; whole if its limits are."""
     whole = isinstance(low, int)
 

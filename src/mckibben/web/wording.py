@@ -20,6 +20,7 @@ _INSTEAD = {
     "accept=['corrupt']": f"tick “{SKIP}”",
     WITH_FRICTION: f"to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
+    "--disk-margin": "a disk margin of",
     f"; {LISTING}": "",
     f" {LISTING}": "",
     LISTING: "",
@@ -34,10 +35,10 @@ def on_page(text: str) -> str:
     """A remedy in terms of the fields of the page."""
     for ours, shown in _INSTEAD.items():
         text = text.replace(ours, shown)
-    text = _COLUMNS.sub(lambda found: _PAIR.sub(r"\1 = \2", found[1]) + " (columns)", _ELSEWHERE.sub("", text))
+    text = _COLUMNS.sub(lambda match: _PAIR.sub(r"\1 = \2", match[1]) + " (columns)", _ELSEWHERE.sub("", text))
     text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
     text = _CHOICES.sub(r"\1: \2", text)
-    return quotes(_ARGUMENTS.sub(lambda found: found[0].replace("_", " "), text))
+    return quotes(_ARGUMENTS.sub(lambda match: match[0].replace("_", " "), text))
 
 
 def quotes(text: str) -> str:

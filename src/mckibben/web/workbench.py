@@ -14,10 +14,11 @@ from mckibben.config.document import plain, read_document, to_text
 from mckibben.config.model import parse_model
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import SimulationResult, unknown_air
+from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import in_shown_units
 from mckibben.units import deg
 from mckibben.web import resource
+from mckibben.web.results import Presented
 from mckibben.web.session import JobState
 
 MOST_STEPS = 2_000_000
@@ -58,7 +59,7 @@ _COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", 
 
 
 @dataclass(frozen=True)
-class Kept:
+class Curves:
     """Curves, metrics and file of a run."""
 
     name: str
@@ -78,8 +79,9 @@ class Workbench(JobState):
     scenario: Scenario | None = None
     options: dict[str, str | None] = field(default_factory=dict)
     text: str = START
-    current: Kept | None = None
-    kept: list[Kept] = field(default_factory=list)
+    current: Curves | None = None
+    presented: Presented | None = None
+    overlays: list[Curves] = field(default_factory=list)
     joint: str = ""
     waiting: str = ""
     form: int = 0
@@ -90,12 +92,12 @@ _ADAPTIVE = 3  # integration steps per control period of a smooth run: with one 
 
 def parse(text: str, folder: Path) -> Scenario:
     """Parse a scenario that names only files of the session, and is short enough for a page."""
-    found = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
-    steps = steps_of(found)
+    scenario = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
+    steps = steps_of(scenario)
     if steps > MOST_STEPS:
         message = f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}"
         raise ParameterError(message, value=steps, remedy="shorten the duration, or use `mckibben simulate`")
-    return found
+    return scenario
 
 
 def steps_of(scenario: Scenario) -> float:
@@ -103,58 +105,46 @@ def steps_of(scenario: Scenario) -> float:
     return scenario.duration / scenario.control_period * (scenario.substeps or _ADAPTIVE)
 
 
-def controller_kind(controller: Any) -> tuple[type, type]:
+def controller_kind(controller: object) -> tuple[type, type]:
     """Classes of a controller and of its loop of the angle, by which the page tells kinds apart."""
     return type(controller), type(getattr(controller, "position", None))
 
 
 @functools.cache
 def _kinds() -> dict[tuple[type, type], str]:
-    found = {}
+    kinds = {}
     for name, section in CONTROLLERS.items():
         scenario = Scenario.parse(with_section(START, section, ("controller",)))
-        found[controller_kind(scenario.controller)] = name
-    return found
+        kinds[controller_kind(scenario.controller)] = name
+    return kinds
 
 
 def chosen_kinds(scenario: Scenario) -> dict[str, str | None]:
     """Kinds of controller and references of a scenario by the label of their field; None if the page has no such."""
     signals = (scenario.signals.angle, scenario.signals.stiffness)
-    angle, stiffness = (name if (name := type(one).__name__.lower()) in SIGNALS else None for one in signals)
+    angle, stiffness = (name if (name := type(signal).__name__.lower()) in SIGNALS else None for signal in signals)
     return {"controller": _kinds().get(controller_kind(scenario.controller)), "angle": angle, "stiffness": stiffness}
 
 
-def compute(scenario: Scenario, folder: Path) -> tuple[Kept, list[str]]:
-    """Run a scenario; its curves, and remarks."""
+def compute(scenario: Scenario, folder: Path) -> tuple[Curves, Presented]:
+    """Run a scenario; its curves, and its result without them."""
     result = run_scenario(scenario)
-    reach = result.feasibility
-    remarks = [] if reach is None or reach.feasible else [reach.verdict()]
-    if result.outcome.name != "COMPLETED":
-        remarks.append(result.outcome.value)
-    if result.poor_tracking:
-        remarks.append(result.poor_tracking)
-    if np.isnan(result.metrics["air"]) and not result.outcome.failed:
-        remarks.append(unknown_air(scenario.joint))
-    return _kept(scenario, result, folder), [*remarks, *scenario.joint.remarks]
+    return _curves(scenario, result, folder), Presented.of(result, charts=True)
 
 
-def _kept(scenario: Scenario, result: SimulationResult, folder: Path) -> Kept:
+def _curves(scenario: Scenario, result: SimulationResult, folder: Path) -> Curves:
     step = max(1, len(result["angle"]) // 1200)
-    names = [*_COLUMNS, *({SMALL_MOTION} & set(result.columns))]
 
     def shown(name: str) -> np.ndarray:
         return np.asarray(result[name])[::step].copy()  # a view would keep all samples of the run
 
-    columns = {name: shown(name) for name in names}
-    bounds = shown("lowest_stiffness"), shown("highest_stiffness")
-    text = scenario.dumps(folder=folder)
-    return Kept(
-        scenario.name,
-        columns,
-        bounds,
-        in_shown_units(result.metrics),
-        result.outcome.name.lower().replace("_", " "),
-        text,
+    return Curves(
+        name=scenario.name,
+        columns={name: shown(name) for name in (*_COLUMNS, *({SMALL_MOTION} & set(result.columns)))},
+        band=(shown("lowest_stiffness"), shown("highest_stiffness")),
+        metrics=in_shown_units(result.metrics),
+        outcome=result.outcome.name.lower().replace("_", " "),
+        text=scenario.dumps(folder=folder),
     )
 
 
