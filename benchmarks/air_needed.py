@@ -20,8 +20,8 @@ from mckibben.simulation import Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.storage.store import STUDY
 from mckibben.study.compare import Suite, draw, evaluate
+from mckibben.study.compare.checks import filename
 from mckibben.study.compare.statistics import trial_at_air
-from mckibben.study.compare.suite import filename
 from mckibben.study.compare.tuning import ControllerTuning
 from mckibben.study.tune import SearchSpace, read_trials
 from mckibben.units import deg, litre

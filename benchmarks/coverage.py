@@ -91,7 +91,7 @@ def fits(points: IsobaricDataset, measured: np.ndarray):
         solution = solve(this, start)
         at_bound = np.zeros(7, bool)
         regression = Regression(points, this, solution, at_bound)
-        errors, correlations = uncertainty(solution.jacobian, solution.residuals, at_bound)
+        errors, correlations = standard_errors(solution.jacobian, solution.residuals, at_bound)
         by = regression.default_grouping[0]
         yield Fit(
             law=this.law(solution.values),
@@ -102,7 +102,7 @@ def fits(points: IsobaricDataset, measured: np.ndarray):
             points_used=len(points),
             points_slack=0,
             leave_one_pressure_out=None,
-            warnings=(),
+            notes=(),
             dataset=DatasetSummary("", "", ()),
             robust=None if by is Grouping.POINT else regression.robust_errors(by),
             regression=regression,

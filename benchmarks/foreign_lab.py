@@ -337,7 +337,7 @@ def main():
     lab = VALVES[kind].lab
     weight = ("--weight", f"{lab.weight} g", "--distance", lab.distance, "--angles", "-14..14 deg")
     length, diameter = (f"{1e3 * lab.plant.SPECIMEN[name]:g} mm" for name in ("length", "diameter"))
-    size = ("--initial-length", length, "--diameter", diameter)
+    size = ("--initial-length", length, "--inner", diameter)
 
     def compare():
         suite_of(kind, folder, given.air)

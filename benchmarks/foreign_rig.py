@@ -23,7 +23,7 @@ import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
 
-from mckibben.codegen.native import compile_alone
+from mckibben.codegen.native import compile_native
 from mckibben.realtime import JointHardware, Wiring
 from mckibben.rig.backend import AnalogChannel, Backend, Block, Watchdog
 from mckibben.units import BoundedInt
@@ -242,7 +242,7 @@ class ForeignJoint(Backend):
             angle, read = module.sensed(plant, after, given[2:])
             return ravel_pytree(after)[0], jnp.stack([angle, read[0], read[1]])
 
-        self.step = compile_alone(step, first.size, 4)
+        self.step = compile_native(step, first.size, 4)
 
     @property
     def inputs(self):

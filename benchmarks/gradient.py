@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -21,67 +20,20 @@ from mckibben.units import bar
 OWN = "ours, one episode"
 LARGEST = np.array([2, 60, 0.4, 0.08, 5, 0.04]) * bar  # gains that matter
 STEP = 1e-4  # of them, of the central differences
-MODES = (
-    ("forward", False, "exact: six tangents at once"),
-    ("reverse", True, "exact: stores one state per control period and recomputes each period"),
-)
 AGREED = 1e-5  # what central differences are good for
-
-
-Gradient = Callable[..., Callable[[], NDArray[np.float64]]]
 
 
 def gradient(problem: Problem, folder: Path, *, quick: bool) -> Table:
     """The table of gradients."""
     bench = Bench(rounds=7 if quick else 15, budget=1.0 if quick else 4.0)
-    differences = _differences(problem, folder)
     truth: list[NDArray[np.float64]] = []
 
     def own() -> Candidate:
         traced = jax.device_put(numeric((problem.plant, problem.pid, problem.setpoints, problem.start, PERIOD)))
-
-        def run() -> object:
-            return jax.block_until_ready(compiled_episode(*traced, SUBSTEPS))
-
-        return Candidate(OWN, run, base=OWN, note="the loop by XLA of the first table, PID")
+        run = lambda: jax.block_until_ready(compiled_episode(*traced, SUBSTEPS))  # noqa: E731
+        return Candidate(OWN, run, base=OWN, note="the loop by XLA")
 
     def by_c() -> Candidate:
-        run = differences()
-        truth.append(run())
-        note = f"12 episodes; steps of {STEP:.0e} of a usual gain: not exact"
-        return Candidate("plain C, central differences", run, note=note, base=OWN)
-
-    def exact(name: str, bound: Gradient, reverse: bool, note: str) -> Candidate:
-        if not truth:
-            raise OSError("there is no plain C to compare with")
-        run = bound(problem, reverse=reverse)
-        scaled, expected = run() * LARGEST, truth[0] * LARGEST
-        off = float(np.abs(scaled - expected).max() / np.abs(expected).max())
-        return Candidate(name, run, 1.0, off, AGREED, note, OWN)
-
-    bench.add(OWN, own)
-    bench.add("plain C, central differences", by_c)
-    for mode, reverse, note in MODES:
-        engine = f"ours, differentiate, {mode} mode"
-        bench.add(engine, lambda all_of=(engine, ours.gradient, reverse, note): exact(*all_of))
-    return Table(
-        "Gradient with respect to six gains",
-        "gradient",
-        "time",
-        "gradient",
-        bench.timed(),
-        (
-            "Of the sum of the RMS errors of angle [rad] and stiffness [N*m/rad] over the PID episode.",
-            f"Deviation: the largest from the central differences, each part times a usual gain, as a part of the "
-            f"largest; beyond {AGREED:.0e} nothing is timed.",
-        ),
-    )
-
-
-def _differences(problem: Problem, folder: Path) -> Callable[[], Callable[[], NDArray[np.float64]]]:
-    """Central differences in plain C, bound when called."""
-
-    def bound() -> Callable[[], NDArray[np.float64]]:
         gains, steps = gains_of(problem.pid), STEP * LARGEST
         moved = [gains + sign * np.where(np.arange(6) == i, steps, 0) for i in range(6) for sign in (1, -1)]
         lanes = np.array([numbers(problem.plant, with_gains(problem.pid, values)) for values in moved])
@@ -91,6 +43,26 @@ def _differences(problem: Problem, folder: Path) -> Callable[[], Callable[[], ND
             costs = metrics().sum(axis=1)
             return (costs[::2] - costs[1::2]) / (2 * steps)
 
-        return run
+        truth.append(run())
+        note = f"12 episodes; steps of {STEP:.0e} of a usual gain: not exact"
+        return Candidate("plain C, central differences", run, note=note, base=OWN)
 
-    return bound
+    def exact(mode: str, note: str) -> Candidate:
+        if not truth:
+            raise OSError("there is no plain C to compare with")
+        run = ours.gradient(problem, reverse=mode == "reverse")
+        scaled, expected = run() * LARGEST, truth[0] * LARGEST
+        off = float(np.abs(scaled - expected).max() / np.abs(expected).max())
+        return Candidate(f"ours, differentiate, {mode} mode", run, 1.0, off, AGREED, note, OWN)
+
+    bench.add(OWN, own)
+    bench.add("plain C, central differences", by_c)
+    bench.add("ours, forward mode", lambda: exact("forward", "exact: six tangents at once"))
+    note = "exact: stores one state per control period and recomputes each period"
+    bench.add("ours, reverse mode", lambda: exact("reverse", note))
+    notes = (
+        "Of the sum of the RMS errors of angle [rad] and stiffness [N*m/rad] over the episode.",
+        "Deviation: the largest from the central differences, each part times a usual gain, as a part of the largest; "
+        f"beyond {AGREED:.0e} nothing is timed.",
+    )
+    return Table("Gradient with respect to six gains", "gradient", "time", "gradient", bench.timed(), notes)

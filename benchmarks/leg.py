@@ -198,7 +198,7 @@ class _Mujoco:
         begun = plant.init_state(*start[:2], clearance=start.clearance, upward_speed=start.upward_speed)
         here = folder / name
         here.mkdir()
-        for file, content in leg_files(plant, name, start=begun).files.items():
+        for file, content in leg_files(plant, name, start=begun).contents.items():
             (here / file).write_text(content)
         self._model = load_mujoco(here, name)
         self._data = mujoco.MjData(self._model)

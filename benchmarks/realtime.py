@@ -1,12 +1,11 @@
 """Control in real time: the table of docs/joint-rig.md.
 
-    python benchmarks/realtime.py [--duration 60] [--period 1] [--ordinary] [--steps]
+    python benchmarks/realtime.py [--duration 60] [--period 1] [--ordinary]
 
 The knee of examples/, simulated in real time, under PID and under decoupling control, recorded to disk as `mckibben rig
 control` does. It prints how many deadlines were missed, how late samples were taken and commands given, and beside it
 what the machine itself does to a loop of the same period that only sleeps: a deadline that this one misses, no program
-could have met. The machine's load is printed with it. With `--steps` it prints what one step of a controller takes, and
-how long it takes to compile, alone: as C, and by XLA as on machines without a C compiler.
+could have met. The machine's load is printed with it.
 """
 
 import argparse
@@ -19,23 +18,19 @@ from pathlib import Path
 import numpy as np
 from machine import describe, sentence
 
-from mckibben.realtime import ControlProgram, JointRig, compiled_step, prepare
+from mckibben.realtime import JointRig, prepare
 from mckibben.realtime import loop as module
 from mckibben.realtime.loop import realtime_process_settings
 from mckibben.realtime.record import Percentiles
 from mckibben.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-DECOUPLING = {"decoupling": {"poles": {"bandwidth": "80 rad/s"}, "disturbance_observer": {"bandwidth": "250 rad/s"}}}
+SCENARIOS = {"PID": "pre-contracted-step-pid.yaml", "decoupling": "valves/regulator-decoupling.yaml"}
 
 
-def scenario(duration, period, controller=None):
-    """The knee that moves along a sine, in SI."""
-    read = Scenario.read(EXAMPLES / "pre-contracted-step-pid.yaml")
-    changes = {"duration": duration, "control_period": period}
-    if controller is not None:
-        changes["controller"] = type(read.controller).model_validate(controller)
-    return read.model_copy(update=changes)
+def scenario(file, duration, period):
+    """A scenario of the examples that moves along a sine, for a duration and with a control period [s]."""
+    return Scenario.read(EXAMPLES / file).model_copy(update={"duration": duration, "control_period": period})
 
 
 def asleep(duration, period):
@@ -78,33 +73,6 @@ class Load:
         return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")
 
 
-def steps(control):
-    """Time to compile a controller [s], and median time of its step [us]."""
-    start = time.perf_counter()
-    program = ControlProgram(control)
-    compiling = time.perf_counter() - start
-    state, inputs, taken = program.init(0.0, 2e5, 2e5), np.array([0.01, 14.0, 0.0, 2e5, 2e5, 1e-3]), np.empty(5000)
-    for i in range(taken.size):
-        start = time.perf_counter()
-        state, _ = program.step(state, inputs)
-        taken[i] = time.perf_counter() - start
-    return compiling, np.median(taken) * 1e6
-
-
-def print_steps():
-    """The table of `--steps`."""
-    backprop = Scenario.read(EXAMPLES / "pre-contracted-step-backprop.yaml")
-    print("| controller | C: to compile, a step | XLA: to compile, a step |\n|---|---|---|")
-    compilers = compiled_step.compile_alone, compiled_step._compile_loop
-    for name, one in (("PID", scenario(1, 1e-3)), ("BP", backprop), ("decoupling", scenario(1, 1e-3, DECOUPLING))):
-        cells = []
-        for compiler in compilers:
-            compiled_step.compile_alone = compiler
-            compiled_step.flat_program.cache_clear()
-            cells.append("{:.2f} s, {:.0f} us".format(*steps(one.control())))
-        print(f"| {name} | {' | '.join(cells)} |", flush=True)
-
-
 def spread(times):
     return " / ".join(f"{time * 1e6:.0f}" for time in times)
 
@@ -114,24 +82,20 @@ def main():
     parser.add_argument("--duration", type=float, default=60.0, help="of each run [s]")
     parser.add_argument("--period", type=float, default=1.0, help="of control [ms]")
     parser.add_argument("--ordinary", action="store_true", help="without real-time priority")
-    parser.add_argument("--steps", action="store_true", help="only what one step takes")
     asked = parser.parse_args()
     period = asked.period * 1e-3
     if asked.ordinary:
         module._set_real_time_priority = lambda: None
     print(sentence(describe()) + "\n")
-    if asked.steps:
-        print_steps()
-    else:
-        print_runs(asked.duration, period)
+    print_runs(asked.duration, period)
 
 
 def print_runs(duration, period):
     """The table of runs."""
     print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] | others, ours [cores] |")
     print("|---|---|---|---|---|---|---|", flush=True)
-    for name, controller in (("PID", None), ("decoupling, 80 rad/s", DECOUPLING)):
-        session = prepare(scenario(duration, period, controller), JointRig.parse("rig: simulated"))
+    for name, file in SCENARIOS.items():
+        session = prepare(scenario(file, duration, period), JointRig.parse("rig: simulated"))
         with tempfile.TemporaryDirectory() as folder, Load() as load:
             ran = session.run(folder)
         timing = ran.timing

@@ -5,11 +5,10 @@ Everything is built from our own objects; `Numbers` hands the same numbers to th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike
@@ -17,9 +16,8 @@ from numpy.typing import NDArray
 
 from mckibben import catalog
 from mckibben.actuator import FirstOrderValve
-from mckibben.control import PID, BackpropPID, Controller, PositionStiffnessControl, Reference, Setpoint, Sine, Step
+from mckibben.control import PID, Controller, PositionStiffnessControl, Reference, Setpoint, Sine, Step
 from mckibben.joint import AntagonisticJoint, KneeGeometry
-from mckibben.muscle import ExponentialLaw, SmoothLaw
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import sampled
 from mckibben.units import bar, deg, mm, ms
@@ -28,9 +26,6 @@ PERIODS, PERIOD, SUBSTEPS = 10_000, 1 * ms, 4
 REFERENCE = Reference(Sine(10 * deg, 0.5), Step(13.0, 17.0, 5.0))
 POSITION = PID(kp=2 * bar, ki=60 * bar, kd=0.4 * bar)
 STIFFNESS = PID(kp=0.08 * bar, ki=5 * bar, kd=0.0)
-LEARNING = {"learning_rate": 3.0, "momentum": 0.5, "gain_ratio": 2.0, "seed": 0}  # examples/*-backprop.yaml
-POSITION_BP = BackpropPID(POSITION, signal_scale=10 * deg, error_scale=1 * deg, output_scale=10 * bar, **LEARNING)
-STIFFNESS_BP = BackpropPID(STIFFNESS, signal_scale=15.0, error_scale=1.0, output_scale=1 * bar, **LEARNING)
 
 
 class Numbers(NamedTuple):
@@ -72,7 +67,6 @@ class Problem:
 
     plant: JointPlant
     pid: PositionStiffnessControl
-    bp: PositionStiffnessControl
     setpoints: Setpoint
     start: PlantState
 
@@ -99,7 +93,7 @@ class Problem:
     def shortened(self, periods: int) -> Problem:
         """The first so many control periods."""
         setpoints = Setpoint(self.setpoints.angle[:periods], self.setpoints.stiffness[:periods])
-        return Problem(self.plant, self.pid, self.bp, setpoints, self.start)
+        return Problem(self.plant, self.pid, setpoints, self.start)
 
 
 def reference_problem() -> Problem:
@@ -112,27 +106,9 @@ def reference_problem() -> Problem:
     return Problem(
         plant,
         PositionStiffnessControl(POSITION, STIFFNESS, model=joint),
-        PositionStiffnessControl(POSITION_BP, STIFFNESS_BP, model=joint),
         setpoints,
         plant.equilibrium(0.0, stiffness=12.0),
     )
-
-
-def with_smooth_law(problem: Problem) -> Problem:
-    """The same problem with `SmoothLaw` of negligible deviations for Eq. 2, in the plant and in the controllers."""
-
-    def smooth(law: ExponentialLaw) -> SmoothLaw:
-        shared = {p.name: getattr(law, p.name) for p in ExponentialLaw.parameters()}
-        negligible = {p.name: 1e-12 * bar ** -int(p.name[1]) for p in SmoothLaw.linear_parameters if p.penalised}
-        return SmoothLaw(**shared, **negligible, centre=0.1, half_width=0.3, domain=law.domain)
-
-    def is_law(node: object) -> bool:
-        return isinstance(node, ExponentialLaw)
-
-    plant, pid, bp = jax.tree.map(
-        lambda node: smooth(node) if is_law(node) else node, (problem.plant, problem.pid, problem.bp), is_leaf=is_law
-    )
-    return replace(problem, plant=plant, pid=pid, bp=bp)
 
 
 def with_mass(plant: JointPlant, mass2: ArrayLike) -> JointPlant:

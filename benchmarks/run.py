@@ -18,7 +18,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
-os.environ["JAX_PLATFORMS"] = "cpu"  # a GPU is measured by a process of its own: gpu.py
+os.environ["JAX_PLATFORMS"] = "cpu"  # a GPU runs our own kernels
 
 import machine
 from rows import Row, Table
@@ -82,7 +82,6 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     from identification import identification
     from leg import leg
     from precision import precision
-    from reading import reading
     from reference import reference_problem
     from simulators import simulators
     from single import single
@@ -90,12 +89,11 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     problem = reference_problem()
     return {
         "single": lambda: single(problem, folder, quick=quick),
-        "precision": lambda: precision(quick=quick),
+        "precision": lambda: precision(problem, quick=quick),
         "batch": lambda: batch(problem, folder, quick=quick),
-        "gpu": lambda: gpu(quick=quick),
+        "gpu": lambda: gpu(problem, folder, quick=quick),
         "gradient": lambda: gradient(problem, folder, quick=quick),
         "cold": lambda: cold(folder, quick=quick),
-        "reading": lambda: reading(folder, quick=quick),
         "identification": lambda: identification(folder, quick=quick),
         "leg": lambda: leg(folder, quick=quick),
         "simulators": lambda: simulators(folder, quick=quick),

@@ -42,7 +42,8 @@ def simulators(folder: Path, *, quick: bool) -> Table:
     angles = np.asarray(result["angle"])[1 : CHECKED + 1]
     bench.add(BASE, lambda: in_mujoco(scenario, folder / "mjcf", commands, angles), install="mujoco")
     bench.add("environments", environments, install="gymnasium")
-    bench.add("MuJoCo Warp", lambda: in_warp(scenario, folder / "warp", commands, angles), install="mujoco-warp")
+    if not quick:  # its kernels take minutes to compile
+        bench.add("MuJoCo Warp", lambda: in_warp(scenario, folder / "warp", commands, angles), install="mujoco-warp")
     return Table(
         "Exported joint in simulators",
         "1000 control periods",

@@ -157,7 +157,8 @@ def main():
 
 def draw(found, path):
     """Distributions of the error, by what is known."""
-    from mckibben.report.style import BLUE, DOUBLE, VERMILLION, blank, house_style, legend_above, save
+    from mckibben.report.palette import BLUE, VERMILLION
+    from mckibben.report.style import DOUBLE, blank, house_style, legend_above, save
 
     with house_style():
         figure = blank(DOUBLE, 2.6)

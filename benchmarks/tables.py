@@ -8,17 +8,14 @@ from rows import Row, Table
 def as_text(table: Table) -> str:
     """Columns under each other, notes below their row."""
     header, lines = _header(table), [_cells(table, row) for row in table.rows]
-    widths = [max(len(line[i]) for line in [header, *lines]) for i in range(len(header))]
-    aligned = [
-        "  ".join(cell.ljust(width) if i == 0 else cell.rjust(width) for i, (cell, width) in enumerate(pairs)).rstrip()
-        for pairs in (list(zip(line, widths, strict=True)) for line in [header, *lines])
-    ]
-    text = [table.title, "=" * len(table.title), aligned[0], "-" * len(aligned[0])]
-    for row, line in zip(table.rows, aligned[1:], strict=True):
-        text.append(line)
-        if row.note:
-            text.append(f"    {row.note}")
-    return "\n".join([*text, *(f"* {note}" for note in table.notes), ""])
+    widths = [max(map(len, column)) for column in zip(header, *lines, strict=True)]
+    texts = [table.title, "=" * len(table.title)]
+    for row, cells in [(None, header), *zip(table.rows, lines, strict=True)]:
+        first, *rest = (cell.rjust(width) for cell, width in zip(cells, widths, strict=True))
+        texts.append("  ".join([first.lstrip().ljust(widths[0]), *rest]).rstrip())
+        if row is not None and row.note:
+            texts.append(f"    {row.note}")
+    return "\n".join([*texts, *(f"* {note}" for note in table.notes), ""])
 
 
 def as_markdown(table: Table) -> str:
@@ -29,22 +26,23 @@ def as_markdown(table: Table) -> str:
     return "\n".join([f"## {table.title}", "", head, rule, *body, "", *(f"- {note}" for note in table.notes), ""])
 
 
+def _common_base(table: Table) -> str:
+    """The engine that all ratios are to, or none."""
+    bases = {row.base for row in table.rows if row.ratio is not None}
+    return bases.pop() if len(bases) == 1 else ""
+
+
 def _header(table: Table) -> list[str]:
-    measured = "median (least)" if table.shown == "time" else f"{table.unit}/s: median (best)"
-    columns = ["engine", measured, f"ratio of {table.shown}", "against"]
+    measured = "time" if table.shown == "time" else f"{table.unit}/s"
+    base = _common_base(table)
+    columns = ["engine", measured, f"ratio to {base}" if base else "ratio", *([] if base else ["to"])]
     return columns + (["deviation"] if table.deviation_of else []) + (["cores busy"] if table.shown == "speed" else [])
 
 
 def _cells(table: Table, row: Row) -> list[str]:
-    measured = "-"
-    if row.time is not None and row.least is not None:
-        median, least = row.time, row.least
-        measured = (
-            f"{_seconds(median)} ({_seconds(least)})"
-            if table.shown == "time"
-            else f"{1 / median:.2f} ({1 / least:.2f})"
-        )
-    cells = [row.engine, measured, f"{row.ratio:.3g}" if row.ratio is not None else "-", row.base or "-"]
+    time = "-" if row.time is None else _seconds(row.time) if table.shown == "time" else f"{1 / row.time:.2f}"
+    cells = [row.engine, time, f"{row.ratio:.3g}" if row.ratio is not None else "-"]
+    cells += [] if _common_base(table) else [row.base or "-"]
     if table.deviation_of:
         cells.append(f"{row.deviation:.0e}" if row.deviation is not None else "-")
     if table.shown == "speed":
@@ -53,6 +51,4 @@ def _cells(table: Table, row: Row) -> list[str]:
 
 
 def _seconds(value: float) -> str:
-    if value < 1:
-        return f"{1e3 * value:.3g} ms"
-    return f"{value:.2f} s"
+    return f"{1e3 * value:.3g} ms" if value < 1 else f"{value:.2f} s"

@@ -9,7 +9,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch
 
-from mckibben.report.style import BLACK, blank, styled
+from mckibben.report.palette import BLACK
+from mckibben.report.style import blank, styled
 
 OURS, FILE, OTHER = "#DCEAF7", "#F1F3F5", "#F7E7D3"
 """Colours of a command, a file, and a device or another program."""

@@ -100,7 +100,6 @@ def test_a_wrong_call_names_the_one_that_is_meant(call, meant):
         (lambda: SCENARIO, "stiffness", "joint.stiffness(angle, pressures)"),
         (lambda: LAW, "stiffness", "slope(contraction, pressure)"),
         (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA), "rmse", "fit.rmse"),
-        (lambda: SCENARIO.envelope(), "trackable", "trackability.trackable"),
         (lambda: mk, "envelope", "scenario.envelope()"),
         (lambda: mk, "ExponentialLw", "ExponentialLaw"),
         (lambda: DATA, "identify", "mk.identify"),

@@ -1,11 +1,10 @@
-"""CasADi: one control period as an expression, accumulated over the episode; interpreted, and as generated C."""
+"""CasADi: one control period as C that it generates, accumulated over the episode."""
 
 from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,43 +23,24 @@ SYMBOLS = Maths(
 )
 
 
-def interpreted(problem: Problem) -> Callable[[], NDArray[np.float64]]:
-    """One episode in CasADi's virtual machine; what it returns runs it and gives the angle of each period."""
-    return _bound(problem, _period(problem, SUBSTEPS))
-
-
-def generated(problem: Problem, folder: Path, substeps: int = SUBSTEPS) -> Callable[[], NDArray[np.float64]]:
-    """The same with the control period as C that CasADi wrote, compiled with -O3 -march=native."""
-    period = _period(problem, substeps)
-    generator = ca.CodeGenerator("period.c")
-    generator.add(period)
-    generator.generate(f"{folder}/")
-    library = folder / f"period_{substeps}.so"
-    source = str(folder / "period.c")
-    subprocess.run(["cc", "-O3", "-march=native", "-shared", "-fPIC", "-o", str(library), source, "-lm"], check=True)
-    return _bound(problem, ca.external("period", str(library)))
-
-
-def _period(problem: Problem, substeps: int) -> Any:
-    """(state and memory, setpoints) to (the next of both, the angle now)."""
-    functions = knee(SYMBOLS, problem.numbers, substeps)
+def angles(problem: Problem, folder: Path) -> Callable[[], NDArray[np.float64]]:
+    """One episode; the function that is returned runs it and gives the angle of each period."""
+    functions = knee(SYMBOLS, problem.numbers)
     now, setpoints = ca.SX.sym("now", 10), ca.SX.sym("setpoints", 2)
     values = ca.vertsplit(now)
     x, memory = tuple(values[:4]), tuple(values[4:])
     angle = x[0]
     memory, u1, u2, _ = functions.control(memory, setpoints[0], setpoints[1], x)
-    for _ in range(substeps):
+    for _ in range(SUBSTEPS):
         x = functions.rk4(x, u1, u2)
-    return ca.Function("period", [now, setpoints], [ca.vertcat(*x, *memory), angle], {"cse": True})
-
-
-def _bound(problem: Problem, period: Any) -> Callable[[], NDArray[np.float64]]:
-    functions = knee(SYMBOLS, problem.numbers)
+    period = ca.Function("period", [now, setpoints], [ca.vertcat(*x, *memory), angle], {"cse": True})
+    generator = ca.CodeGenerator("period.c")
+    generator.add(period)
+    generator.generate(f"{folder}/")
+    library, source = folder / "period.so", folder / "period.c"
+    command = ["cc", "-O3", "-march=native", "-shared", "-fPIC", "-o", str(library), str(source), "-lm"]
+    subprocess.run(command, check=True)
+    whole = ca.external("period", str(library)).mapaccum("episode", problem.periods)
     first = [float(value) for value in (*problem.first, *functions.init(ca.DM(problem.first).elements()))]
-    setpoints = ca.DM(np.array(problem.wanted))
-    whole = period.mapaccum("episode", problem.periods)
-
-    def run() -> NDArray[np.float64]:
-        return np.asarray(whole(first, setpoints)[1]).ravel()
-
-    return run
+    wanted = ca.DM(np.array(problem.wanted))
+    return lambda: np.asarray(whole(first, wanted)[1]).ravel()

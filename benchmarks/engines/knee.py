@@ -1,4 +1,4 @@
-"""The knee for engines without a language of their own: the same formulas over floats, NumPy arrays and symbols.
+"""The knee for engines without a language of their own: the same formulas over floats and symbols.
 
 The stiffness is the closed-form derivative of the torque, as in plain C.
 """
@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import numpy as np
 from reference import PERIOD, SUBSTEPS, Numbers
 
 
@@ -32,7 +31,6 @@ FLOATS = Maths(
     lambda x, value: value if x > 0 else 0.0,
     lambda x, low, high: low if x < low else high if x > high else x,
 )
-ARRAYS = Maths(np.sin, np.cos, np.exp, np.sqrt, lambda x, value: np.where(x > 0, value, 0), np.clip)
 
 
 class Knee(NamedTuple):

@@ -1,7 +1,8 @@
-"""MuJoCo: the joint as a hinge, the valves as filtered actuators, the muscles' torque worked out in Python.
+"""MuJoCo: the joint as a hinge, the valves as filtered actuators, the muscles' torque computed in Python.
 
 The hinge has the load's inertia, damping and gravity. Two actuators hold the pressures [bar] as activations, whose
-filter is the valve's lag; they pull at nothing. The muscles' torque is added in Python, in one of two ways.
+filter is the valve's lag; they pull at nothing. The torque of the muscles is a passive force, so that RK4 calls Python
+at each of its four stages: the reference's own method.
 """
 
 from __future__ import annotations
@@ -18,9 +19,7 @@ from mckibben.units import bar
 
 MODEL = """
 <mujoco>
-  <option integrator="{integrator}" timestep="{step!r}" gravity="0 0 0">
-    <flag contact="disable" constraint="disable"/>
-  </option>
+  <option integrator="RK4" timestep="{step!r}" gravity="0 0 0"><flag contact="disable" constraint="disable"/></option>
   <worldbody>
     <body>
       <joint name="knee" type="hinge" axis="0 1 0" damping="{damping!r}"/>
@@ -35,75 +34,41 @@ MODEL = """
 """
 
 
-def every_stage(problem: Problem, substeps: int = SUBSTEPS) -> Callable[[], NDArray[np.float64]]:
-    """RK4 with the torque as a passive force: the reference's own method, with Python called at each of four stages."""
-    model, torque, control, init = _parts(problem, "RK4", substeps)
+def angles(problem: Problem) -> Callable[[], NDArray[np.float64]]:
+    """One episode; the function that is returned runs it and gives the angle of each period."""
+    numbers = problem.numbers
+    functions = knee(FLOATS, numbers)
+    text = MODEL.format(
+        step=PERIOD / SUBSTEPS, damping=numbers.damping, inertia=numbers.inertia, lag=numbers.time_constant
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    setpoints = list(zip(*(reference.tolist() for reference in problem.wanted), strict=True))
 
     def passive(_: mujoco.MjModel, data: mujoco.MjData) -> None:
         p1, p2 = data.act
-        data.qfrc_passive[0] += torque(float(data.qpos[0]), float(p1) * bar, float(p2) * bar)
+        data.qfrc_passive[0] += functions.torque(float(data.qpos[0]), float(p1) * bar, float(p2) * bar)
 
     def run() -> NDArray[np.float64]:
-        data = _at_start(model, problem)
+        data = mujoco.MjData(model)
+        data.qpos[0], data.qvel[0] = problem.first[:2]
+        data.act[:] = problem.first[2:] / bar
         mujoco.set_mjcb_passive(passive)
         try:
-            return _episode(problem, data, control, init, lambda: mujoco.mj_step(model, data, nstep=substeps))
+            memory, record = functions.init(state_of(data)), []
+            for wanted_angle, wanted_stiffness in setpoints:
+                x = state_of(data)
+                memory, u1, u2, _ = functions.control(memory, wanted_angle, wanted_stiffness, x)
+                record.append(x[0])
+                data.ctrl[:] = u1 / bar, u2 / bar
+                mujoco.mj_step(model, data, nstep=SUBSTEPS)
         finally:
             mujoco.set_mjcb_passive(None)
+        return np.array(record)
 
     return run
 
 
-def every_step(problem: Problem, substeps: int = SUBSTEPS) -> Callable[[], NDArray[np.float64]]:
-    """MuJoCo's default, semi-implicit Euler, the torque set before each step: another method, less exact."""
-    model, torque, control, init = _parts(problem, "Euler", substeps)
-
-    def run() -> NDArray[np.float64]:
-        data = _at_start(model, problem)
-
-        def advance() -> None:
-            for _ in range(substeps):
-                p1, p2 = data.act
-                data.qfrc_applied[0] = torque(float(data.qpos[0]), float(p1) * bar, float(p2) * bar)
-                mujoco.mj_step(model, data)
-
-        return _episode(problem, data, control, init, advance)
-
-    return run
-
-
-def _parts(problem: Problem, integrator: str, substeps: int) -> tuple:
-    numbers = problem.numbers
-    text = MODEL.format(
-        integrator=integrator,
-        step=PERIOD / substeps,
-        damping=numbers.damping,
-        inertia=numbers.inertia,
-        lag=numbers.time_constant,
-    )
-    functions = knee(FLOATS, numbers)
-    return mujoco.MjModel.from_xml_string(text), functions.torque, functions.control, functions.init
-
-
-def _at_start(model: mujoco.MjModel, problem: Problem) -> mujoco.MjData:
-    data = mujoco.MjData(model)
-    data.qpos[0], data.qvel[0] = problem.first[:2]
-    data.act[:] = problem.first[2:] / bar
-    return data
-
-
-def _episode(
-    problem: Problem, data: mujoco.MjData, control: Callable, init: Callable, advance: Callable[[], None]
-) -> NDArray[np.float64]:
-    def state() -> tuple[float, ...]:
-        p1, p2 = data.act
-        return float(data.qpos[0]), float(data.qvel[0]), float(p1) * bar, float(p2) * bar
-
-    memory, record = init(state()), []
-    for wanted_angle, wanted_stiffness in zip(*(reference.tolist() for reference in problem.wanted), strict=True):
-        x = state()
-        memory, u1, u2, _ = control(memory, wanted_angle, wanted_stiffness, x)
-        record.append(x[0])
-        data.ctrl[:] = u1 / bar, u2 / bar
-        advance()
-    return np.array(record)
+def state_of(data: mujoco.MjData) -> tuple[float, ...]:
+    """Angle, velocity and pressures [Pa]."""
+    p1, p2 = data.act
+    return float(data.qpos[0]), float(data.qvel[0]), float(p1) * bar, float(p2) * bar

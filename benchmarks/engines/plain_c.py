@@ -13,9 +13,6 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from reference import PERIOD, SUBSTEPS, Numbers, Problem
 
-from mckibben.control import BackpropPID
-from mckibben.control.base import Measurement
-
 HERE = Path(__file__).parent
 FLAGS = ("-O3", "-march=native", "-shared", "-fPIC")
 
@@ -38,19 +35,12 @@ class PlainC:
     def __init__(self, folder: Path, dtype: DTypeLike = np.float64) -> None:
         self.dtype = np.dtype(dtype)
         real = "float" if self.dtype == np.float32 else "double"
-        self.library = compile_library(folder, ("episode.c", "episode_bp.c"), flags=(f"-DREAL={real}",))
+        self.library = compile_library(folder, ("episode.c",), flags=(f"-DREAL={real}",))
 
     def episode(self, problem: Problem) -> Callable[[], NDArray[Any]]:
         """The record, shape (periods, 7): angle, velocity, p1, p2, u1, u2, estimated stiffness."""
         out = np.zeros((problem.periods, 7), self.dtype)
         return self._bound(self.library.episode, out, self._array(problem.numbers), run_of(problem, self.dtype), out, 0)
-
-    def episode_bp(self, problem: Problem) -> Callable[[], NDArray[Any]]:
-        """The record with BP loops."""
-        out = np.zeros((problem.periods, 7), self.dtype)
-        networks = self._array(np.concatenate([network_of(problem, name) for name in ("position", "stiffness")]))
-        numbers = self._array(problem.numbers)
-        return self._bound(self.library.episode_bp, out, numbers, networks, run_of(problem, self.dtype), out)
 
     def metrics(self, problem: Problem, lanes: NDArray[np.float64]) -> Callable[[], NDArray[Any]]:
         """RMS errors of angle and stiffness of each lane, shape (lanes, 2); `lanes` has a row of `Numbers` each."""
@@ -92,17 +82,6 @@ def run_of(problem: Problem, dtype: np.dtype[Any]) -> ctypes.Structure:
     )
     run.arrays = (angle, stiffness)
     return run
-
-
-def network_of(problem: Problem, name: str) -> NDArray[np.float64]:
-    """`Network` of episode_bp.c: a loop's scales and settings, and the hidden weights that our own `init` drew."""
-    loop: BackpropPID = getattr(problem.bp, name)
-    memory = problem.bp.init(Measurement(problem.start.angle, problem.start.pressures))
-    weights = np.asarray(getattr(memory, name).network.hidden)
-    if weights.shape != (6, 4):
-        raise ValueError(f"episode_bp.c has 6 hidden neurons with 4 inputs, not {weights.shape}")
-    settings = (loop.signal_scale, loop.error_scale, loop.output_scale)
-    return np.array([*settings, loop.learning_rate, loop.momentum, loop.gain_ratio, *weights.ravel()], float)
 
 
 def pointer(argument: Any) -> Any:

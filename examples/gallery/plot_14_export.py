@@ -20,7 +20,7 @@ from mckibben.units import bar
 
 scenario = mk.Scenario.read("../pre-contracted-step-pid.yaml").replace(duration=7.0)
 with tempfile.TemporaryDirectory() as folder:
-    files = export(scenario, "c", Path(folder) / "knee").files
+    files = export(scenario, "c", Path(folder) / "knee").contents
 print("\n".join(files))
 
 # %%

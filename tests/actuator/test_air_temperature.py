@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from mckibben.actuator import AirState, AirVolume, FlowValve, PressureRegulator, Tube
 from mckibben.joint import SeriesSpring
 from mckibben.numerics.calculus import rk4
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
 from mckibben.units import bar, cm, ms
 
@@ -26,7 +26,7 @@ ACTUATORS = {
     "adiabatic": dataclasses.replace(VALVE, wall_conductance=0.0, leak=None),
     "tube": Tube(VALVE, volume=TUBE_VOLUME, conductance=THIN),
 }
-advance = compiled(lambda plant, state, commands, time: plant.advance(state, commands, time, 200))
+advance = jit(lambda plant, state, commands, time: plant.advance(state, commands, time, 200))
 
 
 def flow(conductance, inlet, outlet, temperature=ROOM, critical=0.3):

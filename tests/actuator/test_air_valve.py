@@ -12,7 +12,7 @@ from mckibben.actuator import FlowValve, PressureRegulator, SwitchingValves
 from mckibben.actuator.base import AirState, AirVolume
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, LAMINAR, mass_flow, pressure_rate
 from mckibben.numerics.calculus import rk4
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
 
 C = 0.4e-8  # m^3/(s*Pa): 0.4 dm^3/(s*bar)
@@ -22,7 +22,7 @@ VALVES = {
     "regulator": PressureRegulator(C, 7e5, time_constant=0.02),
     "leaking": PressureRegulator(C, 7e5, time_constant=0.02, leak=0.05e-8, dead_zone=0.3e5),
 }
-advance = compiled(lambda plant, state, commands, time: plant.advance(state, commands, time, 100))
+advance = jit(lambda plant, state, commands, time: plant.advance(state, commands, time, 100))
 
 
 def filled(volume, time, index):
@@ -142,7 +142,7 @@ def test_with_shut_valves_the_air_is_compressed_as_p_v_to_the_n_and_is_as_stiff_
         paper_precontracted.torque(float(state.angle), held)
         for state, held in zip((start, moved), pressures, strict=True)
     ]
-    closed = compiled(lambda joint, p: joint.closed_valve_stiffness(0.1, p, polytropic_index=1.2, dead_volume=3e-6))
+    closed = jit(lambda joint, p: joint.closed_valve_stiffness(0.1, p, polytropic_index=1.2, dead_volume=3e-6))
     stiffness = (torques[0] - torques[1]) / float(moved.angle - start.angle)
     assert stiffness == pytest.approx(float(closed(knee, (3e5, 4e5))), rel=5e-3)
 

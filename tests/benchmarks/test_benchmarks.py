@@ -20,7 +20,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 def bench(monkeypatch):
     """Its modules, which find each other as scripts do."""
     monkeypatch.syspath_prepend(str(BENCHMARKS))
-    names = ("rows", "timing", "tables", "reference", "engines.plain_python")
+    names = ("rows", "timing", "tables", "reference", "engines.plain_c")
     return SimpleNamespace(**{name.split(".")[-1]: importlib.import_module(name) for name in names})
 
 
@@ -78,12 +78,12 @@ def test_every_engine_stands_in_every_form(bench, table):
 
 
 @pytest.mark.slow
-def test_plain_python_runs_our_episode(bench):
+def test_plain_c_runs_our_episode(bench, tmp_path):
     reference = bench.reference
     problem = reference.reference_problem().shortened(200)
     traced = numeric((problem.plant, problem.pid, problem.setpoints, problem.start, reference.PERIOD))
     _, record = jax.block_until_ready(compiled_episode(*traced, reference.SUBSTEPS))
-    angles = bench.plain_python.angles(problem)()
+    angles = bench.plain_c.PlainC(tmp_path).episode(problem)()[:, 0]
     assert np.abs(angles - np.asarray(record.state.angle)).max() < 1e-12
 
 

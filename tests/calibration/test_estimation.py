@@ -17,7 +17,7 @@ from mckibben.errors import IdentificationError, RangeError, ScenarioError
 from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
 from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.scenario import Scenario
 from mckibben.units import deg
 
@@ -45,7 +45,7 @@ def creep_of(lengths, period, stiffness, time_constant=2.0):
     return force
 
 
-@compiled
+@jit
 def balanced(joint, load, motion, first, mass, creeping):
     """Pressures, of which the first is given, and tensions that the equation of motion asks for."""
     angle, _, acceleration = motion
@@ -244,17 +244,6 @@ def test_the_covariance_of_a_fit_is_that_of_the_law_before(recorded, tmp_path):
 def test_nothing_to_calibrate_from():
     with pytest.raises(IdentificationError):
         calibrate_joint(knee(), PendulumLoad(mass=0.3, length=0.2), [], JointPrior())
-
-
-def test_a_correction_is_constant_beyond_its_contractions():
-    law = catalog.law("lei-mas-10-180n")
-    more = corrected_law(law, ForceCorrection((-5.0, 2.0, 1.0), (1e-5, 2e-5, 0.0), 0.1, 0.05))
-    contraction = np.array([0.05, 0.1, 0.125, 0.15, 0.18])
-    v = np.array([-1.0, 0.0, 0.5, 1.0, 1.0])
-    expected = -5 + 2 * v + v**2 + 3e5 * (1e-5 + 2e-5 * v)
-    assert np.asarray(more.force(contraction, 3e5) - law.force(contraction, 3e5)) == pytest.approx(expected)
-    force = more.force(contraction, 3e5)
-    assert np.asarray(more.pressure_for(force, contraction)) == pytest.approx(3e5)
 
 
 def test_scaled_arms_keep_the_length_at_their_angle():

@@ -15,7 +15,7 @@ from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, GeneralLoad
 from mckibben.muscle import MaxwellSlip, scaled_law
 from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
@@ -41,7 +41,7 @@ def commands(time, seed):
     return levels[np.minimum((time / 1.2).astype(int), 19)]
 
 
-@compiled
+@jit
 def moved(plant, commands, period):
     """Angles at the commands."""
     with batched_program():

@@ -38,7 +38,7 @@ def written(tmp_path):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No figures: they take longer than all else."""
-    monkeypatch.setattr("mckibben.report.write_benchmark", lambda contest, numbers, out: out / "comparison.html")
+    monkeypatch.setattr("mckibben.report.write_comparison", lambda contest, out: out / "comparison.html")
     monkeypatch.setattr("mckibben.study.compare.CompareResult.figures", ())
 
 
@@ -48,14 +48,16 @@ def results(folder):
 
 @pytest.mark.slow
 def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch):
-    drawn, draw = [], report.write_benchmark
-    monkeypatch.setattr(report, "write_benchmark", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest))
+    drawn, draw = [], report.write_comparison
+    monkeypatch.setattr(
+        report, "write_comparison", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest)
+    )
     suite = written((DECOUPLING, ""))
     found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 0, found.err
     kept = tmp_path / "kept"
     assert {path.name for path in kept.iterdir()} == {
-        *("results.json", "runs.nc", "suite.yaml", "comparison.html", "benchmark_errors.png", "benchmark_errors.svg"),
+        *("results.json", "runs.nc", "suite.yaml", "comparison.html", "comparison_errors.png", "comparison_errors.svg"),
         *("figures", STUDY, "controllers"),
     }
     assert Suite.read(kept / "suite.yaml") == suite

@@ -90,12 +90,6 @@ def test_another_law(cli):
     assert values(numbers, "law", "rmse")[0] > 50
 
 
-def test_the_slack_force_of_a_file(cli):
-    few = json.loads(cli("identify", FESTO, "--slack-force", "50 N", "--json").out)
-    (slack,), (used,) = values(few, "law", "points_slack"), values(few, "law", "points_used")
-    assert slack == int((catalog.dataset("festo-tool-10mm").force <= 50).sum()) and used + slack == 120
-
-
 def test_lengths_with_the_initial_length(cli, tmp_path):
     lines = Path(FESTO).read_text(encoding="utf-8").splitlines()
     rows = [line.split(",") for line in lines[1:]]
@@ -109,16 +103,6 @@ def test_lengths_with_the_initial_length(cli, tmp_path):
     wrong = cli("identify", "lengths.csv", "--initial-length", "200")
     assert (wrong.code, wrong.out) == (2, "")
     assert "200" in wrong.err
-
-
-def test_a_broken_file_lists_all_that_is_wrong(cli, tmp_path):
-    """The very file and words of docs/data.md."""
-    rows = ["pressure_bar,length_mm,force_N", "1,180,80", "2,abc,90", "2,170,nan", "-2,160,3", "1,150,2", "1,2"]
-    (tmp_path / "rig.csv").write_text("\n".join(rows) + "\n", encoding="utf-8")
-    found = cli("identify", "rig.csv", "--initial-length", "180 mm")
-    assert (found.code, found.out) == (2, "")
-    assert found.err in (DOCS / "data.md").read_text(encoding="utf-8")
-    assert found.err.count("\n") == 5
 
 
 def test_columns_that_are_no_columns(cli):
@@ -316,25 +300,6 @@ def test_an_impossible_diameter_or_fill_is_refused(cli, german, tmp_path, option
     assert not list((tmp_path / "new").glob("*"))  # the corrected command needs no --force
 
 
-def test_options_take_precedence_over_a_recipe(cli, german, tmp_path):
-    (tmp_path / "recipe.yaml").write_text(
-        'columns: {"Kraft [N]": contraction_percent, "Kontraktion [%]": force_N, "Druck [bar]": pressure_bar}\n'
-        "force_sign: -1\n"
-    )
-    found = cli("identify", german, "--recipe", "recipe.yaml", "--force-sign", "1", *COLUMNS[2:], "--json")
-    assert found.code == 0, found.err
-    assert found.out == cli("identify", german, *COLUMNS, "--json").out
-
-
-def test_the_length_of_a_recipe_is_printed(cli, german, tmp_path):
-    (tmp_path / "recipe.yaml").write_text("initial_length: 180 mm\n")
-    recipe = "--recipe", "recipe.yaml", *COLUMNS
-    for given, said in ((), True), (("--initial-length", "170 mm"), False):
-        wrong = cli("identify", german, *recipe, *given, "--force-sign", "-")
-        assert wrong.code == 2 and "--force-sign -1" in wrong.err
-        assert ("180 mm" in cli("identify", german, *recipe, *given, "--friction", "off", "--json").err) == said
-
-
 def test_a_recipe_may_be_empty_but_needs_a_sign(tmp_path):
     assert repr(Recipe(initial_length=0.18)) == "<Recipe: initial_length: 180 mm>"
     (tmp_path / "recipe.yaml").write_text(Recipe().dumps())
@@ -353,7 +318,8 @@ def test_threshold_of_the_law_is_found_kept_and_read_back(cli, tmp_path):
     force = np.maximum(force + np.random.default_rng(1).normal(0, 0.3, force.size), 0)
     rows = [f"{p},{c},{f}" for p, c, f in zip(pressure, contraction, force, strict=True)]
     (tmp_path / "points.csv").write_text("\n".join(["pressure_bar,contraction_percent,force_N", *rows]))
-    given = ("identify", "points.csv", "--threshold", "--initial-length", "180 mm", "--slack-force", "2 N")
+    (tmp_path / "recipe.yaml").write_text("slack_force: 2 N\ninitial_length: 180 mm\n")
+    given = ("identify", "points.csv", "--threshold", "--read", "recipe.yaml")
     found = cli(*given, "--json", "--out", "kept")
     assert found.code == 0, found.err
     assert values(json.loads(found.out), "threshold", "threshold")[0] == pytest.approx(0.4 * bar, rel=0.05)
@@ -378,7 +344,8 @@ def test_a_threshold_is_found_together_with_friction(cli, tmp_path):
             force = np.asarray(law.force(at / 100, pressure * bar)) + sign * 1.8 + random.normal(0, 0.3, 9)
             rows += [f"{pressure},{c},{max(f, 0)},{direction}" for c, f in zip(at, force, strict=True)]
     (tmp_path / "points.csv").write_text("\n".join(rows))
-    given = ("identify", "points.csv", "--threshold", "--initial-length", "180 mm", "--slack-force", "2 N", "--json")
+    (tmp_path / "recipe.yaml").write_text("slack_force: 2 N\ninitial_length: 180 mm\n")
+    given = ("identify", "points.csv", "--threshold", "--read", "recipe.yaml", "--json")
     found = cli(*given)
     assert found.code == 0, found.err
     numbers = json.loads(found.out)
@@ -412,10 +379,3 @@ def test_points_of_two_kinds_of_test_are_refused(cli, tmp_path):
     (tmp_path / "raw.csv").write_text("time_s,pressure_bar,contraction_percent,force_N\n0,1,0,10\n", encoding="utf-8")
     refused = cli("points", "raw.csv", "--isometric", "--strokes")
     assert refused.code == 2 and all(option in refused.err for option in ("--isometric", "--strokes"))
-
-
-def test_a_remedy_gives_the_option_of_a_header_with_parentheses(cli, tmp_path):
-    path = tmp_path / "b.csv"
-    path.write_text("pressure_bar,contraction_percent,Load cell (lbf)\n1,0,20\n1,10,10\n", encoding="utf-8")
-    found = cli("identify", str(path))
-    assert found.code == 2 and "--column 'Load cell (lbf)=force_lbf'" in found.err

@@ -48,19 +48,3 @@ def test_mistakes_are_explained(cli, recording, options, named):
     found = cli("identify-air", str(recording), *options)
     assert found.code == 2
     assert named in found.err
-
-
-def test_recordings_are_read_with_the_options_of_points(cli, recording, tmp_path):
-    lines = recording.read_text(encoding="utf-8").splitlines()
-    rows = [f"{line.split(',')[1]},-10,{-0.018 * 1e3}" for line in lines[1:]]
-    text = "\n".join(["pressure_bar,force_N,displacement_mm", *rows, "x,1,1"])
-    (tmp_path / "moved.csv").write_text(text, encoding="utf-8")
-    given = ("identify-air", "moved.csv", *SPECIMEN, "--dead-volume", "2 cm^3", "--force-sign", "-1", "--json")
-    zero = ("--displacement", "lengthening", "--initial-length", "180 mm", "--zero-length", "180 mm")
-    found = cli(*given, *zero, "--sample-rate", "1000 Hz", "--skip-corrupt")
-    assert found.code == 0, found.err
-    (tmp_path / "recipe.yaml").write_text("contraction: 10 %\nsample_rate: 1000 Hz\n")
-    by_recipe = cli(*given, "--skip-corrupt", "--recipe", "recipe.yaml")
-    whole = cli("identify-air", str(recording), *SPECIMEN, "--contraction", "10 %", "--dead-volume", "2 cm^3", "--json")
-    for run in (found, by_recipe):
-        assert wall(json.loads(run.out)) == pytest.approx(wall(json.loads(whole.out)), rel=1e-3)

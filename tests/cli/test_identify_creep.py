@@ -26,11 +26,11 @@ def test_share_and_time_constant_are_found_and_kept(cli, recording, tmp_path):
     given = ("identify-creep", str(recording), "--contraction", "5 %")
     found = cli(*given, "--out", "kept")
     assert found.code == 0, found.err
-    assert "interval" in found.out
+    assert "intervals" in found.out
     numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
-    assert numbers["significant"] and not numbers["structure"]
-    assert numbers["pressure_share"]["value"] == pytest.approx(0.08, rel=0.03)
-    assert numbers["pressure_time_constant"]["value"] == pytest.approx(2.0, rel=0.05)
+    assert numbers["scalars"]["amplitude"]["value"] == pytest.approx(0.08, rel=0.03)
+    assert numbers["scalars"]["time_constant"]["value"] == pytest.approx(2.0, rel=0.05)
+    assert not numbers["remarks"]
     assert json.loads(cli(*given, "--json").out) == numbers
 
 

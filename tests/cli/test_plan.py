@@ -52,8 +52,7 @@ def test_what_is_kept(cli, tmp_path):
     assert errors["unit"] == "1" and errors["values"] == sorted(errors["values"], reverse=True)
     assert errors["values"][-1] == pytest.approx(parameters["decay"]["values"][1])
     rows = (tmp_path / "next" / "plan.csv").read_text(encoding="utf-8").splitlines()
-    assert rows[0] == "pressure_bar,contraction_percent,direction,repeat,expected_N,rank"
-    assert sorted(int(row.split(",")[-1]) for row in rows[1:]) == list(range(1, 9))
+    assert rows[0] == "pressure_bar,contraction_percent,direction,repeat" and len(rows) == 9
     for pressure, contraction in zip(points["pressure"]["values"], points["contraction"]["values"], strict=True):
         assert 1e5 <= pressure <= 6e5 and pressure % 0.5e5 == 0
         assert contraction / 0.008 == pytest.approx(round(contraction / 0.008))
@@ -70,9 +69,9 @@ def test_one_direction_and_a_joint_of_a_scenario(cli, loading):
 def test_too_few_points_for_a_fit(cli, tmp_path, loading):
     lines = (tmp_path / loading).read_text(encoding="utf-8").splitlines()
     (tmp_path / "few.csv").write_text("\n".join(lines[: lines.index(next(x for x in lines if x[0] != "#")) + 5]) + "\n")
-    asked = cli("plan", "few.csv", "--points", "12", "--noise", "1 N")
+    asked = cli("plan", "few.csv", "--points", "12", "--noise", "1 N", "--accept", "rows")
     assert asked.code == 2 and "guess" in asked.err
-    given = cli("plan", "few.csv", "--points", "12", "--noise", "1 N", "--guess", "lei-mas-10-180n")
+    given = cli("plan", "few.csv", "--points", "12", "--noise", "1 N", "--accept", "rows", "--guess", "lei-mas-10-180n")
     assert given.code == 0 and "linearised about the guess" in given.out
 
 

@@ -87,7 +87,7 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         (["s.yaml", "--out", "x", "--over", "load.mass2=1..2"], "has no unit; write it like '2 kg'"),
         (["s.yaml", "--out", "x", *MASS, "--samples", "0"], "samples is 0; choose a whole number"),
         (
-            ["s.yaml", "--out", "x", *MASS, "--known", "load.mass2"],
+            ["s.yaml", "--out", "x", *MASS, "--model-follows", "load.mass2"],
             "does not take load.mass2 from the plant; leave it out",
         ),
         (["s.yaml", "--out", "x", *MASS, "--design", "girdle"], "choose sobol, random or grid"),

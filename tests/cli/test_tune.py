@@ -152,7 +152,9 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
     assert "# The knee" in (kept / "s-tuned-2.yaml").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("known", "believed"), [((), 208e-3), (("--known", "joint.geometry.connector_length"), None)])
+@pytest.mark.parametrize(
+    ("known", "believed"), [((), 208e-3), (("--model-follows", "joint.geometry.connector_length"), None)]
+)
 @pytest.mark.slow
 def test_a_tuned_plant_is_known_to_the_controller_if_asked_alone(cli, scenario, tmp_path, monkeypatch, known, believed):
     monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 0])  # what is found does not matter here

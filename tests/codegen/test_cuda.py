@@ -84,13 +84,6 @@ def test_kernels_compute_what_jax_does(cuda_here, function, given):
         np.testing.assert_allclose(one, other, rtol=tolerance, atol=tolerance)
 
 
-def test_constants_beyond_the_memory_for_them_are_computed_by_each_run(cuda_here, monkeypatch):
-    monkeypatch.setattr("mckibben.codegen.kernels._MOST", 2)
-    function = CudaFunction(lambda shared, x: jnp.sum(jnp.sin(shared) * x))
-    np.testing.assert_allclose(function(X[:5], X), np.sin(X[:5]).sum() * X, rtol=1e-12)
-    assert "known[2];" in cuda_here.compiler.sources[-1]
-
-
 def test_in_32_bits_only_numbers_of_all_runs_have_64(cuda_here):
     def function(shared, x):
         tiny = shared + 1e-12

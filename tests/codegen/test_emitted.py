@@ -194,13 +194,6 @@ def test_a_short_loop_may_pass_on_an_array_in_memory():
     np.testing.assert_array_equal(found[1], [given, 2 * given])
 
 
-def test_remainders_of_integers_in_lanes():
-    numbers = np.arange(-9, 23)
-    found = NativeFunction(lambda _, x: (x % 4, jnp.asarray(x) * 1.5 % 1.0))(None, numbers)
-    assert np.array_equal(found[0], numbers % 4)
-    assert np.allclose(found[1], numbers * 1.5 % 1.0)
-
-
 def test_functions_of_one_run_are_right_to_about_an_ulp():
     @NativeFunction
     def values(x, _):

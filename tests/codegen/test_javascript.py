@@ -71,7 +71,7 @@ def test_functions_loops_and_arrays():
 def test_controller(tmp_path, kind):
     scenario = Scenario.read(f"examples/pre-contracted-step-{kind}.yaml")
     made = export(scenario, "js", tmp_path)
-    assert set(made.files) == {"controller.js", "scenario.yaml"} and made.left_out == ()
+    assert set(made.contents) == {"controller.js", "scenario.yaml"} and made.left_out == ()
     source = controller_functions(scenario)
     random = np.random.default_rng(1)
     rows = np.column_stack([random.normal(0, 0.1, 50), random.uniform(12, 18, 50), random.normal(0, 0.1, 50),

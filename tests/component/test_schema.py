@@ -130,9 +130,9 @@ def test_a_users_controller_gets_the_model_of_the_plant_as_ours_does():
     assert inherited_fields(scenario.controller) == {"model", "load", "valve", "command_delay"}
     slower = with_values(scenario, {"valve.time_constant": 0.1})
     assert slower.control().valve.time_constant == 0.1
-    assert with_values(scenario, {"valve.time_constant": 0.1}, known=()).control().valve.time_constant == 0.08
+    assert with_values(scenario, {"valve.time_constant": 0.1}, model_follows=()).control().valve.time_constant == 0.08
     assert with_values(scenario, {"command_delay": 4e-3}).control().command_delay == 4e-3
-    assert with_values(scenario, {"command_delay": 4e-3}, known=()).control().command_delay is None
+    assert with_values(scenario, {"command_delay": 4e-3}, model_follows=()).control().command_delay is None
     assert end > start
 
 

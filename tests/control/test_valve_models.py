@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import mckibben as mk
+from mckibben.actuator import PressureRegulator
 from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.errors import McKibbenError, RangeError, ReachabilityWarning
 from mckibben.muscle.air import L_PER_S_BAR

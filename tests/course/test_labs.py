@@ -192,7 +192,7 @@ def remembering(compute):
 
 
 @pytest.fixture
-def computed_once(monkeypatch):
+def remembered(monkeypatch):
     """Checks and wrong answers repeat most runs and fits of a solution."""
     for module, name in ((mckibben, "identify"), (mckibben, "simulate_many"), (leg, "simulate_leg")):
         monkeypatch.setattr(module, name, remembering(getattr(module, name)))
@@ -200,7 +200,7 @@ def computed_once(monkeypatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lab", LABS)
-def test_checks_fail_for_wrong_answers(lab, computed_once):
+def test_checks_fail_for_wrong_answers(lab, remembered):
     """Each wrong answer, and none, is tried where its task stands, then replaced by the solution, which passes."""
     space, wrong = {}, dict.fromkeys(WRONG[lab], 0)
     found = notebooks.cells(lab)

@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Sound points raise no question; each kind of mistake raises one, of its topic."""
 
 from collections.abc import Callable

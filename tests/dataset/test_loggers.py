@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Ordinary files of loggers and spreadsheets are read at once, without a question."""
 
 import io

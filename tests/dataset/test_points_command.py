@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from mckibben.cli.points import _levels, points
 from mckibben.dataset import read_dataset, read_recording
-from mckibben.errors import DatasetError, McKibbenWarning, RangeError, UnitError
+from mckibben.errors import DatasetError, RangeError, UnitError
 from mckibben.units import bar
 
 APP = typer.Typer()
@@ -160,7 +160,7 @@ def test_files_at_several_lengths_are_read_with_the_lengths_in_their_names(run):
     run(*given, "--read", "name.yaml", error=DatasetError)
 
 
-def test_one_contraction_for_files_of_different_lengths_is_doubted(run):
+def test_one_contraction_holds_for_all_files(run):
     write("a.csv", RAMP)
     Path("b.csv").write_text(
         "Time (s),Druck [bar],Force (N)\n"
@@ -168,9 +168,7 @@ def test_one_contraction_for_files_of_different_lengths_is_doubted(run):
         encoding="utf-8",
     )
     read = read_recording(["a.csv", "b.csv"], columns={"Druck [bar]": "pressure_bar"})
-    with pytest.warns(McKibbenWarning, match="length"):
-        points = read.isometric(contraction=0.1)
-    assert len(points.dataset)
+    assert len(read.isometric(contraction=0.1).dataset)
     with pytest.raises(RangeError):
         read.isometric(contraction="10 %")
 

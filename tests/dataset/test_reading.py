@@ -1,3 +1,4 @@
+# ruff: noqa: E501 - tables of cases
 """Questions of a reader, and the options that answer them."""
 
 import warnings
@@ -97,7 +98,7 @@ QUESTIONS: dict[str, tuple[str, str, dict[str, object]]] = {  # text, words of t
     "lengths": (table("Pressure [bar];Length [mm];Force [N]", P, 200 - 2 * C, F), "--initial-length", {"initial_length": 0.2}),
     "displacements": (table("Pressure [bar];Weg [mm];Force [N]", P, 2 * C, F), "shortening_mm", {"columns": {"Weg [mm]": "shortening_mm"}, "initial_length": 0.2}),
     "displacements from another zero": (
-        table("Pressure [bar];Weg [mm];Force [N]", P, 50 - 2 * C, F), "lengthening_mm",
+        table("Pressure [bar];Weg [mm];Force [N]", P, 50 - 2 * C, F), "shortening or lengthening",
         {"displacement": "lengthening", "initial_length": 0.2, "zero_length": 0.15},
     ),
     "negative pull": (table(HEADER, P, C, -F), "force_sign=-1", {"columns": {"Force [N]": "-force_N"}}),

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.errors import ExportError, ParameterError
+from mckibben.errors import ExportError
 from mckibben.export import export
 from mckibben.export.fmi import fmu
 from mckibben.export.fmu import plant_unit
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import NoCreep, NoFriction
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.scenario import Scenario
 from mckibben.simulation.loop import compiled_episode
 from mckibben.simulation.problem import sampled
@@ -58,21 +58,17 @@ class Instance:
         self.references = {one.name: one.valueReference for one in description.modelVariables}
         self.folder = fmpy.extract(path)
         self.fmu = fmpy.simulation.instantiate_fmu(self.folder, description, "CoSimulation")
-        if description.fmiVersion == "2.0":
-            self.fmu.setupExperiment()
-            self.read, self.write = self.fmu.getReal, self.fmu.setReal
-        else:
-            self.read, self.write = self.fmu.getFloat64, self.fmu.setFloat64
+        self.fmu.setupExperiment()
         self.fmu.enterInitializationMode()
         if initialized:
             self.fmu.exitInitializationMode()
 
     def set(self, **values):
         names = [name.replace("__", ".") for name in values]
-        self.write([self.references[name] for name in names], list(map(float, values.values())))
+        self.fmu.setReal([self.references[name] for name in names], list(map(float, values.values())))
 
     def get(self, *names):
-        return np.array(self.read([self.references[name] for name in names]))
+        return np.array(self.fmu.getReal([self.references[name] for name in names]))
 
     def close(self):
         self.fmu.freeInstance()
@@ -100,66 +96,24 @@ def scenario():
 
 @pytest.fixture(scope="module")
 def folder(scenario, tmp_path_factory):
-    """Plant, controller and muscle of FMI 2.0."""
-    return written(scenario, tmp_path_factory.mktemp("fmi2"), None)
-
-
-@pytest.fixture(scope="module")
-def folder3(scenario, tmp_path_factory):
-    """Those of FMI 3.0."""
-    return written(scenario, tmp_path_factory.mktemp("fmi3"), 3)
-
-
-def written(scenario, folder, version):
+    """Plant, controller and muscle."""
+    folder = tmp_path_factory.mktemp("fmus")
     for target in ("fmu", "fmu-controller", "fmu-muscle"):
-        made = export(scenario, target, folder, fmi=version)
-        assert not any("binary" in one for one in made.left_out)
+        assert not any("binary" in part for part in export(scenario, target, folder).left_out)
     return folder
 
 
 @pytest.mark.parametrize("name", ["plant", "controller", "muscle"])
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
 @pytest.mark.slow
-def test_standard(folder, folder3, name, version):
-    file = (folder if version == "2.0" else folder3) / f"{name}.fmu"
+def test_files_are_valid_and_their_sources_have_no_warnings(folder, tmp_path, name):
+    file = folder / f"{name}.fmu"
     assert validation.validate_fmu(str(file)) == []
     description = fmpy.read_model_description(file)
-    assert description.fmiVersion == version
+    assert description.fmiVersion == "2.0"
     assert (description.modelExchange is None) == (name == "controller")
-
-
-@pytest.mark.slow
-def test_versions_have_the_same_variables(folder, folder3):
-    two, three = (fmpy.read_model_description(one / "plant.fmu") for one in (folder, folder3))
-    attributes = ("name", "valueReference", "causality", "variability", "initial", "start", "unit", "displayUnit")
-    assert two.guid != three.guid
-    for one, other in zip(two.modelVariables, three.modelVariables, strict=True):
-        assert [getattr(one, name) for name in attributes] == [getattr(other, name) for name in attributes]
-        assert (one.derivative and one.derivative.name) == (other.derivative and other.derivative.name)
-
-
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
-@pytest.mark.slow
-def test_sources_have_no_warnings(folder, folder3, tmp_path, version):
-    for name in ("plant", "controller", "muscle"):
-        file = (folder if version == "2.0" else folder3) / f"{name}.fmu"
-        sources = Path(fmpy.extract(file, tmp_path / name)) / "sources"
-        flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
-        subprocess.run(["cc", *flags, *map(str, sources.glob("*.c"))], check=True)
-
-
-@pytest.mark.skipif(not shutil.which("cmake"), reason="needs CMake")
-@pytest.mark.slow
-def test_sources_can_be_compiled_by_the_importer(folder3, opened, tmp_path):
-    unpacked = Path(fmpy.extract(folder3 / "controller.fmu", tmp_path / "controller"))
-    shutil.rmtree(unpacked / "binaries")
-    build.build_platform_binary(unpacked)
-    shutil.make_archive(str(tmp_path / "built"), "zip", unpacked)
-    ours, built = opened(folder3 / "controller.fmu"), opened(tmp_path / "built.zip")
-    for one in (ours, built):
-        one.set(setpoint__angle=0.1)
-        one.fmu.doStep(0.0, PERIOD)
-    assert ours.get("command1", "command2") == pytest.approx(built.get("command1", "command2"), rel=1e-12)
+    sources = Path(fmpy.extract(file, tmp_path / name)) / "sources"
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-fsyntax-only"]
+    subprocess.run(["cc", *flags, *map(str, sources.glob("*.c"))], check=True)
 
 
 @pytest.fixture(scope="module")
@@ -175,12 +129,11 @@ def simulated(scenario):
 
 
 @pytest.mark.slow
-def test_closed_loop_is_the_simulation(simulated, folder, folder3, opened):
+def test_closed_loop_is_the_simulation(simulated, folder, opened):
     setpoints, expected = simulated
-    found, found3 = (closed_loop(setpoints, one, opened) for one in (folder, folder3))
+    rows = closed_loop(setpoints, folder, opened)
     assert np.ptp(expected[:, 0]) > 0.1
-    assert np.max(np.abs(found - expected) / np.max(np.abs(expected), 0)) < 1e-9
-    assert np.array_equal(found, found3)
+    assert np.max(np.abs(rows - expected) / np.max(np.abs(expected), 0)) < 1e-9
 
 
 def closed_loop(setpoints, folder, opened):
@@ -217,15 +170,11 @@ def commands(plant, end=0.4):
 
 
 @pytest.mark.slow
-def test_model_exchange_agrees_with_co_simulation(folder, folder3, opened):
+def test_model_exchange_agrees_with_co_simulation(folder, opened):
     signal = commands(opened(folder / "plant.fmu"))
     common = {"stop_time": 0.4, "output_interval": PERIOD, "input": signal, "output": ["angle", "tension1"]}
     fixed = fmpy.simulate_fmu(folder / "plant.fmu", fmi_type="CoSimulation", step_size=PERIOD, **common)
     adaptive = fmpy.simulate_fmu(folder / "plant.fmu", fmi_type="ModelExchange", relative_tolerance=1e-8, **common)
-    adaptive3 = fmpy.simulate_fmu(folder3 / "plant.fmu", fmi_type="ModelExchange", relative_tolerance=1e-8, **common)
-    assert np.array_equal(adaptive, adaptive3)
-    fixed3 = fmpy.simulate_fmu(folder3 / "plant.fmu", fmi_type="CoSimulation", step_size=PERIOD, **common)
-    assert np.array_equal(fixed, fixed3)
     for name, tolerance in (("angle", 1e-5), ("tension1", 1e-2)):
         found = np.interp(fixed["time"], adaptive["time"], adaptive[name])
         away = np.abs(fixed["time"] - 0.1) > 2 * PERIOD  # rows around the step are before or after it
@@ -249,9 +198,8 @@ def test_a_parameter_can_be_changed(folder, opened, tmp_path):
     assert changed.get(*STATE, "tension1") == pytest.approx(other.get(*STATE, "tension1"), rel=1e-12)
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_a_state_can_be_restored(folder, folder3, opened, version):
-    plant = opened((folder if version == "2.0" else folder3) / "plant.fmu")
+def test_a_state_can_be_restored(folder, opened):
+    plant = opened(folder / "plant.fmu")
     plant.set(torque=1.0)
     plant.fmu.doStep(0.0, 0.02)
     held = plant.fmu.serializeFMUState(plant.fmu.getFMUState())
@@ -281,9 +229,8 @@ def test_muscle_with_friction(scenario, folder, opened):
     assert found == pytest.approx(law + friction, rel=1e-9)
 
 
-@pytest.mark.parametrize("version", ["2.0", "3.0"])
-def test_steps_of_a_controller_are_whole_periods(folder, folder3, opened, version):
-    loop = opened((folder if version == "2.0" else folder3) / "controller.fmu")
+def test_steps_of_a_controller_are_whole_periods(folder, opened):
+    loop = opened(folder / "controller.fmu")
     loop.fmu.doStep(0.0, 2 * PERIOD)
     with pytest.raises(fmpy.fmi1.FMICallException):
         loop.fmu.doStep(2 * PERIOD, 1.5 * PERIOD)
@@ -331,14 +278,6 @@ def test_parameters_that_are_not_finite_are_left_out(tmp_path):
     assert all(np.isfinite(float(one)) for one in starts.values() if one is not None)
 
 
-@pytest.mark.parametrize(("target", "version", "error"), [("fmu", 1, ParameterError), ("c", 3, ExportError)])
-def test_versions_that_cannot_be_written(scenario, tmp_path, target, version, error):
-    with pytest.raises(error) as caught:
-        export(scenario, target, tmp_path / "out", fmi=version)
-    assert caught.value.field == "fmi" and caught.value.value == version and caught.value.remedy
-    assert not (tmp_path / "out").exists()
-
-
 def test_nothing_is_written_for_numbers_of_32_bits(scenario, tmp_path):
     with pytest.raises(ExportError) as caught:
         export(scenario, "fmu", tmp_path / "out", single=True)
@@ -372,7 +311,7 @@ def test_the_temperature_of_the_air_is_a_state(tmp_path, opened):
     commands = (float(state.pressures[0]) + 2e5, float(state.pressures[1]))
     one.set(command1=commands[0], command2=commands[1])
     substeps = scenario.needed_substeps()
-    advance = compiled(lambda plant, state: plant.advance(state, commands, PERIOD, substeps))
+    advance = jit(lambda plant, state: plant.advance(state, commands, PERIOD, substeps))
     for number in range(50):
         state = advance(plant, state)
         one.fmu.doStep(number * PERIOD, PERIOD)

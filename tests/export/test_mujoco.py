@@ -119,9 +119,14 @@ def test_the_exported_scenario_runs_as_its_simulation(tmp_path):
     assert model.opt.timestep == scenario.control_period / scenario.substeps
     assert load_mujoco(tmp_path).nu == 2  # once more
     other = shutil.copytree(tmp_path, tmp_path / "other")
-    with pytest.raises(ExportError) as caught:
-        load_mujoco(other)
-    assert caught.value.field == "name"
+    for folder, name in (
+        (other, ""),
+        (other, "elbow"),
+        (tmp_path / "other" / "empty", ""),
+    ):  # loaded from another folder
+        with pytest.raises(ExportError) as caught:
+            load_mujoco(folder, name)
+        assert caught.value.field == "name"
 
 
 @eqx.filter_jit
@@ -234,6 +239,9 @@ def test_what_mujoco_cannot_hold_is_refused(knee):
             joint_model(plant)
         assert caught.value.remedy
         assert caught.value.field == field or (field is None and caught.value.field)
+    with pytest.raises(ExportError) as caught:
+        joint_model(mk.JointPlant(stretched, Sprung(mass=0.3, length=0.25), switching))
+    assert caught.value.message.count("MuJoCo does not support") == caught.value.remedy.count("give") == 3
 
 
 def test_the_compiler_of_a_plugin_may_have_options(tmp_path, monkeypatch):

@@ -103,6 +103,6 @@ def test_a_scenario_is_at_the_pressures_of_its_start(tmp_path):
     made = export(scenario, "osim", tmp_path)
     plant = scenario.plant()
     pressures = scenario.initial(plant).pressures
-    assert made.files["joint.osim"] == osim_model(plant, pressures).text == (tmp_path / "joint.osim").read_text()
+    assert made.contents["joint.osim"] == osim_model(plant, pressures).text == (tmp_path / "joint.osim").read_text()
     assert any("valves" in one for one in made.left_out)
     assert any("controller" in one for one in made.left_out)

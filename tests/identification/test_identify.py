@@ -12,8 +12,8 @@ from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import find_outliers, identify, read_law
 from mckibben.identification.estimator import standard_errors
-from mckibben.identification.fit import unphysical
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
+from mckibben.identification.summary import unphysical
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, HuntLaw, Parameter, PressureAffineLaw, SarosiLaw
 from mckibben.result import Severity
 from mckibben.units import bar, deg, mm, percent

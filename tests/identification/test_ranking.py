@@ -10,9 +10,9 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify, rank
-from mckibben.identification.fit import unphysical
 from mckibben.identification.fitting import residual_correlation
 from mckibben.identification.regression import NotIdentifiableError, cross_validate
+from mckibben.identification.summary import unphysical
 from mckibben.muscle import (
     LAWS,
     ChouLaw,

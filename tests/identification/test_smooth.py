@@ -8,7 +8,7 @@ import pytest
 from mckibben import Fit, catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import identify
-from mckibben.identification.fit import unphysical
+from mckibben.identification.summary import unphysical
 from mckibben.muscle import (
     ExponentialLaw,
     GaussianProcessLaw,

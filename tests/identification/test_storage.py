@@ -12,7 +12,7 @@ from mckibben.component import classes
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import FileError, ScenarioError
 from mckibben.identification import Fit, Grouping, identify, read_law
-from mckibben.identification.storage import find_fit
+from mckibben.identification.fit import find_fit
 from mckibben.muscle import Domain, ExponentialLaw, GaussianProcessLaw
 from mckibben.units import bar, deg, mm
 

@@ -281,7 +281,7 @@ def test_a_pushed_foot_in_mujoco_yields_as_computed(name: str, tmp_path: Path) -
     plant = LegPlant(dataclasses.replace(leg, trunk=trunk, joints=joints), mk.FirstOrderValve(0.02), gravity=0.0)
     start = plant.init_state(angles, found.pressures, clearance=0.5)
     made = leg_files(plant, name.replace("-", "_"), start=start)
-    for file, content in made.files.items():
+    for file, content in made.contents.items():
         (tmp_path / file).write_text(content)
     model = load_mujoco(tmp_path, name.replace("-", "_"))
     rows = [0, 2] if leg.is_planar else [0, 1, 2]

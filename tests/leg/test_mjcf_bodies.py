@@ -1,4 +1,4 @@
-"""Bodies of legs as MJCF, read by MuJoCo: masses, limits, inertia matrix, position of the foot at random postures."""
+"""Bodies of legs as MJCF, read by MuJoCo: masses, limits, inertia and position of the foot at random postures."""
 
 from __future__ import annotations
 

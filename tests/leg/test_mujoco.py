@@ -9,8 +9,9 @@ import pytest
 
 import mckibben as mk
 from mckibben.errors import ExportError, ParameterError
+from mckibben.export import export
 from mckibben.export.leg_compliance import compliance
-from mckibben.export.leg_mjcf import export_leg, leg_files, leg_model
+from mckibben.export.leg_mjcf import leg_files, leg_model
 from mckibben.export.mujoco import load_mujoco
 from mckibben.joint import Cam, PairedPaths, Pulley, TwoBonePath
 from mckibben.leg import (
@@ -96,7 +97,7 @@ def library(tmp_path_factory):
     folder = tmp_path_factory.mktemp("leg")
     for side in (False, True):
         plant = plant_of("vertical", side=side)
-        for name, content in leg_files(plant, name_of(plant)).files.items():
+        for name, content in leg_files(plant, name_of(plant)).contents.items():
             (folder / name).write_text(content)
         load_mujoco(folder, name_of(plant))
     return folder
@@ -247,9 +248,9 @@ def test_cams_pulleys_locked_joints_and_air(tmp_path):
     made = leg_files(plant, "other", start=start)
     assert sum("hip1" in one for one in made.left_out) == 1
     assert sum("ankle" in one for one in made.left_out) == 2
-    for name, content in made.files.items():
+    for name, content in made.contents.items():
         (tmp_path / name).write_text(content)
-    model = load_mujoco(tmp_path, "other")
+    model = load_mujoco(tmp_path)  # the only model of the folder
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
     assert [model.actuator(i).name for i in range(model.nu)] == ["hip1", "hip2", "knee1", "knee2", "rope"]
@@ -282,5 +283,5 @@ def test_what_mujoco_cannot_hold_is_refused():
 def test_a_leg_of_a_file_is_written_under_a_name_of_c(tmp_path):
     scenario = LegScenario.read("examples/leg/lei-leg.yaml")
     with pytest.raises(ParameterError) as caught:
-        export_leg(scenario, tmp_path, name="two legs")
+        export(scenario, "mjcf", tmp_path, name="two legs")
     assert (caught.value.field, list(tmp_path.iterdir())) == ("name", [])

@@ -3,6 +3,8 @@
 import ast
 import dataclasses
 import importlib
+import importlib.util
+import sys
 from pathlib import Path
 from runpy import run_path
 
@@ -14,7 +16,7 @@ import pytest
 import mckibben as mk
 from mckibben.cli.export import export
 from mckibben.errors import ParameterError
-from mckibben.export.warp import loaded, warp_leg
+from mckibben.export.warp import warp_leg
 from mckibben.leg import LegScenario, LegStart
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.units import bar, deg
@@ -52,16 +54,20 @@ def angles_of(plant, state, commands):
 
 
 @pytest.mark.slow
-def test_a_second_of_three_joints_and_a_muscle_over_two_agrees():
+def test_a_second_of_three_joints_and_a_muscle_over_two_agrees(tmp_path):
     warp = pytest.importorskip("mujoco_warp", reason="the extra warp is not installed")
     importlib.import_module("warp").config.optimization_level = 0  # compiling takes longer than running
     plant = arm(REGULATOR, friction=MaxwellSlip(12.0, 5e-4, viscous=30.0, elements=2), creep=MaxwellCreep(900.0, 0.5))
     state = plant.begin(START)
     made = warp_leg(plant, "arm", timestep=STEP, start=state)
-    model = mujoco.MjModel.from_xml_string(made.files["arm.xml"])
+    model = mujoco.MjModel.from_xml_string(made.contents["arm.xml"])
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, 0)
-    muscles = loaded(made.files["arm_warp.py"]).Muscles(model, worlds=1)
+    made.save(tmp_path)
+    spec = importlib.util.spec_from_file_location("arm_warp", tmp_path / "arm_warp.py")
+    module = sys.modules["arm_warp"] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    muscles = module.Muscles(model, worlds=1)
     m, d = warp.put_model(model), warp.put_data(model, data, nworld=1)
     muscles.install(m)
     found, control = [], np.zeros((1, model.nu), np.float32)

@@ -79,16 +79,6 @@ def test_samples_are_an_array_by_nature():
         lanes_of(outer(samples=np.zeros((2, 3, 7))))
 
 
-def test_one_lane_is_a_lane():
-    assert lanes_of(outer(np.ones(1)))[0] == 1
-
-
-def test_leaves_inside_tuples_and_dictionaries_vary():
-    count, varying = lanes_of({"x": (1.0, {"y": [np.zeros(3)]})})
-    assert count == 3
-    assert varying == {"x": (False, {"y": [True]})}
-
-
 @pytest.mark.parametrize(
     ("tree", "message"),
     [
@@ -161,23 +151,6 @@ def test_a_float_that_was_written_without_a_point_takes_floats():
     assert (after["a.first.size"].tolist(), after["b.left"].tolist()) == ([0.5], [0.5])
 
 
-def test_short_floats_and_unsigned_integers_are_numbers():
-    after = named_leaves(
-        with_leaves(
-            {"a": outer()}, {"a.first.size": jnp.ones(2, jnp.bfloat16), "a.first.count": np.arange(2, dtype=np.uint32)}
-        )
-    )
-    assert after["a.first.size"].dtype == np.float64
-    assert after["a.first.count"].tolist() == [0, 1]
-
-
-def test_one_object_in_two_places_is_changed_in_one():
-    inner = Inner(1.0)
-    after = with_leaves({"a": Outer(inner), "b": Outer(inner)}, {"a.first.size": [2.0]})
-    assert after["b"].first.size == 1.0
-    assert after["a"].first.size == [2.0]
-
-
 def test_a_name_that_does_not_exist_is_told_with_the_nearest():
     with pytest.raises(ParameterError, match=r"no parameter 'a.first.sise'; did you mean 'a.first.size'\?") as caught:
         select_leaves({"a": outer()}, ["a.first.count", "a.first.sise"])
@@ -186,13 +159,6 @@ def test_a_name_that_does_not_exist_is_told_with_the_nearest():
         with_leaves({"a": outer()}, {"zzzzzzzzzzzzzzzz": 1.0})
     with pytest.raises(ParameterError, match=r"no parameter 'a\.first'"):
         with_leaves({"a": outer()}, {"a.first": 1.0})
-
-
-def test_the_leaves_of_names_come_in_their_order():
-    assert list(select_leaves({"a": outer()}, ["a.several.0", "a.first.size"]).items()) == [
-        ("a.several.0", 2.0),
-        ("a.first.size", 1.0),
-    ]
 
 
 # Checks
@@ -232,11 +198,6 @@ def test_floats_are_cast_and_nothing_else(kind):
     assert numbers.dtype == np.int64
 
 
-def test_whole_numbers_that_are_traced_stay_whole():
-    found = jax.eval_shape(lambda tree: cast(tree, jnp.float32), (3, 1.5, np.arange(2), np.ones(2), True))
-    assert [x.dtype.name for x in found] == ["int64", "float32", "int64", "float32", "bool"]
-
-
 # Pieces
 
 
@@ -264,10 +225,6 @@ def test_answers_come_in_order_and_cover_all(count, size, workers):
     assert {piece.stop - piece.start for piece, _ in got[:-1]} <= {size}
 
 
-def test_nothing_to_do_is_nothing():
-    assert list(map_chunks(lambda piece: piece, 0, 4, 2)) == []
-
-
 class Watch:
     """Counts calls that have begun and answers that are alive."""
 
@@ -284,26 +241,6 @@ class Watch:
         with self.lock:
             self.running -= 1
         return piece.start
-
-
-@pytest.mark.parametrize("workers", [1, 2, 3])
-def test_few_pieces_are_under_way_however_slow_their_reader(workers):
-    watch = Watch()
-    for taken, _ in enumerate(map_chunks(watch, 40, 1, workers)):
-        time.sleep(0.003)
-        assert watch.begun <= taken + 2 * workers  # taken are done with; the one in hand is one of the rest
-    assert watch.begun == 40
-    assert watch.most <= workers
-
-
-def test_several_pieces_are_worked_on_at_once():
-    meeting = threading.Barrier(3, timeout=10)
-
-    def meet(piece):
-        meeting.wait()
-        return piece
-
-    assert len(list(map_chunks(meet, 3, 1, 3))) == 3
 
 
 def test_an_error_in_a_piece_is_raised_and_stops_the_rest():

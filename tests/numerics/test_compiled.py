@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben.control import Constant
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 
 
 class Thing(eqx.Module):
@@ -28,7 +28,7 @@ def test_numbers_become_arrays_and_all_else_stays():
 def test_a_new_value_compiles_nothing_and_a_new_structure_does():
     traced = []
 
-    @compiled
+    @jit
     def double(signal, *, time):
         traced.append(1)
         return 2 * signal(time)
@@ -42,7 +42,7 @@ def test_a_new_value_compiles_nothing_and_a_new_structure_does():
 
 
 def test_the_compiled_function_keeps_its_name():
-    @compiled
+    @jit
     def named(x):
         """Documented."""
         return x

@@ -108,20 +108,6 @@ def test_derivatives_are_those_of_jax(order):
     np.testing.assert_allclose(differentiate(ours)(x[7]), exact[7], rtol=1e-13, atol=1e-13)
 
 
-@pytest.mark.slow
-def test_derivatives_are_those_of_finite_differences():
-    x, h = jnp.linspace(-3.0, 3.0, 25), 1e-5
-    for function in (elementary.exp, elementary.sin, elementary.cos):
-        both = jax.jit(lambda v, f=function: (f(v), jax.vmap(jax.grad(f))(v)))
-        difference = (both(x + h)[0] - both(x - h)[0]) / (2 * h)
-        np.testing.assert_allclose(both(x)[1], difference, rtol=1e-8, atol=1e-9)
-
-
-def test_sine_and_cosine_lie_on_the_unit_circle():
-    sine, cosine = jax.jit(elementary.sincos)(jnp.linspace(-100.0, 100.0, 4001))
-    np.testing.assert_allclose(sine**2 + cosine**2, 1.0, atol=5e-16)
-
-
 def test_whole_numbers_are_taken_as_floats():
     assert float(elementary.exp(1)) == pytest.approx(np.e, rel=1e-15)
     assert elementary.exp(jnp.arange(3)).dtype == jnp.float64

@@ -2,12 +2,8 @@
 
 import os
 import shutil
-import stat
 import subprocess
 import sys
-import threading
-import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import equinox as eqx
@@ -99,30 +95,6 @@ def test_a_damaged_file_is_made_anew(folder):
         assert file.stat().st_size > 1000
 
 
-@pytest.mark.slow
-def test_a_damaged_file_is_not_even_looked_into(folder, monkeypatch):
-    """Native code that is damaged crashes the process."""
-    asked(Program(square))
-    (file,) = folder.iterdir()
-    good = file.read_bytes()
-    opened = []
-    monkeypatch.setattr(program_cache.pickle, "loads", lambda content: opened.append(content))
-    for place in np.linspace(0, len(good) - 1, 9).astype(int):
-        file.write_bytes(good[:place] + bytes([good[place] ^ 4]) + good[place + 1 :])
-        assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
-        assert opened == []
-        good = file.read_bytes()
-
-
-def test_the_program_of_another_is_not_taken(folder):
-    asked(Program(square))
-    (first,) = folder.iterdir()
-    asked(Program(square), power=3)
-    (second,) = {*folder.iterdir()} - {first}
-    shutil.copy(first, second)
-    assert asked(Program(square), power=3)["value"].tolist() == [1.5, 8.5, 27.5]
-
-
 def users_own(factor):
     """A signal as it stands in a user's file; the class has the same name whatever the factor."""
     names = {"__name__": "users_own", "eqx": eqx}
@@ -137,19 +109,6 @@ def test_a_class_of_the_users_that_was_edited_is_the_new_one(folder):
             4 + factor,
             9 + factor,
         ]
-    assert not folder.exists()
-
-
-def test_functions_of_one_name_are_not_taken_for_each_other(folder):
-    def times(factor):
-        def product(x):
-            return factor * x
-
-        product.__module__ = "mckibben.pretended"
-        return Program(product)
-
-    assert [float(times(factor)(np.asarray(2.0))) for factor in (3.0, 5.0)] == [6.0, 10.0]
-    assert [float(Program(each)(np.asarray(2.0))) for each in (lambda x: x + 1, lambda x: x + 2)] == [3.0, 4.0]
     assert not folder.exists()
 
 
@@ -186,14 +145,6 @@ def test_a_folder_that_others_can_write_or_a_link_is_not_used(folder, tmp_path, 
     assert not file.is_symlink()
 
 
-def test_what_belongs_to_another_user_is_not_private():
-    own = os.stat_result((0o100600, 0, 0, 1, os.getuid(), 0, 1, 0, 0, 0))
-    other = os.stat_result((0o100600, 0, 0, 1, os.getuid() + 1, 0, 1, 0, 0, 0))
-    assert program_cache.is_private(own, stat.S_ISREG)
-    assert not program_cache.is_private(other, stat.S_ISREG)
-    assert not program_cache.is_private(own, stat.S_ISDIR)
-
-
 @pytest.mark.slow
 def test_another_process_takes_it_up_unless_the_source_was_edited_in_between(folder, tmp_path):
     shutil.copytree(Path(mckibben.__file__).parent, tmp_path / "mckibben", ignore=shutil.ignore_patterns("__pycache__"))
@@ -218,73 +169,9 @@ def test_another_process_takes_it_up_unless_the_source_was_edited_in_between(fol
     assert len(left[1]) == 1 and left[2] == left[1]
 
 
-@pytest.mark.parametrize("keeps", [True, False])
-def test_threads_that_ask_at_once_wait_for_one_that_makes_it(folder, monkeypatch, keeps):
-    """Each would take a core for the same seconds."""
-    from jax import monitoring
-
-    if not keeps:
-        monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
-    made, together = [], threading.Barrier(4)
-    monitoring.register_event_duration_secs_listener(lambda event, *_, **__: made.append(event))
-
-    def slow(x):
-        time.sleep(0.05)
-        return x * 2 + len(os.environ)
-
-    slow.__module__, slow.__qualname__ = "mckibben.pretended", f"slow_{keeps}"
-    program = Program(slow)
-
-    def ask(number):
-        together.wait()
-        return float(program(np.asarray(float(number))))
-
-    try:
-        with ThreadPoolExecutor(4) as pool:
-            found = list(pool.map(ask, range(4)))
-    finally:
-        monitoring.clear_event_listeners()
-    assert found == [2.0 * number + len(os.environ) for number in range(4)]
-    assert sum("backend_compile" in event for event in made) == 1
-    assert len(list(folder.glob("*"))) == keeps
-
-
-def test_another_processor_has_programs_of_its_own(folder, monkeypatch):
-    for name in ("this", "that"):
-        monkeypatch.setattr(program_cache, "processor", lambda name=name: name)
-        program_cache._environment.cache_clear()
-        asked(Program(square))
-    assert len(list(folder.iterdir())) == 2
-    program_cache._environment.cache_clear()
-
-
-def test_a_folder_that_cannot_be_written_to_stops_nothing(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("in the way")
-    monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", str(tmp_path / "file" / "programs"))
-    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
-
-
 def test_where_jax_keeps_a_cache_of_its_own_nothing_is_kept_twice(folder, monkeypatch, tmp_path):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "theirs"))
     assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
-    assert not folder.exists()
-
-
-def test_a_program_that_does_not_run_again_is_not_kept(folder, monkeypatch):
-    from jax.experimental import serialize_executable
-
-    def unreadable(*_):
-        raise RuntimeError("no such function")
-
-    monkeypatch.setattr(serialize_executable, "deserialize_and_load", unreadable)
-    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
-    assert list(folder.glob("*")) == []
-
-
-def test_inside_other_programs_it_is_a_part_of_them(folder):
-    program = Program(square)
-    slope = jax.grad(lambda x: program({"x": x}, 2, offset=Constant(0.5))["value"])(3.0)
-    assert float(slope) == 6.0
     assert not folder.exists()
 
 

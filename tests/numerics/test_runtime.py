@@ -8,30 +8,6 @@ from mckibben.numerics.runtime import with_loop_option
 LOOP = "xla_cpu_small_while_loop_byte_threshold"
 
 
-def test_our_option_is_the_only_one_when_there_was_none():
-    assert with_loop_option("") == f"--xla_backend_extra_options={LOOP}=1000000000"
-
-
-def test_the_users_flags_stay_in_front():
-    assert with_loop_option("--xla_a=1 --xla_b=2").startswith("--xla_a=1 --xla_b=2 --xla_backend_extra_options=")
-
-
-def test_a_list_of_extra_options_of_the_user_grows():
-    flags = with_loop_option("--xla_a=1 --xla_backend_extra_options=foo=2,bar=3 --xla_b=2")
-    assert flags == f"--xla_a=1 --xla_backend_extra_options={LOOP}=1000000000,foo=2,bar=3 --xla_b=2"
-
-
-@pytest.mark.parametrize("mine", ["0", "7"])
-def test_a_choice_of_the_users_about_the_same_option_is_kept(mine):
-    flags = f"--xla_backend_extra_options={LOOP}={mine}"
-    assert with_loop_option(flags) == flags
-
-
-def test_adding_twice_is_adding_once():
-    once = with_loop_option("--xla_a=1")
-    assert with_loop_option(once) == once
-
-
 X86 = """processor	: 0
 vendor_id	: GenuineIntel
 model name	: A
@@ -104,17 +80,6 @@ def test_beside_a_cache_of_jax_programs_in_c_alone_are_kept(on, monkeypatch, tmp
     assert (runtime.programs_folder(), runtime.xla_programs_folder()) == (tmp_path, None)
 
 
-def test_the_folder_is_one_for_each_kind_of_processor(on, monkeypatch, tmp_path):
-    folders = set()
-    for more in ("", "avx2"):
-        name = on(X86.format(mhz="1", more=more))
-        monkeypatch.delenv("MCKIBBEN_PROGRAMS_DIR")
-        runtime.use_program_cache()
-        assert runtime.programs_folder() == tmp_path / "mckibben" / f"programs-{name}"
-        folders.add(runtime.programs_folder())
-    assert len(folders) == 2
-
-
 @pytest.mark.parametrize(
     ("flags", "options"), [("sse avx2", {}), ("avx2 avx512f", {"xla_cpu_prefer_vector_width": 512})]
 )
@@ -123,3 +88,21 @@ def test_batches_fill_the_vector_unit_of_a_cpu_that_is_wide(monkeypatch, flags, 
     assert runtime.batch_options.__wrapped__() == options
     monkeypatch.setattr("jax.default_backend", lambda: "gpu")
     assert runtime.batch_options.__wrapped__() == {}
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [
+        ("", f"--xla_backend_extra_options={LOOP}=1000000000"),
+        ("--xla_a=1 --xla_b=2", f"--xla_a=1 --xla_b=2 --xla_backend_extra_options={LOOP}=1000000000"),
+        (
+            "--xla_backend_extra_options=foo=2 --xla_b=2",
+            f"--xla_backend_extra_options={LOOP}=1000000000,foo=2 --xla_b=2",
+        ),
+        (f"--xla_backend_extra_options={LOOP}=7", f"--xla_backend_extra_options={LOOP}=7"),
+    ],
+    ids=["none", "flags of the user", "extra options of the user", "the same option"],
+)
+def test_our_option_joins_the_flags_of_the_user(flags, expected):
+    assert with_loop_option(flags) == expected
+    assert with_loop_option(expected) == expected

@@ -11,7 +11,7 @@ from mckibben.actuator import FirstOrderValve
 from mckibben.errors import ParameterError, UnreachableError
 from mckibben.joint import AntagonisticJoint, Cam, PairedPaths, Pulley, SeriesSpring, TabulatedPath, TwoBonePath
 from mckibben.muscle import return_spring
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
 from mckibben.reachability import LengthRange, Requirement, size
 from mckibben.reachability.lengths import design_lengths, with_lengths
@@ -28,12 +28,12 @@ def plant(as_printed, load):
     return numeric(JointPlant(as_printed, load, FirstOrderValve(0.02)))
 
 
-@compiled
+@jit
 def band(joint, angle, torque, tension):
     return joint.attainable_stiffness(angle, torque, minimum_tension=tension)
 
 
-@compiled
+@jit
 def margins(plant, lengths, reserve, tension):
     return constraint_margins(with_lengths(plant, lengths), ANGLES, STIFFNESS, reserve, tension)
 
@@ -89,7 +89,7 @@ def test_a_joint_gets_the_lengths_of_an_exhaustive_grid(plant, need):
     assert best.plant.joint.geometry.connector_length == best.lengths["connector_length"]
 
 
-@compiled
+@jit
 def compiled_margins(plant, stiffness, reserve):
     return constraint_margins(plant, ANGLES, stiffness, reserve, 5.0)
 

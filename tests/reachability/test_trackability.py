@@ -9,7 +9,7 @@ from mckibben.control import Constant, Reference, Samples, Sine, Step
 from mckibben.errors import RangeError, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint, SeriesSpring
 from mckibben.muscle.air import L_PER_S_BAR
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant import JointPlant, PlantState
 from mckibben.reachability import check_trackability, reference_trajectory, static_envelope
 from mckibben.reachability.trackability import MAX_SMOOTHING, bands_along
@@ -25,7 +25,7 @@ def on(plant: JointPlant, reference: Reference, **options):
     return check_trackability(plant, reference, duration=2.0, control_period=PERIOD, **options)
 
 
-@compiled
+@jit
 def attainable(joint, angle, torque):
     return joint.attainable_stiffness(angle, torque)
 

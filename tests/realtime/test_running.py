@@ -59,7 +59,7 @@ def test_without_a_compiler_the_steps_are_the_same(knee, monkeypatch):
 
     control = knee.scenario.control()
     expected = steps(ControlProgram(control))
-    monkeypatch.setattr(compiled_step, "compile_alone", no_compiler)
+    monkeypatch.setattr(compiled_step, "compile_native", no_compiler)
     compiled_step.flat_program.cache_clear()
     np.testing.assert_allclose(steps(ControlProgram(control)), expected, rtol=1e-9)
     compiled_step.flat_program.cache_clear()

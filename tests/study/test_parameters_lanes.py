@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 from mckibben.component.schema import parse_component, replaced
 from mckibben.control import Controller
 from mckibben.errors import ParameterError, RangeError, ScenarioError
-from mckibben.scenario import Scenario, batched, find_parameter, known_names, list_parameters, valid_rows, with_values
+from mckibben.scenario import (
+    Scenario,
+    batched,
+    find_parameter,
+    followed_names,
+    list_parameters,
+    valid_rows,
+    with_values,
+)
 from mckibben.study.compare import Suite
 from mckibben.study.parameters import parse_sweeps, sample
 
@@ -47,7 +55,7 @@ def test_each_number_alone_comes_where_the_file_would_put_it(scenario):
             value = np.sign(find_parameter(scenario, "controller.stiffness.ki").nominal) * 1e-4
         one = with_values(scenario, {address.name: value})
         assert find_parameter(one, address.name).nominal == value
-        many = batched(scenario, {address.name: np.array([value, value])}, known="all")
+        many = batched(scenario, {address.name: np.array([value, value])}, model_follows="all")
         if address.name.startswith("start."):
             assert getattr(many.start, address.places[0][-1]).tolist() == [value, value]
             continue
@@ -122,9 +130,9 @@ def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
     for leaf, mine in zip(jax.tree.leaves(many.control()), own, strict=True):
         np.testing.assert_array_equal(leaf, mine)
     assert sum(np.ndim(leaf) == 1 for leaf in jax.tree.leaves(many.plant())) >= len(table)
-    one = with_values(scenario, {key: column[0].item() for key, column in table.items()}, known=())
+    one = with_values(scenario, {key: column[0].item() for key, column in table.items()}, model_follows=())
     assert jax.tree.leaves(one.control()) == own
-    known = known_names(scenario, "all", table)
+    known = followed_names(scenario, "all", table)
     believed = {
         each.name
         for each in plant
@@ -132,11 +140,11 @@ def test_numbers_of_the_plant_reach_no_controller_unless_known(name):
     }
     assert set(known) == believed
     unknown = {key: column for key, column in table.items() if key not in known}
-    assert not varies(batched(scenario, unknown, known="all").control())
+    assert not varies(batched(scenario, unknown, model_follows="all").control())
     for name in known:
-        assert varies(batched(scenario, {name: table[name]}, known="all").control()), name
+        assert varies(batched(scenario, {name: table[name]}, model_follows="all").control()), name
     if known:
-        both = [batched(scenario, table, known=asked).control() for asked in ("all", known)]
+        both = [batched(scenario, table, model_follows=asked).control() for asked in ("all", known)]
         for one, other in zip(*map(jax.tree.leaves, both), strict=True):
             np.testing.assert_array_equal(one, other)
 
@@ -148,23 +156,23 @@ def test_what_is_known_varies_in_the_model_and_the_rest_does_not():
         "valve.time_constant": [0.01, 0.03],
         "controller.feedback.bandwidth": [30.0, 40.0],
     }
-    control = batched(scenario, table, known=["load.mass2"]).control()
+    control = batched(scenario, table, model_follows=["load.mass2"]).control()
     assert control.load.mass2.tolist() == table["load.mass2"]
     assert control.valve.time_constant == 0.02
     assert control.feedback.bandwidth.tolist() == [30.0, 40.0]  # a number of the controller's own
-    with pytest.raises(ParameterError, match=r"joint\.geometry\.connector_length is known but not varied"):
-        known_names(scenario, ["joint.geometry.connector_length"], table)
+    with pytest.raises(ParameterError, match=r"joint\.geometry\.connector_length, which is not varied"):
+        followed_names(scenario, ["joint.geometry.connector_length"], table)
     given = with_values(scenario.with_fixed_model(), {"controller.load.mass2": 0.4})
     with pytest.raises(ParameterError, match=r"does not take load\.mass2 from the plant"):
-        known_names(given, ["load.mass2"], table)
-    assert known_names(given, "all", table) == ()
+        followed_names(given, ["load.mass2"], table)
+    assert followed_names(given, "all", table) == ()
 
 
 def test_values_that_are_known_or_none_of_the_plants_are_written_as_in_a_file():
     scenario = with_controller("decoupling")
     assert with_values(scenario, {"load.mass2": 0.4}).control().load.mass2 == 0.4
-    assert with_values(scenario, {"reference.angle.amplitude": 0.1}, known=()).control() == scenario.control()
-    assert with_values(scenario, {"load.mass2": 0.4}, known=()).controller.load == scenario.load
+    assert with_values(scenario, {"reference.angle.amplitude": 0.1}, model_follows=()).control() == scenario.control()
+    assert with_values(scenario, {"load.mass2": 0.4}, model_follows=()).controller.load == scenario.load
 
 
 def test_lanes_leave_the_scenario_as_it_is_and_copy_the_table():

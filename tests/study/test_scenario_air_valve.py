@@ -102,7 +102,7 @@ def test_a_small_valve_tracks_worse_and_its_rate_limit_is_found(flow):
             flow.reference(),
             duration=0.4,
             control_period=0.01,
-        ).describe()
+        ).verdict()
         for conductance in (0.4, 0.005)
     }
     assert "trackable throughout" in trackable[0.4] and "at the rate limit" in trackable[0.005]

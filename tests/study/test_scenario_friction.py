@@ -11,7 +11,7 @@ from mckibben.errors import RangeError, ScenarioError
 from mckibben.muscle import MaxwellSlip, NoFriction
 from mckibben.reachability.envelope import envelope
 from mckibben.scenario import Scenario, batched, find_parameter
-from mckibben.study.sweep.compute import feasibility
+from mckibben.study.sweep.feasibility import feasibility
 from mckibben.units import bar, deg, mm
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
@@ -81,7 +81,7 @@ def test_its_numbers_can_be_varied():
     scenario = Scenario.parse(COMPENSATED)
     name = "joint.muscle.friction.half_width"
     assert find_parameter(scenario, name).nominal == 12.0
-    many = batched(scenario, {name: [8.0, 12.0]}, known=[name])
+    many = batched(scenario, {name: [8.0, 12.0]}, model_follows=[name])
     np.testing.assert_array_equal(many.plant().joint.muscle1.friction.half_width, [8.0, 12.0])
     assert np.ndim(jax.tree.leaves(many.control().model.muscle2.friction)[0]) == 1
 

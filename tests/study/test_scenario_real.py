@@ -10,7 +10,7 @@ from mckibben.errors import ParameterError, ScenarioError
 from mckibben.muscle import PressureAffineLaw
 from mckibben.plant import NoDisturbance, PerfectSensors, SampledSensors, TorquePulses
 from mckibben.scenario import Scenario, batched, find_parameter, list_parameters, with_values
-from mckibben.study.sweep.result import parameter_rows
+from mckibben.study.parameters.listing import ParameterList
 from mckibben.study.tune import gain_ranges
 from mckibben.units import deg, ms
 
@@ -108,10 +108,12 @@ NUMBERS = {
 def test_all_its_numbers_are_listed_with_what_they_are(real):
     nominal = {each.name: each.nominal for each in list_parameters(real)}
     assert {name: nominal[name] for name in NUMBERS} == pytest.approx(NUMBERS)
-    shown = {each["name"]: (each["nominal"], each["range"], each["unit"]) for each in parameter_rows(real)}
-    assert shown["sensors.encoder"] == ("0.022 deg", "0 to 10 deg", "deg")
-    assert shown["sensors.pressure_noise"] == ("4 kPa", "0 to 100000 kPa", "kPa")
-    assert shown["controller.adaptation.strength_spread"] == ("0.08", "above 0 to 0.3", "1")
+    listed = ParameterList.of(real)
+    rows = zip(listed.parameter, listed.value, listed.range, listed.unit, strict=True)
+    shown = {name: cells for name, *cells in rows}
+    assert shown["sensors.encoder"] == ["0.022 deg", "0 to 10 deg", "deg"]
+    assert shown["sensors.pressure_noise"] == ["4 kPa", "0 to 100000 kPa", "kPa"]
+    assert shown["controller.adaptation.strength_spread"] == ["0.08", "above 0 to 0.3", "1"]
 
 
 def test_what_is_left_out_is_that_of_the_classes():
@@ -127,7 +129,7 @@ def test_what_is_left_out_is_that_of_the_classes():
 
 def test_they_can_be_varied(real):
     table = {name: [value, value * 2 if isinstance(value, int) else value * 1.5] for name, value in NUMBERS.items()}
-    many = batched(real, table, known="all")
+    many = batched(real, table, model_follows="all")
     plant, control = many.plant(), many.control()
     np.testing.assert_array_equal(plant.sensors.seed, [7, 14])
     np.testing.assert_array_equal(plant.disturbance.height, [0.5, 0.75])

@@ -102,7 +102,7 @@ def test_the_table_says_what_made_it(kept, scenario, tmp_path):
 def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp_path):
     varied, few = ["joint.geometry.connector_length=0.207 m, 0.208 m"], {"design": "grid", "metrics": ["angle_rmse"]}
     fixed = sweep(scenario, varied, **few)
-    known = sweep(scenario, varied, out=tmp_path, known="all", **few)
+    known = sweep(scenario, varied, out=tmp_path, model_follows="all", **few)
     for swept, believed in ((fixed, 0.208), (known, 0.207)):
         run = swept.scenario(0)
         assert run.plant().joint.geometry.connector_length == pytest.approx(0.207)
@@ -111,8 +111,8 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         assert float(swept.table["angle_rmse"][0]) == pytest.approx(measured, rel=1e-9)
     assert float(fixed.table["angle_rmse"][0]) != float(known.table["angle_rmse"][0])
     assert sweep(scenario, out=tmp_path, resume=True).computed == 0  # what is known is taken from the manifest
-    with pytest.raises(FileError, match=r"known: the study was started with joint\.geometry\.connector_length"):
-        sweep(scenario, out=tmp_path, resume=True, known=())
+    with pytest.raises(FileError, match=r"model_follows: the study was started with joint\.geometry\.connector_length"):
+        sweep(scenario, out=tmp_path, resume=True, model_follows=())
 
 
 @pytest.mark.slow

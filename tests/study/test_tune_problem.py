@@ -52,7 +52,7 @@ SCALES = {"angle_rmse": 0.1 * deg, "stiffness_rmse": 0.2 / 3, "angle_max": deg, 
 
 
 def asked(cost, scenarios=(LIGHT, HEAVY)):
-    return TuningProblem.of(scenarios, sweep_parameters(LIGHT, RANGES), cost, known="all")
+    return TuningProblem.of(scenarios, sweep_parameters(LIGHT, RANGES), cost, model_follows="all")
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.base import Checked
@@ -22,7 +22,7 @@ from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
 from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
 from mckibben.muscle.muscle import warn_outside
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.simulation.engine import BatchFunction
 from mckibben.units import Quantity, Strength, deg, kPa, mm
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from mckibben.identification.fit import Fit
 
 Floats = NDArray[np.float64]
+Samples = Floats | Array
+Number = float | np.float64 | Array
 PositiveAngle = Annotated[float, Quantity("rad", "deg", 0, 57, open_lower=True)]
 PositiveNoise = Annotated[float, Quantity("Pa", "kPa", 0, 1e3, open_lower=True)]
 RATE = 50.0  # Hz, of the fitted samples
@@ -140,13 +142,13 @@ class JointPrior(Checked):
 class JointSamples(NamedTuple):
     """Smoothed samples of a recording, each of shape (samples,); scalars of the weight."""
 
-    angle: Any
-    velocity: Any
-    acceleration: Any
-    pressures: tuple[Any, Any]
-    tensions: tuple[Any, ...]
-    added_mass: Any  # as stated [kg]
-    distance: Any  # [m]
+    angle: Samples
+    velocity: Samples | None
+    acceleration: Samples | None
+    pressures: tuple[Samples, Samples]
+    tensions: tuple[Samples, ...]
+    added_mass: Number  # as stated [kg]
+    distance: Number  # [m]
 
 
 Halves = tuple[JointSamples, JointSamples]
@@ -163,7 +165,7 @@ class CalibrationProblem(NamedTuple):
     half_width: tuple[float, ...]
     pressure: tuple[float, ...]  # mean of the measured pressures [Pa]
     creep: tuple[float, ...]  # standard deviation of its stiffness [N/m]
-    laws: tuple[Any, ...]  # Cholesky factor of the covariance of its correction, in standard deviations of the prior
+    laws: tuple[Floats, ...]  # Cholesky factor of the covariance of its correction, in prior standard deviations
     prior: dict[str, float]
 
 
@@ -172,9 +174,9 @@ class _Corrected(NamedTuple):
 
     joint: AntagonisticJoint
     load: Load
-    added_mass: Any  # relative to its stated value
-    zero: Any  # [rad]
-    load_cells: tuple[Any, Any]  # gains
+    added_mass: Number  # relative to its stated value
+    zero: Number  # [rad]
+    load_cells: tuple[Number, Number]  # gains
 
 
 def sampling_period(recording: JointRecording) -> float:
@@ -272,13 +274,13 @@ def problem_of(
     return CalibrationProblem(joint, load, force, highest, centre, half_width, pressure, creep, laws, deviations)
 
 
-def path_lengths(joint: AntagonisticJoint, angle: Floats) -> list[Floats]:
+def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
     """Path lengths [m] of both muscles at angles [rad], from the program that also gives the moment arms."""
     return list(map(np.asarray, joint.geometry.paths_and_arms(angle)[0]))
 
 
-@compiled
-def _sweep(muscle: Muscle, longest: Any, shortest: Any) -> tuple[Array, Array, Array, Array]:
+@jit
+def _sweep(muscle: Muscle, longest: ArrayLike, shortest: ArrayLike) -> tuple[Array, Array, Array, Array]:
     """Ends of the contraction between two lengths [m]; midway, at the highest pressure, tension and its slope [N]."""
     low, high = muscle.specimen.contraction_at(longest), muscle.specimen.contraction_at(shortest)
     at = (low + high) / 2, muscle.domain.pressure_max
@@ -289,7 +291,7 @@ def _law_factor(
     prior: JointPrior, fit: Fit | None, muscle: Muscle, force: float, centre: float, half_width: float
 ) -> Floats:
     """Cholesky factor of the covariance of a correction: from the prior, and from a fit projected on it."""
-    covariance: Any = np.eye(2 * COEFFICIENTS)
+    covariance = np.eye(2 * COEFFICIENTS)
     if fit is not None:
         from mckibben.identification.least_squares import force_gradients
 
@@ -301,7 +303,7 @@ def _law_factor(
         gradients = strength * force_gradients(fit.law, list(fit.estimates), centre + half_width * v, most * p)
         projected = np.linalg.pinv(corrections) @ gradients
         covariance = covariance + projected @ fit.robust_covariance @ projected.T
-    return np.linalg.cholesky(covariance)
+    return np.asarray(np.linalg.cholesky(covariance), float)
 
 
 def muscle_parameters(problem: CalibrationProblem) -> int:
@@ -408,7 +410,7 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
     return lax.scan(step, start, samples[:5])[1]
 
 
-def _derivative(shared: tuple[CalibrationProblem, Any, JointSamples], direction: Any) -> tuple[Array, Array]:
+def _derivative(shared: tuple[CalibrationProblem, Array, JointSamples], direction: Array) -> tuple[Array, Array]:
     """Errors and their derivative in a direction of the parameters."""
     problem, z, samples = shared
     return jax.jvp(lambda z: _errors(problem, z, samples), (z,), (direction,))
@@ -423,7 +425,7 @@ def linearised(problem: CalibrationProblem, z: Floats, samples: JointSamples) ->
     return errors[..., 0], slopes
 
 
-def sliding_length(muscle: Any) -> float:
+def sliding_length(muscle: Muscle) -> float:
     """Travel [m] after which the friction of a muscle does not depend on its unknown initial state."""
     return _SLIDING * float(getattr(muscle.friction, "presliding_length", 0.0))
 

@@ -40,7 +40,7 @@ from mckibben.errors import IdentificationError, RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
 from mckibben.numerics.batching import recheck
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.result import Remark, column
 
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
@@ -237,14 +237,14 @@ def number(leaf: Any) -> Any:
     return leaf.item() if isinstance(leaf, jax.Array) and leaf.ndim == 0 else leaf
 
 
-_model = compiled(corrected)
+_model = jit(corrected)
 
 
 def _deviation(slope: Floats, covariance: Floats) -> Floats:
     return np.sqrt(np.einsum("...i,ij,...j->...", slope, covariance, slope))
 
 
-@compiled
+@jit
 def _stiffness(problem: CalibrationProblem, z: Array, angle: Array, pressures: Pressures) -> tuple[Array, Array]:
     def stiffness(z: Array) -> Array:
         return corrected(problem, z).joint.evaluate(angle, pressures)[1]
@@ -252,7 +252,7 @@ def _stiffness(problem: CalibrationProblem, z: Array, angle: Array, pressures: P
     return stiffness(z), jax.jacfwd(stiffness)(z)
 
 
-@compiled
+@jit
 def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, Array], OrderedDict[str, Array]]:
     """Quantities by name and their derivatives; other dictionaries would come back sorted."""
 
@@ -328,7 +328,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
     bands = friction_places(problem)  # at the bound there is no derivative; the covariance is taken at its edge
     z[bands] = np.maximum(z[bands], (LEAST_FRICTION - 1) / problem.prior["friction"] + _INSIDE)
     _, gradients, curvature = data(z)
-    inverse: Any = np.linalg.inv(curvature + np.eye(count))
+    inverse = np.asarray(np.linalg.inv(curvature + np.eye(count)), float)
     time = float(np.mean([correlation_time(errors[:, i]) for errors in means for i in range(groups)]))
     covariance = inverse @ (_long_run(gradients, time) + np.eye(count)) @ inverse
     return z, covariance, residual, noise

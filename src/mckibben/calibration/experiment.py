@@ -11,9 +11,9 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
-from mckibben.calibration.equations import JointPrior, JointRecording, path_lengths, sliding_length
+from mckibben.calibration.equations import JointPrior, JointRecording, Samples, path_lengths, sliding_length
 from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.component.schema import ENDINGS, independent, inherited_fields, origin_of, replaced, write_text
@@ -22,7 +22,7 @@ from mckibben.errors import ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.joint.attainable import stiffness_range
 from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
@@ -162,8 +162,8 @@ class Sweeps:
         return (float(low), float(high)) if np.isfinite(low + high) else (1.0, 0.0)
 
 
-@compiled
-def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Any) -> Array:
+@jit
+def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Samples) -> Array:
     """Attainable stiffness [N*m/rad] with each load, shape (loads, 2, angles), of muscles that are well taut."""
     middle = joint.contractions((angles[0] + angles[-1]) / 2, (0.0, 0.0))
     muscles = zip((joint.muscle1, joint.muscle2), middle, joint.springs, strict=True)
@@ -173,8 +173,8 @@ def _bands(joint: AntagonisticJoint, loads: list[Load], angles: Any) -> Array:
     return jnp.stack([jnp.stack(stiffness_range(joint, angles, torque, None, least)) for torque in torques])
 
 
-@compiled
-def _with_weight(load: Load, mass: Any, distance: Any) -> GeneralLoad:
+@jit
+def _with_weight(load: Load, mass: ArrayLike, distance: ArrayLike) -> GeneralLoad:
     return load.with_weight(mass, distance)
 
 
@@ -309,7 +309,7 @@ def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
     files = [origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2)]
     if not any(file.endswith(ENDINGS) for file in files):
         return prior
-    from mckibben.identification.storage import find_fit  # 0.1 s
+    from mckibben.identification.fit import find_fit  # 0.1 s
 
     first, second = (find_fit(Path(file)) if file.endswith(ENDINGS) else None for file in files)
     return replace(prior, fits=(first, second))

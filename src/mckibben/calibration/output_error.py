@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator import FirstOrderValve
 from mckibben.calibration.equations import (
@@ -22,6 +22,8 @@ from mckibben.calibration.equations import (
     JointPrior,
     JointRecording,
     JointSamples,
+    Number,
+    Samples,
     check_recording,
     corrected,
     muscle_parameters,
@@ -38,7 +40,7 @@ from mckibben.calibration.fitting import (
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant import JointFriction, JointPlant
 from mckibben.result import Column, Listing, Remark, column
 from mckibben.units import ms
@@ -71,12 +73,12 @@ _OWN = {  # units, and fields of the prior
 class _Motion(NamedTuple):
     """Equally spaced samples of a recording, without periods of rest."""
 
-    time: Any  # [s], shape (samples,)
-    angle: Any  # measured [rad]
-    commands: Any  # [Pa], shape (2, samples)
-    period: Any  # [s]
-    added_mass: Any  # [kg]
-    distance: Any  # [m]
+    time: Samples  # [s], shape (samples,)
+    angle: Samples  # measured [rad]
+    commands: Samples  # [Pa], shape (2, samples)
+    period: Number  # [s]
+    added_mass: Number  # [kg]
+    distance: Number  # [m]
 
 
 class SimulatedAngles(NamedTuple):
@@ -98,9 +100,9 @@ class _Simulated(NamedTuple):
     """A plant with the additional quantities of recordings."""
 
     plant: JointPlant
-    delay: Any  # of the commands [s]
-    zero: Any  # of the encoder [rad]
-    added: Any  # weight relative to its stated value
+    delay: Number  # of the commands [s]
+    zero: Number  # of the encoder [rad]
+    added: Number  # weight relative to its stated value
 
 
 class _Problem(NamedTuple):
@@ -175,7 +177,9 @@ class CommandedCalibration(CalibratedJoint):
         after = _Simulated(dataclasses.replace(self.plant, command_delay=None), self.delay, zero, added)
         substeps = _substeps([motion])
         angles = (np.asarray(_angle(model, _padded(motion), substeps)) for model in (self._before, after))
-        return SimulatedAngles(motion.time, motion.angle, *(angle[: motion.angle.size] for angle in angles))
+        return SimulatedAngles(
+            np.asarray(motion.time), np.asarray(motion.angle), *(angle[: motion.angle.size] for angle in angles)
+        )
 
 
 def calibrate_from_commands(
@@ -302,7 +306,7 @@ def _substeps(motions: Sequence[_Motion]) -> int:
     return math.ceil(max(float(motion.period) for motion in motions) / _STEP)
 
 
-def _trajectory(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
+def _trajectory(model: _Simulated, motion: _Motion, substeps: int) -> Array:
     """Angle [rad] at the samples, as read by the encoder."""
     plant, steps = model.plant, jnp.arange(motion.angle.shape[0])
     plant = dataclasses.replace(plant, load=plant.load.with_weight(model.added * motion.added_mass, motion.distance))
@@ -316,14 +320,14 @@ def _trajectory(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
     return lax.scan(step, first, (command1, command2))[1] + model.zero
 
 
-@compiled
-def _angle(model: _Simulated, motion: _Motion, substeps: Any) -> Array:
+@jit
+def _angle(model: _Simulated, motion: _Motion, substeps: int) -> Array:
     with batched_program():
         return _trajectory(model, motion, substeps)
 
 
-@compiled
-def _angles(problem: _Problem, zs: Any, motion: _Motion, substeps: Any) -> Array:
+@jit
+def _angles(problem: _Problem, zs: ArrayLike, motion: _Motion, substeps: int) -> Array:
     """Angles [rad], shape (parameter vectors, samples)."""
     with batched_program():
         return jax.vmap(lambda z: _trajectory(_simulated_by(problem, z), motion, substeps))(zs)
@@ -337,12 +341,12 @@ def _full(base: CalibrationProblem, z: Array) -> Array:
     return jnp.concatenate([muscles, jnp.zeros(1), z[count : count + _SHARED], jnp.zeros(2)])
 
 
-@compiled
+@jit
 def _full_and_slope(base: CalibrationProblem, z: Any) -> tuple[Array, Array]:
     return _full(base, z), jax.jacfwd(lambda z: _full(base, z))(z)
 
 
-def _own_deviations(problem: _Problem) -> Any:
+def _own_deviations(problem: _Problem) -> Array:
     return jnp.stack([jnp.asarray(problem.base.prior[name]) for _, name in _OWN.values()])
 
 
@@ -358,7 +362,7 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     return _Simulated(JointPlant(joint, load, valve, friction=problem.friction), delay, zero, added)
 
 
-_model = compiled(_simulated_by)
+_model = jit(_simulated_by)
 
 
 def _own_quantities(problem: _Problem, z: Floats, deviation: Floats) -> dict[str, JointEstimate]:
@@ -399,7 +403,7 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[OutputErrorFi
         return z
 
     fit = fit_output_error(linearised, [begin(s) for s in STARTS[:_STRENGTHS]], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE)
-    covariance: Any = np.linalg.inv(fit.hessian)
+    covariance = np.asarray(np.linalg.inv(fit.hessian), float)
     parts = zip(fit.errors, fit.slopes, strict=True)
     scatter = scatter_between(
         covariance, [(slope.T @ error / fit.variance, slope.T @ slope / fit.variance) for error, slope in parts]

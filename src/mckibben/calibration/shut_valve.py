@@ -29,7 +29,7 @@ from mckibben.muscle.air import (
     temperature_rate,
 )
 from mckibben.numerics.calculus import rk4
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.result import Remark, column
 from mckibben.units import bar, cm, kPa, ms, percent, show
 
@@ -373,7 +373,7 @@ def _simulated(z: Array, volumes: Array, areas: Array, periods: Array, blocks: i
     return lax.scan(follow, begin, None, blocks)[1].T
 
 
-@compiled
+@jit
 def _sensitivities(z: Array, volumes: Array, areas: Array, periods: Array, like: Array) -> tuple[Array, Array]:
     """Pressures [Pa] of all phases and their derivatives."""
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.actuator import Actuator
-from mckibben.calibration.equations import JointPrior, JointRecording
+from mckibben.calibration.equations import Floats, JointPrior, JointRecording
 from mckibben.calibration.experiment import field_of, holds, load_of, model_of, recording_of, with_fields
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
 from mckibben.component.schema import write_text
@@ -112,7 +112,7 @@ class ValveExperiment:
     def _half(self, scenario: Scenario) -> float:
         return round(self.duration / 2 / scenario.control_period) * scenario.control_period
 
-    def _ends(self, plant: JointPlant, middle: float) -> Any:
+    def _ends(self, plant: JointPlant, middle: float) -> Floats:
         """Lowest and highest pressures [Pa] of both muscles, shape (2, 2)."""
         if any(plant.joint.springs):
             states = [plant.equilibrium(angle) for angle in (self.lowest, self.highest)]
@@ -162,7 +162,7 @@ class ValveExperiment:
         return ""
 
 
-def _commands(ends: Any) -> dict[str, tuple[Any, Any]]:
+def _commands(ends: Floats) -> dict[str, tuple[Any, Any]]:
     """Commands [Pa] of both muscles in both parts, between their ends."""
     count, (pitches, share) = len(_FREQUENCIES), _DIFFERENCE
     phases = tuple(math.pi * k * k / count % (2 * math.pi) for k in range(count))  # M. Schroeder, 1970: a low crest

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator import Actuator, AirState, AirVolume, UnequalValves
 from mckibben.actuator.base import air_volumes
@@ -20,6 +20,8 @@ from mckibben.calibration.equations import (
     Floats,
     JointPrior,
     JointRecording,
+    Number,
+    Samples,
     check_recording,
     local_cubic,
     sampling_period,
@@ -37,7 +39,7 @@ from mckibben.component.base import field_quantities
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, ScaledArms
 from mckibben.numerics.calculus import rk4
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant.base import STABILITY_LIMIT
 from mckibben.result import Remark, column
 from mckibben.units import bar, cm, kPa, ms
@@ -79,11 +81,11 @@ class _Parameter(NamedTuple):
 class _Record(NamedTuple):
     """Samples of a recording."""
 
-    angle: Any  # smoothed [rad], shape (samples,)
-    pressures: tuple[Any, Any]  # measured [Pa]
-    commands: tuple[Any, Any]  # [Pa]
-    period: Any  # [s]
-    number: Any  # of the recording
+    angle: Samples  # smoothed [rad], shape (samples,)
+    pressures: tuple[Samples, Samples]  # measured [Pa]
+    commands: tuple[Samples, Samples]  # [Pa]
+    period: Number  # [s]
+    number: int  # of the recording
 
 
 class ValveCalibration(Calibration):
@@ -371,7 +373,7 @@ def _substeps(problems: dict[int, _Problem], valves: Sequence[Actuator], records
     return math.ceil(_MARGIN * fastest * max(float(record.period) for record in records) / STABILITY_LIMIT)
 
 
-def _mean_pressures(records: Sequence[_Record]) -> tuple[Any, Any]:
+def _mean_pressures(records: Sequence[_Record]) -> tuple[Array, Array]:
     first, second = (jnp.asarray(np.mean([record.pressures[i].mean() for record in records])) for i in (0, 1))
     return first, second
 
@@ -433,8 +435,8 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
     return lax.scan(follow_air, (pressure, valve.init_states((pressure,))), (commands, air))[1]  # type: ignore[arg-type]
 
 
-@compiled_as_given
-def _sensitivities(problem: _Problem, z: Any, record: _Record, muscle: int, substeps: int) -> tuple[Array, Array]:
+@jit_arrays
+def _sensitivities(problem: _Problem, z: ArrayLike, record: _Record, muscle: int, substeps: int) -> tuple[Array, Array]:
     """Pressures [Pa] of a muscle, shape (samples,), and their derivatives, shape (samples, parameters)."""
 
     def simulated(z: Array) -> tuple[Array, Array]:

@@ -49,8 +49,8 @@ def compare(
     from mckibben import report
     from mckibben.study.compare import CompareResult
     from mckibben.study.compare import compare as run
+    from mckibben.study.compare.checks import filename
     from mckibben.study.compare.result import PooledResult
-    from mckibben.study.compare.suite import filename
 
     suites = {name: read.of_setup(name) for name in read.setups} or {"": read}
     folders = {name: out / filename(name) if name else out for name in suites}
@@ -68,7 +68,7 @@ def compare(
 
             again = resume and (folders[name] / "study.sqlite").exists()
             results[name] = run(own, out=folders[name], resume=again, progress=step)
-            report.write_benchmark(results[name], results[name].numbers, folders[name])
+            report.write_comparison(results[name], folders[name])
     if not read.setups:
         show_study(results[""], out, "comparison.html", details=details, json=json)
         return

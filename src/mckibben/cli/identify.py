@@ -79,11 +79,7 @@ def identify(
                 "--pool fits a single law, and applies to no other option of the fit",
                 remedy="give --pool, --law, --for-length, --keep-outliers and --out alone",
             )
-        from mckibben.identification import identify_pooled
-
-        length = parse_positive("--for-length", for_length, "m") if for_length else None
-        pooled = identify_pooled(law_type, [reading.data([file]) for file in data], robust=robust)  # type: ignore[arg-type]
-        return _Pool(pooled, length)
+        return _pooled(law_type, [reading.data([file]) for file in data], for_length, robust)
     points = reading.data(data)
     _check_inner(volume[0], points.table.attrs.get("initial_length"))
     source = _Source(data, points, reading.recipe, volume)
@@ -99,6 +95,14 @@ def identify(
     fitted = identify_with_friction(law_type, points, friction=asked, form=form, robust=robust)
     late = identify_threshold(law_type, fitted.points, robust=robust) if threshold else None
     return _Identified(fitted, late, source)
+
+
+def _pooled(law_type: Any, data: list[IsobaricDataset], for_length: str, robust: bool) -> _Pool:
+    """Pool of datasets, one per specimen."""
+    from mckibben.identification import identify_pooled
+
+    length = parse_positive("--for-length", for_length, "m") if for_length else None
+    return _Pool(identify_pooled(law_type, data, robust=robust), length)
 
 
 class _Source(Result):

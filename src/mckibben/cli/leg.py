@@ -50,7 +50,9 @@ def land(
     if resume:
         required_folder(out, "study to be continued")
     journal = out / "landing.journal" if out else None
-    results_folder(out, ("results.json", "landing.nc", "leg.yaml", "landing.html", "landing.journal"), force or resume)
+    results_folder(
+        out, ("results.json", "landing.nc", "leg.yaml", "landing.journal", *_drawn("landing")), force or resume
+    )
     from mckibben.leg.landing import study_landing
 
     read = _read(file, accuracy)
@@ -60,17 +62,17 @@ def land(
         study = study_landing(read, source=str(file), journal=journal, resume=resume, progress=report)
     numbers = study.records()
     if out:
+        from mckibben import report as figures
         from mckibben.dataset.schema import write_netcdf
-        from mckibben.report.leg import write_landing
 
         with keeping(out):
             write_json(out / "results.json", numbers)
             write_netcdf(study.table, out / "landing.nc")
             read.to_yaml(out / "leg.yaml")
-            write_landing(study, out)
+            figures.save(figures.landing_forces(study), out, "landing")
     _show(read.name, study, numbers, json)
     if out:
-        notify(f"wrote landing.html, results.json, landing.nc and leg.yaml to {out}", json)
+        notify(f"wrote results.json, landing.nc, leg.yaml and figures to {out}", json)
 
 
 @leg.command()
@@ -90,7 +92,8 @@ def jump(
         required_folder(out, "study to be continued")
     journal = out / "jump.journal" if out else None
     runs = ("constant.nc", "timed.nc", "planned.nc")
-    results_folder(out, ("results.json", *runs, "leg.yaml", "jump.html", "jump.journal"), force or resume)
+    drawn = _drawn("jump", "plan")
+    results_folder(out, ("results.json", *runs, "leg.yaml", "jump.journal", *drawn), force or resume)
     from mckibben.leg.jumping import study_jump
 
     read = _read(file, accuracy)
@@ -102,25 +105,28 @@ def jump(
         study = study_jump(read, source=str(file), **given, progress=report)
     numbers = study.records()
     if out:
-        from mckibben.report.leg import write_jump
+        from mckibben import report as figures
 
         with keeping(out):
             write_json(out / "results.json", numbers)
-            (out / "planned.nc").unlink(missing_ok=True)  # of a study with a plan that --force replaces
+            for name in ("planned.nc", *drawn):  # of a study with a plan that --force replaces
+                (out / name).unlink(missing_ok=True)
             for name, one in study.jumps.items():
                 one.run.to_netcdf(out / f"{name}.nc")
             read.to_yaml(out / "leg.yaml")
-            write_jump(study, out)
+            figures.save(figures.jump_traces(study), out, "jump")
+            if study.plan is not None and study.plan.foot:
+                figures.save(figures.plan_stiffness(study), out, "plan")
     _show(read.name, study, numbers, json)
     if out:
         results = ", ".join(f"{name}.nc" for name in names)
-        notify(f"wrote jump.html, results.json, {results} and leg.yaml to {out}", json)
+        notify(f"wrote results.json, {results}, leg.yaml and figures to {out}", json)
 
 
 @leg.command()
 def stiffness(file: LegFile, json: Json = False, out: Out = None, force: Force = False) -> None:
     """Find the pressures for a stiffness of the foot: exact, or the nearest with a bound of the error."""
-    results_folder(out, ("results.json", "leg.yaml", "foot_stiffness.svg", "foot_stiffness.png"), force)
+    results_folder(out, ("results.json", "leg.yaml", *_drawn(_FIGURE)), force)
     from mckibben.leg.foot_pressures import solve_foot_stiffness
 
     read = _read(file)
@@ -142,6 +148,11 @@ def stiffness(file: LegFile, json: Json = False, out: Out = None, force: Force =
         echo(found.describe())
     if out:
         notify(f"wrote results.json, leg.yaml, foot_stiffness.svg and foot_stiffness.png to {out}", json)
+
+
+def _drawn(*names: str) -> list[str]:
+    """Files of figures."""
+    return [f"{name}.{end}" for name in names for end in ("png", "svg")]
 
 
 def _read(file: Path, accuracy: str = "") -> LegScenario:

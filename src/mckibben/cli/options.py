@@ -51,7 +51,7 @@ Accuracy = Annotated[
         "or substeps of the file.",
     ),
 ]
-Known = Annotated[
+ModelFollows = Annotated[
     list[str] | None,
     Option(
         metavar="NAME",

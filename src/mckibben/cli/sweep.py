@@ -12,7 +12,7 @@ from mckibben.cli.command import DETAILS, present
 from mckibben.cli.options import (
     Accuracy,
     Json,
-    Known,
+    ModelFollows,
     keeping,
     long_job,
     notify,
@@ -50,7 +50,7 @@ def sweep(
             metavar="'NAME=RANGE'", help="Parameter and its range, such as 'load.mass2=0.2 kg..1.0 kg'; repeatable."
         ),
     ] = None,
-    known: Known = None,
+    model_follows: ModelFollows = None,
     list_: Annotated[bool, Option("--list", help="List the parameters that can be varied, and exit.")] = False,
     design: Annotated[str | None, Option(metavar="KIND", help="Design: sobol (default), random or grid.")] = None,
     samples: Annotated[int | None, Option(metavar="N", help="Number of runs (default 1024), not for a grid.")] = None,
@@ -97,7 +97,7 @@ def sweep(
             seed=seed,
             metrics=None if metrics is None else [name.strip() for names in metrics for name in names.split(",")],
             precision=precision,
-            known="all" if known == ["all"] else known or None,
+            model_follows="all" if model_follows == ["all"] else model_follows or None,
             engine=engine,
             resume=resume,
             dask=dask,
@@ -120,7 +120,7 @@ def tune(
             "`mckibben sweep SCENARIO.yaml --list` lists the names.",
         ),
     ] = None,
-    known: Known = None,
+    model_follows: ModelFollows = None,
     cost: Annotated[
         str, Option(metavar="TERMS", help="Sum of metrics, each divided by its scale.")
     ] = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
@@ -197,7 +197,7 @@ def tune(
             seed=seed,
             out=out,
             resume=resume,
-            known="all" if known == ["all"] else known or (),
+            model_follows="all" if model_follows == ["all"] else model_follows or (),
             conditions=drawn,
             engine=engine,
             progress=bar,

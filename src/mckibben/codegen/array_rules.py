@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -12,13 +12,16 @@ from mckibben.codegen.graph import Graph, Kind, Value
 from mckibben.codegen.random_bits import MASK
 
 Array = Any  # an array of values
+Shape = tuple[int, ...]
+Parameters = Mapping[str, Any]
+"""Parameters of an equation of a jaxpr."""
 Rule = Callable[..., Array]
 
 
 def _over_axes(method: str, *operations: str) -> Iterator[Rule]:
     """Rules of primitives that apply a method to the axes in their parameters, each with an operation."""
-    for one in operations:
-        yield lambda self, parameters, kind, _, x, one=one: getattr(self, method)(one, parameters["axes"], kind, x)
+    for name in operations:
+        yield lambda self, parameters, kind, _, x, name=name: getattr(self, method)(name, parameters["axes"], kind, x)
 
 
 class ArrayRules:
@@ -27,50 +30,31 @@ class ArrayRules:
     _graph: Graph
 
     def _elementwise(self, function: Callable[..., Value], *arrays: Array) -> Array:
-        if not any(one.ndim for one in arrays):  # the common case
+        if not any(array.ndim for array in arrays):  # the common case
             result = np.empty((), object)
-            result[()] = function(*(one[()] for one in arrays))
+            result[()] = function(*(array[()] for array in arrays))
             return result
         arrays = np.broadcast_arrays(*arrays)
-        return array_of(arrays[0].shape, lambda at: function(*(one[at] for one in arrays)))
+        return array_of(arrays[0].shape, lambda at: function(*(array[at] for array in arrays)))
 
     # Elementwise, with parameters
 
-    def _square(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        return self._elementwise(lambda x: self._graph.power(x, 2), x)
-
-    def _one_minus_square(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        """Derivative of tanh by its value, in JAX 0.12 and newer."""
-        one, operation = self._graph.constant(1.0, kind), self._graph.operation
-        sides = lambda x: (operation("sub", kind, one, x), operation("add", kind, one, x))  # noqa: E731
-        return self._elementwise(lambda x: operation("mul", kind, *sides(x)), x)
-
-    def _integer_pow(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+    def _integer_pow(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         return self._elementwise(lambda x: self._graph.power(x, parameters["y"]), x)
 
-    def _rsqrt(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        one = self._graph.constant(1.0, kind)
-        root = lambda x: self._graph.operation("sqrt", kind, x)  # noqa: E731
-        return self._elementwise(lambda x: self._graph.operation("div", kind, one, root(x)), x)
-
-    def _logistic(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
-        one, operation = self._graph.constant(1.0, kind), self._graph.operation
-        power = lambda x: operation("exp", kind, operation("neg", kind, x))  # noqa: E731
-        return self._elementwise(lambda x: operation("div", kind, one, operation("add", kind, one, power(x))), x)
-
-    def _round(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
+    def _round(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array | None:
         if parameters["rounding_method"] is not jax.lax.RoundingMethod.TO_NEAREST_EVEN:
             return None
         return self._elementwise(lambda x: self._graph.operation("round", kind, x), x)
 
-    def _reduce_precision(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
+    def _reduce_precision(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array | None:
         bits = parameters["exponent_bits"], parameters["mantissa_bits"]
         if bits == (11, 52) or (bits == (8, 23) and self._graph.single):
             return x
         single = lambda x: x if x.operation == "single" else self._graph.operation("single", kind, x)  # noqa: E731
         return self._elementwise(single, x) if bits == (8, 23) else None
 
-    def _select_n(self, parameters: Any, kind: Kind, shape: Any, which: Array, *cases: Array) -> Array:
+    def _select_n(self, parameters: Parameters, kind: Kind, shape: Shape, which: Array, *cases: Array) -> Array:
         result = cases[0]
         for number, case in enumerate(cases[1:], 1):
             chosen = which
@@ -82,12 +66,12 @@ class ArrayRules:
             result = self._elementwise(select, chosen, case, result)
         return result
 
-    def _clamp(self, parameters: Any, kind: Kind, shape: Any, low: Array, x: Array, high: Array) -> Array:
+    def _clamp(self, parameters: Parameters, kind: Kind, shape: Shape, low: Array, x: Array, high: Array) -> Array:
         operation = self._graph.operation
         within = lambda low, x, high: operation("min", kind, operation("max", kind, x, low), high)  # noqa: E731
         return self._elementwise(within, low, x, high)
 
-    def _convert_element_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+    def _convert_element_type(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         def convert(x: Value) -> Value:
             result = self._graph.operation(kind.value, kind, x)
             if np.dtype(parameters["new_dtype"]) == np.uint32 and x.kind is not Kind.BOOLEAN:
@@ -96,7 +80,7 @@ class ArrayRules:
 
         return self._elementwise(convert, x)
 
-    def _bitcast_convert_type(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array | None:
+    def _bitcast_convert_type(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array | None:
         reals, words = {"f8": "from_bits", "f4": "from_bits_32"}, {"i8": "bits"}
         if self._graph.single:
             words = {} if x.flat[0].uniform else {"i4": "bits"}
@@ -107,7 +91,7 @@ class ArrayRules:
             return None
         return self._elementwise(lambda x: self._graph.operation(name, kind, x), x)
 
-    def _shift_right_logical(self, parameters: Any, kind: Kind, shape: Any, x: Array, places: Array) -> Array:
+    def _shift_right_logical(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array, places: Array) -> Array:
         def shifted(x: Value, places: Value) -> Value:
             result = self._graph.operation("shift_right", kind, x, places)
             if places.constant is None:
@@ -142,15 +126,15 @@ class ArrayRules:
             unordered = operation("and", Kind.BOOLEAN, no_number, number)
             return operation("or", Kind.BOOLEAN, operation(better, Kind.BOOLEAN, x, best), unordered)
 
-        best, *others = (np.asarray(one, object) for one in np.moveaxis(x, axes[0], 0))
+        best, *others = (np.asarray(part, object) for part in np.moveaxis(x, axes[0], 0))
         index = array_of(best.shape, lambda _: self._graph.constant(0, kind))
-        for number, one in enumerate(others, 1):
-            chosen, place = self._elementwise(preferred, one, best), self._graph.constant(number, kind)
+        for number, part in enumerate(others, 1):
+            chosen, place = self._elementwise(preferred, part, best), self._graph.constant(number, kind)
             index = self._elementwise(lambda c, i, n=place: operation("select", kind, c, n, i), chosen, index)
-            best = self._elementwise(lambda c, new, old: operation("select", new.kind, c, new, old), chosen, one, best)
+            best = self._elementwise(lambda c, new, old: operation("select", new.kind, c, new, old), chosen, part, best)
         return index
 
-    def _dot_general(self, parameters: Any, kind: Kind, shape: Any, x: Array, y: Array) -> Array | None:
+    def _dot_general(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array, y: Array) -> Array | None:
         (over_x, over_y), (batch, _) = parameters["dimension_numbers"]
         if batch:
             return None
@@ -164,38 +148,38 @@ class ArrayRules:
 
     # Moves
 
-    def _broadcast_in_dim(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+    def _broadcast_in_dim(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         axes = [1] * len(shape)
         for axis, size in zip(parameters["broadcast_dimensions"], x.shape, strict=True):
             axes[axis] = size
         return np.broadcast_to(x.reshape(axes), shape)
 
-    def _transpose(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+    def _transpose(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         return x.transpose(parameters["permutation"])
 
-    def _rev(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+    def _rev(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         return np.flip(x, parameters["dimensions"])
 
-    def _concatenate(self, parameters: Any, kind: Kind, shape: Any, *arrays: Array) -> Array:
+    def _concatenate(self, parameters: Parameters, kind: Kind, shape: Shape, *arrays: Array) -> Array:
         return np.concatenate(arrays, parameters["dimension"])
 
-    def _stack(self, parameters: Any, kind: Kind, shape: Any, *arrays: Array) -> Array:
+    def _stack(self, parameters: Parameters, kind: Kind, shape: Shape, *arrays: Array) -> Array:
         return np.stack(arrays, parameters.get("axis", 0))
 
-    def _split(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
+    def _split(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> list[Array]:
         return np.split(x, np.cumsum(parameters["sizes"])[:-1], parameters["axis"])
 
-    def _unstack(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> list[Array]:
+    def _unstack(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> list[Array]:
         """Items along an axis; a primitive of JAX 0.12 and newer."""
         axis = parameters["axis"]
-        return [np.squeeze(one, axis) for one in np.split(x, x.shape[axis], axis)]
+        return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
 
-    def _slice(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+    def _slice(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         strides = parameters["strides"] or [1] * x.ndim
         ends = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
-        return x[tuple(slice(*one) for one in ends)]
+        return x[tuple(slice(*bounds) for bounds in ends)]
 
-    def _dynamic_slice(self, parameters: Any, kind: Kind, shape: Any, x: Array, *starts: Array) -> Array:
+    def _dynamic_slice(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array, *starts: Array) -> Array:
         """Part of an array of few values, by a selection for each place where it may begin."""
         operation = self._graph.operation
         for axis, (start, size) in enumerate(zip(starts, parameters["slice_sizes"], strict=True)):
@@ -207,12 +191,12 @@ class ArrayRules:
             x = first
         return x
 
-    def _pad(self, parameters: Any, kind: Kind, shape: Any, x: Array, value: Array) -> Array | None:
+    def _pad(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array, value: Array) -> Array | None:
         config = parameters["padding_config"]
-        if any(min(one) < 0 for one in config):
+        if any(min(amounts) < 0 for amounts in config):
             return None
-        result, each = np.broadcast_to(value, shape).copy(), zip(config, shape, strict=True)
-        result[tuple(slice(low, size - high, between + 1) for (low, high, between), size in each)] = x
+        result, sizes = np.broadcast_to(value, shape).copy(), zip(config, shape, strict=True)
+        result[tuple(slice(low, size - high, between + 1) for (low, high, between), size in sizes)] = x
         return result
 
 

@@ -38,10 +38,18 @@ def write_c(
     wide: Sequence[str] = (),
     units: Mapping[str, str] | None = None,
 ) -> Sources:
-    """Write a module as C99; `units` of the members, by structure and path.
+    """Write a module as C99: a header with its structures, and a source without memory allocation or recursion.
 
-    In `single` precision numbers are `float`, except values that depend on the arguments `wide` alone, which are
-    `double`.
+    Parameters
+    ----------
+    comment
+        Text at the beginning of both files.
+    single
+        Whether numbers are `float`, except values that depend on the arguments `wide` alone, which are `double`.
+    wide
+        Names of such arguments.
+    units
+        Units of the members by structure and path, such as ``setpoint.angle``, for comments in the header.
     """
     return _Writing(module, comment, single, wide, units or {}).sources()
 
@@ -85,9 +93,9 @@ class _Writing:
         if module.state:
             structures.append(self._structure("state", module.state, _STATE))
         inside = ["parameters", *(["prepared"] if counts else []), *(["state"] if module.state else [])]
-        lines = [f"    {name}_{one} {one};" for one in inside]
+        lines = [f"    {name}_{part} {part};" for part in inside]
         structures.append("\n".join(["typedef struct {", *lines, f"}} {name};\n"]))
-        structures += [self._structure(one, members) for one, members in module.structures().items()]
+        structures += [self._structure(structure, members) for structure, members in module.structures().items()]
         return "\n".join(
             [
                 f"{self._comment}#ifndef {name.upper()}_H\n#define {name.upper()}_H\n",
@@ -96,7 +104,7 @@ class _Writing:
                 *structures,
                 f"/* set the default parameters, and prepare */\nvoid {name}_defaults({name} *self);\n",
                 f"/* call after changing parameters */\nvoid {name}_prepare({name} *self);\n",
-                *(f"/* {one.text} */\n{self._signature(one)};\n" for one in module.functions),
+                *(f"/* {function.text} */\n{self._signature(function)};\n" for function in module.functions),
                 "#ifdef __cplusplus\n}\n#endif\n\n#endif\n",
             ]
         )
@@ -135,26 +143,26 @@ class _Writing:
 
     def _signature(self, function: Function) -> str:
         arguments = [f"{self._name} *self" if "state" in function.results else f"const {self._name} *self"]
-        returned, given = "void", function.arguments.items()
-        arguments += [self._argument(name, one, given=True) for name, one in given if name != "state"]
+        returned, inputs = "void", function.arguments.items()
+        arguments += [self._argument(name, members, is_input=True) for name, members in inputs if name != "state"]
         if function.returned is not None:
             returned = self._language.types[function.results[function.returned][0].kind]
         else:
             results = function.results.items()
-            arguments += [self._argument(name, one, given=False) for name, one in results if name != "state"]
+            arguments += [self._argument(name, members, is_input=False) for name, members in results if name != "state"]
         return f"{returned} {self._name}_{function.name}({', '.join(arguments)})"
 
-    def _argument(self, name: str, members: Sequence[Member], *, given: bool) -> str:
+    def _argument(self, name: str, members: Sequence[Member], *, is_input: bool) -> str:
         if is_scalar(members):
-            return f"{self._language.types[members[0].kind]} {'' if given else '*'}{name}"
-        return f"{'const ' if given else ''}{self._name}_{name} *{name}"
+            return f"{self._language.types[members[0].kind]} {'' if is_input else '*'}{name}"
+        return f"{'const ' if is_input else ''}{self._name}_{name} *{name}"
 
-    def _place(self, structure: str, members: Sequence[Member], name: str, *, given: bool) -> str:
+    def _place(self, structure: str, members: Sequence[Member], name: str, *, is_input: bool) -> str:
         """Location of an element of an argument or a result."""
         if structure == "state":
             return f"self->{name}"
         if is_scalar(members):
-            return structure if given else f"*{structure}"
+            return structure if is_input else f"*{structure}"
         return name.replace(".", "->", 1)
 
     def _function(self, function: Function) -> str:
@@ -163,7 +171,7 @@ class _Writing:
             if self._writer.is_needed(value):
                 structure = value.data.split(".", 1)[0]
                 used.add(structure)
-                place = self._place(structure, function.arguments[structure], value.data, given=True)
+                place = self._place(structure, function.arguments[structure], value.data, is_input=True)
                 name = identifier(value.data)
                 self._writer.name(value, name)
                 if name != place:
@@ -172,7 +180,7 @@ class _Writing:
         for result, members in function.results.items():
             names = [element(result, member, number) for member in members for number in range(member.size)]
             for name, value in zip(names, function.values[result], strict=True):
-                place = self._place(result, members, name, given=False)
+                place = self._place(result, members, name, is_input=False)
                 text = self._writer.text(value)
                 lines.append(f"    return {text};" if result == function.returned else f"    {place} = {text};")
         unused = [name for name in function.arguments if name != "state" and name not in used]

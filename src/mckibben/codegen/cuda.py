@@ -14,6 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from jaxtyping import PyTree
+
+from mckibben.codegen.functions import header
 from mckibben.codegen.kernels import THREADS
 from mckibben.codegen.native import Compiled, NativeFunction
 from mckibben.errors import CompilerError, DeviceError
@@ -27,12 +30,6 @@ _OPTIONS = (
     "--prec-div=false",  # in 32 bits, an error of two units in the last place
     "--prec-sqrt=false",
 )
-_PRELUDE = """typedef int int32_t;
-typedef unsigned int uint32_t;
-typedef long long int64_t;
-#define INFINITY __longlong_as_double(0x7ff0000000000000ll)
-#define NAN __longlong_as_double(0x7ff8000000000000ll)
-"""  # NVRTC has no headers
 _OLD = 222, 803, 804  # driver's errors: unsupported version of PTX, mismatched or incompatible driver
 _NO_DEVICE = 100
 _OUT_OF_MEMORY = 2
@@ -83,9 +80,9 @@ class Nvrtc:
             )
         known = architecture in self.architectures
         target = f"sm_{architecture}" if known else f"compute_{max(self.architectures)}"
-        options = [one.encode() for one in (f"--gpu-architecture={target}", *_OPTIONS)]
+        options = [option.encode() for option in (f"--gpu-architecture={target}", *_OPTIONS)]
         program = c_void_p()
-        self._call("nvrtcCreateProgram", byref(program), (_PRELUDE + source).encode(), b"run.cu", 0, None, None)
+        self._call("nvrtcCreateProgram", byref(program), (header("cuda.h") + source).encode(), b"run.cu", 0, None, None)
         try:
             status = self._library.nvrtcCompileProgram(program, len(options), (c_char_p * len(options))(*options))
             log = self._text(program, "ProgramLog").decode(errors="replace").rstrip("\0")
@@ -98,7 +95,7 @@ class Nvrtc:
             self._call("nvrtcDestroyProgram", byref(program))
         log = log.partition("'run'")[2]  # without the kernel that computes the constants
         registers, spilled = (re.search(rf"(\d+) {what}", log) for what in ("registers", "bytes spill stores"))
-        return Kernel(image, ptx.decode(), *(int(one[1]) if one else 0 for one in (registers, spilled)))
+        return Kernel(image, ptx.decode(), *(int(match[1]) if match else 0 for match in (registers, spilled)))
 
     @property
     def name(self) -> str:
@@ -116,7 +113,7 @@ class Nvrtc:
         self._library.nvrtcGetErrorString.restype = c_char_p
         return self._library.nvrtcGetErrorString(status).decode()
 
-    def _call(self, name: str, *arguments: Any) -> None:
+    def _call(self, name: str, *arguments: PyTree) -> None:
         if status := getattr(self._library, name)(*arguments):
             raise CompilerError(f"{name}: {self._error(status)}", value=status)
 
@@ -126,10 +123,10 @@ def nvrtc() -> Nvrtc:
     """NVRTC of a wheel or the system; raises `DeviceError` if there is none."""
     # Version 12 comes first, as drivers of CUDA 13 load its programs, but not the other way round.
     spec = importlib.util.find_spec("nvidia")
-    folders = [Path(one) for one in (spec.submodule_search_locations or ())] if spec else []
+    folders = [Path(folder) for folder in (spec.submodule_search_locations or ())] if spec else []
     for major, wheel in _WHEELS.items():
         name = f"libnvrtc.so.{major}"
-        for path in (*(str(one / wheel / "lib" / name) for one in folders), name):
+        for path in (*(str(folder / wheel / "lib" / name) for folder in folders), name):
             with suppress(OSError):
                 return Nvrtc(ctypes.CDLL(path))
     raise DeviceError(
@@ -181,7 +178,7 @@ class Device:
             self._call("cuModuleGetGlobal_v2", byref(program.constants), byref(program.size), module, b"known")
         return program
 
-    def run(self, program: DeviceProgram, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
+    def run(self, program: DeviceProgram, scalars: bytes, words: Any, results: PyTree, lanes: int) -> None:
         """Compute all runs; `results`, an array in memory, is overwritten."""
         with self._used(), ExitStack() as memory:
             sizes = words.nbytes, max(results.nbytes, program.size.value)
@@ -195,7 +192,7 @@ class Device:
             self._call("cuMemcpyDtoH_v2", c_void_p(results.ctypes.data), places[1], c_size_t(results.nbytes))
 
     def _launch(self, function: c_void_p, blocks: int, threads: int, arguments: Sequence[Any]) -> None:
-        pointers = (c_void_p * len(arguments))(*(ctypes.addressof(one) for one in arguments))
+        pointers = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
         sizes = map(c_uint, (blocks, 1, 1, threads, 1, 1, 0))
         self._call("cuLaunchKernel", function, *sizes, None, pointers, None)
 
@@ -212,7 +209,7 @@ class Device:
         memory.callback(lambda: self._driver.cuMemFree_v2(place))
         return place
 
-    def _call(self, name: str, *arguments: Any) -> None:
+    def _call(self, name: str, *arguments: PyTree) -> None:
         status = getattr(self._driver, name)(*arguments)
         if status == 0:
             return
@@ -246,7 +243,7 @@ def device() -> Device:
 class _OnDevice(Compiled):
     """A kernel on the device."""
 
-    def _call(self, scalars: bytes, words: Any, results: Any, lanes: int) -> None:
+    def _call(self, scalars: bytes, words: Any, results: PyTree, lanes: int) -> None:
         device().run(self.run, scalars, words, results, lanes)
 
 
@@ -261,5 +258,5 @@ class CudaFunction(NativeFunction):
     def _built(self, source: str, many: bool) -> bytes:
         return nvrtc().compile(source, device().architecture).image
 
-    def _loaded(self, program: bytes, leaves: Sequence[Any], tree: Any) -> Compiled:
+    def _loaded(self, program: bytes, leaves: Sequence[tuple[tuple[int, ...], str]], tree: PyTree) -> Compiled:
         return _OnDevice(device().load(program), 1, list(leaves), tree)

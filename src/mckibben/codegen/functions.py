@@ -1,4 +1,4 @@
-"""C functions for single-run programs: calls to the C library save all registers and take longer.
+"""C functions for programs of one run, in place of those of the C library.
 
 Sine and cosine are the polynomials of `numerics.elementary`; `exp` uses a table, a shorter chain of operations.
 """
@@ -10,6 +10,8 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.resources import files
+from string import Template
 
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.writer import Language
@@ -26,62 +28,49 @@ def native_language() -> Language:
 
 
 @functools.cache
+def header(name: str) -> str:
+    """Text of a header of this package."""
+    return (files("mckibben.codegen") / "headers" / name).read_text(encoding="utf-8")
+
+
+@functools.cache
 def definitions() -> str:
     """Functions that `native_language` calls."""
     k = elementary.DOUBLE
-    return f"""
-static const double POWERS[{_POINTS}][2] = {{{", ".join(f"{{{high!r}, {low!r}}}" for high, low in _powers())}}};
-
-static __attribute__((noinline, const)) double exp_of(double x)
-{{
-    const double shifted = x * {_POINTS * math.log2(math.e)!r} + {k.integer_magic!r}, n = shifted - {k.integer_magic!r};
-    const double r = (x - n * {k.ln2[0] / _POINTS!r}) - n * {k.ln2[1] / _POINTS!r};
-    int64_t whole, bits;
-    memcpy(&whole, &shifted, sizeof whole);
-    const double *power = POWERS[whole & {_POINTS - 1}];
-    const double rest = (power[1] + r) + r * r * {_estrin("r", [1 / math.factorial(n) for n in range(2, 6)])};
-    double y = power[0] + power[0] * rest;
-    memcpy(&bits, &y, sizeof bits);
-    bits += (whole >> {int(math.log2(_POINTS))}) << {k.mantissa_bits};
-    memcpy(&y, &bits, sizeof y);
-    return x < {k.lowest_exp!r} ? 0.0 : x > {k.highest_exp!r} ? INFINITY : y;
-}}
-
-static __attribute__((noinline, const)) double tanh_of(double x)
-{{
-    const double y = exp_of(-2 * fabs(x));
-    return copysign((1 - y) / (1 + y), x);
-}}
-
-static __attribute__((noinline, const)) double _Complex sincos_of(double x)
-{{
-    const double shifted = x * {2 / math.pi!r} + {k.integer_magic!r}, n = shifted - {k.integer_magic!r};
-    const double r = (x - n * {k.half_pi[0]!r}) - n * {k.half_pi[1]!r}, z = r * r;
-    const double sine = r + r * z * {_estrin("z", k.sin)};
-    const double cosine = 1 - (z / 2 - z * z * {_estrin("z", k.cos)});
-    int64_t quadrant;
-    memcpy(&quadrant, &shifted, sizeof quadrant);
-    if ((quadrant & 3) == 0) return __builtin_complex(sine, cosine);
-    const double a = quadrant & 1 ? cosine : sine, b = quadrant & 1 ? sine : cosine;
-    return __builtin_complex(quadrant & 2 ? -a : a, (quadrant + 1) & 2 ? -b : b);
-}}
-
-static inline double sin_of(double x) {{ return __real__ sincos_of(x); }}
-static inline double cos_of(double x) {{ return __imag__ sincos_of(x); }}
-"""
+    numbers = {
+        "points": _POINTS,
+        "point_bits": int(math.log2(_POINTS)),
+        "per_power": _POINTS * math.log2(math.e),
+        "power_high": k.ln2[0] / _POINTS,
+        "power_low": k.ln2[1] / _POINTS,
+        "per_quadrant": 2 / math.pi,
+        "quadrant_high": k.half_pi[0],
+        "quadrant_low": k.half_pi[1],
+        "magic": k.integer_magic,
+        "mantissa_bits": k.mantissa_bits,
+        "lowest_exp": k.lowest_exp,
+        "highest_exp": k.highest_exp,
+    }
+    texts = {
+        "powers": ", ".join(f"{{{high!r}, {low!r}}}" for high, low in _powers()),
+        "exp": _estrin("r", [1 / math.factorial(n) for n in range(2, 6)]),
+        "sin": _estrin("z", k.sin),
+        "cos": _estrin("z", k.cos),
+    }
+    return Template(header("single.h")).substitute({name: repr(number) for name, number in numbers.items()} | texts)
 
 
 def _powers() -> list[tuple[float, float]]:
     """Powers of two, and their relative rounding errors."""
     with decimal.localcontext(prec=40):
         exact = [decimal.Decimal(2) ** (decimal.Decimal(n) / _POINTS) for n in range(_POINTS)]
-        return [(float(one), float(one / decimal.Decimal(float(one)) - 1)) for one in exact]
+        return [(float(power), float(power / decimal.Decimal(float(power)) - 1)) for power in exact]
 
 
 def _estrin(x: str, coefficients: Sequence[float]) -> str:
     """Polynomial, constant term first, evaluated as by `elementary.polynomial`."""
-    terms, power = [repr(one) for one in coefficients], x
+    terms, power = list(map(repr, coefficients)), x
     while len(terms) > 1:
-        paired = [f"({low} + {high} * {power})" for low, high in zip(terms[::2], terms[1::2], strict=False)]
-        terms, power = paired + terms[2 * len(paired) :], f"({power} * {power})"
+        pairs = [f"({low} + {high} * {power})" for low, high in zip(terms[::2], terms[1::2], strict=False)]
+        terms, power = pairs + terms[2 * len(pairs) :], f"({power} * {power})"
     return terms[0]

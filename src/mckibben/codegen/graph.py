@@ -108,8 +108,8 @@ class StoredArray:
     @property
     def constant(self) -> bool:
         """Whether all elements are known numbers."""
-        given = self.loop is None and not self.name
-        return given and all(element.operation == "constant" for element in self.elements)
+        listed = self.loop is None and not self.name
+        return listed and all(element.operation == "constant" for element in self.elements)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +180,11 @@ FOLDED: dict[str, Callable[..., Any]] = {
 
 
 class Graph:
-    """Statements in scopes; `scope` is the current one."""
+    """Statements in scopes; `scope` is the current one.
+
+    Equal operations on equal arguments are one value. Operations on known numbers, and neutral ones, are folded.
+    Raises `ExportError` for more than `most` operations.
+    """
 
     def __init__(
         self,
@@ -198,7 +202,7 @@ class Graph:
         self.single = single  # whether values that differ between runs have 32 bits
         self.reciprocals = reciprocals  # whether divisors known further out become factors, computed there
         self._room = most  # for more operations
-        self._kept: list[Value] = []  # expressions are distinguished by the identities of values
+        self._alive: list[Value] = []  # expressions are distinguished by the identities of values
 
     def constant(self, number: Any, kind: Kind) -> Value:
         """A known number."""
@@ -300,9 +304,9 @@ class Graph:
         if first.operation == "element" and not first.arguments:
             array, begin = first.data.array, first.data.offset
             places = [Element(array, 0, begin + place) for place in range(len(elements))]
-            if all(one.operation == "element" and one.data == at for one, at in zip(elements, places, strict=True)):
+            if all(value.operation == "element" for value in elements) and [v.data for v in elements] == places:
                 return array, begin
-        uniform = all(one.uniform for one in elements)
+        uniform = all(value.uniform for value in elements)
         array = StoredArray(first.kind, len(elements), list(elements), uniform=uniform)
         self.scope.statements.append(array)
         return array, 0
@@ -321,7 +325,7 @@ class Graph:
         rows = body(loop)
         self.scope = outer
         loop.arrays = [
-            StoredArray(one[0].kind, length * len(one), list(one), loop, uniform=not self.lanes) for one in rows
+            StoredArray(row[0].kind, length * len(row), list(row), loop, uniform=not self.lanes) for row in rows
         ]
         outer.statements.append(loop)
         return loop
@@ -334,21 +338,21 @@ class Graph:
     def after(self, carried: Carried) -> Value:
         """The final value of a loop variable, in the enclosing scope."""
         value = Value("carried", carried.initial.kind, (), self.scope, carried, carried.uniform)
-        self._kept.append(value)
+        self._alive.append(value)
         return value
 
     def branch(self, condition: Value, bodies: Sequence[Callable[[], Sequence[Value]]]) -> list[Value]:
         """Values of the first body if a condition holds, else of the second; each has its own scope."""
-        outer, scopes, found = self.scope, [], []
+        outer, scopes, values = self.scope, [], []
         for body in bodies:
             self.scope = outer.inner(branch=True)
             scopes.append(self.scope)
-            found.append(list(body()))
+            values.append(list(body()))
         self.scope = outer
-        branch = Branch(condition, (scopes[0], scopes[1]), (found[0], found[1]))
+        branch = Branch(condition, (scopes[0], scopes[1]), (values[0], values[1]))
         outer.statements.append(branch)
         results = []
-        for place, (yes, no) in enumerate(zip(*found, strict=True)):
+        for place, (yes, no) in enumerate(zip(*values, strict=True)):
             if yes is not no:
                 branch.chosen.append(Value("chosen", yes.kind, (), outer, (branch, place), not self.lanes))
             results.append(yes if yes is no else branch.chosen[-1])
@@ -359,51 +363,54 @@ _LATENCIES = {"sqrt": 19, "div": 13, "exp": 40, "sin": 45, "cos": 45, "tanh": 90
 
 
 def interleave(scope: Scope) -> None:
-    """Order values by when their arguments are known, so that a processor overlaps independent chains of operations."""
+    """Order values by when their arguments are known, so that a processor overlaps independent chains of operations.
+
+    Loops, branches and arrays keep their places; values move only between two of them.
+    """
     ready: dict[int, int] = {}
     waiting: list[tuple[int, Value]] = []
     ordered: list[Any] = []
     for statement in scope.statements:
         if isinstance(statement, Value):
-            begin = max((ready.get(id(one), 0) for one in statement.arguments), default=0)
+            begin = max((ready.get(id(argument), 0) for argument in statement.arguments), default=0)
             ready[id(statement)] = begin + _LATENCIES.get(statement.operation, 4)
             waiting.append((begin, statement))
             continue
-        ordered += [*(value for _, value in sorted(waiting, key=lambda one: one[0])), statement]
+        ordered += [*(value for _, value in sorted(waiting, key=lambda pair: pair[0])), statement]
         waiting = []
         if isinstance(statement, ForLoop):
             interleave(statement.scope)
         elif isinstance(statement, Branch):
             for inner in statement.scopes:
                 interleave(inner)
-    scope.statements = ordered + [value for _, value in sorted(waiting, key=lambda one: one[0])]
+    scope.statements = ordered + [value for _, value in sorted(waiting, key=lambda pair: pair[0])]
 
 
 def needed(results: Sequence[Value | StoredArray]) -> set[int]:
     """Identities of the values, loops, branches and arrays that results depend on."""
-    found: set[int] = set()
+    reached: set[int] = set()
     waiting: list[Any] = list(results)
     while waiting:
-        one = waiting.pop()
-        if id(one) in found:
+        node = waiting.pop()
+        if id(node) in reached:
             continue
-        found.add(id(one))
-        if isinstance(one, ForLoop):
-            if one.going is not None:
-                found.add(id(one.going))
-                waiting += [one.going.initial, one.going.following]
+        reached.add(id(node))
+        if isinstance(node, ForLoop):
+            if node.going is not None:
+                reached.add(id(node.going))
+                waiting += [node.going.initial, node.going.following]
             continue
-        if isinstance(one, StoredArray):
-            waiting += one.elements if one.loop is None else [*one.elements, one.loop, one.loop.row]
+        if isinstance(node, StoredArray):
+            waiting += node.elements if node.loop is None else [*node.elements, node.loop, node.loop.row]
             continue
-        waiting += one.arguments
-        if one.operation == "carried":
-            found.add(id(one.data))
-            waiting += [one.data.initial, one.data.following, one.data.loop]
-        elif one.operation == "element":
-            waiting.append(one.data.array)
-        elif one.operation == "chosen":
-            branch, place = one.data
-            found.add(id(branch))
+        waiting += node.arguments
+        if node.operation == "carried":
+            reached.add(id(node.data))
+            waiting += [node.data.initial, node.data.following, node.data.loop]
+        elif node.operation == "element":
+            waiting.append(node.data.array)
+        elif node.operation == "chosen":
+            branch, place = node.data
+            reached.add(id(branch))
             waiting += [branch.condition, branch.values[0][place], branch.values[1][place]]
-    return found
+    return reached

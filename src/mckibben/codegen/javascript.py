@@ -20,8 +20,9 @@ def write_js(module: SourceModule, comment: str = "") -> str:
     the state and returns its other results as an object, or as a number if there is only one.
     """
     writer = _Writer(module.scopes, JAVASCRIPT, module.results())
-    functions = [_defaults(module), _prepare(module, writer), *(_function(one, writer) for one in module.functions)]
-    names = ["defaults", "prepare", *(one.name for one in module.functions)]
+    functions = [_defaults(module), _prepare(module, writer)]
+    functions += [_function(function, writer) for function in module.functions]
+    names = ["defaults", "prepare", *(function.name for function in module.functions)]
     lines = "\n".join([*sorted(writer.helpers), *functions]).splitlines()
     return "\n".join(
         [
@@ -54,7 +55,7 @@ class _Writer(Writer):
 
 def _defaults(module: SourceModule) -> str:
     lines = [
-        f"    {structure}: {{{', '.join(f'{one.name}: {_literal(one, zero=zero)}' for one in members)}}},"
+        f"    {structure}: {{{', '.join(f'{member.name}: {_literal(member, zero=zero)}' for member in members)}}},"
         for structure, members, zero in (("parameters", module.members, False), ("state", module.state, True))
     ]
     return "\n".join(
@@ -73,8 +74,8 @@ def _defaults(module: SourceModule) -> str:
 
 def _literal(member: Member, *, zero: bool) -> str:
     """Numbers of a member; its state is set by a function."""
-    numbers = [JAVASCRIPT.literal(0 if zero else one.item(), member.kind) for one in member.value.flat]
-    numbers = ["false" if zero and member.kind is Kind.BOOLEAN else one for one in numbers]
+    numbers = [JAVASCRIPT.literal(0 if zero else number.item(), member.kind) for number in member.value.flat]
+    numbers = ["false" if zero and member.kind is Kind.BOOLEAN else number for number in numbers]
     return f"[{', '.join(numbers)}]" if member.shape else numbers[0]
 
 
@@ -101,10 +102,10 @@ def _function(function: Function, writer: Writer) -> str:
     returned: dict[str, Any] = {}
     for result, members in function.results.items():
         values = iter(function.values[result])
-        texts = {one.name: [writer.text(next(values)) for _ in range(one.size)] for one in members}
+        texts = {member.name: [writer.text(next(values)) for _ in range(member.size)] for member in members}
         if result == "state":
-            places = [element("state", one, number) for one in members for number in range(one.size)]
-            values = [text for one in members for text in texts[one.name]]
+            places = [element("state", member, number) for member in members for number in range(member.size)]
+            values = [text for member in members for text in texts[member.name]]
             lines += [f"    self.{place} = {text};" for place, text in zip(places, values, strict=True)]
         elif is_scalar(members):
             returned[result] = texts[members[0].name][0]
@@ -119,5 +120,6 @@ def _function(function: Function, writer: Writer) -> str:
 
 
 def _object(members: Sequence[Member], texts: dict[str, list[str]]) -> str:
-    numbers = {one.name: f"[{', '.join(texts[one.name])}]" if one.shape else texts[one.name][0] for one in members}
-    return f"{{{', '.join(f'{name}: {text}' for name, text in numbers.items())}}}"
+    values = {name: ", ".join(numbers) for name, numbers in texts.items()}
+    items = (f"{x.name}: [{values[x.name]}]" if x.shape else f"{x.name}: {values[x.name]}" for x in members)
+    return f"{{{', '.join(items)}}}"

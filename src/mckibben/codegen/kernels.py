@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from string import Template
 
+from mckibben.codegen.functions import header
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
-from mckibben.codegen.writer import Language, Text, Writer
+from mckibben.codegen.writer import ATOM, Language, Text, Writer
 
 THREADS = 128
 """Threads per block."""
 
 _BLOCKS = {"double": 4, "float": 2}  # per multiprocessor, as is fastest on an H100: 128 and 255 registers per thread
 _MOST = 8192  # constants: the device has 64 KiB for them
-_ATOM = 8
 _OF_INTEGERS = {
     "abs": "{0} < 0 ? -{0} : {0}",
     "rem": "{0} % {1}",
@@ -44,26 +45,14 @@ def kernels(
     constants: Sequence[str],
     body: Sequence[str],
     real: str,
-) -> list[str]:
-    """Both kernels; numbers of all runs are their parameters, which take no registers."""
-    pointers = "const double *__restrict__ arrays, double *__restrict__ results, int64_t lanes"
-    first, step = "blockIdx.x * (int64_t)blockDim.x + threadIdx.x", "(int64_t)gridDim.x * blockDim.x"
-    begun = f"(const Scalars given, {pointers})", "{", "    const double *scalars = given.x;", *places
-    return [
-        f"struct Scalars {{ double x[{max(scalars, 1)}]; }};",
-        f"__constant__ {real} known[{max(len(constants), 1)}];",
-        'extern "C" __global__ void prepare',
-        *begun,
-        *prepared,
-        *(f"        (({real} *)results)[{place}] = {text};" for place, text in enumerate(constants)),
-        "}",
-        f'extern "C" __global__ void __launch_bounds__({THREADS}, {_BLOCKS[real]}) run',
-        *begun,
-        f"    for (int64_t b = {first}; b < lanes; b += {step}) {{",
-        *body,
-        "    }",
-        "}",
-    ]
+) -> str:
+    """Both kernels, from declarations of places, statements of either, and texts of the constants."""
+    stores = [f"        (({real} *)results)[{place}] = {text};" for place, text in enumerate(constants)]
+    counts = {"scalars": scalars, "constants": len(constants), "threads": THREADS, "blocks": _BLOCKS[real]}
+    texts = {"places": places, "prepared": prepared, "stores": stores, "body": body}
+    values = {name: str(max(count, 1)) for name, count in counts.items()}
+    values |= {name: "\n".join(lines) for name, lines in texts.items()}
+    return Template(header("kernels.cu")).substitute(values, real=real)
 
 
 class KernelWriter(Writer):
@@ -104,17 +93,17 @@ class KernelWriter(Writer):
 
     def _argument(self, value: Value, argument: Value) -> Text:
         known = argument.uniform and argument.scope is self._first and argument.operation != "constant"
-        if not known or argument.kind is not Kind.REAL or all(one.uniform for one in value.arguments):
+        if not known or argument.kind is not Kind.REAL or all(argument.uniform for argument in value.arguments):
             return super()._argument(value, argument)
         if id(argument) not in self._known:
             if len(self.constants) == _MOST:
                 return super()._argument(value, argument)
             self._known[id(argument)] = len(self.constants)
             self.constants.append(argument)
-        return f"known[{self._known[id(argument)]}]", _ATOM
+        return f"known[{self._known[id(argument)]}]", ATOM
 
     def _operation(self, value: Value) -> Text:
         if value.kind is Kind.INTEGER and value.operation in _OF_INTEGERS:
-            texts = (f"({self.text(one)})" for one in value.arguments)
-            return f"({_OF_INTEGERS[value.operation].format(*texts)})", _ATOM
+            texts = (f"({self.text(argument)})" for argument in value.arguments)
+            return f"({_OF_INTEGERS[value.operation].format(*texts)})", ATOM
         return super()._operation(value)

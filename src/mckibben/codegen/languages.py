@@ -42,7 +42,7 @@ def c_language(real: str = "double") -> Language:
         return f"{'static ' if constant else ''}const {types[kind]} {name}[{size}] = {{{', '.join(elements)}}};"
 
     def function(name: str, arguments: str, result: str) -> str:
-        typed = ", ".join(f"{real} {one}" for one in arguments.split(", "))
+        typed = ", ".join(f"{real} {argument}" for argument in arguments.split(", "))
         return f"static {real} {name}{suffix}({typed})\n{{\n    return {result};\n}}\n"
 
     return Language(

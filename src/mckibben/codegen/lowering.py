@@ -12,8 +12,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
+from jaxtyping import PyTree
 
-from mckibben.codegen.array_rules import ArrayRules, array_of
+from mckibben.codegen.array_rules import ArrayRules, Parameters, Shape, array_of
 from mckibben.codegen.graph import FOLDED, ForLoop, Graph, Kind, StoredArray, Value
 from mckibben.codegen.polynomials import erf_inv, log1p, log1p_single, tanh
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
@@ -65,6 +66,13 @@ def kind_of(dtype: Any) -> Kind:
     return Kind.INTEGER if letter in "iu" else Kind.REAL
 
 
+_DECOMPOSED: dict[str, Callable[[Any], Any]] = {
+    "square": lambda x: x * x,
+    "one_minus_square": lambda x: (1 - x) * (1 + x),  # derivative of tanh by its value, in JAX 0.12 and newer
+    "rsqrt": lambda x: 1 / jnp.sqrt(x),
+    "logistic": lambda x: 1 / (1 + jnp.exp(-x)),
+}
+"""Primitives as functions of others."""
 _FOR_LANES = {"tanh": tanh, "exp": elementary.exp, "sin": elementary.sin, "cos": elementary.cos}
 """Polynomials in place of library calls, which are not vectorised."""
 
@@ -85,7 +93,7 @@ class Lowering(ArrayRules):
         self._graph = graph
 
     def function(
-        self, function: Callable[..., Any], arguments: Any, inputs: Sequence[Array]
+        self, function: Callable[..., Any], arguments: PyTree, inputs: Sequence[Array]
     ) -> tuple[list[Array], Any]:
         """Leaves of a function of trees for values of the leaves of arguments; tree of their shapes and types."""
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
@@ -99,7 +107,7 @@ class Lowering(ArrayRules):
     def _closed(self, closed: Any, arguments: Sequence[Array]) -> list[Array]:
         if not hasattr(closed, "consts"):
             return self._jaxpr(closed, (), arguments)
-        return self._jaxpr(closed.jaxpr, [self.literal(one) for one in closed.consts], arguments)
+        return self._jaxpr(closed.jaxpr, [self.literal(constant) for constant in closed.consts], arguments)
 
     def _jaxpr(self, jaxpr: Any, constants: Sequence[Array], arguments: Sequence[Array]) -> list[Array]:
         known: dict[Any, Array] = {}
@@ -112,16 +120,16 @@ class Lowering(ArrayRules):
         for equation in jaxpr.eqns:
             if not (equation.outvars or equation.effects):  # reverse derivatives leave calls without results
                 continue
-            given = [read(one) for one in equation.invars]
+            operands = [read(variable) for variable in equation.invars]
             if equation.primitive.name not in _TAKE_STORED:
-                given = [self.expanded(one) if isinstance(one, Stored) else one for one in given]
+                operands = [self.expanded(operand) if isinstance(operand, Stored) else operand for operand in operands]
             try:
-                results = self._equation(equation, given)
+                results = self._equation(equation, operands)
             except _UnsupportedError as error:
                 error.place = error.place or _source(equation)
                 raise
             known.update(zip(equation.outvars, results, strict=True))
-        return [read(one) for one in jaxpr.outvars]
+        return [read(variable) for variable in jaxpr.outvars]
 
     def expanded(self, stored: Stored) -> Array:
         """The elements of an array in memory as values."""
@@ -152,11 +160,13 @@ class Lowering(ArrayRules):
         name = _RENAMED.get(name, name)
         if name == "erf_inv" and aval.dtype == np.float32:
             return self._closed(_jaxpr_of(erf_inv, aval.shape, aval.dtype), arguments)
+        if name in _DECOMPOSED:
+            return self._closed(_jaxpr_of(_DECOMPOSED[name], aval.shape, aval.dtype), arguments)
         if name == "log1p" and aval.dtype == np.float32 and not self._graph.threads:
             if self._graph.single:
                 return self._closed(_jaxpr_of(log1p_single, aval.shape, aval.dtype), arguments)
-            (found,) = self._closed(_jaxpr_of(log1p, aval.shape, np.dtype(float)), arguments)
-            return [self._elementwise(lambda x: self._graph.operation("single", kind, x), found)]
+            (logarithm,) = self._closed(_jaxpr_of(log1p, aval.shape, np.dtype(float)), arguments)
+            return [self._elementwise(lambda x: self._graph.operation("single", kind, x), logarithm)]
         if name in _FOR_LANES and self._in_vectors(arguments):
             return self._closed(_jaxpr_of(_FOR_LANES[name], aval.shape, aval.dtype), arguments)
         if name in _ELEMENTWISE:
@@ -166,13 +176,14 @@ class Lowering(ArrayRules):
         if name in _CALLS:
             inner = _called(equation)
             rule = self._rule(name, inner, arguments)
-            found = [self._elementwise(lambda x, n=one: self._graph.operation(n, kind, x), *arguments) for one in rule]
-            return found or self._closed(inner, arguments)
+            operations = (functools.partial(self._graph.operation, operation, kind) for operation in rule)
+            results = [self._elementwise(operation, *arguments) for operation in operations]
+            return results or self._closed(inner, arguments)
         handler = getattr(self, f"_{name}", None)
-        found = None if handler is None else handler(parameters, kind, aval.shape, *arguments)
-        if found is None:
+        results = None if handler is None else handler(parameters, kind, aval.shape, *arguments)
+        if results is None:
             raise _UnsupportedError(equation)
-        return found if isinstance(found, list) else [found]
+        return results if isinstance(results, list) else [results]
 
     def _operation(self, name: str, dtype: Any, *arguments: Value) -> Value:
         """Result of an operation, in 32 bits if its type is 32-bit."""
@@ -183,7 +194,9 @@ class Lowering(ArrayRules):
             return self._graph.operation("and", Kind.INTEGER, result, self._graph.constant(MASK, Kind.INTEGER))
         return result
 
-    def _random(self, name: str, parameters: Any, aval: Any, arguments: list[Array], equation: Any) -> list[Array]:
+    def _random(
+        self, name: str, parameters: Parameters, aval: Any, arguments: list[Array], equation: Any
+    ) -> list[Array]:
         """Random keys (two words each) and the bits drawn from them."""
         if (
             (aval.ndim and name != "random_bits")
@@ -213,36 +226,38 @@ class Lowering(ArrayRules):
             return rule
         return ()  # sine and cosine of CUDA have a branch for large angles
 
-    def _reshape(self, parameters: Any, kind: Kind, shape: Any, x: Array) -> Array:
+    def _reshape(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
         return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)
 
     _squeeze = _expand_dims = _reshape
 
-    def _iota(self, parameters: Any, kind: Kind, shape: Any) -> Array:
+    def _iota(self, parameters: Parameters, kind: Kind, shape: Shape) -> Array:
         if len(shape) == 1:
             return Stored(tuple(shape), kind)
         return self.literal(jax.lax.broadcasted_iota(parameters["dtype"], shape, parameters["dimension"]))
 
     # Control flow
 
-    def _cond(self, parameters: Any, kind: Kind, shape: Any, which: Array, *arguments: Array) -> list[Array]:
+    def _cond(self, parameters: Parameters, kind: Kind, shape: Shape, which: Array, *arguments: Array) -> list[Array]:
         """One branch runs if all elements of a vector take it; otherwise all are computed: they are pure and few."""
         index, branches = which.item(), parameters["branches"]
         if index.constant is not None:
             return self._closed(branches[int(index.constant)], arguments)
         if len(branches) == 2 and (index.uniform or self._graph.threads):
             condition = self._graph.operation("boolean", Kind.BOOLEAN, index)
-            found: list[list[Array]] = []
+            branch_results: list[list[Array]] = []
 
             def body(branch: Any) -> list[Value]:
-                found.append([np.asarray(self.plain(one), object) for one in self._closed(branch, arguments)])
-                return [value for one in found[-1] for value in one.flat]
+                arrays = [np.asarray(self.plain(array), object) for array in self._closed(branch, arguments)]
+                branch_results.append(arrays)
+                return [value for array in arrays for value in array.flat]
 
-            chosen = iter(self._graph.branch(condition, [lambda one=one: body(one) for one in reversed(branches)]))
-            return [array_of(one.shape, lambda _: next(chosen)) for one in found[0]]
+            bodies = [functools.partial(body, branch) for branch in reversed(branches)]
+            chosen = iter(self._graph.branch(condition, bodies))
+            return [array_of(array.shape, lambda _: next(chosen)) for array in branch_results[0]]
         cases = [list(map(self.plain, self._closed(branch, arguments))) for branch in branches]
         return [
-            self._select_n(None, results[0].flat[0].kind if results[0].size else Kind.REAL, None, which, *results)
+            self._select_n({}, results[0].flat[0].kind if results[0].size else Kind.REAL, (), which, *results)
             for results in zip(*cases, strict=True)
         ]
 
@@ -250,46 +265,50 @@ class Lowering(ArrayRules):
         """An array of values, in memory or not."""
         return self.expanded(array) if isinstance(array, Stored) else array
 
-    def _scan(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array]:
+    def _scan(self, parameters: Parameters, kind: Kind, shape: Shape, *arguments: Array) -> list[Array]:
         (count, carries), length = _scan_sizes(parameters), parameters["length"]
         body, reverse = parameters["jaxpr"], parameters["reverse"]
         constants, columns = arguments[:count], arguments[count + carries :]
-        carry = [self.plain(one) for one in arguments[count : count + carries]]
+        carry = [self.plain(array) for array in arguments[count : count + carries]]
         if length * _equations(body.jaxpr) <= _UNROLLED or length <= 1:
             return self._unrolled(body, length, reverse, constants, carry, list(map(self.plain, columns)))
-        columns = [one if isinstance(one, Stored) else self._stored(one) for one in columns]
+        columns = [column if isinstance(column, Stored) else self._stored(column) for column in columns]
         inner: list[Array] = []
         varying = [False] * len(carry)
         if self._graph.lanes:
             varying = _varying_carry(body, *([not _is_uniform(x) for x in xs] for xs in (constants, carry, columns)))
 
         def passes(loop: ForLoop) -> list[list[Value]]:
-            for one, varies in zip(carry, varying, strict=True):
-                inner.append(array_of(one.shape, lambda at, one=one, u=not varies: self._graph.carry(loop, one[at], u)))
+            for array, varies in zip(carry, varying, strict=True):
+                inner.append(self._carried(loop, array, uniform=not varies))
             rows = [self._row(loop, column) for column in columns]
             results = list(map(self.plain, self._closed(body, [*constants, *inner, *rows])))
-            following = [value for one in results[:carries] for value in one.flat]
+            following = [value for array in results[:carries] for value in array.flat]
             for carried, value in zip(loop.carried, following, strict=True):
                 carried.following = value
             inner.extend(results[carries:])
-            return [list(one.flat) for one in results[carries:]]
+            return [list(row.flat) for row in results[carries:]]
 
         loop = self._graph.loop(length, passes, reverse=reverse)
-        last = iter([self._graph.after(one) for one in loop.carried])
-        results = [array_of(one.shape, lambda _: next(last)) for one in carry]
+        last = iter([self._graph.after(variable) for variable in loop.carried])
+        results = [array_of(array.shape, lambda _: next(last)) for array in carry]
         rows = inner[carries:]
         return results + [
             Stored((length, *row.shape), array.kind, array) for array, row in zip(loop.arrays, rows, strict=True)
         ]
 
-    def _while(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array] | None:
+    def _carried(self, loop: ForLoop, array: Array, *, uniform: bool) -> Array:
+        """Variables of a loop with the elements of an array as initial values."""
+        return array_of(array.shape, lambda at: self._graph.carry(loop, array[at], uniform))
+
+    def _while(self, parameters: Parameters, kind: Kind, shape: Shape, *arguments: Array) -> list[Array] | None:
         """A loop until a condition fails; not for vectors, whose elements end at different iterations."""
         outside, inside = parameters["cond_nconsts"], parameters["body_nconsts"]
-        given, constants = arguments[:outside], arguments[outside : outside + inside]
+        outer, constants = arguments[:outside], arguments[outside : outside + inside]
         carry = list(map(self.plain, arguments[outside + inside :]))
         varying, ends_apart = [False] * len(carry), False
         if self._graph.lanes:
-            kinds = ([not _is_uniform(x) for x in xs] for xs in (given, constants, carry))
+            kinds = ([not _is_uniform(x) for x in xs] for xs in (outer, constants, carry))
             varying, ends_apart = _varying_while(parameters, *kinds)
             if ends_apart and not self._graph.threads:
                 return None
@@ -297,27 +316,26 @@ class Lowering(ArrayRules):
                 varying = [True] * len(carry)
 
         def condition(values: Sequence[Array]) -> Value:
-            return self._closed(parameters["cond_jaxpr"], [*given, *values])[0].item()
+            return self._closed(parameters["cond_jaxpr"], [*outer, *values])[0].item()
 
         first = condition(carry)
 
         def passes(loop: ForLoop) -> list[list[Value]]:
             inner = [
-                array_of(one.shape, lambda at, one=one, u=not varies: self._graph.carry(loop, one[at], u))
-                for one, varies in zip(carry, varying, strict=True)
+                self._carried(loop, array, uniform=not varies) for array, varies in zip(carry, varying, strict=True)
             ]
             results = list(map(self.plain, self._closed(parameters["body_jaxpr"], [*constants, *inner])))
             self._graph.carry(loop, first, not ends_apart)
             loop.going = loop.carried[-1]
-            following = [value for one in results for value in one.flat]
+            following = [value for array in results for value in array.flat]
             for carried, value in zip(loop.carried, [*following, condition(results)], strict=True):
                 carried.following = value
             return []
 
-        last = iter([self._graph.after(one) for one in self._graph.loop(0, passes).carried])
-        return [array_of(one.shape, lambda _: next(last)) for one in carry]
+        last = iter([self._graph.after(variable) for variable in self._graph.loop(0, passes).carried])
+        return [array_of(array.shape, lambda _: next(last)) for array in carry]
 
-    def _custom_linear_solve(self, parameters: Any, kind: Kind, shape: Any, *arguments: Array) -> list[Array]:
+    def _custom_linear_solve(self, parameters: Parameters, kind: Kind, shape: Shape, *arguments: Array) -> list[Array]:
         counts = parameters["const_lengths"]
         before, end = counts.matvec + counts.vecmat, sum(counts)
         return self._closed(parameters["jaxprs"].solve, [*arguments[before : before + counts.solve], *arguments[end:]])
@@ -379,8 +397,8 @@ def _equations(jaxpr: Any) -> int:
 
 def _inner(equation: Any) -> Iterator[Any]:
     for value in equation.params.values():
-        for one in value if isinstance(value, tuple) else (value,):
-            inner = getattr(one, "jaxpr", one)
+        for item in value if isinstance(value, tuple) else (value,):
+            inner = getattr(item, "jaxpr", item)
             if hasattr(inner, "eqns"):
                 yield inner
 
@@ -390,8 +408,8 @@ def _called(equation: Any) -> Any:
     parameters = equation.params
     if "_prim" in parameters:
         called = parameters["_prim"]
-        given = [jax.ShapeDtypeStruct(one.aval.shape, one.aval.dtype) for one in equation.invars]
-        return jax.make_jaxpr(lambda *leaves: called.expand(*jax.tree.unflatten(called.in_tree, leaves)))(*given)
+        shapes = [jax.ShapeDtypeStruct(variable.aval.shape, variable.aval.dtype) for variable in equation.invars]
+        return jax.make_jaxpr(lambda *leaves: called.expand(*jax.tree.unflatten(called.in_tree, leaves)))(*shapes)
     return parameters.get("jaxpr") or parameters["call_jaxpr"]
 
 
@@ -416,17 +434,17 @@ def _varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], 
 
 
 def _varying_while(
-    parameters: Any, given: Sequence[bool], constants: Sequence[bool], carry: Sequence[bool]
+    parameters: Parameters, outer: Sequence[bool], constants: Sequence[bool], carry: Sequence[bool]
 ) -> tuple[list[bool], bool]:
     """Loop-carried variables of a `while` that vary over lanes, and whether its condition does."""
     varying = _varying_carry(parameters["body_jaxpr"], constants, carry, ())
-    return varying, _varying(parameters["cond_jaxpr"].jaxpr, [*given, *varying])[0]
+    return varying, _varying(parameters["cond_jaxpr"].jaxpr, [*outer, *varying])[0]
 
 
-def _scan_sizes(parameters: Any) -> tuple[int, int]:
+def _scan_sizes(parameters: Parameters) -> tuple[int, int]:
     """Numbers of constants and of carried values of a scan."""
     if "ft_in" in parameters:  # JAX 0.12 and newer
-        constants, carry, _ = (len(list(one.vals)) for one in parameters["ft_in"].unpack())
+        constants, carry, _ = (len(list(part.vals)) for part in parameters["ft_in"].unpack())
         return constants, carry
     return parameters["num_consts"], parameters["num_carry"]
 
@@ -439,20 +457,20 @@ def _varying(jaxpr: Any, inputs: Sequence[bool]) -> list[bool]:
         return not isinstance(variable, core.Literal) and known.get(variable, False)
 
     for equation in jaxpr.eqns:
-        given, parameters = list(map(read, equation.invars)), equation.params
-        results = [any(given)] * len(equation.outvars)
+        varies, parameters = list(map(read, equation.invars)), equation.params
+        results = [any(varies)] * len(equation.outvars)
         if equation.primitive.name in _CALLS:
             inner = _called(equation)
-            results = _varying(getattr(inner, "jaxpr", inner), given)
+            results = _varying(getattr(inner, "jaxpr", inner), varies)
         elif equation.primitive.name == "scan":
             begin, carries = _scan_sizes(parameters)
             end = begin + carries
-            carry = _varying_carry(parameters["jaxpr"], given[:begin], given[begin:end], given[end:])
+            carry = _varying_carry(parameters["jaxpr"], varies[:begin], varies[begin:end], varies[end:])
             results = carry + [True] * (len(results) - len(carry))
         elif equation.primitive.name == "while":
             begin = parameters["cond_nconsts"]
             end = begin + parameters["body_nconsts"]
-            results = _varying_while(parameters, given[:begin], given[begin:end], given[end:])[0]
+            results = _varying_while(parameters, varies[:begin], varies[begin:end], varies[end:])[0]
         elif equation.primitive.name == "cond":
             results = [True] * len(results)
         known.update(zip(equation.outvars, results, strict=True))

@@ -7,6 +7,7 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Array
 
 from mckibben.numerics import elementary
 
@@ -16,14 +17,14 @@ _FAR = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.005739
         1.00167406, 2.83297682)  # fmt: skip
 
 
-def tanh(x: Any) -> Any:
+def tanh(x: Array) -> Any:
     """Hyperbolic tangent, absolute error below 2e-16."""
     power = elementary.exp(-2 * jnp.abs(x))
     value = (1 - power) / (1 + power)
     return jnp.where(x < 0, -value, value)
 
 
-def log1p(x: Any) -> Any:
+def log1p(x: Array) -> Any:
     """Natural logarithm of 1 + x, a positive normal number (fdlibm), relative error below 1e-16."""
     x = 1.0 + x
     bits = lax.bitcast_convert_type(x, jnp.int64)
@@ -45,7 +46,7 @@ _LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149
         1.818357216161805012e-01, 1.531383769920937332e-01, 1.479819860511658591e-01)  # fmt: skip
 
 
-def erf_inv(x: Any) -> Any:
+def erf_inv(x: Array) -> Any:
     """Inverse error function as in XLA's single precision (Giles 2012), accurate to 3e-7 except near 1."""
     w = -jnp.log1p(-x * x)
     near, far = w - 2.5, jnp.sqrt(w) - 3.0
@@ -53,7 +54,7 @@ def erf_inv(x: Any) -> Any:
     return jnp.where(w < 5.0, p, q) * x
 
 
-def log1p_single(x: Any) -> Any:
+def log1p_single(x: Array) -> Any:
     """Natural logarithm of 1 + x, a positive normal 32-bit number (Cephes), relative error below 1e-7."""
     x = 1 + x
     bits = lax.bitcast_convert_type(x, jnp.int32) + _ABOVE_HALF_ROOT_32

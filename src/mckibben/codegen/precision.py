@@ -22,10 +22,10 @@ def wide_values(module: SourceModule, inputs: Collection[str]) -> set[int]:
             elif value.operation == "element":
                 narrow.add(id(value))
             else:
-                others = [one for one in value.arguments if one.scope is not root]
-                if any(id(one) in narrow or one.operation in ("carried", "index") for one in others):
+                others = [other for other in value.arguments if other.scope is not root]
+                if any(id(other) in narrow or other.operation in ("carried", "index") for other in others):
                     narrow.add(id(value))
-                elif any(id(one) in wide for one in others):
+                elif any(id(other) in wide for other in others):
                     wide.add(id(value))
     return wide
 
@@ -59,4 +59,4 @@ def _states(module: SourceModule) -> Iterator[tuple[str, Value]]:
 
 
 def _statements(scope: Scope) -> Iterator[Value]:
-    return (one for one in scope.statements if isinstance(one, Value))
+    return (statement for statement in scope.statements if isinstance(statement, Value))

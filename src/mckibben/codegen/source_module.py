@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import PyTree
 
 from mckibben.codegen.graph import Graph, Kind, Scope, Value
 from mckibben.codegen.lowering import Lowering, kind_of
@@ -63,7 +64,7 @@ class SourceModule:
     """
 
     name: str
-    parameters: Any
+    parameters: PyTree
     prefix: str = ""  # prefix of parameter paths, omitted from names
     functions: list[Function] = field(default_factory=list)
 
@@ -75,13 +76,27 @@ class SourceModule:
         self._inputs = self._arrays("parameters", self.members)
 
     def add(
-        self, name: str, text: str, function: Callable[..., Mapping[str, Any]], arguments: Mapping[str, Any]
+        self, name: str, text: str, function: Callable[..., Mapping[str, PyTree]], arguments: Mapping[str, PyTree]
     ) -> None:
-        """Add a function of the parameters and of named trees, which returns named trees; raises `ExportError`."""
+        """Add a function of the parameters and of named trees, which returns named trees.
+
+        Raises `ExportError`, which names the operation and its place in the source, for one that cannot be written.
+
+        Parameters
+        ----------
+        name, text
+            Name of the function in the program, an identifier, and its description there.
+        function
+            Called once with `parameters` and the arguments by name, whose leaves are arrays; returns trees by name.
+            A result ``state`` updates the argument of that name.
+        arguments
+            Examples of the arguments by name: pytrees of numbers and arrays, whose shapes and types are those of the
+            program.
+        """
         scope = self.graph.scope = self.graph.root.inner()
-        given = {name: members_of(tree) for name, tree in arguments.items()}
+        members_by_argument = {name: members_of(tree) for name, tree in arguments.items()}
         inputs = [*self._inputs]
-        for argument, members in given.items():
+        for argument, members in members_by_argument.items():
             inputs += self._arrays(argument, members)
         leaves, shape = self._lowering.function(
             lambda parameters, *trees: dict(function(parameters, **dict(zip(arguments, trees, strict=True)))),
@@ -89,35 +104,35 @@ class SourceModule:
             inputs,
         )
         rest = map(self._lowering.plain, leaves)
-        found, values = {}, {}
+        members_by_result, values = {}, {}
         for result, tree in shape.items():
-            found[result] = members_of(jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), tree))
+            members_by_result[result] = members_of(jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), tree))
             values[result] = [value for _ in jax.tree.leaves(tree) for value in next(rest).flat]
         self.graph.scope = self.graph.root
-        self.functions.append(Function(name, given, found, scope, values, text))
+        self.functions.append(Function(name, members_by_argument, members_by_result, scope, values, text))
 
     @property
     def state(self) -> list[Member]:
         """Members of the state, if a function has one."""
-        return next((one.results["state"] for one in self.functions if "state" in one.results), [])
+        return next((function.results["state"] for function in self.functions if "state" in function.results), [])
 
     @property
     def scopes(self) -> list[Scope]:
         """Scope of the parameters, and scopes of the functions."""
-        return [self.graph.root, *(one.scope for one in self.functions)]
+        return [self.graph.root, *(function.scope for function in self.functions)]
 
     def results(self) -> list[Value]:
         """Values of all results."""
-        return [value for one in self.functions for values in one.values.values() for value in values]
+        return [value for function in self.functions for values in function.values.values() for value in values]
 
     def structures(self) -> dict[str, list[Member]]:
         """Arguments and results of all functions by name, except the state and scalars."""
-        found: dict[str, list[Member]] = {}
+        structures: dict[str, list[Member]] = {}
         for function in self.functions:
             for name, members in (function.arguments | function.results).items():
                 if name != "state" and not is_scalar(members):
-                    found.setdefault(name, members)
-        return found
+                    structures.setdefault(name, members)
+        return structures
 
     def _arrays(self, name: str, members: Sequence[Member]) -> list[Any]:
         """Inputs for the members of a structure, in the current scope."""
@@ -142,8 +157,12 @@ def element(structure: str, member: Member, number: int) -> str:
     return f"{structure}.{member.name}" + (f"[{number}]" if member.shape else "")
 
 
-def members_of(tree: Any, prefix: str = "") -> list[Member]:
-    """Members of a structure for the leaves of a tree, with names from their paths without a prefix."""
+def members_of(tree: PyTree, prefix: str = "") -> list[Member]:
+    """Members of a structure for the leaves of a tree, with names from their paths without a prefix.
+
+    >>> [member.name for member in members_of({"controller": {"kp": 1.0, "poles": (2.0, 3.0)}}, "controller.")]
+    ['kp', 'poles_0', 'poles_1']
+    """
     leaves = jax.tree_util.tree_leaves_with_path(tree)
     paths = [jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in leaves]
     names: dict[str, str] = {}
@@ -159,6 +178,10 @@ def members_of(tree: Any, prefix: str = "") -> list[Member]:
 
 
 def identifier(text: str) -> str:
-    """An identifier of C and JavaScript from any text."""
+    """An identifier of C and JavaScript from any text.
+
+    >>> identifier("muscle1.law.a1"), identifier("double"), identifier("2 Hz")
+    ('muscle1_law_a1', '_double', '_2_Hz')
+    """
     name = re.sub(r"\W+", "_", text, flags=re.ASCII).strip("_")
     return f"_{name}" if name in _RESERVED or name[:1].isdigit() else name

@@ -7,78 +7,39 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from mckibben.codegen.functions import header
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
-from mckibben.codegen.writer import Text, Writer
+from mckibben.codegen.writer import ATOM, PREFIX, Text, Writer
 
 _VECTORS = {Kind.REAL: "V", Kind.INTEGER: "I", Kind.BOOLEAN: "I"}
 _BROADCAST = {Kind.REAL: "real", Kind.INTEGER: "integer", Kind.BOOLEAN: "mask"}
-_ATOM, _PREFIX = 8, 7
 _SUFFIX = {Kind.REAL: "", Kind.INTEGER: "_integer", Kind.BOOLEAN: "_mask"}  # of functions that load and store vectors
-
-HEADERS = "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n"
-_SCHEDULING = """#ifndef __clang__
-#pragma GCC optimize("schedule-insns", "sched-pressure", "ira-region=one", "no-gcse", "no-tree-pre")
-#endif
-"""  # gcc options for long blocks: scheduling before register allocation, without passes that are slow to compile
-_WIDTH = """\
-#if defined(__AVX512F__)
-enum { W = 64 / sizeof(REAL) };
-#elif defined(__AVX2__)
-enum { W = 32 / sizeof(REAL) };
-#else
-enum { W = 16 / sizeof(REAL) };
-#endif
-const int64_t width = W;
-"""  # runs per vector, which is one register: with two, programs took 1.8 to 4 times as long, and far longer to compile
-_PRELUDE = """
-#define INLINE static inline __attribute__((always_inline, unused))
-INLINE V real(double x) { return (REAL)x - (V){0}; }
-INLINE I integer(int64_t x) { return (WHOLE)x - (I){0}; }
-INLINE I mask(bool x) { return integer(-(int64_t)x); }
-INLINE V pick(I c, V x, V y) { return (V)((c & (I)x) | (~c & (I)y)); }
-INLINE I pick_integer(I c, I x, I y) { return (c & x) | (~c & y); }
-INLINE V load(const double *x) { D r; memcpy(&r, x, sizeof r); return __builtin_convertvector(r, V); }
-INLINE I load_integer(const int64_t *x) { L r; memcpy(&r, x, sizeof r); return __builtin_convertvector(r, I); }
-INLINE I load_mask(const int64_t *x) { return load_integer(x) != 0; }
-INLINE void store(double *to, V x) { D r = __builtin_convertvector(x, D); memcpy(to, &r, sizeof r); }
-INLINE void store_integer(int64_t *to, I x) { L r = __builtin_convertvector(x, L); memcpy(to, &r, sizeof r); }
-INLINE void store_mask(int64_t *to, I x) { store_integer(to, x & 1); }
-INLINE V v_maximum(V x, V y) { return pick((x > y) | (x != x), x, y); }
-INLINE V v_minimum(V x, V y) { return pick((x < y) | (x != x), x, y); }
-INLINE V v_absolute(V x) { return (V)((I)x & (WHOLE)(UINT64_MAX >> (65 - 8 * sizeof(REAL)))); }
-INLINE V v_sign(V x) { return pick(x > 0, real(1), pick(x < 0, real(-1), real(0))); }
-INLINE I v_isfinite(V x) { return x - x == 0; }
-#define EACH(name, f) INLINE V name(V x) { V r; for (int i = 0; i < W; ++i) r[i] = f(x[i]); return r; }
-EACH(v_sqrt, ROOT) EACH(v_rint, NEAREST) EACH(v_floor, FLOOR) EACH(v_ceil, CEIL)
-EACH(v_exp, exp) EACH(v_expm1, expm1) EACH(v_log, log) EACH(v_log1p, log1p) EACH(v_sin, sin) EACH(v_cos, cos)
-EACH(v_tan, tan) EACH(v_asin, asin) EACH(v_acos, acos) EACH(v_atan, atan) EACH(v_sinh, sinh) EACH(v_cosh, cosh)
-EACH(v_tanh, tanh) EACH(v_cbrt, cbrt)
-#define PAIR(name, f) INLINE V name(V x, V y) { V r; for (int i = 0; i < W; ++i) r[i] = f(x[i], y[i]); return r; }
-PAIR(v_pow, pow) PAIR(v_atan2, atan2) PAIR(v_fmod, fmod)
-"""
-_DOUBLE = """typedef float F __attribute__((vector_size(4 * W)));
-typedef int32_t J __attribute__((vector_size(4 * W)));
-INLINE V v_single(V x) { return __builtin_convertvector(__builtin_convertvector(x, F), V); }
-INLINE V v_from_bits_32(I x) { return __builtin_convertvector((F)__builtin_convertvector(x, J), V); }
-"""
+_FUNCTIONS = {"max": "v_maximum", "min": "v_minimum", "abs": "v_absolute", "round": "v_rint", "rem": "v_fmod"}
+_PATTERNS = {
+    ("and", Kind.BOOLEAN): "({0} & {1})",
+    ("or", Kind.BOOLEAN): "({0} | {1})",
+    ("xor", Kind.BOOLEAN): "({0} ^ {1})",
+    ("eq", Kind.BOOLEAN): "(~({0} ^ {1}))",
+    ("ne", Kind.BOOLEAN): "(({0} ^ {1}))",
+    ("not", Kind.BOOLEAN): "(~{0})",
+    ("not", Kind.INTEGER): "(~{0})",
+    ("max", Kind.INTEGER): "pick_integer({0} > {1}, {0}, {1})",
+    ("min", Kind.INTEGER): "pick_integer({0} < {1}, {0}, {1})",
+    ("rem", Kind.INTEGER): "({0} % {1})",
+    ("bits", Kind.REAL): "((I){0})",
+}
+"""Operations on vectors by their name and the kind of their first argument; the others are operators or functions."""
+_OF_64_BITS = {("from_bits", Kind.INTEGER): "((V){0})"}
+_OF_32_BITS = {
+    ("from_bits_32", Kind.INTEGER): "((V){0})",
+    ("shift_right", Kind.INTEGER): "((I)((U){0} >> (U){1}))",  # of random bits and positive numbers
+}
 
 
 def prelude(single: bool) -> str:
-    """Definitions of vector types: `V` of W real numbers, `I` of integers, `D` and `L` of their 64-bit forms."""
-    real, suffix, bits = ("float", "f", 32) if single else ("double", "", 64)
-    names = {"ROOT": "sqrt", "NEAREST": "rint", "FLOOR": "floor", "CEIL": "ceil"}
-    vectors = {"V": real, "I": f"int{bits}_t", "U": f"uint{bits}_t", "D": "double", "L": "int64_t"}
-    lines = [
-        f"{_SCHEDULING}{HEADERS}",
-        f"#define REAL {real}\n#define WHOLE int{bits}_t\n{_WIDTH}",
-        *(f"#define {name} __builtin_{function}{suffix}" for name, function in names.items()),
-        *(f"typedef {kind} {name} __attribute__((vector_size(sizeof({kind}) * W)));" for name, kind in vectors.items()),
-    ]
-    return "\n".join(lines) + _PRELUDE + ("" if single else _DOUBLE)
-
-
-_FUNCTIONS = {"max": "v_maximum", "min": "v_minimum", "abs": "v_absolute", "round": "v_rint", "rem": "v_fmod"}
+    """Definitions of the vectors, of 32 or 64 bits."""
+    return f"{'#define SINGLE' * single}\n{header('vectors.h')}"
 
 
 class VectorWriter(Writer):
@@ -87,9 +48,10 @@ class VectorWriter(Writer):
     def __init__(self, scopes: Sequence[Scope], results: Sequence[Value | StoredArray], *, single: bool) -> None:
         super().__init__(scopes, c_language(), results)
         self._single = single
+        self._patterns = _PATTERNS | (_OF_32_BITS if single else _OF_64_BITS)
 
     def constant(self, value: Value) -> str:
-        return f"const {self.language.types[value.kind] if value.uniform else _VECTORS[value.kind]}"
+        return f"const {self.variable(value.kind, value.uniform)}"
 
     def variable(self, kind: Kind, uniform: bool) -> str:
         return self.language.types[kind] if uniform else _VECTORS[kind]
@@ -104,14 +66,14 @@ class VectorWriter(Writer):
             return text
         if argument.kind is Kind.REAL and argument.constant is not None:
             return self._literal(argument, c_language("float"))
-        return f"({'float' if argument.kind is Kind.REAL else 'int32_t'})({text[0]})", _PREFIX
+        return f"({'float' if argument.kind is Kind.REAL else 'int32_t'})({text[0]})", PREFIX
 
     def _vector(self, value: Value) -> str:
         """Text of a value as a vector."""
         text, strength = self._text(value)
         if value.uniform:
             return f"{_BROADCAST[value.kind]}({text})"
-        return text if strength >= _ATOM else f"({text})"
+        return text if strength >= ATOM else f"({text})"
 
     def loaded(self, value: Value) -> str:
         return super().loaded(value) if value.uniform else f"load{_SUFFIX[value.kind]}(&{value.data}[b])"
@@ -132,48 +94,33 @@ class VectorWriter(Writer):
         if array.uniform:
             return super()._array(array, texts, indent)
         name = self._arrays[id(array)] = self._new("a")
-        lines = [f"{indent}{_VECTORS[array.kind]} {name}[{array.size}];"]
-        return lines + [
-            f"{indent}{name}[{n}] = {self._vector(one)};" for n, one in enumerate(array.elements) if array.loop is None
+        elements = array.elements if array.loop is None else ()
+        return [
+            f"{indent}{_VECTORS[array.kind]} {name}[{array.size}];",
+            *(f"{indent}{name}[{place}] = {self._vector(value)};" for place, value in enumerate(elements)),
         ]
 
     def _operation(self, value: Value) -> Text:
+        text = None if value.uniform else self._of_vectors(value)
+        return super()._operation(value) if text is None else (text, ATOM)
+
+    def _of_vectors(self, value: Value) -> str | None:
+        """Text of an operation on vectors; None for one with an operator of C."""
         name, arguments = value.operation, value.arguments
-        if value.uniform:
-            return super()._operation(value)
         if name == "select":
             condition, yes, no = arguments
             if condition.uniform:
-                return f"({self.text(condition)} ? {self._vector(yes)} : {self._vector(no)})", _ATOM
+                return f"({self.text(condition)} ? {self._vector(yes)} : {self._vector(no)})"
             pick = "pick" if value.kind is Kind.REAL else "pick_integer"
-            return f"{pick}({self.text(condition)}, {self._vector(yes)}, {self._vector(no)})", _ATOM
-        if value.kind is Kind.BOOLEAN and name in ("and", "or", "xor"):
-            operator = {"and": "&", "or": "|", "xor": "^"}[name]
-            return f"({self._vector(arguments[0])} {operator} {self._vector(arguments[1])})", _ATOM
-        if name == "not":
-            return f"(~{self._vector(arguments[0])})", _ATOM
-        if value.kind is Kind.BOOLEAN and arguments[0].kind is Kind.BOOLEAN and name in ("eq", "ne"):
-            return (
-                f"({'~' if name == 'eq' else ''}({self._vector(arguments[0])} ^ {self._vector(arguments[1])}))",
-                _ATOM,
-            )
-        if name in ("max", "min") and value.kind is Kind.INTEGER:
-            x, y = map(self._vector, arguments)
-            return f"pick_integer({x} {'>' if name == 'max' else '<'} {y}, {x}, {y})", _ATOM
-        if name == "rem" and value.kind is Kind.INTEGER:
-            return f"({self._vector(arguments[0])} % {self._vector(arguments[1])})", _ATOM
+            return f"{pick}({self.text(condition)}, {self._vector(yes)}, {self._vector(no)})"
+        vectors = [self._vector(argument) for argument in arguments]
         if name in ("real", "integer", "boolean"):
-            return self._conversion(self._vector(arguments[0]), arguments[0].kind, value.kind), _ATOM
-        if name == "bits":
-            return f"((I){self._vector(arguments[0])})", _ATOM
-        if name == ("from_bits_32" if self._single else "from_bits"):
-            return f"((V){self._vector(arguments[0])})", _ATOM
-        if name == "shift_right" and self._single:  # for random bits and positive numbers
-            return f"((I)((U){self._vector(arguments[0])} >> (U){self._vector(arguments[1])}))", _ATOM
+            return self._conversion(vectors[0], arguments[0].kind, value.kind)
+        if (pattern := self._patterns.get((name, arguments[0].kind))) is not None:
+            return pattern.format(*vectors)
         if name in self.language.functions:
-            function = _FUNCTIONS.get(name, f"v_{self.language.functions[name]}")
-            return f"{function}({', '.join(map(self._vector, arguments))})", _ATOM
-        return super()._operation(value)
+            return f"{_FUNCTIONS.get(name, f'v_{self.language.functions[name]}')}({', '.join(vectors)})"
+        return None
 
     @staticmethod
     def _conversion(text: str, source: Kind, target: Kind) -> str:

@@ -8,11 +8,10 @@ from typing import Any
 
 from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.source_module import Function, SourceModule, element, identifier
-from mckibben.codegen.writer import Language, Text, Writer, inputs_of
+from mckibben.codegen.writer import ATOM, Language, Text, Writer, inputs_of
 from mckibben.errors import ExportError
 
 _LARGEST, _SMALLEST = 3.4e38, 1.18e-38  # of a 32-bit number
-_ATOM = 8
 _TYPES = {Kind.REAL: "float", Kind.INTEGER: "int", Kind.BOOLEAN: "bool"}
 _ZEROS = {"float": "0.0", "int": "0", "bool": "False"}
 _SAME = ("exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "sqrt", "floor",
@@ -24,11 +23,11 @@ def write_warp(module: SourceModule) -> str:
     writer = _Writer(module.scopes, WARP, module.results())
     needed = {value.data for value in inputs_of(module.graph.root) if writer.is_needed(value)}
     lines, places = [], {}
-    for one in module.members:
-        names = [element("parameters", one, number) for number in range(one.size)]
+    for member in module.members:
+        names = [element("parameters", member, number) for number in range(member.size)]
         if needed.intersection(names):
-            values = [float(value) for value in one.value.flat]
-            lines.append(f"    {one.path.removeprefix(module.prefix)!r}: ({len(places)}, {values!r}),")
+            values = [float(value) for value in member.value.flat]
+            lines.append(f"    {member.path.removeprefix(module.prefix)!r}: ({len(places)}, {values!r}),")
             places |= {name: f"model.parameters[world, {len(places) + place}]" for place, name in enumerate(names)}
     stored, counts = writer.prepared(
         module.graph.root,
@@ -36,7 +35,7 @@ def write_warp(module: SourceModule) -> str:
         lambda kind, place: f"model.{kind.value}[world, {place}]",
     )
     prepare = ["@wp.kernel", "def prepare(model: Model):", "    world = wp.tid()", *stored, ""]
-    functions = [_function(one, writer) for one in module.functions]
+    functions = [_function(function, writer) for function in module.functions]
     return "\n".join(
         [
             "# name: place of the first element, and the elements, of which each world has its own",
@@ -55,17 +54,17 @@ def write_warp(module: SourceModule) -> str:
 
 
 def _function(function: Function, writer: _Writer) -> str:
-    given = [
-        (identifier(element(name, one, number)), _TYPES[one.kind])
+    inputs = [
+        (identifier(element(name, member, number)), _TYPES[member.kind])
         for name, members in function.arguments.items()
-        for one in members
-        for number in range(one.size)
+        for member in members
+        for number in range(member.size)
     ]
     for value in inputs_of(function.scope):
         writer.name(value, identifier(value.data))
     lines = writer.scope(function.scope)
     values = [writer.text(value) for values in function.values.values() for value in values]
-    arguments = ", ".join(["model: Model", "world: int", *(f"{name}: {kind}" for name, kind in given)])
+    arguments = ", ".join(["model: Model", "world: int", *(f"{name}: {kind}" for name, kind in inputs)])
     text = [f"# {function.text}", "@wp.func", f"def {function.name}({arguments}):"]
     return "\n".join([*text, *lines, f"    return {', '.join(values)}", "\n"])
 
@@ -91,10 +90,10 @@ class _Writer(Writer):
     def _operation(self, value: Value) -> Text:
         name = value.operation
         if name in ("select", "not") or (name in ("and", "or") and value.kind is Kind.BOOLEAN):
-            texts = [self._argument(value, one)[0] for one in value.arguments]
+            texts = [self._argument(value, argument)[0] for argument in value.arguments]
             if name == "select":
-                return f"wp.where({', '.join(texts)})", _ATOM
-            return (f"(not ({texts[0]}))" if name == "not" else f"(({texts[0]}) {name} ({texts[1]}))"), _ATOM
+                return f"wp.where({', '.join(texts)})", ATOM
+            return (f"(not ({texts[0]}))" if name == "not" else f"(({texts[0]}) {name} ({texts[1]}))"), ATOM
         if name not in WARP.functions and name in ("bits", "from_bits", "from_bits_32", "single"):
             raise ExportError(f"{name} needs 64-bit integers", field=name, remedy="export to C")
         return super()._operation(value)
@@ -117,12 +116,12 @@ def _conversion(text: str, source: Kind, target: Kind) -> str:
 
 
 def _array(name: str, kind: Kind, size: int, elements: Sequence[str] | None, constant: bool) -> str:
-    given = f"{', '.join(elements)}, " if elements else ""
-    return f"{name} = wp.vector({given}length={size}, dtype={_TYPES[kind]})"
+    values = f"{', '.join(elements)}, " if elements else ""
+    return f"{name} = wp.vector({values}length={size}, dtype={_TYPES[kind]})"
 
 
 def _helper(name: str, arguments: str, *lines: str) -> str:
-    typed = ", ".join(f"{one}: float" for one in arguments.split(", "))
+    typed = ", ".join(f"{argument}: float" for argument in arguments.split(", "))
     return "\n".join(["@wp.func", f"def {name}({typed}):", *(f"    {line}" for line in lines), "\n"])
 
 

@@ -7,10 +7,10 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mckibben.codegen.graph import Branch, ForLoop, Kind, Scope, StoredArray, Value, needed
+from mckibben.codegen.graph import Branch, Carried, ForLoop, Kind, Scope, StoredArray, Value, needed
 
 _LONGEST = 100  # characters of an expression without its own variable
-_ATOM, _PREFIX, _PRODUCT, _SUM, _COMPARISON, _AND, _OR, _CHOICE = 8, 7, 6, 5, 4, 3, 2, 1
+ATOM, PREFIX, _PRODUCT, _SUM, _COMPARISON, _AND, _OR, _CHOICE = 8, 7, 6, 5, 4, 3, 2, 1
 _INFIX = {
     "add": ("+", _SUM),
     "sub": ("-", _SUM),
@@ -74,7 +74,7 @@ class Writer:
 
     def name(self, value: Value, text: str) -> None:
         """Set the text of a value."""
-        self._texts[id(value)] = (text, _ATOM)
+        self._texts[id(value)] = (text, ATOM)
 
     def text(self, value: Value) -> str:
         """Text of a value already written."""
@@ -110,7 +110,7 @@ class Writer:
             elif id(statement) not in self._needed or id(statement) in self._texts:
                 continue
             elif isinstance(statement, StoredArray):
-                texts = [self.text(one) for one in statement.elements]
+                texts = [self.text(element) for element in statement.elements]
                 lines += self._array(statement, texts, indent)
             else:
                 lines += self._value(statement, indent, stored)
@@ -144,19 +144,19 @@ class Writer:
         return [f"{indent}{self.declared(self.constant(value), name, text[0])}"]
 
     def _loop(self, loop: ForLoop, indent: str) -> list[str]:
-        carried = [one for one in loop.carried if id(one) in self._needed]
-        arrays = [one for one in loop.arrays if id(one) in self._needed]
-        if not carried and not arrays:
+        variables = [variable for variable in loop.carried if id(variable) in self._needed]
+        arrays = [array for array in loop.arrays if id(array) in self._needed]
+        if not variables and not arrays:
             return []
         lines = []
         for array in arrays:
             if id(array) not in self._arrays:
                 lines += self._array(array, None, indent)
-        for one in carried:
-            self._carried[id(one)] = self._new("x")
-            initial = self.converted(one.initial, one.uniform)
-            kind = self.variable(one.initial.kind, one.uniform)
-            lines.append(f"{indent}{self.declared(kind, self._carried[id(one)], initial)}")
+        for variable in variables:
+            name = self._carried[id(variable)] = self._new("x")
+            initial = self.converted(variable.initial, variable.uniform)
+            kind = self.variable(variable.initial.kind, variable.uniform)
+            lines.append(f"{indent}{self.declared(kind, name, initial)}")
         index, inside = self._new("i"), indent + "    "
         self.name(loop.index, index)
         going = None if loop.going is None else self._carried[id(loop.going)]
@@ -166,32 +166,38 @@ class Writer:
             for place, element in enumerate(array.elements):
                 at = self._place(loop.row, len(array.elements), place)
                 lines.append(f"{inside}{self.store(array, at, element)}{self.end}")
-        updates = [(self._carried[id(one)], one.following, one.uniform) for one in carried]
-        swapped = {}
-        for target, following, uniform in updates:
-            if following.operation == "carried" and self.text(following) != target:
-                swapped[target] = self._new("t")
-                kind, text = self.variable(following.kind, uniform), self.converted(following, uniform)
-                lines.append(f"{inside}{self.declared(kind, swapped[target], text)}")
-        for target, following, uniform in updates:
-            text = swapped.get(target, self.converted(following, uniform))
-            if text != target:
-                lines.append(f"{inside}{self.assigned(target, text)}")
+        lines += [f"{inside}{line}" for line in self._updates(variables)]
         return lines + [f"{indent}{line}" for line in self.loop_end(index, going)]
 
+    def _updates(self, variables: Sequence[Carried]) -> list[str]:
+        """Lines that set the variables of a loop to their next values; those that are exchanged by way of copies."""
+        lines, copies = [], {}
+        for variable in variables:
+            target, following = self._carried[id(variable)], variable.following
+            if following.operation == "carried" and self.text(following) != target:
+                copies[target] = self._new("t")
+                kind = self.variable(following.kind, variable.uniform)
+                lines.append(self.declared(kind, copies[target], self.converted(following, variable.uniform)))
+        for variable in variables:
+            target = self._carried[id(variable)]
+            text = copies.get(target) or self.converted(variable.following, variable.uniform)
+            if text != target:
+                lines.append(self.assigned(target, text))
+        return lines
+
     def _branch(self, branch: Branch, indent: str) -> list[str]:
-        chosen = [one for one in branch.chosen if id(one) in self._needed]
+        chosen = [value for value in branch.chosen if id(value) in self._needed]
         if not chosen:
             return []
         lines = []
-        for one in chosen:
-            self.name(one, self._new("y"))
-            lines.append(f"{indent}{self.declared(self.variable(one.kind, one.uniform), self.text(one))}")
+        for value in chosen:
+            self.name(value, self._new("y"))
+            lines.append(f"{indent}{self.declared(self.variable(value.kind, value.uniform), self.text(value))}")
         for head, scope, values in zip(self.branch_heads, branch.scopes, branch.values, strict=True):
             lines.append(indent + head.format(self.text(branch.condition)))
             lines += self.scope(scope, indent + "    ")
-            for one in chosen:
-                assigned = self.assigned(self.text(one), self.converted(values[one.data[1]], one.uniform))
+            for value in chosen:
+                assigned = self.assigned(self.text(value), self.converted(values[value.data[1]], value.uniform))
                 lines.append(f"{indent}    {assigned}")
         return lines + [f"{indent}{line}" for line in self.block_end]
 
@@ -246,50 +252,50 @@ class Writer:
             return str(offset)
         text, strength = self._text(row)
         if stride != 1:
-            text = f"{stride} * {text if strength >= _PREFIX else f'({text})'}"
+            text = f"{stride} * {text if strength >= PREFIX else f'({text})'}"
         return f"{text} + {offset}" if offset else text
 
     def _text(self, value: Value) -> Text:
         if value.operation == "constant":
             return self._literal(value, self.language)
         if value.operation == "carried":
-            return self._carried[id(value.data)], _ATOM
+            return self._carried[id(value.data)], ATOM
         return self._texts[id(value)]
 
     def _literal(self, value: Value, language: Language) -> Text:
         literal = language.literal(value.data, value.kind)
-        return literal, _PREFIX if literal.startswith("-") else _ATOM
+        return literal, PREFIX if literal.startswith("-") else ATOM
 
     def _expression(self, value: Value) -> Text:
         """Text of an operation, from the texts of its arguments, or of an element."""
         if value.operation == "element":
             place = self._place(value.arguments[0] if value.arguments else None, value.data.stride, value.data.offset)
-            return self.element(value.data.array, place), _ATOM
+            return self.element(value.data.array, place), ATOM
         return self._operation(value)
 
     def _operation(self, value: Value) -> Text:
         name, kind, arguments = value.operation, value.kind, value.arguments
-        texts = [self._argument(value, one) for one in arguments]
+        texts = [self._argument(value, argument) for argument in arguments]
         if name == "select":
             condition, yes, no = texts
             return f"{_bound(condition, _CHOICE + 1)} ? {_bound(yes, _CHOICE + 1)} : {_bound(no, _CHOICE)}", _CHOICE
         if name in _BITWISE and kind is Kind.INTEGER:
-            return f"{_bound(texts[0], _ATOM)} {_BITWISE[name]} {_bound(texts[1], _ATOM)}", _OR
+            return f"{_bound(texts[0], ATOM)} {_BITWISE[name]} {_bound(texts[1], ATOM)}", _OR
         if name in _INFIX:
             operator, strength = _INFIX[name]
             least = strength if strength >= _SUM else _SUM  # compilers warn about mixed comparisons, && and ||
             return f"{_bound(texts[0], least)} {operator} {_bound(texts[1], max(least, strength + 1))}", strength
         if name in ("neg", "not"):
-            return f"{'-' if name == 'neg' else '!'}{_bound(texts[0], _ATOM)}", _PREFIX
+            return f"{'-' if name == 'neg' else '!'}{_bound(texts[0], ATOM)}", PREFIX
         if name in ("real", "integer", "boolean"):
-            return self._language(value).conversion(_bound(texts[0], _ATOM), arguments[0].kind, kind), _COMPARISON
+            return self._language(value).conversion(_bound(texts[0], ATOM), arguments[0].kind, kind), _COMPARISON
         if name in ("max", "min") and arguments[1].operation == "constant":
             texts.reverse()  # C tests whether the first is NAN
         language = self._language(value)
         function = language.functions[name]
         if function in language.helpers:
             self.helpers.add(language.helpers[function])
-        return f"{function}({', '.join(text for text, _ in texts)})", _ATOM
+        return f"{function}({', '.join(text for text, _ in texts)})", ATOM
 
     def _argument(self, value: Value, argument: Value) -> Text:
         """Text of an argument in the precision of an operation."""
@@ -298,7 +304,7 @@ class Writer:
         text = self._text(argument)
         wide = self._is_wide(argument) and argument.kind is Kind.REAL
         if wide and not self._is_wide(value) and not all(map(self._is_wide, value.arguments)):
-            return self.language.conversion(_bound(text, _ATOM), Kind.REAL, Kind.REAL), _PREFIX
+            return self.language.conversion(_bound(text, ATOM), Kind.REAL, Kind.REAL), PREFIX
         return text
 
     def _new(self, letter: str) -> str:
@@ -310,10 +316,10 @@ class Writer:
         """Count the uses of each value; use in another scope or a loop counts twice, as it requires a name."""
         for statement in scope.statements:
             if isinstance(statement, ForLoop):
-                for one in statement.carried:
-                    if id(one) in self._needed:
-                        self._use([one.initial] * 2, scope)
-                        self._use([one.following] * 2, statement.scope)
+                for variable in statement.carried:
+                    if id(variable) in self._needed:
+                        self._use([variable.initial] * 2, scope)
+                        self._use([variable.following] * 2, statement.scope)
                 for array in statement.arrays:
                     if id(array) in self._needed:
                         self._use(array.elements, statement.scope)
@@ -323,24 +329,25 @@ class Writer:
                 if id(statement) in self._needed:
                     self._use([statement.condition], scope)
                 for inside, values in zip(statement.scopes, statement.values, strict=True):
-                    for one in statement.chosen:
-                        if id(one) in self._needed:
-                            self._use([values[one.data[1]]] * 2, inside)
+                    for value in statement.chosen:
+                        if id(value) in self._needed:
+                            self._use([values[value.data[1]]] * 2, inside)
                     self._count(inside)
             elif id(statement) in self._needed:
                 values = statement.elements if isinstance(statement, StoredArray) else statement.arguments
                 self._use(values, statement.scope if isinstance(statement, Value) else scope)
 
     def _use(self, values: Sequence[Value], scope: Scope) -> None:
-        for one in values:
-            self._uses[id(one)] += 1 if one.scope is scope else 2
-            if one.scope is not scope:
-                self.shared.add(id(one))
+        for value in values:
+            self._uses[id(value)] += 1 if value.scope is scope else 2
+            if value.scope is not scope:
+                self.shared.add(id(value))
 
 
 def inputs_of(scope: Scope) -> list[Value]:
     """Inputs of a scope."""
-    return [one for one in scope.statements if isinstance(one, Value) and one.operation == "input"]
+    values = (statement for statement in scope.statements if isinstance(statement, Value))
+    return [value for value in values if value.operation == "input"]
 
 
 def _bound(text: Text, least: int) -> str:

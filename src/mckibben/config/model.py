@@ -246,7 +246,7 @@ _KINDS = (
     ({"joint", "controller", "reference"}, "a scenario of a joint, which `mckibben simulate` reads"),
     ({"muscle", "rig"}, "a protocol, which `mckibben rig run` reads"),
     ({"rig", "approach"}, "a joint rig, which `mckibben rig control` reads"),
-    ({"law", "equation"}, "a fit, which is the `law` of a muscle"),
+    ({"law", "fit"}, "a fit, which is the `law` of a muscle"),
     ({"specimen", "law"}, "a muscle, which is the `muscle` of a joint"),
 )
 """Keys that only one kind of file has, what it is, and what reads it."""

@@ -11,7 +11,7 @@ from mckibben.actuator import Actuator
 from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine, pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.compiled import computed_once
+from mckibben.numerics.compiled import cached_trace
 from mckibben.numerics.elementary import floating
 
 Scalar = Float[Array, ""]
@@ -134,7 +134,7 @@ def linearise(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pair) -> To
     return TorqueStiffnessMap(*map(through, samples))
 
 
-@computed_once
+@cached_trace
 def pressure_range(joint: AntagonisticJoint, angle: ArrayLike, minimum_tension: ArrayLike) -> tuple[Pair, Pair]:
     """Lowest and highest pressures [Pa] at an angle [rad], for tensions from a minimum [N] to the rating."""
     (low1, low2), (high1, high2) = pressure_limits_of(joint)

@@ -18,7 +18,7 @@ from mckibben.control.reference import ReferenceDerivatives
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.compiled import computed_once
+from mckibben.numerics.compiled import cached_trace
 from mckibben.numerics.elementary import exp
 from mckibben.units import Percent
 
@@ -149,7 +149,7 @@ class DecouplingControl(ModelBasedControl):
     def telemetry(self, state: DecouplingState) -> dict[str, Scalar]:
         return self.estimates_telemetry(state.estimates)
 
-    @computed_once
+    @cached_trace
     def _attainable(
         self, model: AntagonisticJoint, angle: Scalar, valves: Valves, period: ArrayLike
     ) -> tuple[TorqueStiffnessMap, Pair, Pair, Scalar]:

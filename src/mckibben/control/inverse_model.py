@@ -18,7 +18,7 @@ from mckibben.control.position_stiffness import Feedforward, PositionStiffnessCo
 from mckibben.control.reference import ReferenceDerivatives
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.compiled import computed_once
+from mckibben.numerics.compiled import cached_trace
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import AngleScale, AngularAcceleration, Bandwidth, Count, PressureScale, Rate, Seed, StiffnessScale
 
@@ -230,7 +230,7 @@ class InverseModelControl(Controller):
         pressure1, pressure2 = self._limited_inverse(self.load, x, pressures)
         return (pressure2 - pressure1) / 2, (pressure1 + pressure2) / 2
 
-    @computed_once
+    @cached_trace
     def _limited_inverse(self, load: LoadModel, x: InverseInput, pressures: Pair) -> Pair:
         """Pressures [Pa] of the model within limits."""
         tension = _TAUT if self.minimum_tension is None else self.minimum_tension
@@ -239,7 +239,7 @@ class InverseModelControl(Controller):
         torque = load.required_torque(x.angle, x.velocity, x.acceleration)
         return prioritise_torque(affine, torque, x.stiffness, lowest, highest, self.loops.model.springs).pressures
 
-    @computed_once
+    @cached_trace
     def _unlimited_inverse(self, load: LoadModel, x: InverseInput, pressures: Pair) -> Pair:
         """Pressures [Pa] of the model without limits."""
         torque, model = load.required_torque(x.angle, x.velocity, x.acceleration), self.loops.model
@@ -248,7 +248,7 @@ class InverseModelControl(Controller):
             return prioritise_torque(affine, torque, x.stiffness, *pressure_limits_of(model), model.springs).pressures
         return affine.pressures_for(torque, x.stiffness)
 
-    @computed_once
+    @cached_trace
     def _is_taut(self, angle: Scalar, pressures: Pair) -> Array:
         """Whether both muscles are taut by the model."""
         tension1, tension2 = self.loops.model.tensions(angle, pressures)

@@ -21,7 +21,7 @@ from mckibben.joint import AffineMap, AntagonisticJoint, TorqueStiffnessMap
 from mckibben.joint.attainable import is_affine
 from mckibben.joint.geometry import Pair
 from mckibben.numerics.calculus import derivative, value_and_derivative
-from mckibben.numerics.compiled import computed_once
+from mckibben.numerics.compiled import cached_trace
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import AngleScale, Bandwidth, BoundedInt, Count, PoleDamping, PositiveTime, StiffnessScale, bar, deg
 
@@ -275,7 +275,7 @@ class LocalModel(NamedTuple):
     highest_slope: Pair
 
 
-@computed_once
+@cached_trace
 def local_model(model: AntagonisticJoint, angle: Scalar, pressures: Pair, *, minimum_tension: ArrayLike) -> LocalModel:
     """Local model about an angle [rad] and pressures [Pa], with limits that keep a tension [N]."""
 

@@ -31,6 +31,7 @@ _DIAMETERS = 1.7 * mm, 80 * mm  # implied by force and pressure
 _SMALL = 0.05  # of the largest force: below, the muscle may be slack
 _UNEXPLAINED = 0.3  # of the variance of taut forces
 _ATMOSPHERE = 0.75 * bar, 1.6 * bar  # pressure at which the force begins, if pressures are absolute
+_MANY = 50_000  # points that are compared; of more, every second, third ...
 _MOST = 3000  # points that are compared in pairs
 _UNIT = "check the unit: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
 _REMEDIES = {
@@ -84,6 +85,11 @@ class Points:
         gaps = np.diff(self.pressure[order]) > 0.03 * self.pressure.max()
         return np.split(order, np.flatnonzero(gaps) + 1)
 
+    def every(self, step: int) -> Points:
+        """Every second point, say."""
+        pressure, contraction, force = self.pressure[::step], self.contraction[::step], self.force[::step]
+        return Points(pressure, contraction, force, self.lines[::step], self.measured[::step], self.slack_force)
+
     def ask(self, topic: str, text: str, row: int | None = None, field: str = "") -> Question:
         """A question, about a row."""
         place = "" if row is None else " at {:.3g} bar, {:.3g} %, {:.4g} N".format(*self.table[row])
@@ -110,6 +116,8 @@ def questions_of_points(points: Points, specimen: Specimen | None = None) -> lis
     )
     checks += (_zeros, _weak_zeros, _held, _counted, _reach, _offsets, _few_slack)
     asked = list(_sign(points)) or list(_ranges(points, specimen))
+    if (step := 1 + len(points.force) // _MANY) > 1:
+        points = points.every(step)
     return asked or [asked for check in checks for asked in check(points)]
 
 
@@ -345,7 +353,7 @@ def _repeats(points: Points) -> Iterator[Question]:
 def _zeros(points: Points) -> Iterator[Question]:
     """Forces of exactly 0 where the muscle cannot be slack.
 
-    It pulls at less pressure and a larger contraction, or, as the force is convex, a line through two neighbours is above.
+    It pulls at less pressure and a larger contraction, or, as the force is convex, a line of two neighbours is above.
     """
     force, contraction, pressure = points.force, points.contraction, points.pressure
     at = np.flatnonzero(points.measured == 0)[:_MOST]
@@ -405,7 +413,7 @@ def _reach(points: Points) -> Iterator[Question]:
         rows = max(wide, key=lambda level: float(points.force[level].mean()))
         slope, start = np.polyfit(points.contraction[rows], points.force[rows], 1)
         if slope < 0 and -slope * np.ptp(points.contraction[rows]) > 0.15 * start and -start / slope > 0.45:
-            text = f"the force would end at a contraction of {-start / slope / percent:.2g} %: check unit and initial length"
+            text = f"the force would end at a contraction of {-start / slope / percent:.2g} %: a wrong unit or length?"
             yield points.ask("zero", text, field="contraction")
 
 
@@ -419,11 +427,8 @@ def _offsets(points: Points) -> Iterator[Question]:
     used = (force > max(0.15 * force.max(), points.slack_force)) & (contraction <= contraction.min() + 0.6 * stroke)
     p, eps = pressure[used] / bar, (contraction[used] - contraction.min()) / (stroke or 1.0)
     design = np.column_stack([p, np.ones(len(p)), eps, p * eps, p * eps**2])[:, : 5 if stroke else 2]
-    if (
-        contraction.min() > 0.5 * percent
-        or len(p) <= design.shape[1] + 1
-        or len(np.unique(np.round(20 * p / p.max()))) < 3
-    ):
+    few = len(p) <= design.shape[1] + 1 or len(np.unique(np.round(20 * p / p.max()))) < 3
+    if contraction.min() > 0.5 * percent or few:
         return
     solution = np.linalg.lstsq(design, force[used], rcond=None)[0]
     residual = force[used] - design @ solution

@@ -24,7 +24,7 @@ def seconds_of(header: Header, cells: Floats | Sequence[str]) -> Floats | None:
     header
         Header of the column, with its unit if it states one.
     cells
-        Shape (samples,): numbers, or texts such as ``2024-03-12T14:02:00.5Z``, ``12.03.2024 14:02:00,5`` or ``14:02:00.5``.
+        Shape (samples,): numbers, or texts such as ``2024-03-12T14:02:00.5Z`` or ``12.03.2024 14:02:00,5``.
     """
     if isinstance(cells, np.ndarray):
         if not len(cells) or not np.isfinite(cells).all():

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-import zipfile
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,17 +12,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mckibben.dataset.matlab import MatlabReader, Opaque, Value
-from mckibben.dataset.raw import LIMIT_REMEDY, Budget, RawColumn, RawTable, read_bytes, unreadable
-from mckibben.dataset.text import NUMBER, decimal_sign, decode, read_text, score_of
-from mckibben.dataset.vocabulary import dimension_of, parse_header
+from mckibben.dataset.raw import Budget, RawColumn, RawTable, read_bytes, several, unreadable
+from mckibben.dataset.text import decode, read_text
+from mckibben.dataset.vocabulary import parse_header
+from mckibben.dataset.workbook import read_workbook
 from mckibben.errors import DatasetError, Problem
 
 if TYPE_CHECKING:
     import h5py
-    from openpyxl.worksheet.worksheet import Worksheet
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_SHEET_BYTES = 2**25  # of XML of a workbook
 _TABLE = Problem(
     "is an object of MATLAB (a table?), which only MATLAB can open",
     remedy="save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')",
@@ -60,7 +57,7 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
     data = read_bytes(path)
     head, budget = data[:64].lstrip().lower(), Budget(path)
     if data.startswith(b"PK\x03\x04"):
-        return _read_workbook(path, data, mapping, part, budget)
+        return read_workbook(path, data, mapping, part, budget)
     if data.startswith(_HDF5) or data[512:520] == _HDF5:
         return _read_hdf5(path, data, part, mapping, budget)
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
@@ -77,157 +74,6 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
     if text.startswith("LabVIEW Measurement"):
         return _read_lvm(text, path, mapping, decimal)
     return read_text(text, path, mapping, decimal)
-
-
-# Workbooks
-
-
-def _read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str, budget: Budget) -> RawTable:
-    """Columns of the only sheet with a header (formulas as saved values)."""
-    try:
-        from openpyxl import load_workbook
-    except ImportError:
-        remedy = 'pip install "mckibben[excel]", or save the sheet as CSV'
-        raise DatasetError(str(path), [Problem("needs openpyxl, which is not installed", remedy=remedy)]) from None
-    try:
-        with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            names = archive.namelist()
-            size = sum(info.file_size for info in archive.infolist())
-        if "[Content_Types].xml" not in names:
-            raise DatasetError(str(path), [Problem("is a ZIP archive, not a workbook", remedy="extract it")])
-        if size > _SHEET_BYTES:
-            text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
-            raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
-        book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
-    except DatasetError:
-        raise
-    except Exception as error:  # openpyxl raises nearly any exception on a damaged workbook
-        raise unreadable(path, "a workbook", error) from error
-    tables: dict[str, RawTable] = {}
-    others: list[tuple[int | None, str]] = []
-    for sheet in book.worksheets:
-        budget.spend()
-        if part and sheet.title != part:
-            continue
-        if (table := _sheet(sheet, mapping, budget)) is not None:
-            tables[sheet.title] = table
-        else:
-            others += [
-                (None, text) for row in sheet.iter_rows(values_only=True, max_row=200) if (text := _text_of(row))
-            ]
-    if not tables:
-        text = f"no sheet has a header that is understood; it has {', '.join(book.sheetnames[:20])}"
-        remedy = "name the columns: columns={'HEADER': 'force_N'} (command line: --column 'HEADER=force_N')"
-        raise DatasetError(str(path), [Problem(text, remedy=remedy)])
-    if len(tables) > 1:
-        raise DatasetError(str(path), [several("sheets", list(tables))])
-    (table,) = tables.values()
-    table.words += others
-    return table
-
-
-def several(what: str, names: Sequence[str]) -> Problem:
-    """Question of which of several parts of a file is to be read."""
-    remedy = f"choose one: part={names[0]!r} in Python or in a recipe (command line: --read FILE.yaml)"
-    return Problem(f"has several {what} of measurements: {', '.join(names[:20])}", remedy=remedy)
-
-
-def _text_of(row: Sequence[object]) -> str:
-    return " ".join(str(cell) for cell in row if cell is not None).strip()
-
-
-def _sheet(sheet: Worksheet, mapping: Mapping[str, str], budget: Budget) -> RawTable | None:
-    """Columns of a sheet; None without a header."""
-    budget.spend(rows=sheet.max_row, columns=sheet.max_column, size=8 * sheet.max_row * sheet.max_column)
-    grid = [list(row) for row in sheet.iter_rows(values_only=True)]
-    texts = [["" if cell is None else str(cell).strip() for cell in row] for row in grid[:100]]
-    scores = [score_of(row, mapping) for row in texts]
-    if not scores or max(scores) < 1:
-        return None
-    at = int(np.argmax(scores))
-    table = RawTable()
-    table.words += [(number, text) for number, row in enumerate(grid[:at], 1) if (text := _text_of(row))]
-    header, first = texts[at], at + 1
-    units = [""] * len(header)
-    if (
-        first < len(texts)
-        and any(map(dimension_of, texts[first]))
-        and not any(isinstance(cell, int | float) for cell in grid[first])
-    ):
-        units, first = [cell.strip("[]()") for cell in texts[first]], first + 1
-    places = [column for column, name in enumerate(header) if name]
-    rows = []
-    for number, row in enumerate(grid[first:], first + 1):
-        filled = [row[column] for column in places if row[column] is not None and str(row[column]).strip()]
-        if not filled:
-            continue
-        if any(isinstance(cell, int | float) or NUMBER.fullmatch(str(cell)) for cell in filled):
-            rows.append((number, row))
-        elif [str(cell) for cell in filled] != [name for name in header if name]:
-            table.words.append((number, _text_of(row)))
-    table.lines = [number for number, _ in rows]
-    table.decimal, table.ambiguous = decimal_sign(
-        [[str(row[column]) for _, row in rows if isinstance(row[column], str)] for column in places], ";"
-    )
-    for column in range(len(header)):
-        cells = [row[column] for _, row in rows]
-        if column in places:
-            table.columns.append(_column_of_cells(header[column], cells, units[column], sheet, table.lines, column))
-        elif any(cell is not None for cell in cells):
-            table.words += [
-                (number, str(cell)) for number, cell in zip(table.lines, cells, strict=True) if cell is not None
-            ]
-    _ask_of_layout(table, sheet, {*places}, at)
-    return table
-
-
-def _column_of_cells(
-    name: str, cells: Sequence[object], unit: str, sheet: Worksheet, lines: Sequence[int], column: int
-) -> RawColumn:
-    """Numbers of cells, or texts; a number format that shows a unit gives it."""
-    formats = {str(sheet.cell(line, column + 1).number_format) for line in lines[:200]}
-    shown = {match[1] for text in formats if (match := re.search(r'"\s*([^"]+)"', text)) and dimension_of(match[1])}
-    percent = {text.rstrip().endswith("%") for text in formats}
-    if len(shown) == 1 and len(formats) == 1 and not unit:
-        unit = next(iter(shown))
-    if percent == {True} and not unit and parse_header(name).quantity == "contraction":
-        unit = "ratio"  # 0.05 is shown as 5 %
-        name = re.sub(r"\s*[\[(]\s*%\s*[\])]", "", name)
-    if all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells):
-        return RawColumn(name, np.array(cells, np.float64), unit=unit)
-    texts = ["" if cell is None else str(cell).strip() for cell in cells]
-    return RawColumn(name, texts, unit=unit)
-
-
-def _ask_of_layout(table: RawTable, sheet: Worksheet, places: set[int], header: int) -> None:
-    """Questions about hidden, merged, struck-out or noted cells, which a table of numbers cannot show."""
-    remedy = "accept=['layout'] reads these cells as they are (command line: --accept layout)"
-    hidden = [str(row) for row in table.lines if sheet.row_dimensions[row].hidden] if sheet.row_dimensions else []
-    hidden += [letter for letter, column in sheet.column_dimensions.items() if column.hidden]
-    found = []
-    if hidden or sheet.sheet_state != "visible":
-        found.append(f"rows or columns are hidden: {', '.join(hidden[:5]) or 'the sheet'}")
-    wide = [
-        area
-        for area in sheet.merged_cells.ranges
-        if area.max_row >= header and area.max_col - area.min_col + 1 < max(len(places), 2)
-    ]
-    if wide:
-        found.append(f"cells are merged: {', '.join(map(str, wide[:5]))}")
-    marked: Counter[str] = Counter()
-    for line in table.lines[:5000]:
-        for column in places:
-            cell = sheet.cell(line, column + 1)
-            marked["struck out"] += bool(cell.font and cell.font.strike)
-            marked["noted"] += cell.comment is not None
-            marked["coloured"] += bool(cell.fill and cell.fill.fill_type == "solid")
-    if marked["coloured"] == len(table.lines) * len(places):
-        marked["coloured"] = 0
-    found += [f"{count} cells are {word}" for word, count in marked.items() if count]
-    table.problems += [Problem(text, field="layout", remedy=remedy) for text in found]
-
-
-# Binary files of channels
 
 
 def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
@@ -303,19 +149,20 @@ def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budg
         table.problems.append(replace(_TABLE, field=name))
     elif node.dtype.names and node.ndim == 1:
         records = node[()]
-        for key in records.dtype.names:
-            if records[key].dtype.kind in "iuf":
-                table.columns.append(RawColumn(f"{name}/{key}", records[key].astype(np.float64), label=key))
+        numbers = [key for key in records.dtype.names if records[key].dtype.kind in "iuf"]
+        table.columns += [RawColumn(f"{name}/{key}", records[key].astype(np.float64), label=key) for key in numbers]
     elif kind == "char":
         table.words.append((None, f"{name}: {''.join(map(chr, np.ravel(node[()]).tolist()))[:1000]}"))
-    elif node.dtype.kind in "OS" and node.size == 1:
-        table.words.append((None, f"{name}: {_decoded(np.ravel(node[()])[0])}"))
-    elif node.dtype.kind in "OS" and node.ndim == 1 and not node.attrs.get("MATLAB_class"):
-        table.columns.append(RawColumn(name, [_decoded(text) for text in node[()].tolist()]))
+    elif node.dtype.kind in "OS" and not kind:
+        texts = [_decoded(text) for text in np.ravel(node[()]).tolist()]
+        if len(texts) == 1:
+            table.words.append((None, f"{name}: {texts[0]}"))
+        elif node.ndim == 1:
+            table.columns.append(RawColumn(name, texts))
     elif node.dtype.kind in "biuf":
-        values = node[()] if matlab else _unpacked(node)
+        values = node[()].T if matlab else _unpacked(node)
         unit = next((_decoded(node.attrs[key]) for key in node.attrs if key.lower() in _UNITS), "")
-        _add_matrix(table, name, values.T if matlab else values, unit)
+        _add_matrix(table, name, values, unit)
 
 
 def _unpacked(node: h5py.Dataset) -> np.ndarray:
@@ -367,32 +214,35 @@ def _read_matlab(path: Path, data: bytes, part: str, mapping: Mapping[str, str],
 
 
 def _add_variable(table: RawTable, name: str, value: Value, unit: str = "") -> None:
-    """Add the columns of a variable of MATLAB: also Simulink's time and signals, and dSPACE's X and Y."""
+    """Add the columns of a variable of MATLAB."""
     if isinstance(value, Opaque):
         table.problems.append(replace(_TABLE, field=name))
     elif isinstance(value, str):
         table.words.append((None, f"{name}: {value}"))
     elif isinstance(value, dict):
-        label = next((value[key] for key in ("label", "Name", "name") if isinstance(value.get(key), str)), "")
-        content = next((key for key in ("values", "Data") if isinstance(value.get(key), np.ndarray)), "")
-        if content and (label or name.endswith(".signals")):
-            unit = next((value[key] for key in ("unit", "Unit", "units") if isinstance(value.get(key), str)), "")
-            path = f"{name.removesuffix('.signals')}"
-            _add_matrix(table, f"{path}.{label}" if label else path, value[content], unit)
-            return
-        units = next((value[key] for key in _UNITS if isinstance(value.get(key), dict)), {})
-        for key, field in value.items():
-            said = units.get(key, "") if isinstance(units, dict) else ""
-            said = "s" if key == "time" and "signals" in value else said  # of Simulink
-            _add_variable(table, f"{name}.{key}", field, said if isinstance(said, str) else "")
+        _add_struct(table, name, value)
+    elif isinstance(value, list) and value and all(isinstance(cell, str) for cell in value):
+        table.columns.append(RawColumn(name, [str(cell) for cell in value], label=name.rpartition(".")[2]))
     elif isinstance(value, list):
-        if value and all(isinstance(cell, str) for cell in value):
-            table.columns.append(RawColumn(name, [str(cell) for cell in value], label=name.rpartition(".")[2]))
-        elif all(isinstance(cell, dict) for cell in value):
-            for number, cell in enumerate(value, 1):
-                _add_variable(table, f"{name}({number})", cell)
+        for number, cell in enumerate(value, 1):
+            if isinstance(cell, dict):
+                _add_struct(table, f"{name}({number})", cell)
     else:
         _add_matrix(table, name, value, unit)
+
+
+def _add_struct(table: RawTable, name: str, value: dict[str, Value]) -> None:
+    """Add the fields of a struct, of Simulink (label, values) or of dSPACE (Name, Data, Unit) too."""
+    texts = {key.lower(): text for key, text in value.items() if isinstance(text, str)}
+    label = texts.get("label", texts.get("name", ""))
+    content = next((value[key] for key in ("values", "Data") if isinstance(value.get(key), np.ndarray)), None)
+    if content is not None and label:
+        _add_variable(table, f"{name}.{label}", content, texts.get("unit", texts.get("units", "")))
+        return
+    units = next((units for key in _UNITS if isinstance(units := value.get(key), dict)), {})
+    for key, field in value.items():
+        said = "s" if key == "time" and "signals" in value else units.get(key, "")  # of Simulink
+        _add_variable(table, f"{name}.{key}", field, said if isinstance(said, str) else "")
 
 
 def _read_tdms(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
@@ -441,33 +291,34 @@ def _properties(name: str, properties: Mapping[str, object]) -> list[tuple[None,
 
 
 def _one_group(path: Path, table: RawTable, part: str, mapping: Mapping[str, str]) -> RawTable:
-    """Table of the columns of the longest length, of one group of measurements."""
+    """Table of the columns of one length, of one group of measurements."""
     if part:
         chosen = re.compile(rf"{re.escape(part)}(?:[/.(]|$)")
         table.columns = [column for column in table.columns if chosen.match(column.name)]
     if not table.columns:
-        if table.problems:
-            raise DatasetError(str(path), table.problems)
-        what = f"no column in {part!r}" if part else "no column of numbers"
-        raise DatasetError(str(path), [Problem(f"has {what}", remedy=LIMIT_REMEDY if part else "give another file")])
-    read = [
-        column
-        for column in table.columns
-        if column.name in mapping or parse_header(column.label or column.name, column.unit).quantity
-    ]
-    groups = {re.split(r"[/.(][^/.(]*$", column.name)[0] for column in read if re.search(r"[/.(]", column.name)}
+        none = Problem(f"has no column in {part!r}" if part else "has no column of numbers", remedy="give another file")
+        raise DatasetError(str(path), table.problems or [none])
+    read = [column for column in table.columns if _is_understood(column, mapping)]
     lengths = {len(column.cells) for column in read} or {max(len(column.cells) for column in table.columns)}
     if len(lengths) > 1:
-        names = sorted(groups)
+        grouped = [column.name for column in read if re.search(r"[/.(]", column.name)]
+        names = sorted({re.split(r"[/.(][^/.(]*$", name)[0] for name in grouped})
         sizes = ", ".join(f"{column.name} ({len(column.cells)})" for column in read[:12])
-        problem = several("groups", names) if len(names) > 1 else Problem(f"has columns of unequal length: {sizes}")
-        raise DatasetError(str(path), [problem])
+        unequal = Problem(f"has columns of unequal length: {sizes}", remedy="ignore the columns of another length")
+        raise DatasetError(str(path), [several("groups", names) if len(names) > 1 else unequal])
     (length,) = lengths
-    shorter = [column for column in table.columns if len(column.cells) != length]
-    table.words += [(None, f"{column.name}: {column.cells[:8]}") for column in shorter]
+    table.words += [
+        (None, f"{column.name}: {column.cells[:8]}") for column in table.columns if len(column.cells) != length
+    ]
     table.columns = [column for column in table.columns if len(column.cells) == length]
     table.lines = range(1, length + 1)
     return table
+
+
+def _is_understood(column: RawColumn, mapping: Mapping[str, str]) -> bool:
+    if column.name in mapping:
+        return mapping[column.name].lower() not in ("ignore", "ignored")
+    return bool(parse_header(column.label or column.name, column.unit).quantity)
 
 
 def _read_lvm(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:

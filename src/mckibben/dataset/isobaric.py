@@ -24,22 +24,6 @@ from mckibben.notebook import draw
 from mckibben.units import bar, percent
 
 _LOWEST = 0.08 * bar  # highest pressure of a muscle test
-_BLOCK = 32768  # samples per block: 256 KiB of floats stay in a core's cache
-
-
-def mean_and_std(samples: np.ndarray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Mean and standard deviation of each row, in float64, by blocks that stay in cache."""
-    points, count = samples.shape
-    mean, spread = np.empty(points), np.empty(points)
-    rows = max(1, _BLOCK // count)
-    deviation = np.empty((rows, count))
-    for start in range(0, points, rows):
-        block = samples[start : start + rows]
-        here = slice(start, start + len(block))
-        mean[here] = block.mean(axis=1, dtype=np.float64)
-        part = np.subtract(block, mean[here, None], out=deviation[: len(block)])
-        spread[here] = np.sqrt(np.einsum("ij,ij->i", part, part) / count)
-    return mean, spread
 
 
 def at_levels(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1e3) -> NDArray[np.bool_]:
@@ -302,7 +286,9 @@ class IsobaricDataset(MeasuredTable):
         """
         columns: dict[str, NDArray[np.float64]] = {}
         if "force_samples" in self.table:
-            columns["force"], columns["force_spread"] = mean_and_std(self.table["force_samples"].to_numpy())
+            samples = self.table["force_samples"].to_numpy()
+            columns["force"] = samples.mean(axis=1, dtype=np.float64)
+            columns["force_spread"] = samples.std(axis=1, dtype=np.float64)
         if "pressure_samples" in self.table:
             columns["pressure"] = self.table["pressure_samples"].to_numpy().mean(axis=1, dtype=np.float64)
         if not columns:

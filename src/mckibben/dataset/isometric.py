@@ -13,7 +13,7 @@ from mckibben.component.calls import user_level
 from mckibben.dataset.points import SampleAccount
 from mckibben.dataset.segmentation import steady_segments
 from mckibben.errors import McKibbenWarning, RangeError
-from mckibben.units import bar, show
+from mckibben.units import bar
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -24,7 +24,6 @@ REVERSAL = 20  # parts of the range of the pressure
 _NAMED = 8  # pressures listed in a message
 _SMOOTHED = 2000  # maximum number of means used to find the reversals of the pressure
 BAND = 40  # parts of the range of the levels
-_UNLIKE = 0.1  # of the largest force
 
 
 def held_contraction(
@@ -210,24 +209,6 @@ def named_cells(where: NDArray[np.bool_], levels: NDArray[np.float64], phases: P
         more = f" and {len(numbers) - 2} more" if len(numbers) > 2 else ""
         parts.append(f"{levels[level] / bar:.4g} bar by {', '.join(names)}{more}")
     return "; ".join(parts) + ("; ..." if np.count_nonzero(where.any(axis=0)) > _NAMED else "")
-
-
-def warn_of_lengths(force: NDArray[np.float64], held: NDArray[np.float64], rising: NDArray[np.bool_]) -> None:
-    """Warn if forces, shape (phases, levels), of phases of one kind differ much at one contraction."""
-    largest = np.nanmax(force, initial=0.0)
-    for up in (True, False):
-        for contraction in np.unique(held):
-            same = force[(held == contraction) & (rising == up)]
-            same = same[:, np.isfinite(same).all(axis=0)]
-            if same.size and (apart := float(np.ptp(same, axis=0).mean())) > _UNLIKE * largest:
-                what = f"{'fillings' if up else 'ventings'} at a contraction of {show(float(contraction), '%')}"
-                warnings.warn(
-                    f"{what} differ by {show(apart, 'N')} on average: the length may have changed; if file names give "
-                    "it, read it with from_name (command line: --from-name 'L{length_mm}')",
-                    McKibbenWarning,
-                    stacklevel=user_level(),
-                )
-                return
 
 
 class Lines(NamedTuple):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from mckibben.dataset.checks import Points, questions_of_labels, questions_of_points
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.schema import OF_FILE
 from mckibben.errors import DatasetError, Problem, RangeError
@@ -77,52 +78,6 @@ def _stretches(at_end: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return at_end | dense
 
 
-_JUMP, _REST = 0.1, 0.02  # of the largest value: a step from sample to sample, and no motion in it
-_TRAVEL = 0.05  # least contraction that these are compared with
-
-
-def stuck_or_jumping(table: xr.Dataset, broken: NDArray[np.bool_]) -> Iterator[str]:
-    """Notes on a noisy channel that stands still, and on steps of one channel alone while the muscle is taut.
-
-    `broken` marks samples that do not follow the ones before.
-    """
-    time = table["time"].to_numpy()
-    channels = {name: table[name].to_numpy() for name in ("pressure", "force", "contraction") if name in table}
-    for name, values in channels.items():
-        starts = np.flatnonzero(np.diff(values, prepend=np.nan) != 0)
-        lengths, heights = np.diff(starts, append=len(values)), values[starts]
-        inside = (heights != heights.min(initial=np.inf)) & (heights != heights.max(initial=-np.inf))
-        if inside.any() and _noisy(heights, inside):
-            at = int(np.argmax(lengths * inside))
-            if lengths[at] >= _LONGER * max(_LEAST, _usual(lengths[inside])):
-                span = f"{time[starts[at]]:.6g} to {time[starts[at] + lengths[at] - 1]:.6g} s"
-                yield f"{name} does not change from {span}, and has noise elsewhere: a stuck sensor?"
-    if len(channels) < 3:
-        return
-    least = {"pressure": 0.0, "force": 0.0, "contraction": _TRAVEL}
-    scales = {name: max(float(np.abs(values).max()), least[name]) for name, values in channels.items()}
-    steps = {name: np.abs(np.diff(values)) / (scales[name] or 1.0) for name, values in channels.items()}
-    taut = np.maximum(channels["force"][1:], channels["force"][:-1]) > _JUMP * scales["force"]
-    for name in channels:
-        rest = [steps[other] < _REST for other in channels if other != name]
-        alone = np.flatnonzero((steps[name] > _JUMP) & rest[0] & rest[1] & taut & ~broken[1:])
-        if name == "force" and len(alone):
-            alone = alone[~_reversals(channels["contraction"], channels["force"], alone, scales["contraction"])]
-        if len(alone):
-            shown = _listed([f"{time[at + 1]:.6g} s" for at in alone])
-            yield f"{name} alone jumps, at {shown}: a sensor that was zeroed, slipped or lost counts?"
-
-
-def _reversals(
-    contraction: NDArray[np.float64], force: NDArray[np.float64], at: NDArray[np.intp], scale: float
-) -> NDArray[np.bool_]:
-    """True for steps of the force, after these samples, that are of friction, as the muscle reverses fast there."""
-    before = contraction[at] - contraction[np.clip(at - _LEAST, 0, None)]
-    after = contraction[np.clip(at + 1 + _LEAST, None, len(contraction) - 1)] - contraction[at + 1]
-    moved = np.minimum(np.abs(before), np.abs(after)) > _REST * scale
-    return moved & (before * after < 0) & (before * (force[at + 1] - force[at]) > 0)  # a stretched muscle pulls more
-
-
 _GAP = 10  # usual intervals
 _NAMED = 5  # places listed in a note
 
@@ -181,7 +136,12 @@ def checked(points: ExtractedPoints) -> ExtractedPoints:
         raise DatasetError(
             points.dataset.table.attrs["source"] or "recording", [Problem(text, field="force", remedy=remedy)]
         )
-    return points
+    contraction, slack = points.dataset.contraction, points.dataset.table.attrs["slack_force"]
+    rows = np.arange(1, len(force) + 1)
+    asked = questions_of_points(Points(pressure, contraction, force, rows, force, slack))
+    asked += questions_of_labels(points.dataset)
+    notes = (question.problem.message for question in asked)
+    return replace(points, notes=(*points.notes, *notes))
 
 
 class SampleAccount:
@@ -195,7 +155,6 @@ class SampleAccount:
         self.broken = self._breaks(gap)
         for name in ("pressure", "force"):
             self._ends(name)
-        self.notes += stuck_or_jumping(table, self.broken)
 
     def assign_reason(self, where: NDArray[np.bool_] | NDArray[np.int64] | slice, reason: str) -> None:
         """Assign a reason to samples that do not have one yet."""

@@ -176,17 +176,6 @@ def group_pressures(pressure: Floats, most_strays: int = 0) -> Ints | None:
     return None
 
 
-def strays(pressure: Floats, levels: Floats) -> Ints:
-    """Rows of single pressures far from all levels, within the points of one level; none if these form no levels."""
-    values, number, counts = np.unique(levels, return_inverse=True, return_counts=True)
-    full, alone = values[counts >= _FEWEST], np.flatnonzero(counts[number] < _FEWEST)
-    if len(full) < 2 or len(alone) > _most_strays(levels):
-        return alone[:0]
-    distance = np.abs(pressure[alone, None] - np.append(full, 0.0)).min(axis=1)  # a vented muscle is none
-    alone = alone[(distance > _ONE_LEVEL * full.max()) & (alone > 0) & (alone < len(levels) - 1)]
-    return alone[levels[alone - 1] == levels[alone + 1]]
-
-
 def nominal_pressures(pressure: Floats, labels: Ints) -> tuple[Floats, float]:
     """Pressure of each level [Pa], rounded within its scatter, and the scatter [bar]."""
     parts = [pressure[labels == label] / bar for label in range(labels.max() + 1)]

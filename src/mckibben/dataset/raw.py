@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 LARGEST = 2**27
 """Bytes of a file, and of its numbers."""
-_ROWS = 2**23
+_ROWS = 2**22
 _COLUMNS = 1024
 _SECONDS = 10.0
 LIMIT_REMEDY = "split the file, or save fewer rows and columns"
@@ -129,3 +129,9 @@ def unreadable(path: Path, what: str, error: Exception) -> DatasetError:
     lines = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()
     text = f"cannot be read as {what}: {lines[0][:500]}"
     return DatasetError(str(path), [Problem(text, remedy="save it again, or export it as CSV")])
+
+
+def several(what: str, names: Sequence[str]) -> Problem:
+    """Question of which of several parts of a file is to be read."""
+    remedy = f"choose one: part={names[0]!r} in Python or in a recipe (command line: --read FILE.yaml)"
+    return Problem(f"has several {what} of measurements: {', '.join(names[:20])}", remedy=remedy)

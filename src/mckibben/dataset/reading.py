@@ -18,8 +18,9 @@ from mckibben.dataset.preprocessing import preprocess
 from mckibben.dataset.raw import LIMIT_REMEDY
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
-from mckibben.dataset.schema import CSV_COLUMNS, FileLines, holds_own_table
-from mckibben.dataset.table import Question, Table, understand
+from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, FileLines, holds_own_table
+from mckibben.dataset.table import Question, Table
+from mckibben.dataset.understanding import understand
 from mckibben.errors import DatasetError, Problem, RangeError, described
 from mckibben.units import show
 
@@ -189,7 +190,7 @@ def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, o
     if own:
         attrs = {name: text for name, text in attrs.items() if name == "repairs"}
         attrs |= {"preprocessing": table.preprocessing} if table.preprocessing != "none" else {}
-    return replace(kind(made.table.assign_attrs(attrs)), lines=(FileLines(table.place, table.lines, units),))
+    return replace(kind(made.table.assign_attrs(attrs)), lines=(FileLines(table.place, table.lines.tolist(), units),))
 
 
 def _read_points(path: Path, recipe: Recipe) -> tuple[IsobaricDataset, bool]:
@@ -262,30 +263,16 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     names = [str(name) for name in _paths(path)]
     if len(parts) == 1:
         return parts[0], names[0]
-    source = f"{names[0]} and {len(names) - 1} more"
-    tables = [part.table for part in parts]
-    attrs = dict(tables[0].attrs)
-    problems = []
-    for name in ("specimen", "initial_length", "slack_force"):
-        if len(values := list(dict.fromkeys(table.attrs.get(name) for table in tables))) > 1:
-            shown = " and ".join(
-                show(value, "mm" if "length" in name else "N") if isinstance(value, float) else str(value)
-                for value in values
-            )
-            remedy = f"give {name} for all (in a recipe, or as an argument)"
-            problems.append(Problem(f"differs between the files: {shown}", field=name, remedy=remedy))
+    source, tables = f"{names[0]} and {len(names) - 1} more", [part.table for part in parts]
     columns = [name for name, variable in parts[0].schema.items() if len(variable.dims) == 1]
     common = [name for name in columns if all(name in table for table in tables)]
-    if lost := sorted({name for name in columns for table in tables if name in table} - {*common}):
-        problems.append(Problem(f"not all files have {', '.join(lost)}", remedy="ignore these columns"))
-    if problems:
+    if problems := _differences(tables, columns, common):
         raise DatasetError(source, problems)
+    attrs = dict(tables[0].attrs)
     attrs["source"] = ", ".join(dict.fromkeys(str(table.attrs["source"]) for table in tables))
-    for name in ("columns_read", "ignored_columns", "repairs", "preprocessing"):
-        texts = [
-            f"{file}:\n{table.attrs[name]}" for file, table in zip(names, tables, strict=True) if name in table.attrs
-        ]
-        attrs |= {name: "\n".join(texts)} if texts else {}
+    for name in (*OF_FILE, "preprocessing"):
+        said = [(file, table.attrs[name]) for file, table in zip(names, tables, strict=True) if name in table.attrs]
+        attrs |= {name: "\n".join(f"{file}:\n{text}" for file, text in said)} if said else {}
     tables = [table[common] for table in tables]
     tables = _distinct_repeats(tables) if "repeat" in common else tables
     tables = _one_after_another(tables, apart=isinstance(parts[0], Recording)) if "time" in common else tables
@@ -295,6 +282,19 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     lines = [part.lines[0] if part.lines else FileLines("row", range(1, len(part) + 1), {}) for part in parts]
     named = tuple(part._replace(file=name) for name, part in zip(names, lines, strict=True))
     return type(parts[0])(joined.assign_attrs(attrs), named), source
+
+
+def _differences(tables: Sequence[xr.Dataset], columns: Sequence[str], common: Sequence[str]) -> list[Problem]:
+    """Why tables are not those of one test."""
+    problems = []
+    for name, unit in (("specimen", ""), ("initial_length", "mm"), ("slack_force", "N")):
+        if len(values := list(dict.fromkeys(table.attrs.get(name) for table in tables))) > 1:
+            shown = " and ".join(show(value, unit) if isinstance(value, float) else str(value) for value in values)
+            remedy = f"give {name} for all (in a recipe, or as an argument)"
+            problems.append(Problem(f"differs between the files: {shown}", field=name, remedy=remedy))
+    if lost := sorted({name for name in columns for table in tables if name in table} - {*common}):
+        problems.append(Problem(f"not all files have {', '.join(lost)}", remedy="ignore these columns"))
+    return problems
 
 
 def _distinct_repeats(tables: Sequence[xr.Dataset]) -> list[xr.Dataset]:

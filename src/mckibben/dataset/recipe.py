@@ -1,4 +1,4 @@
-"""Recipe for reading files: every option of a reader in one place, for Python, the command line, the page and the next file."""
+"""Recipe for reading files: every option of a reader, for Python, the command line and the page."""
 
 from __future__ import annotations
 
@@ -105,7 +105,8 @@ class Recipe(DocumentModel):
 
     def with_options(self, options: Mapping[str, object]) -> Self:
         """Recipe with further options, which are checked as its own."""
-        return type(self)(**{**self.model_dump(exclude_defaults=True), **options}) if options else self
+        make: Any = type(self)
+        return make(**{**self.model_dump(exclude_defaults=True), **options}) if options else self
 
     def __repr__(self) -> str:
         return f"<Recipe: {', '.join(self.dumps().splitlines())}>"

@@ -21,7 +21,6 @@ from mckibben.dataset.isometric import (
     pressure_levels,
     refuse_staircase,
     split_phases,
-    warn_of_lengths,
 )
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, checked, extracted_points
 from mckibben.dataset.preprocessing import with_notes, without_offset
@@ -459,8 +458,6 @@ class Recording(MeasuredTable):
                 f"no level is passed\n  {account.describe('between levels')}",
                 remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
             )
-        kept = np.where(passed & ~fast, sums.force, np.nan).reshape(-1, len(wanted))
-        warn_of_lengths(kept, held, phases.rising)
         phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
         found = extracted_points(
             self.table,

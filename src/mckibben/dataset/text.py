@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,11 +22,12 @@ _SEPARATORS = ("\t", ";", ",", "|", " ")
 _COMMENT = ("#", "%", "//", "'", "!", "*")
 _SEARCHED = 300  # lines in which a header is looked for
 _SAMPLED = 20_000  # cells of a column that may determine the decimal sign
+_LISTED = 1000  # corrupt rows that are named
 _LONGEST = 2**16  # characters of a line
 _STAMP = re.compile(r"(\d\d:\d\d:\d\d\.\d{3}) -> ")
 _SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
 _TYPOGRAPHY = str.maketrans("\u2212\uff0d\uff0e\uff0c" + "".join(map(chr, range(0xFF10, 0xFF1A))), "--.,0123456789")
-_DASH = re.compile(r"(?<![^\s;,|\"])(?:\u2013|([+-])\s+)(?=[0-9.,])")
+_DASH = re.compile(r"(?<![^\s;,|\"])(?:\u2013|([+-])[ \t]+)(?=[0-9.,])")
 NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?")
 _GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:([.,])\d+)?")
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
@@ -64,51 +65,54 @@ def decode(data: bytes, path: Path) -> str:
 
 def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
     """Columns of a text: words, a header, at most three rows of units, then one line per row."""
-    budget = Budget(path)
+    budget, table = Budget(path), RawTable(place="line")
     text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\ufeff", "").translate(_TYPOGRAPHY)
     text = _DASH.sub(lambda match: match[1] or "-", text)
-    lines = text.split("\n")
+    lines, stamps = _without_stamps(text.split("\n"))
     budget.spend(rows=len(lines))
     if max(map(len, lines)) > _LONGEST:
         raise DatasetError(str(path), [Problem(f"has a line of more than {_LONGEST} characters", remedy="save rows")])
-    stamps = [match[1] if (match := _STAMP.match(line)) else "" for line in lines[:_SEARCHED]]
-    stamped = sum(map(bool, stamps)) > len([line for line in lines[:_SEARCHED] if line.strip()]) / 2
-    lines = [_STAMP.sub(r"", line, count=1) for line in lines] if stamped else lines
     layout = _find_layout(lines, mapping)
-    table = RawTable(place="line")
     if layout is None:
         raise DatasetError(str(path), [_no_header(lines)])
+    _take_words(table, enumerate(lines[: layout.row], 1))
+    header, first = _with_units(layout, lines)
+    rows = _body(table, lines, first, layout, len(header))
+    rows, header = _aligned(table, rows, header, lines, layout.separator)
+    if not rows:
+        none = Problem("has a header, and no rows of numbers", line=layout.row + 1)
+        raise DatasetError(str(path), table.corrupt or [none])
+    budget.spend(rows=len(rows), columns=len(header), size=8 * len(rows) * len(header))
+    table.lines = [number for number, _ in rows]
+    _parse_cells(table, [line for _, line in rows], _distinct(header, layout.header), layout.separator, decimal)
+    last, *others = [_split(line, layout.separator) for _, line in rows[: -50 - 1 : -1]]
+    if not text.endswith("\n") and _is_cut(last, others):
+        text = "its last number has fewer digits than all others: was the file truncated?"
+        table.corrupt.append(Problem(text, line=rows[-1][0]))
+    if stamps:
+        table.columns.append(RawColumn("time stamp", [stamps[number - 1] for number in table.lines]))
+    return table
+
+
+def _without_stamps(lines: list[str]) -> tuple[list[str], list[str]]:
+    """Lines without the times that the monitor of the Arduino IDE puts before each, and these times."""
+    matches = [_STAMP.match(line) for line in lines]
+    if 2 * sum(map(bool, matches)) <= sum(bool(line.strip()) for line in lines):
+        return lines, []
+    return [_STAMP.sub("", line, count=1) for line in lines], [match[1] if match else "" for match in matches]
+
+
+def _with_units(layout: Layout, lines: Sequence[str]) -> tuple[list[str], int]:
+    """Header with the units in the rows below it, and the first line after them."""
     header, first = [*layout.header], layout.row + 1
-    _take_words(table, enumerate(lines[: layout.row], 1), path)
     for row in range(first, min(first + 4, len(lines))):
-        cells = _split(lines[row], layout.separator)
         if not lines[row].strip():
             continue
-        if not (units := _units_row(cells, len(header))):
+        if not (units := _units_row(_split(lines[row], layout.separator), len(header))):
             break
         header = [f"{name} [{unit}]" if unit else name for name, unit in zip(header, units, strict=True)]
         first = row + 1
-    rows = _body(table, lines, first, layout, len(header))
-    if not rows:
-        raise DatasetError(str(path), [Problem("has a header, and no rows of numbers", line=layout.row + 1)])
-    rows, header = _aligned(table, rows, header, lines, layout.separator)
-    if not rows:
-        raise DatasetError(str(path), table.corrupt)
-    budget.spend(rows=len(rows), columns=len(header), size=8 * len(rows) * len(header))
-    table.lines = [number for number, _ in rows]
-    names = _distinct(header, layout.header)
-    _parse_cells(table, [line for _, line in rows], names, layout.separator, decimal)
-    if not text.endswith("\n") and _is_cut(
-        _split(rows[-1][1], layout.separator), [_split(line, layout.separator) for _, line in rows[-50:-1]]
-    ):
-        table.corrupt.append(
-            Problem("its last number has fewer digits than all others: was the file truncated?", line=rows[-1][0])
-        )
-    if stamped:
-        original = text.split("\n")
-        found = [_STAMP.match(original[number - 1]) for number in table.lines]
-        table.columns.append(RawColumn("time stamp", [match[1] if match else "" for match in found]))
-    return table
+    return header, first
 
 
 def _is_cut(last: Sequence[str], others: Sequence[Sequence[str]]) -> bool:
@@ -143,29 +147,39 @@ def score_of(cells: Sequence[str], mapping: Mapping[str, str]) -> float:
 
 def _find_layout(lines: Sequence[str], mapping: Mapping[str, str]) -> Layout | None:
     """Layout by the row with most headers that are understood; by positions where the mapping has numbers."""
-    best: Layout | None = None
     if mapping and all(key.isdigit() for key in mapping):
-        for row, line in enumerate(lines[:_SEARCHED]):
-            for separator in _SEPARATORS:
-                cells = _split(line, separator)
-                if len(cells) >= max(map(int, mapping)) and all(NUMBER.fullmatch(cell) for cell in cells if cell):
-                    return Layout(row - 1, separator, [str(at + 1) for at in range(len(cells))], 1.0)
+        return _layout_by_position(lines, max(map(int, mapping)))
+    best: Layout | None = None
     for row, line in enumerate(lines[:_SEARCHED]):
         bare = line.lstrip("#%/ \t") if line.lstrip().startswith(_COMMENT[:3]) else line
         for separator in _SEPARATORS:
-            cells = _split(bare, separator) if separator in bare.strip() or separator == " " else []
-            if separator == " " and "  " in bare.strip():
-                wide = [cell.strip() for cell in re.split(r"\s{2,}", bare.strip())]
-                cells = wide if score_of(wide, mapping) >= score_of(cells, mapping) else cells
-            if any(NUMBER.fullmatch(cell) for cell in cells) or len(cells) < 2:
+            cells = _header_cells(bare, separator, mapping)
+            if len(cells) < 2 or any(map(NUMBER.fullmatch, cells)):
                 continue
             cells = _named_channels(cells, lines[:row], separator)
             score = score_of(cells, mapping)
-            if bare is not line and score and not _precedes_rows(lines, row, separator, len(cells)):
-                continue
-            if score > (best.score if best else 0.5):
+            comment = bare is not line and not _precedes_rows(lines, row, separator, len(cells))
+            if score > (best.score if best else 0.5) and not comment:
                 best = Layout(row, separator, cells, score)
     return best
+
+
+def _layout_by_position(lines: Sequence[str], count: int) -> Layout | None:
+    """Layout of rows without a header, by the first that has as many numbers."""
+    for row, line in enumerate(lines[:_SEARCHED]):
+        for separator in _SEPARATORS:
+            cells = _split(line, separator)
+            if len(cells) >= count and all(map(NUMBER.fullmatch, filter(None, cells))):
+                return Layout(row - 1, separator, [str(at + 1) for at in range(len(cells))], 1.0)
+    return None
+
+
+def _header_cells(line: str, separator: str, mapping: Mapping[str, str]) -> list[str]:
+    """Cells of a line that may be a header; names between two or more blanks may have single ones."""
+    if separator != " ":
+        return _split(line, separator) if separator in line.strip() else []
+    cells, wide = _split(line, " "), re.split(r"\s{2,}", line.strip())
+    return wide if "  " in line.strip() and score_of(wide, mapping) >= score_of(cells, mapping) else cells
 
 
 def _precedes_rows(lines: Sequence[str], row: int, separator: str, count: int) -> bool:
@@ -207,7 +221,7 @@ def _named_channels(cells: Sequence[str], preamble: Sequence[str], separator: st
     return [named.get(cell, cell) for cell in cells]
 
 
-def _take_words(table: RawTable, lines: Iterator[tuple[int, str]] | Sequence[tuple[int, str]], path: Path) -> None:
+def _take_words(table: RawTable, lines: Iterable[tuple[int, str]]) -> None:
     """Keep the words beside the table; keys that this program writes are comments."""
     for number, line in lines:
         bare = line.strip().lstrip("#%").strip()
@@ -233,7 +247,7 @@ def _body(table: RawTable, lines: Sequence[str], first: int, layout: Layout, cou
             rows.append((number, line))
         elif _split(line, layout.separator) != repeated and not _units_row(_split(line, layout.separator), count):
             (rows if len(_split(line, layout.separator)) == count > 1 else words).append((number, line))
-    _take_words(table, words, Path())
+    _take_words(table, words)
     return rows
 
 
@@ -241,31 +255,29 @@ def _aligned(
     table: RawTable, rows: list[tuple[int, str]], header: list[str], lines: Sequence[str], separator: str
 ) -> tuple[list[tuple[int, str]], list[str]]:
     """Rows with as many cells as the header; a column of row numbers without a name gets one; others are corrupt."""
-    if separator == " ":
-        counts = np.array([len(line.split()) for _, line in rows])
-    else:
-        counts = np.array(
-            [len(_split(line, separator)) if '"' in line else line.count(separator) + 1 for _, line in rows]
-        )
-    width = len(header)
-    if counts.min() > width:
-        ends = [_split(line, separator) for _, line in rows[:1000]]
-        if all(not any(cells[width:]) for cells in ends):
-            rows = [(number, separator.join(_split(line, separator)[:width])) for number, line in rows]
-            counts[:] = width
-        elif (counts == width + 1).all() and [cells[0] for cells in ends] in (
-            [str(at) for at in range(1, len(ends) + 1)],
-            [str(at) for at in range(len(ends))],
-        ):
-            if separator != "," or any("." in line for _, line in rows):
-                header, width = ["row number", *header], width + 1
-    for at in np.flatnonzero(counts != width):
-        number, line = rows[at]
-        text = f"has {counts[at]} cell{'s' if counts[at] != 1 else ''}, the header {width}"
-        if number == len(lines):
+    counts = np.array([_count(line, separator) for _, line in rows])
+    if len(counts) and counts.min() > len(header):
+        begin = [_split(line, separator) for _, line in rows[:1000]]
+        numbered = [cells[0] for cells in begin] in ([str(at + first) for at in range(len(begin))] for first in (0, 1))
+        certain = separator != "," or any("." in line for _, line in rows)  # decimal commas look like row numbers
+        if all(not any(cells[len(header) :]) for cells in begin):
+            rows = [(number, separator.join(_split(line, separator)[: len(header)])) for number, line in rows]
+            counts[:] = len(header)
+        elif (counts == len(header) + 1).all() and numbered and certain:
+            header = ["row number", *header]
+    for at in np.flatnonzero(counts != len(header))[:_LISTED].tolist():
+        text = f"has {counts[at]} cell{'s' if counts[at] != 1 else ''}, the header {len(header)}"
+        if rows[at][0] == len(lines):
             text += ", and no line end: the file was truncated here"
-        table.corrupt.append(Problem(text, line=number))
-    return [row for row, count in zip(rows, counts, strict=True) if count == width], header
+        table.corrupt.append(Problem(text, line=rows[at][0]))
+    return [row for row, count in zip(rows, counts, strict=True) if count == len(header)], header
+
+
+def _count(line: str, separator: str) -> int:
+    """Number of the cells of a row."""
+    if separator == " ":
+        return len(line.split())
+    return len(_split(line, separator)) if '"' in line else line.count(separator) + 1
 
 
 def _distinct(header: Sequence[str], original: Sequence[str]) -> list[RawColumn]:
@@ -287,11 +299,40 @@ def _distinct(header: Sequence[str], original: Sequence[str]) -> list[RawColumn]
     return columns
 
 
+def _parse_numbers(
+    table: RawTable, rows: Sequence[str], columns: Sequence[RawColumn], separator: str, decimal: str
+) -> bool:
+    """Add the cells of a large table if all are numbers with one plain decimal sign; whether they are."""
+    import pandas as pd
+
+    sample = [_split(row, separator) for row in rows[:: len(rows) // 1000]]
+    sign, ambiguous = (decimal, "") if decimal else decimal_sign(list(zip(*sample, strict=False)), separator)
+    if ambiguous:
+        return False
+    try:
+        read = pd.read_csv(
+            io.StringIO("\n".join(rows)),
+            sep=r"\s+" if separator == " " else separator,
+            header=None,
+            index_col=False,
+            names=range(len(columns)),
+            dtype=np.float64,
+            decimal=sign,
+            na_filter=False,
+            float_precision="round_trip",
+        )
+    except ValueError:
+        return False
+    table.decimal = sign
+    table.columns += [replace(column, cells=read[at].to_numpy()) for at, column in enumerate(columns)]
+    return True
+
+
 def _parse_cells(table: RawTable, rows: Sequence[str], columns: list[RawColumn], separator: str, decimal: str) -> None:
     """Add the cells of all columns, as numbers where all are."""
     import pandas as pd
 
-    if not rows:
+    if len(rows) > _SAMPLED and _parse_numbers(table, rows, columns, separator, decimal):
         return
     read = pd.read_csv(
         io.StringIO("\n".join(rows)),
@@ -336,43 +377,45 @@ def decimal_sign(columns: Sequence[Sequence[str]], separator: str) -> tuple[str,
     settled, ambiguous = set(), ""
     for cells in columns:
         for cell in cells if len(cells) <= _SAMPLED else cells[:: len(cells) // _SAMPLED]:
-            signs = [character for character in cell if character in ".,"]
-            if not signs or not (NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell)):
-                continue
-            whole, _, rest = cell.lstrip("+-").partition(signs[0])
-            if len(set(signs)) == 2:
-                settled.add(signs[-1])
-            elif len(signs) > 1:
-                settled.add("," if signs[0] == "." else ".")
-            elif not re.fullmatch(r"[1-9]\d{0,2}", whole) or not re.fullmatch(r"\d{3}", rest):
-                settled.add(signs[0])
-            else:
-                ambiguous = ambiguous or cell
+            if ("." in cell or "," in cell) and (NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell)):
+                sign = _sign_of(cell)
+                settled |= {sign} - {""}
+                ambiguous = ambiguous or ("" if sign else cell)
+    if len(settled) > 1:
+        return ".", ambiguous or "numbers with decimal points and with commas"
+    sign = next(iter(settled), ".")
     if separator == "," and not settled:
         return ".", ambiguous if "," in ambiguous else ""
-    if len(settled) == 1:
-        (sign,) = settled
-        return sign, ambiguous if ambiguous and sign not in ambiguous else ""
-    return ".", (ambiguous or "numbers with decimal points and with commas") if settled or ambiguous else ""
+    return sign, ambiguous if not settled or sign not in ambiguous else ""
+
+
+def _sign_of(cell: str) -> str:
+    """Decimal sign of a number; empty for one such as 1.234, in which it may separate thousands."""
+    signs = re.findall("[.,]", cell)
+    if len(set(signs)) == 2:
+        return signs[-1]
+    if len(signs) > 1:
+        return "," if signs[0] == "." else "."
+    return "" if re.fullmatch(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", cell) else signs[0]
 
 
 def to_numbers(cells: Sequence[str], decimal: str, *, certain: bool = False) -> Floats:
     """Numbers of texts, NaN where a cell is none; groups of thousands where their sign cannot be the decimal one."""
-    other = {".": ",", ",": "."}[decimal]
-    joined = "\n".join(cells).replace(decimal, ".") if other not in "".join(cells[:1000]) else "?"
-    if cells and _PLAIN.fullmatch(joined) and "" not in cells and not (other in joined and other == ","):
+    joined = "\n".join(cells)
+    plain = joined if decimal == "." else joined.replace(",", ".") if "." not in joined else "?"
+    if cells and _PLAIN.fullmatch(plain) and "" not in cells:
         with suppress(ValueError):
-            if decimal == "." or not any("." in cell for cell in cells):
-                return np.array(joined.split("\n"), dtype=np.float64)
+            return np.array(plain.split("\n"), dtype=np.float64)
     grouped = certain or any(match and match[2] == decimal for match in map(_GROUPED.fullmatch, cells[:100_000]))
-    values = np.empty(len(cells))
-    for at, cell in enumerate(cells):
-        text = cell
-        if NUMBER.fullmatch(text) is None or other in text:
-            match = _GROUPED.fullmatch(text)
-            if match is None or (match[1] in ".," and not (grouped and match[1] == other)) or match[1] == decimal:
-                values[at] = np.nan
-                continue
-            text = text.replace(match[1], "")
-        values[at] = float(text.replace(",", ".").replace("D", "e").replace("d", "e"))
-    return values
+    return np.array([_number(cell, decimal, grouped) for cell in cells], np.float64)
+
+
+def _number(cell: str, decimal: str, grouped: bool) -> float:
+    """Number of a cell, NaN if it is none."""
+    other = {".": ",", ",": "."}[decimal]
+    if NUMBER.fullmatch(cell) is None or other in cell:
+        match = _GROUPED.fullmatch(cell)
+        if match is None or match[1] == decimal or (match[1] == other and not grouped):
+            return np.nan
+        cell = cell.replace(match[1], "")
+    return float(cell.replace(",", ".").replace("D", "e").replace("d", "e"))

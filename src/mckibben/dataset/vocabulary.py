@@ -27,21 +27,23 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
 """Units of each quantity of a column; `shortening` and `lengthening` are displacements with a known direction."""
 
 _NAMES: Mapping[str, str] = {
-    "pressure": "p, pressure, muscle pressure, druck, muskeldruck, istdruck, p muskel, p ist, messdruck, überdruck",
-    "force": "f, force, axial force, tension, tensile force, pull, load, load cell, kraft, zugkraft, axialkraft, muskelkraft, "
-    "standardkraft, kraftaufnehmer, standard force",
-    "contraction": "contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung, "
-    "verkuerzung, relative verkürzung",
-    "length": "length, muscle length, länge, laenge, muskellänge, muskellaenge",
-    "displacement": "displacement, stroke, travel, position, crosshead, extension, weg, hub, verschiebung, wegaufnehmer, "
-    "traversenweg, standardweg",
-    "shortening": "shortening, verkürzungsweg",
-    "lengthening": "lengthening, elongation, verlängerung",
-    "set_pressure": "set pressure, pressure set, pressure setpoint, pressure set point, nominal pressure, target pressure, "
-    "commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll, sollwert druck, druck sollwert",
-    "time": "t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp, test time, zeit, messzeit, millis, micros, tout, "
-    "x value, date time, datetime, date and time, date, datum, uhrzeit, zeitstempel, system time, abs time, rel time, "
-    "sample time, record time, datum uhrzeit, date&time, date/time, datum/uhrzeit",
+    "pressure": """p, pressure, muscle pressure, druck, muskeldruck, istdruck, p muskel, p ist, messdruck, überdruck""",
+    "force": """f, force, axial force, tension, tensile force, pull, load, load cell, kraft, zugkraft, axialkraft,
+        muskelkraft, standardkraft, kraftaufnehmer, standard force""",
+    "contraction": """contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung,
+        verkuerzung, relative verkürzung""",
+    "length": """length, muscle length, länge, laenge, muskellänge, muskellaenge""",
+    "displacement": """displacement, stroke, travel, position, crosshead, extension, weg, hub, verschiebung,
+        wegaufnehmer, traversenweg, standardweg""",
+    "shortening": """shortening, verkürzungsweg""",
+    "lengthening": """lengthening, elongation, verlängerung""",
+    "set_pressure": """set pressure, pressure set, pressure setpoint, pressure set point, nominal pressure,
+        target pressure, commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll,
+        sollwert druck, druck sollwert""",
+    "time": """t, time, elapsed time, elapsed, received, asctime, testzeit, prüfzeit, time stamp, timestamp,
+        test time, zeit, messzeit, millis, micros, tout, x value, date time, datetime, date and time, date, datum,
+        uhrzeit, zeitstempel, system time, abs time, rel time, sample time, record time, datum uhrzeit, date&time,
+        date/time, datum/uhrzeit""",
     "direction": "direction, richtung",
     "phase": "phase",
     "repeat": "repeat, wiederholung",
@@ -52,17 +54,20 @@ _MODIFIERS = re.compile(
     r"sensor|muscle|muskel|raw|(?:ch|channel|kanal|ai|sensor|signal) ?\d+|\d+|feedback)\b"
 )
 _HARMLESS = re.compile(
-    r"^(?:(?:no|nr|n|number|index|row|zeile|sample|samples|record|recnum|scan|point|punkt|test|id|unnamed|cycle|zyklus|alarm\w*|"
-    r"temperature|temperatur|temp|humidity|feuchte|flow|durchfluss|voltage|spannung|current|strom|batt(?:ery)?|volt\w*|"
-    r"operator|bediener|seq|stamp|frame|sub frame|header|secs|nsecs|ns|events?|marker|ptemp\w*|wind\w*|hysteresis|speed|velocity|geschwindigkeit|"
-    r"acceleration|angle|winkel|torque|drehmoment|frequency|frequenz|milliseconds?|ms|file|datei)\b|$)"
+    r"""^(?:(?:no|nr|n|number|index|row|zeile|sample|samples|record|recnum|scan|point|punkt|test|id|unnamed|cycle
+    |zyklus|alarm\w*|temperature|temperatur|temp|humidity|feuchte|flow|durchfluss|voltage|spannung|current|strom
+    |batt(?:ery)?|volt\w*|operator|bediener|seq|stamp|frame|sub\ frame|header|secs|nsecs|ns|events?|marker|ptemp\w*
+    |wind\w*|hysteresis|speed|velocity|geschwindigkeit|acceleration|angle|winkel|torque|drehmoment|frequency|frequenz
+    |milliseconds?|ms|file|datei)\b|$)""",
+    re.VERBOSE,
 )
-ABSOLUTE = re.compile(r"\b(?:absolute?[rsn]?|abs|absolutdruck)\b|(?<=bar|psi|kpa)a\b|\(a\)", re.I)
-_GAUGE = re.compile(r"\s*\(?\b(?:gauge|rel|relative|überdruck|g)\b\)?|(?<=bar|psi)g\b", re.I)
+ABSOLUTE = re.compile(r"\b(?:absolute?[rsn]?|abs|absolutdruck)\b|(?<=bar|psi|kpa)a\b|\(a\)", re.IGNORECASE)
+_GAUGE = re.compile(r"\s*\(?\b(?:gauge|rel|relative|überdruck|g)\b\)?|(?<=bar|psi)g\b", re.IGNORECASE)
 AMBIGUOUS = re.compile(
-    r"strain|dehnung|elongation|stauchung|relative (?:length|länge)|length ratio|längenverhältnis|position|peak|\bmax|\bmin|std|stdev|"
-    r"range|offset|error|fehler|zero|preload|vorkraft|vorlast|supply|versorgung|tank|filtered|corrected|net\b|brutto|tara",
-    re.I,
+    r"""strain|dehnung|elongation|stauchung|relative\ (?:length|länge)|length\ ratio|längenverhältnis|position|peak
+    |\bmax|\bmin|std|stdev|range|offset|error|fehler|zero|preload|vorkraft|vorlast|supply|versorgung|tank|filtered
+    |corrected|net\b|brutto|tara""",
+    re.IGNORECASE | re.VERBOSE,
 )
 """Words in a name after which a column is not what the rest of its name says."""
 _SPELLED: Mapping[str, str] = {
@@ -96,7 +101,7 @@ _LONGEST = 300  # characters of a header
 
 
 class Header(NamedTuple):
-    """A header as understood: quantity and unit, empty if unknown, the bare name, and whether pressures are absolute."""
+    """Quantity and unit of a header, empty if unknown, its bare name, and whether a pressure is absolute."""
 
     quantity: str
     unit: str

@@ -9,25 +9,23 @@ from mckibben.dataset.vocabulary import canonical_unit, dimension_of
 
 _CHANGES = re.compile(
     r"""(?<![a-z])(?:
-    gains?\b | amplif | verst[äa]rk | multipl | divid | geteilt | scal(?:e|ing) | skal | factor | faktor | convers | convert | umrechn | umgerech
-    | offset | bias | zero(?:ed|ing)? | null(?:punkt|abgleich|ung) | tar(?:e|ed|a|iert)\b | subtract | abgezogen | correct | korrig | calib | kalib | cal\b
-    | sensitiv | empfind | (?:per|/)\ ?(?:digit|count|bit|lsb) | raw\b(?!\ data$) | counts?\b | digits?\b | lsb | excit | lever | hebel | slope | intercept
-    | absolut | abs\b | atmosph | barom | vacuum | relative\ to | referred | instead | actually | swapped | exchanged | vertauscht
-    | invert | revers | negative | wrong | falsch | fault | defekt | invalid | ung[üu]ltig | broken | slipp | replaced | changed | switched | gewechselt
-    | in\ parallel | both\ muscles | (?:two|three|four|zwei|[2-9])\ (?:muscles|muskeln|actuators) | (?:two|zwei)\b | half\b | halb | twice | doppelt
-    | fitting | stretch | nominal | preload | vorlast | not\ (?:tared|zeroed|calibrated) | untared | uncalib | estimat | satur | overload
-    | ignore | exclude | discard | mv/v | v/n | n/v | true\b | real\b | unsure | check\b | todo | summe?\b | muscle\ (?:[b-h]|[2-9])\b | delay | lag\b | shift
-    )|(?:^|[\s=])[x×*]\ ?\d|\d\s[x×*]\s|\b(?:mean|average|mittel)\b""",
+    gains?\b | amplif | verst[äa]rk | multipl | divid | geteilt | scal(?:e|ing) | skal | factor | faktor
+    | convers | convert | umrechn | umgerech | offset | bias | zero(?:ed|ing)? | null(?:punkt|abgleich|ung)
+    | tar(?:e|ed|a|iert)\b | subtract | abgezogen | correct | korrig | calib | kalib | cal\b | sensitiv | empfind
+    | (?:per|/)\ ?(?:digit|count|bit|lsb) | raw\b(?!\ data$) | counts?\b | digits?\b | lsb | excit | lever | hebel
+    | slope | intercept | absolut | abs\b | atmosph | barom | vacuum | relative\ to | referred | instead | actually
+    | swapped | exchanged | vertauscht | invert | revers | negative | wrong | falsch | fault | defekt | invalid
+    | ung[üu]ltig | broken | slipp | replaced | changed | switched | gewechselt | in\ parallel | both\ muscles
+    | (?:two|three|four|zwei|[2-9])\ (?:muscles|muskeln|actuators) | (?:two|zwei)\b | half\b | halb | twice | doppelt
+    | fitting | stretch | nominal | preload | vorlast | not\ (?:tared|zeroed|calibrated) | untared | uncalib | estimat
+    | satur | overload | ignore | exclude | discard | mv/v | v/n | n/v | true\b | real\b | unsure | check\b | todo
+    | summe?\b | muscle\ (?:[b-h]|[2-9])\b | delay | lag\b | shift
+    ) | (?:^|[\s=])[x×*]\ ?\d | \d\s[x×*]\s | \b(?:mean|average|mittel)\b""",
     re.IGNORECASE | re.VERBOSE,
 )
 _QUANTITY = re.compile(
     r"(?<![a-z])(?:forces?|loads?|pressures?|contractions?|lengths?|displacements?|units?|readings?|muscles?|kr[äa]fte?|dr[uü]cke?|"
     r"kontraktion|verk[uü]rzung|l[äa]ngen?|weg|einheiten?|muskel[n]?|[Fp](?=_| ?[=\[(]))(?![a-z])",
-    re.IGNORECASE,
-)
-_HARMLESS = re.compile(
-    r"^(?:test|date|time|operator|bediener|datum|sample|specimen|file|version|device|model|serial|project|log|start|stop|"
-    r"version|software|author|user|name|description|title|sampling|interval|trigger|filter type|input|range|amp settings)\b",
     re.IGNORECASE,
 )
 _OF_UNIT = re.compile(r"(?<![a-z])(?:units?|einheit(?:en)?)\b[\s:;,=]*(.+)", re.IGNORECASE)
@@ -53,11 +51,12 @@ def doubtful_words(words: Sequence[tuple[int | None, str]], units: Collection[st
     """
     for line, text in words:
         short = text[:_LONGEST]
-        if (
-            (_CHANGES.search(short) and not _dated(short))
-            or ((said := _OF_UNIT.search(short)) and _contradicts(said[1], units))
-            or any(_is_other_unit(short, match, units) for match in _UNIT.finditer(short))
-        ):
+        said = _OF_UNIT.search(short)
+        changes = _CHANGES.search(short) and not _dated(short)
+        other = (said and _contradicts(said[1], units)) or any(
+            _is_other_unit(short, match, units) for match in _UNIT.finditer(short)
+        )
+        if changes or other:
             yield line, short
 
 
@@ -73,7 +72,7 @@ def _dated(text: str) -> bool:
 
 
 def _is_other_unit(text: str, match: re.Match[str], units: Collection[str]) -> bool:
-    """Whether a word is a unit of pressure, force or length without a number before it, and of no column that is read."""
+    """Whether a word is a unit of pressure, force or length, has no number before it, and is of no column."""
     word = match[1]
     quantity = dimension_of(word)
     if quantity not in ("pressure", "force", "length", "contraction") or word in (

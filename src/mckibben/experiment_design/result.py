@@ -146,11 +146,11 @@ class ExperimentPlan(Result):
     def write(self, folder: Path) -> None:
         """Write the points in test order; add a column ``force_N`` of measured forces to make it a data file."""
         ordered = sorted(range(len(self.points)), key=lambda i: _rig_order(self.points[i]))
-        lines = ["pressure_bar,contraction_percent,direction,repeat,expected_N,rank"]
+        lines = ["pressure_bar,contraction_percent,direction,repeat"]
         for i in ordered:
             p = self.points[i]
             numbers = f"{p.pressure / bar:.9g},{p.contraction / percent:.9g}"
-            lines.append(f"{numbers},{p.direction or 'unknown'},{p.repeat},{p.force:.1f},{i + 1}")
+            lines.append(f"{numbers},{p.direction or 'unknown'},{p.repeat}")
         with atomic_write(folder / "plan.csv", overwrite=True) as part:
             part.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 

@@ -6,6 +6,8 @@ import operator
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from jaxtyping import Array, PyTree
+
 from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError, ParameterError
 from mckibben.export.evaluation import element_names, evaluate, find_function
@@ -17,7 +19,7 @@ from mckibben.scenario import Scenario
 class CasadiPlant(NamedTuple):
     """CasADi functions of a plant by name, in SI: of angle and pressures, or of state and commands."""
 
-    functions: dict[str, Any]
+    functions: dict[str, PyTree]
     state: tuple[str, ...]  # elements of the vector
     left_out: tuple[str, ...]
 
@@ -44,32 +46,37 @@ def casadi_plant(scenario: Scenario | JointPlant, *, parameters: Sequence[str] =
     71.93
     """
     if isinstance(scenario, Scenario):
-        own: dict[str, Any] = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
+        own: dict[str, int] = {} if "substeps" in options else {"substeps": scenario.needed_substeps()}
         options = {"control_period": scenario.control_period} | own | options
     plant = scenario.plant() if isinstance(scenario, Scenario) else scenario
     made = plant_module(plant, **options)  # pyrefly: ignore[bad-argument-type]
-    moving = next((one for one in made.module.functions if "state" in one.arguments), None)
+    moving = next((function for function in made.module.functions if "state" in function.arguments), None)
     state = [] if moving is None else element_names("state", moving.arguments["state"])
     functions = {
-        one.name: casadi_function(made.module, one.name, parameters=parameters) for one in made.module.functions
+        function.name: casadi_function(made.module, function.name, parameters=parameters)
+        for function in made.module.functions
     }
     return CasadiPlant(functions, tuple(name.removeprefix("state.") for name in state), made.left_out)
 
 
 def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str] = ()) -> Any:
-    """A function of a module in CasADi, with a column vector per argument, the last one for symbolic parameters."""
+    """A function of a module in CasADi, with a column vector per argument, the last one for symbolic parameters.
+
+    Raises `ExportError` for an unknown function and for an operation without a counterpart; `ParameterError` for an
+    unknown parameter.
+    """
     casadi = _casadi()
     function = find_function(module.functions, name)
     symbols: dict[str, Any] = {}
     inputs: dict[str, Any] = {}
-    given = {one: element_names(one, members) for one, members in function.arguments.items()}
+    names_by_argument = {argument: element_names(argument, members) for argument, members in function.arguments.items()}
     if parameters:
-        given["parameters"] = [_parameter(module, one) for one in parameters]
-    for argument, names in given.items():
+        names_by_argument["parameters"] = [_parameter(module, parameter) for parameter in parameters]
+    for argument, names in names_by_argument.items():
         symbols[argument] = casadi.SX.sym(argument, len(names))
-        inputs.update({each: symbols[argument][place] for place, each in enumerate(names)})
+        inputs.update({name: symbols[argument][place] for place, name in enumerate(names)})
     results = evaluate(module, function, _operations(casadi), inputs)
-    columns = {one: casadi.vertcat(*map(casadi.SX, values)) for one, values in results.items()}
+    columns = {result: casadi.vertcat(*map(casadi.SX, values)) for result, values in results.items()}
     return casadi.Function(name, list(symbols.values()), list(columns.values()), list(symbols), list(columns))
 
 
@@ -97,7 +104,7 @@ def _operations(ca: Any) -> dict[str, Callable[..., Any]]:
             "cosh", "tanh", "floor", "ceil", "sign")  # fmt: skip
     infix = ("add", "sub", "mul", "lt", "le", "gt", "ge", "eq", "ne", "neg")
 
-    def nearest(x: Any) -> Any:
+    def nearest(x: Array) -> Any:
         """Half to even."""
         up = ca.floor(x + 0.5)
         return up - ca.if_else(ca.logic_and(up - x == 0.5, ca.fmod(up, 2) != 0), 1.0, 0.0)

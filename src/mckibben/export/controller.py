@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
@@ -11,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array, PyTree
 from numpy.typing import NDArray
 
 from mckibben.codegen.source_module import SourceModule
@@ -20,24 +22,21 @@ from mckibben.export.plant import is_real
 from mckibben.joint import AntagonisticJoint, Measurement
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
 from mckibben.units import SYMBOLS
 
 _MOST_PERIODS = 10_000  # of a recording
-UNITS = {
-    "parameters.control_period": "s",
-    "setpoint.angle": "rad",
-    "setpoint.stiffness": "N*m/rad",
-    "measurement.angle": "rad",
-    "measurement.pressures.0": "Pa, gauge",
-    "measurement.pressures.1": "Pa, gauge",
-    "commands.pressure1": "Pa, gauge",
-    "commands.pressure2": "Pa, gauge",
-    "telemetry.stiffness_estimate": "N*m/rad",
+_UNITS = {
+    **dict.fromkeys(("angle", "angles"), "rad"),
+    **dict.fromkeys(("stiffness", "stiffness_estimate"), "N*m/rad"),
+    **dict.fromkeys(("command", "pressure", "pressures", "reservoir"), "Pa"),
+    **dict.fromkeys(("force", "ground_force", "tension"), "N"),
+    **{"velocity": "rad/s", "torque": "N*m", "temperatures": "K", "contraction": "1"},
 }
+"""Units of arguments and results by the names of their quantities."""
 
 
 class ControllerModule(NamedTuple):
@@ -53,11 +52,11 @@ class ControllerModule(NamedTuple):
 class ControllerFunctions(NamedTuple):
     """Functions of a controller over its parameters, and examples of their arguments."""
 
-    parameters: dict[str, Any]
+    parameters: dict[str, PyTree]
     of: Callable[[Any], Controller]  # parameters
-    init: Callable[[Any, Measurement], dict[str, Any]]
-    step: Callable[[Any, Any, Setpoint, Measurement], dict[str, Any]]
-    state: Any
+    init: Callable[[Any, Measurement], dict[str, PyTree]]
+    step: Callable[[Any, Any, Setpoint, Measurement], dict[str, PyTree]]
+    state: PyTree
     setpoint: Setpoint
     measurement: Measurement  # the first one
     plant: JointPlant
@@ -66,7 +65,11 @@ class ControllerFunctions(NamedTuple):
 
 
 def controller_functions(scenario: Scenario) -> ControllerFunctions:
-    """First and subsequent steps of a scenario's controller; all its real numbers are parameters."""
+    """First and subsequent steps of a scenario's controller; all its real numbers are parameters.
+
+    The functions are pure, and take the parameters first: ``init(parameters, measurement)`` returns the ``state``,
+    ``step(parameters, state, setpoint, measurement)`` the next ``state``, the ``commands`` [Pa] and the ``telemetry``.
+    """
     period = scenario.control_period
     plant, controller = scenario.plant().with_period(period), scenario.control().with_period(period)
     plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
@@ -74,21 +77,21 @@ def controller_functions(scenario: Scenario) -> ControllerFunctions:
     numbers, fixed = eqx.partition(controller, is_real)
     parameters = {"controller": numbers, "control_period": np.asarray(scenario.control_period)}
 
-    def of(parameters: Any) -> Controller:
+    def of(parameters: PyTree) -> Controller:
         return eqx.combine(parameters["controller"], fixed)
 
-    def init(parameters: Any, measurement: Measurement) -> dict[str, Any]:
+    def init(parameters: PyTree, measurement: Measurement) -> dict[str, PyTree]:
         return {"state": of(parameters).init(measurement)}
 
-    def step(parameters: Any, state: Any, setpoint: Setpoint, measurement: Measurement) -> dict[str, Any]:
+    def step(parameters: PyTree, state: PyTree, setpoint: Setpoint, measurement: Measurement) -> dict[str, PyTree]:
         controller = of(parameters)
         state, commands = controller.step(state, setpoint, measurement, parameters["control_period"])
-        pressures = {f"pressure{number}": one for number, one in enumerate(commands, 1)}
+        pressures = {f"pressure{number}": command for number, command in enumerate(commands, 1)}
         return {"state": state, "commands": pressures, "telemetry": controller.telemetry(state)}
 
     measurement = plant.sample(initial, 0.0)[1]
     state = jax.eval_shape(controller.init, measurement)
-    state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), state)
+    state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state)
     setpoint = Setpoint(jnp.zeros(()), jnp.zeros(()))
     return ControllerFunctions(parameters, of, init, step, state, setpoint, measurement, plant, controller, initial)
 
@@ -104,27 +107,26 @@ def controller_module(scenario: Scenario, name: str = "controller") -> Controlle
     _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     setpoints = jax.tree.map(lambda x: x[:_MOST_PERIODS], setpoints)
     timing = scenario.control_period, scenario.needed_substeps()
-    recording = recorded(source.plant, source.controller, setpoints, source.initial, *timing, _given)
+    recording = recorded(source.plant, source.controller, setpoints, source.initial, *timing, _setpoint_of)
     columns = ("setpoint.angle", "setpoint.stiffness", "measurement.angle", "measurement.pressures_0",
                "measurement.pressures_1", "commands.pressure1", "commands.pressure2")  # fmt: skip
-    units = UNITS | units_of(source.parameters, "parameters")
-    return ControllerModule(module, units, columns, recording, left_out)
+    return ControllerModule(module, units_of(module, "Pa, gauge"), columns, recording, left_out)
 
 
-def _given(controller: Controller, state: Any, setpoint: Setpoint, *_: Any) -> Setpoint:
+def _setpoint_of(controller: Controller, state: PyTree, setpoint: Setpoint, *_: Any) -> Setpoint:
     return setpoint
 
 
 def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
     """First step, subsequent steps and model of a controller, and the parts that cannot be exported."""
-    given = source.state, source.setpoint, source.measurement
-    module = stepping_module(name, source.parameters, source.init, source.step, *given)
+    examples = source.state, source.setpoint, source.measurement
+    module = stepping_module(name, source.parameters, source.init, source.step, *examples)
     model = getattr(source.controller, "model", None)
     return module, tuple(_add_model(module, source.of, model) if isinstance(model, AntagonisticJoint) else ())
 
 
 def stepping_module(
-    name: str, parameters: Any, init: Any, step: Any, state: Any, setpoint: Any, measurement: Any
+    name: str, parameters: PyTree, init: Any, step: Any, state: PyTree, setpoint: PyTree, measurement: PyTree
 ) -> SourceModule:
     """Source module of the first step and the subsequent steps of a controller."""
     module = SourceModule(name, parameters, "controller.")
@@ -139,13 +141,13 @@ def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[
     number = np.zeros(())
     for muscle in ("muscle1", "muscle2"):
 
-        def force(parameters: Any, contraction: Any, pressure: Any, muscle: str = muscle) -> dict[str, Any]:
+        def force(parameters: PyTree, contraction: Any, pressure: Array, muscle: str = muscle) -> dict[str, PyTree]:
             return {"force": getattr(of(parameters).model, muscle).force(contraction, pressure)}
 
         text = f"force [N] of {muscle} by the model, at a contraction [1] and a gauge pressure [Pa]"
         module.add(f"{muscle}_force", text, force, {"contraction": number, "pressure": number})
 
-    def stiffness(parameters: Any, angle: Any, pressure1: Any, pressure2: Any) -> dict[str, Any]:
+    def stiffness(parameters: PyTree, angle: Array, pressure1: Any, pressure2: Any) -> dict[str, PyTree]:
         return {"stiffness": of(parameters).model.stiffness(angle, (pressure1, pressure2))}
 
     text = "isobaric stiffness [N*m/rad] by the model, at an angle [rad] and gauge pressures [Pa]"
@@ -153,7 +155,7 @@ def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[
     if not all(isinstance(muscle.law, PressureAffineLaw) for muscle in (model.muscle1, model.muscle2)):
         return ["attainable_stiffness: the laws are not affine in pressure, and the program would be long"]
 
-    def attainable(parameters: Any, angle: Any, torque: Any) -> dict[str, Any]:
+    def attainable(parameters: PyTree, angle: Array, torque: Array) -> dict[str, PyTree]:
         lowest, highest = of(parameters).model.attainable_stiffness(angle, torque)
         return {"lowest": lowest, "highest": highest}
 
@@ -163,54 +165,73 @@ def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[
 
 
 def recorded(
-    plant: Plant, controller: Any, given: Any, initial: Any, period: Any, substeps: int, setpoints: Callable[..., Any]
+    plant: Plant,
+    controller: PyTree,
+    rows: PyTree,
+    initial: PyTree,
+    period: Any,
+    substeps: int,
+    setpoints: Callable[..., Any],
 ) -> NDArray[np.float64]:
-    """Recording of a run with what its controller is given in each period, from which `setpoints` follow."""
-    measured, *columns = _recorded(plant, controller, given, initial, period, substeps, setpoints)
+    """Recording of a run with the inputs `rows` of its controller in each period, from which `setpoints` follow."""
+    measured, *columns = _recorded(plant, controller, rows, initial, period, substeps, setpoints)
     others = [np.nan] * len(columns[0]), [np.nan] * len(columns[2])
     first = [*others[0], *map(float, jax.tree.leaves(measured)), *others[1]]
-    return np.vstack([first, np.column_stack([one for part in columns for one in part])])
+    return np.vstack([first, np.column_stack([column for part in columns for column in part])])
 
 
-@compiled_as_given
+@jit_arrays
 def _recorded(
-    plant: Plant, controller: Any, given: Any, initial: Any, period: Any, substeps: Any, setpoints: Callable[..., Any]
+    plant: Plant,
+    controller: PyTree,
+    rows: PyTree,
+    initial: PyTree,
+    period: Any,
+    substeps: Any,
+    setpoints: Callable[..., Any],
 ) -> tuple[Any, ...]:
     """First measurement; setpoints, measurements and commands of a run, each of shape (periods,)."""
 
-    def next_period(states: Any, given: Any) -> Any:
+    def next_period(states: PyTree, rows: PyTree) -> Any:
         plant_state, measurement = plant.sample(states[0], period)
-        wanted = setpoints(controller, states[1], given, measurement, period)
-        state, commands = controller.step(states[1], given, measurement, period)
+        wanted = setpoints(controller, states[1], rows, measurement, period)
+        state, commands = controller.step(states[1], rows, measurement, period)
         following = plant.follow(plant_state, plant.clip_commands(commands), period, substeps)
         return (following, state), (tuple(wanted), tuple(jax.tree.leaves(measurement)), commands)
 
     with batched_program():  # compiles a third faster
         measured = plant.sample(initial, 0.0)[1]
-        return measured, *lax.scan(next_period, (initial, controller.init(measured)), given)[1]
+        return measured, *lax.scan(next_period, (initial, controller.init(measured)), rows)[1]
 
 
-def units_of(tree: Any, prefix: str) -> dict[str, str]:
-    """Units of the leaves of a tree by path, from the metadata of the fields."""
-    return {f"{prefix}.{path}": unit for path, unit in _units(tree, "") if unit}
+def units_of(module: SourceModule, pressure: str = "Pa") -> dict[str, str]:
+    """Units of a module by structure and path: of parameters from the metadata of the fields, else by quantity."""
+    units = {f"parameters.{path}": unit for path, unit in _units(module.parameters, "") if unit}
+    for structure, members in (module.structures() | {"state": module.state}).items():
+        for member in members:
+            quantity = re.sub(r"[\d._]+$", "", member.path).rpartition(".")[2]
+            if quantity in _UNITS:
+                unit = _UNITS[quantity]
+                units[f"{structure}.{member.path}"] = pressure if unit == "Pa" else unit
+    return units | {"parameters.control_period": "s"}
 
 
-def _units(tree: Any, path: str, symbols: Units = Units()) -> Iterator[tuple[str, str]]:  # noqa: B008
+def _units(tree: PyTree, path: str, symbols: Units = Units()) -> Iterator[tuple[str, str]]:  # noqa: B008
     """Path and unit of each field below; `symbols` are the units of symbolic ones."""
-    parts: dict[str, Any]
+    parts: dict[str, PyTree]
     units: dict[str, str] = {}
-    hints: dict[str, Any] = {}
+    hints: dict[str, type] = {}
     if isinstance(tree, dict):
         parts = tree
     elif isinstance(tree, tuple | list):
-        parts = {str(number): one for number, one in enumerate(tree)}
+        parts = {str(number): part for number, part in enumerate(tree)}
     elif dataclasses.is_dataclass(tree):
         parts = {field.name: getattr(tree, field.name) for field in dataclasses.fields(tree)}
         hints = field_hints(type(tree))
         units = {name: symbols.get(mark.unit, mark).unit for name, mark in field_quantities(type(tree)).items()}
         units = {name: unit for name, unit in units.items() if unit not in SYMBOLS}
         if isinstance(tree, ForceLaw):
-            units |= {one.name: one.unit for one in tree.parameters()}
+            units |= {parameter.name: parameter.unit for parameter in tree.parameters()}
     else:
         return
     for name, part in parts.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from importlib.resources import files
 from pathlib import Path
 from string import Template
 
@@ -11,7 +10,7 @@ import mckibben
 from mckibben.codegen.c import comment_text, write_c
 from mckibben.codegen.javascript import write_js
 from mckibben.export.controller import ControllerModule, controller_functions, controller_module, controller_program
-from mckibben.export.targets import Exported
+from mckibben.export.targets import Exported, filled
 from mckibben.scenario import Scenario
 
 _LISTED = """\
@@ -58,7 +57,7 @@ def program_files(
             if part == "commands"
             else f"{part}->{member} = {'' if part == 'setpoint' else f'({real})'}row[{index}];"
         )
-    left_out = "".join(f"- {one}\n" for one in made.left_out)
+    left_out = "".join(f"- {part}\n" for part in made.left_out)
     values = {
         "name": name,
         "title": title,
@@ -95,8 +94,3 @@ def js_files(scenario: Scenario, name: str, folder: Path) -> Exported:
         f"After changing self.parameters call {name}.prepare(self)."
     )
     return Exported({f"{name}.js": write_js(module, comment), "scenario.yaml": scenario.dumps(folder=folder)}, left_out)
-
-
-def filled(template: str, values: dict[str, str]) -> str:
-    """Text of a filled-in template."""
-    return Template((files("mckibben.export") / "templates" / template).read_text()).substitute(values)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -12,15 +11,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
-from mckibben.identification.storage import read_fit
+from mckibben.identification import Fit
 from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.realtime.compiled_step import FlatTree, compile_flat
 from mckibben.scenario import Scenario, batched, initial_state, valid_rows
@@ -83,9 +82,9 @@ class Plants(NamedTuple):
     starts: PlantState
     rows: int
 
-    def row(self, row: Any) -> tuple[SimulationProblem, PlantState]:
+    def row(self, row: PyTree) -> tuple[SimulationProblem, PlantState]:
         """Plant, reference and start of a row."""
-        varying, start = jax.tree.map(lambda one: one[row], (self.varying, self.starts))
+        varying, start = jax.tree.map(lambda leaf: leaf[row], (self.varying, self.starts))
         return eqx.combine(varying, self.fixed), start
 
 
@@ -111,7 +110,7 @@ class EpisodeStep(NamedTuple):
 def conditions_of(suite: Suite) -> tuple[str, ...]:
     """Variations of a suite's plants and of its first reference, with another sensor noise in each plant."""
     varied = (*suite.conditions, *next(iter(suite.references.values())).over)
-    noise = suite.has_noise and "sensors.seed" not in {one.partition("=")[0].strip() for one in varied}
+    noise = suite.has_noise and "sensors.seed" not in {text.partition("=")[0].strip() for text in varied}
     return (*varied, "sensors.seed=0..1000000") if noise else varied
 
 
@@ -128,10 +127,10 @@ def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed:
     """Plants with varied parameters (``load.mass2=+-50 %``, ``joint.muscle.law=fit``), those without start dropped."""
     table = {}
     if random_plant:
-        fits = [one for one in random_plant if one.partition("=")[2].strip() == "fit"]
-        others = [one for one in random_plant if one not in fits]
+        fits = [text for text in random_plant if text.partition("=")[2].strip() == "fit"]
+        others = [text for text in random_plant if text not in fits]
         table = sample(parse_sweeps(others, scenario), "random", count, seed) if others else {}
-        table |= _fit_draws(scenario, [one.partition("=")[0].strip() for one in fits], count, seed)
+        table |= _fit_draws(scenario, [text.partition("=")[0].strip() for text in fits], count, seed)
         valid = valid_rows(scenario, table)
         table = {name: column[valid] for name, column in table.items()}
     varied = batched(scenario, table) if table and len(next(iter(table.values()))) else scenario
@@ -144,36 +143,36 @@ def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed:
         raise ExportError(message, field="random_plant", value=list(random_plant), remedy=remedy)
     rows = lanes or 1
     if lanes is None:
-        problem, flags = jax.tree.map(lambda one: np.asarray(one)[None], problem), True
+        problem, flags = jax.tree.map(lambda leaf: np.asarray(leaf)[None], problem), True
     varying, fixed = eqx.partition(problem, flags)
     plants = Plants(varying, fixed, (), rows)  # type: ignore[arg-type]
     starts, exist = _starts(plants._replace(rows=0), np.arange(rows))
-    kept = np.flatnonzero(np.asarray(exist))
-    if not kept.size:
+    existing = np.flatnonzero(np.asarray(exist))
+    if not existing.size:
         raise ExportError("no plant has an equilibrium at the start", field="start", remedy="give another `start`")
-    take = lambda tree: jax.tree.map(lambda one: np.asarray(one)[kept], tree)  # noqa: E731
-    return Plants(take(varying), fixed, take(starts), len(kept))
+    take = lambda tree: jax.tree.map(lambda leaf: np.asarray(leaf)[existing], tree)  # noqa: E731
+    return Plants(take(varying), fixed, take(starts), len(existing))
 
 
-def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -> dict[str, Any]:
+def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -> dict[str, PyTree]:
     """Draws of the fits of laws by the addresses of their parameters; two laws of one fit have the same draws."""
-    joint, found = scenario.plant().joint, {}
+    joint, draws_by_address = scenario.plant().joint, {}
     known = {"joint.muscle.law": (joint.muscle1, joint.muscle2), "joint.muscle1.law": (joint.muscle1,),
              "joint.muscle2.law": (joint.muscle2,)}  # fmt: skip
     for law in laws:
-        files = {origin_of(one.law) for one in known.get(law, ())}
+        files = {origin_of(muscle.law) for muscle in known.get(law, ())}
         file = files.pop() if len(files) == 1 else ""
         if not file.endswith(ENDINGS):
             message = f"{law} is not a law that was read from the file of a fit"
             remedy = f"give {', '.join(known)}, and the muscle the file of a fit"
             raise ExportError(message, field="random_plant", value=f"{law}=fit", remedy=remedy)
-        draws = read_fit(Path(file)).draws(np.random.default_rng(seed), count)
-        found |= {f"{law}.{name}": values for name, values in draws.items()}
-    return found
+        draws = Fit.from_yaml(file).draws(np.random.default_rng(seed), count)
+        draws_by_address |= {f"{law}.{name}": values for name, values in draws.items()}
+    return draws_by_address
 
 
-@compiled_as_given
-def _starts(plants: Plants, rows: Any) -> tuple[PlantState, Array]:
+@jit_arrays
+def _starts(plants: Plants, rows: PyTree) -> tuple[PlantState, Array]:
     def start(row: Array) -> tuple[PlantState, Array]:
         problem, _ = plants.row(row)
         setpoint = problem.reference(jnp.zeros(1))
@@ -185,11 +184,11 @@ def _starts(plants: Plants, rows: Any) -> tuple[PlantState, Array]:
 
 def names_of(history: int) -> dict[str, str]:
     """Elements of an observation with the last observations and the actions between them, and their units."""
-    found = dict(OBSERVATION)
+    names = dict(OBSERVATION)
     for back in range(1, history):
-        found |= {f"action{number}_before{back}": "1" for number in (1, 2)}
-        found |= {f"{name}_before{back}": unit for name, unit in OBSERVATION.items()}
-    return found
+        names |= {f"action{number}_before{back}": "1" for number in (1, 2)}
+        names |= {f"{name}_before{back}": unit for name, unit in OBSERVATION.items()}
+    return names
 
 
 def begin(problem: SimulationProblem, start: PlantState, period: Array, history: int) -> tuple[Episode, Array]:
@@ -210,7 +209,7 @@ def advance(
     wanted = low + (high - low) * (action + 1) / 2
     commands = plant.clip_commands((wanted[0], wanted[1]))
 
-    def one(_: Array, carry: tuple[Episode, Array, EpisodeStep]) -> tuple[Episode, Array, EpisodeStep]:
+    def next_period(_: Array, carry: tuple[Episode, Array, EpisodeStep]) -> tuple[Episode, Array, EpisodeStep]:
         episode, content, so_far = carry
         state = plant.follow(episode.state, commands, period, substeps)
         state, measured = plant.sample(state, period)
@@ -231,7 +230,7 @@ def advance(
 
     zero = jnp.zeros(())
     first = EpisodeStep(jnp.zeros(len(OBSERVATION)), zero, jnp.asarray(False), zero, zero)
-    episode, _, step = lax.fori_loop(0, repeat, one, (episode, _content(plant, episode.state), first))
+    episode, _, step = lax.fori_loop(0, repeat, next_period, (episode, _content(plant, episode.state), first))
     seen = jnp.concatenate([jnp.concatenate([step.observation, jnp.clip(action, -1, 1)])[None], episode.seen[:-1]])
     step = step._replace(observation=seen.ravel()[:-2], reward=step.reward / repeat)
     return episode._replace(seen=seen), step
@@ -256,7 +255,7 @@ class _FlatEpisodes:
         return self._layout.pack(at, jnp), jnp.concatenate([step.observation, jnp.stack(step[1:], dtype=float)])
 
 
-def _step(values: Any) -> EpisodeStep:
+def _step(values: ArrayLike) -> EpisodeStep:
     """`EpisodeStep` from an array with its elements along the last axis."""
     values, others = np.asarray(values), len(EpisodeStep._fields) - 1
     return EpisodeStep(values[..., :-others], *np.moveaxis(values[..., -others:], -1, 0))
@@ -280,23 +279,23 @@ class SingleProgram:
 
     def begin(self, row: int) -> EpisodeStep:
         """Begin an episode with the plant of a row."""
-        numbers, start = (layout.pack(one) for layout, one in zip(self._layouts, self._plants.row(row), strict=True))
+        numbers, start = (layout.pack(part) for layout, part in zip(self._layouts, self._plants.row(row), strict=True))
         self._numbers = jnp.asarray(numbers)
         self._episode, values = self._first(self._numbers, start)
         return _step(values)
 
-    def advance(self, action: Any) -> EpisodeStep:
+    def advance(self, action: ArrayLike) -> EpisodeStep:
         """Advance the episode."""
         self._episode, values = self._following(self._numbers, self._episode, np.asarray(action, float))
         return _step(values)
 
 
-def _begun(shared: Any, lane: Any) -> tuple[Episode, Array]:
+def _begun(shared: PyTree, lane: PyTree) -> tuple[Episode, Array]:
     (fixed, settings, history), (varying, start) = shared, lane
     return begin(eqx.combine(varying, fixed), start, settings.period, history)
 
 
-def _advanced(shared: Any, lane: Any) -> tuple[Episode, EpisodeStep]:
+def _advanced(shared: PyTree, lane: PyTree) -> tuple[Episode, EpisodeStep]:
     (fixed, settings, counts), (varying, episode, action) = shared, lane
     return advance(eqx.combine(varying, fixed), episode, action, settings, *counts)
 
@@ -311,14 +310,14 @@ class ManyProgram:
         self._plants = plants
         self._shared = (plants.fixed, settings, history), (plants.fixed, settings, (substeps, repeat))
 
-    def begin(self, rows: Any) -> Any:
+    def begin(self, rows: PyTree) -> Any:
         """Begin all episodes with the plants of the given rows; return their observations, shape (n, size)."""
         table = self._plants.varying, self._plants.starts
-        self._varying, starts = jax.tree.map(lambda one: np.moveaxis(np.asarray(one)[rows], 0, -1), table)
+        self._varying, starts = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[rows], 0, -1), table)
         (self._episodes, observations), _ = _BEGIN("auto", self._shared[0], (self._varying, starts))
         return np.asarray(observations).T
 
-    def advance(self, rows: Any, actions: Any, over: Any) -> EpisodeStep:
+    def advance(self, rows: PyTree, actions: Any, over: Any) -> EpisodeStep:
         """Advance; finished episodes restart with the plants of the given rows and ignore their action."""
         lanes = self._varying, self._episodes, np.asarray(actions, float).T
         (moved, step), _ = _ADVANCE("auto", self._shared[1], lanes)
@@ -327,7 +326,7 @@ class ManyProgram:
             first = self.begin(rows)
             moved = jax.tree.map(lambda new, old: np.where(over, new, old), self._episodes, moved)
             ended = over.reshape(-1, 1)
-            rest = (np.where(over, 0, one).astype(one.dtype) for one in step[1:])
+            rest = (np.where(over, 0, column).astype(column.dtype) for column in step[1:])
             step = EpisodeStep(np.where(ended, first, step.observation), *rest)
         self._episodes = moved
         return step
@@ -339,12 +338,12 @@ def _content(plant: JointPlant, state: PlantState) -> Array:
     if not all(muscle.specimen.has_volume for muscle in muscles):
         return jnp.zeros(2)
     volumes = plant.air_volumes(state)
-    content = [one.volume * (pressure + atm) for one, pressure in zip(volumes, state.pressures, strict=True)]
+    content = [air.volume * (pressure + atm) for air, pressure in zip(volumes, state.pressures, strict=True)]
     return jnp.stack(content) / (atm * litre)
 
 
 def _observation(measured: Measurement, velocity: Array, setpoint: Setpoint) -> Array:
     pressure1, pressure2 = measured.pressures
-    found = jnp.stack([measured.angle, velocity, pressure1 / bar, pressure2 / bar, *setpoint])
+    observation = jnp.stack([measured.angle, velocity, pressure1 / bar, pressure2 / bar, *setpoint])
     limit = jnp.array([LIMITS[name] for name in OBSERVATION])
-    return jnp.clip(jnp.nan_to_num(found), -limit, limit)
+    return jnp.clip(jnp.nan_to_num(observation), -limit, limit)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+from jaxtyping import PyTree
+
 from mckibben.codegen.graph import Branch, ForLoop, Kind, Scope, StoredArray, Value, needed
 from mckibben.codegen.source_module import Function, Member, SourceModule, element
 from mckibben.errors import ExportError
@@ -15,22 +17,30 @@ Operations = Mapping[str, Callable[..., Any]]
 
 
 def evaluate(
-    module: SourceModule, function: Function, operations: Operations, inputs: Mapping[str, Any]
+    module: SourceModule, function: Function, operations: Operations, inputs: Mapping[str, object]
 ) -> dict[str, list[Any]]:
     """Results of a function, element by element, for inputs and parameters by their names in the graph.
 
-    Parameters default to the module's values. Loops are unrolled.
+    Parameters default to the module's values. Loops are unrolled, and both sides of a branch are computed. Raises
+    `ExportError` for an operation that is missing, and for a loop that ends on a condition.
+
+    Parameters
+    ----------
+    operations
+        Functions of numbers, symbols or texts by the name of their operation, and ``select``.
+    inputs
+        Values by the names of inputs, such as ``angle`` or ``pressures[0]``.
     """
     results = [value for values in function.values.values() for value in values]
     evaluation = _Evaluation(operations, _defaults(module) | dict(inputs), needed(results))
     evaluation.scope(module.graph.root)
     evaluation.scope(function.scope)
-    return {name: [evaluation.value(one) for one in values] for name, values in function.values.items()}
+    return {name: [evaluation.value(value) for value in values] for name, values in function.values.items()}
 
 
-def _defaults(module: SourceModule) -> dict[str, Any]:
+def _defaults(module: SourceModule) -> dict[str, PyTree]:
     names = element_names("parameters", module.members)
-    return dict(zip(names, [x.item() for one in module.members for x in one.value.flat], strict=True))
+    return dict(zip(names, [x.item() for member in module.members for x in member.value.flat], strict=True))
 
 
 def element_names(structure: str, members: Sequence[Member]) -> list[str]:
@@ -41,7 +51,7 @@ def element_names(structure: str, members: Sequence[Member]) -> list[str]:
 class _Evaluation:
     """Values of a graph computed so far."""
 
-    def __init__(self, operations: Operations, inputs: Mapping[str, Any], wanted: set[int]) -> None:
+    def __init__(self, operations: Operations, inputs: Mapping[str, object], wanted: set[int]) -> None:
         self._operations, self._inputs, self._wanted = operations, inputs, wanted
         self._known: dict[int, Any] = {}
         self._arrays: dict[int, list[Any]] = {}
@@ -62,7 +72,7 @@ class _Evaluation:
             elif id(statement) not in self._wanted:
                 continue
             elif isinstance(statement, StoredArray):
-                self._arrays[id(statement)] = [self.value(one) for one in statement.elements]
+                self._arrays[id(statement)] = [self.value(element) for element in statement.elements]
             else:
                 self._known[id(statement)] = self._computed(statement)
 
@@ -72,13 +82,13 @@ class _Evaluation:
             return
         for scope in branch.scopes:
             self.scope(scope)
-        for one in branch.chosen:
-            if id(one) in self._wanted:
-                yes, no = (self.value(values[one.data[1]]) for values in branch.values)
-                self._known[id(one)] = self._operations["select"](self.value(branch.condition), yes, no)
+        for value in branch.chosen:
+            if id(value) in self._wanted:
+                yes, no = (self.value(values[value.data[1]]) for values in branch.values)
+                self._known[id(value)] = self._operations["select"](self.value(branch.condition), yes, no)
 
     def _computed(self, value: Value) -> Any:
-        arguments = [self.value(one) for one in value.arguments]
+        arguments = [self.value(argument) for argument in value.arguments]
         if value.operation == "input":
             return self._inputs[value.data]
         if value.operation == "element":
@@ -94,15 +104,15 @@ class _Evaluation:
         return self._operations[name](*arguments)
 
     def _loop(self, loop: ForLoop) -> None:
-        carried = [one for one in loop.carried if id(one) in self._wanted]
-        arrays = [one for one in loop.arrays if id(one) in self._wanted]
+        carried = [variable for variable in loop.carried if id(variable) in self._wanted]
+        arrays = [array for array in loop.arrays if id(array) in self._wanted]
         if not carried and not arrays:
             return
         if loop.going is not None:
             remedy = "use another option of this component, such as rigid tendons"
             raise ExportError("a loop that ends on a condition cannot be unrolled", field="while", remedy=remedy)
-        for one in carried:
-            self._known[id(one)] = self.value(one.initial)
+        for variable in carried:
+            self._known[id(variable)] = self.value(variable.initial)
         for array in arrays:
             self._arrays[id(array)] = [None] * array.size
         for index in range(loop.length):
@@ -111,15 +121,16 @@ class _Evaluation:
             row = loop.length - 1 - index if loop.row is not loop.index else index
             for array in arrays:
                 size = len(array.elements)
-                self._arrays[id(array)][row * size : (row + 1) * size] = [self.value(one) for one in array.elements]
-            following = [self.value(one.following) for one in carried]
+                elements = [self.value(element) for element in array.elements]
+                self._arrays[id(array)][row * size : (row + 1) * size] = elements
+            following = [self.value(variable.following) for variable in carried]
             self._known.update(zip(map(id, carried), following, strict=True))
 
 
 def find_function(functions: Sequence[Function], name: str) -> Function:
     """Function by name."""
-    for one in functions:
-        if one.name == name:
-            return one
-    known = ", ".join(one.name for one in functions)
+    for function in functions:
+        if function.name == name:
+            return function
+    known = ", ".join(function.name for function in functions)
     raise ExportError(f"there is no function {name!r}", field="function", value=name, remedy=f"choose {known}")

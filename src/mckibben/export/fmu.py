@@ -9,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.component.columns import attributes
@@ -30,44 +31,21 @@ _STATE_NAMES = {
     "air.temperatures.0": "temperature1",
     "air.temperatures.1": "temperature2",
 }
-_PLANT_UNITS = {
-    "inputs.command1": "Pa",
-    "inputs.command2": "Pa",
-    "inputs.torque": "N*m",
-    "state.angle": "rad",
-    "state.velocity": "rad/s",
-    "state.pressures.0": "Pa",
-    "state.pressures.1": "Pa",
-    "state.air.reservoir": "Pa",
-    "state.air.temperatures.0": "K",
-    "state.air.temperatures.1": "K",
-    "results.pressure1": "Pa",
-    "results.pressure2": "Pa",
-    "results.tension1": "N",
-    "results.tension2": "N",
-    "results.stiffness": "N*m/rad",
-}
 
 
-_CONTROLLER_INPUTS = {
-    "setpoint.angle": "rad",
-    "setpoint.stiffness": "N*m/rad",
-    "measurement.angle": "rad",
-    "measurement.pressure1": "Pa",
-    "measurement.pressure2": "Pa",
-}
+def plant_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
+    """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out.
 
-
-def plant_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
-    """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out."""
-    given = scenario.plant()
-    plant, initial = numeric((given.with_ideal_io(), scenario.initial(given)))
+    Raises `ExportError` for parts that C cannot express, and without FMPy.
+    """
+    real = scenario.plant()
+    plant, initial = numeric((real.with_ideal_io(), scenario.initial(real)))
     unit, left_out = plant_unit(plant, initial, name, scenario.control_period, scenario.needed_substeps())
-    if not given.has_ideal_io:
+    if not real.has_ideal_io:
         left_out.append("sensors and disturbance: connect your own to the angle, the pressures and the torque")
-    if given.command_delay is not None:
+    if real.command_delay is not None:
         left_out.append("delay of the commands: give one to the signals of the inputs")
-    content, missing = fmu(unit, scenario.dumps(folder=folder), fmi)
+    content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, (*left_out, *missing))
 
 
@@ -83,34 +61,36 @@ def plant_unit(
     inputs = {"command1": _NUMBER, "command2": _NUMBER, "torque": _NUMBER}
     module = SourceModule(name, numbers)
 
-    def given(parameters: Any, state: PlantState, inputs: Any) -> tuple[JointPlant, PlantState, tuple[Any, Any]]:
+    def commanded(
+        parameters: PyTree, state: PlantState, inputs: PyTree
+    ) -> tuple[JointPlant, PlantState, tuple[Any, Any]]:
         """Plant, state under the torque and right after the commands, and these within their limits."""
         plant = eqx.combine(parameters, fixed)
         commands = plant.clip_commands((inputs["command1"], inputs["command2"]))
         state = state._replace(io=IOState(jnp.zeros(()), inputs["torque"], ()))
         return plant, plant.apply_commands(state, commands), commands
 
-    def init(parameters: Any, start: Any, inputs: Any) -> dict[str, Any]:
+    def init(parameters: PyTree, start: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         plant = eqx.combine(parameters, fixed)
         pressures = start["pressures"] if held else plant.clip_commands((inputs["command1"], inputs["command2"]))
         return {"state": plant.complete_state(PlantState(start["angle"], start["velocity"], tuple(pressures)))}
 
-    def advance(parameters: Any, state: PlantState, inputs: Any, duration: Any) -> dict[str, Any]:
-        plant, at, commands = given(parameters, state, inputs)
+    def advance(parameters: PyTree, state: PlantState, inputs: PyTree, duration: Any) -> dict[str, PyTree]:
+        plant, at, commands = commanded(parameters, state, inputs)
         at = at._replace(pressures=state.pressures)
         return {"state": plant.advance(at, commands, duration, substeps)._replace(io=())}
 
-    def results(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
-        plant, state, _ = given(parameters, state, inputs)
+    def results(parameters: PyTree, state: PlantState, inputs: PyTree) -> dict[str, PyTree]:
+        plant, state, _ = commanded(parameters, state, inputs)
         forces = plant.joint.forces(state.angle, state.velocity, state.pressures, state.muscles)
-        found = {"stiffness": plant.joint.stiffness(state.angle, state.pressures)}
-        found |= {f"tension{number}": one for number, one in enumerate(forces.tensions, 1)}
+        numbers = {"stiffness": plant.joint.stiffness(state.angle, state.pressures)}
+        numbers |= {f"tension{number}": tension for number, tension in enumerate(forces.tensions, 1)}
         if not held:
-            found |= {f"pressure{number}": one for number, one in enumerate(state.pressures, 1)}
-        return {"results": found}
+            numbers |= {f"pressure{number}": pressure for number, pressure in enumerate(state.pressures, 1)}
+        return {"results": numbers}
 
-    def rates(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
-        plant, state, commands = given(parameters, state, inputs)
+    def rates(parameters: PyTree, state: PlantState, inputs: PyTree) -> dict[str, PyTree]:
+        plant, state, commands = commanded(parameters, state, inputs)
         motion, valve = plant.rate(state), plant.valve
         pressures, air = (), ()
         if held:
@@ -118,11 +98,11 @@ def plant_unit(
         muscles = tuple(MuscleState((), creep) for creep in motion.creep)
         return {"rates": PlantState(motion.position, motion.velocity, tuple(pressures), muscles, (), air)}  # type: ignore
 
-    def project(parameters: Any, state: PlantState, inputs: Any) -> dict[str, Any]:
-        plant, at, _ = given(parameters, state, inputs)
+    def project(parameters: PyTree, state: PlantState, inputs: PyTree) -> dict[str, PyTree]:
+        plant, at, _ = commanded(parameters, state, inputs)
         return {"state": plant.project(at)._replace(io=(), pressures=state.pressures)}
 
-    state = jax.tree.map(lambda one: np.zeros(np.shape(one)), initial)
+    state = jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), initial)
     both = {"state": state, "inputs": inputs}
     text = "state at an angle, a velocity and pressures, its muscles relaxed"
     module.add("init", text, init, {"start": start, "inputs": inputs})
@@ -141,7 +121,7 @@ def plant_unit(
         for i, muscle in enumerate(plant.muscles)
         for k, unit in enumerate(muscle.creep.state_units)
     }
-    units = _PLANT_UNITS | creep
+    units = units_of(module) | creep
     if valve.direct:
         units |= {"inputs.command1": "", "inputs.command2": ""}
     unit = FunctionalUnit(
@@ -149,7 +129,7 @@ def plant_unit(
         "Joint of two pneumatic muscles with load and valves",
         period,
         {path: float(value) for path, value in starts.items()},
-        units | units_of(plant, "parameters"),
+        units,
         _STATE_NAMES,
         model_exchange=not valve.switches,
     )
@@ -157,20 +137,20 @@ def plant_unit(
     return unit, why
 
 
-def muscle_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
+def muscle_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The force of a muscle over contraction and pressure; two FMUs if the muscles of the joint differ."""
     joint = numeric(scenario.plant().joint)
     muscles = {name: joint.muscle1}
     if not eqx.tree_equal(joint.muscle1, joint.muscle2):
         muscles = {f"{name}1": joint.muscle1, f"{name}2": joint.muscle2}
-    made, left_out = {}, list[str]()
-    for each, muscle in muscles.items():
-        unit = _muscle_unit(muscle, each, scenario.control_period)
-        made[f"{each}.fmu"], missing = fmu(unit, scenario.dumps(folder=folder), fmi)
+    contents, left_out = {}, list[str]()
+    for title, muscle in muscles.items():
+        unit = _muscle_unit(muscle, title, scenario.control_period)
+        contents[f"{title}.fmu"], missing = fmu(unit, scenario.dumps(folder=folder))
         left_out += missing
         if muscle.has_creep or muscle.friction.follows_rate:
-            left_out.append(f"{each}: creep and viscous friction, which follow the rate of the contraction")
-    return Exported(made, tuple(dict.fromkeys(left_out)))
+            left_out.append(f"{title}: creep and viscous friction, which follow the rate of the contraction")
+    return Exported(contents, tuple(dict.fromkeys(left_out)))
 
 
 def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
@@ -178,18 +158,18 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
     numbers, fixed = eqx.partition(muscle, is_real)
     module = SourceModule(name, numbers)
     inputs = {"contraction": _NUMBER, "pressure": _NUMBER}
-    state = jax.tree.map(lambda one: np.zeros(np.shape(one)), muscle.init_state(0.0, 0.0)._replace(creep=()))
+    state = jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), muscle.init_state(0.0, 0.0)._replace(creep=()))
 
-    def of(parameters: Any) -> Muscle:
+    def of(parameters: PyTree) -> Muscle:
         return eqx.combine(parameters, fixed)
 
-    def init(parameters: Any, inputs: Any) -> dict[str, Any]:
+    def init(parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         return {"state": of(parameters).init_state(inputs["contraction"], inputs["pressure"])._replace(creep=())}
 
-    def project(parameters: Any, state: MuscleState, inputs: Any) -> dict[str, Any]:
+    def project(parameters: PyTree, state: MuscleState, inputs: PyTree) -> dict[str, PyTree]:
         return {"state": of(parameters).update_state(state, inputs["contraction"], inputs["pressure"])}
 
-    def results(parameters: Any, state: MuscleState, inputs: Any) -> dict[str, Any]:
+    def results(parameters: PyTree, state: MuscleState, inputs: PyTree) -> dict[str, PyTree]:
         return {"results": {"force": of(parameters).force(inputs["contraction"], inputs["pressure"], state)}}
 
     both = {"state": state, "inputs": inputs}
@@ -198,13 +178,12 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
         module.add("init", "state without stress of friction", init, {"inputs": inputs})
         module.add("advance", "state after a move", project, both)
         module.add("project", "state after a move", project, both)
-    units = {"inputs.contraction": "1", "inputs.pressure": "Pa", "results.force": "N"}
     start = {"contraction": 0.0, "pressure": 0.0}
     title = f"Force of the pneumatic muscle {muscle.specimen.name}"
-    return FunctionalUnit(module, title, period, start, units | units_of(muscle, "parameters"), model_exchange=True)
+    return FunctionalUnit(module, title, period, start, units_of(module), model_exchange=True)
 
 
-def controller_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2) -> Exported:
+def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The controller for co-simulation with steps of the control period."""
     source = controller_functions(scenario)
     module = SourceModule(name, source.parameters, "controller.")
@@ -213,23 +192,23 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2)
         "measurement": {"angle": _NUMBER, "pressure1": _NUMBER, "pressure2": _NUMBER},
     }
 
-    def measured(inputs: Any) -> Any:
+    def measured(inputs: PyTree) -> Any:
         at = inputs["measurement"]
         return source.measurement._replace(angle=at["angle"], pressures=(at["pressure1"], at["pressure2"]))
 
-    def step(parameters: Any, state: Any, inputs: Any) -> dict[str, Any]:
+    def step(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         setpoint = source.setpoint._replace(**inputs["setpoint"])
         return source.step(parameters, state, setpoint, measured(inputs))
 
-    def results(parameters: Any, state: Any, inputs: Any) -> dict[str, Any]:
+    def results(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         done = step(parameters, state, inputs)
         commands = {f"command{number}": done["commands"][f"pressure{number}"] for number in (1, 2)}
         return {"results": commands | done["telemetry"]}
 
-    def init(parameters: Any, inputs: Any) -> dict[str, Any]:
+    def init(parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         return source.init(parameters, measured(inputs))
 
-    def advance(parameters: Any, state: Any, inputs: Any) -> dict[str, Any]:
+    def advance(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         return {"state": step(parameters, state, inputs)["state"]}
 
     both = {"state": source.state, "inputs": inputs}
@@ -237,18 +216,24 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path, *, fmi: int = 2)
     module.add("evaluate", "commands from now on", results, both)
     module.add("advance", "state after a control period", advance, both)
     setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)[1]
-    starts = *(one[0] for one in setpoints), source.measurement.angle, *source.measurement.pressures
-    results_of = next(one for one in module.functions if one.name == "evaluate").results["results"]
-    units = {f"inputs.{path}": unit for path, unit in _CONTROLLER_INPUTS.items()}
-    units |= {f"results.{one.path}": attributes(one.path).get("units", "") for one in results_of}
+    pressure1, pressure2 = source.measurement.pressures
+    starts = {
+        "setpoint.angle": setpoints.angle[0],
+        "setpoint.stiffness": setpoints.stiffness[0],
+        "measurement.angle": source.measurement.angle,
+        "measurement.pressure1": pressure1,
+        "measurement.pressure2": pressure2,
+    }
+    columns = next(f for f in module.functions if f.name == "evaluate").results["results"]
+    telemetry = {f"results.{member.path}": attributes(member.path).get("units", "") for member in columns}
     unit = FunctionalUnit(
         module,
         f"Controller of the scenario {scenario.name!r}",
         scenario.control_period,
-        {path: float(value) for path, value in zip(_CONTROLLER_INPUTS, starts, strict=True)},
-        units | units_of(source.parameters, "parameters"),
+        {path: float(value) for path, value in starts.items()},
+        units_of(module) | telemetry,
         fixed=("control_period",),
         sampled=True,
     )
-    content, missing = fmu(unit, scenario.dumps(folder=folder), fmi)
+    content, missing = fmu(unit, scenario.dumps(folder=folder))
     return Exported({f"{name}.fmu": content}, tuple(missing))

@@ -41,20 +41,20 @@ class ScalarVariable(NamedTuple):
 def variables_of(unit: FunctionalUnit) -> tuple[list[ScalarVariable], list[str]]:
     """Variables of an FMU, and the names of non-finite parameters, which a description cannot contain."""
     variables, fixed = list[ScalarVariable](), list[str]()
-    for one in _variables(unit):
-        if one.start is None or math.isfinite(one.start):
-            variables.append(one)
-        elif one.kind == "p":
-            fixed.append(one.name)
+    for variable in _variables(unit):
+        if variable.start is None or math.isfinite(variable.start):
+            variables.append(variable)
+        elif variable.kind == "p":
+            fixed.append(variable.name)
         else:
-            remedy = "give a finite one in the scenario"
-            raise ExportError(f"the start of {one.name} is not finite", field=one.name, value=one.start, remedy=remedy)
+            name, remedy = variable.name, "give a finite number in the scenario"
+            raise ExportError(f"the start of {name} is not finite", field=name, value=variable.start, remedy=remedy)
     return variables, fixed
 
 
 def _variables(unit: FunctionalUnit) -> Iterator[ScalarVariable]:
     """Inputs, states with their rates, results, parameters, time."""
-    module, functions = unit.module, {one.name: one for one in unit.module.functions}
+    module, functions = unit.module, {function.name: function for function in unit.module.functions}
     results = functions["evaluate"]
     for name, place, path in _elements(module, "inputs", results.arguments["inputs"]):
         yield ScalarVariable(name, place, "i", unit.units.get(f"inputs.{path}", ""), unit.start[path])
@@ -73,11 +73,11 @@ def _variables(unit: FunctionalUnit) -> Iterator[ScalarVariable]:
         yield ScalarVariable(name, place, "o", unit.units.get(f"results.{path}", ""))
     for member in module.members:
         if member.path not in unit.fixed:
-            given = unit.units.get(f"parameters.{member.path}", "")
+            symbol = unit.units.get(f"parameters.{member.path}", "")
             for number, value in enumerate(member.value.flat):
                 place = f"model.{element('parameters', member, number)}"
                 short = member.path.removeprefix(module.prefix)
-                yield ScalarVariable(_named(short, number if member.shape else None), place, "p", given, value.item())
+                yield ScalarVariable(_named(short, number if member.shape else None), place, "p", symbol, value.item())
     yield ScalarVariable("time", "time", "t")
 
 

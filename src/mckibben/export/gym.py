@@ -55,7 +55,7 @@ class _Joint:
         self.scenario, random_plant = example_of(scenario, random_plant)
         nominal = self.scenario.plant()
         if reward.air_price and not all(
-            one.specimen.has_volume for one in (nominal.joint.muscle1, nominal.joint.muscle2)
+            muscle.specimen.has_volume for muscle in (nominal.joint.muscle1, nominal.joint.muscle2)
         ):
             raise ExportError(
                 "the reward has a price of air, but the volume of a muscle is unknown",
@@ -72,8 +72,8 @@ class _Joint:
         self.most_steps = -(-periods // repeat)
         self.options = {"substeps": self.scenario.needed_substeps(), "repeat": repeat, "history": history}
         direct, unit, shown = nominal.valve.direct, bar, "bar"
-        rated = [one.specimen.domain for one in (nominal.supplied_joint.muscle1, nominal.supplied_joint.muscle2)]
-        ranges = [(float(one.pressure_min), float(one.pressure_max)) for one in rated]
+        rated = [muscle.specimen.domain for muscle in (nominal.supplied_joint.muscle1, nominal.supplied_joint.muscle2)]
+        ranges = [(float(domain.pressure_min), float(domain.pressure_max)) for domain in rated]
         if direct:
             ranges, unit, shown = [(-1.0, 1.0)] * 2, 1.0, "1"
         low, high = np.array(ranges).T
@@ -86,7 +86,7 @@ class _Joint:
         self.metadata = {
             "render_modes": [],
             "observation_units": names,
-            "action_ranges": {f"command{i}": (one[0] / unit, one[1] / unit, shown) for i, one in enumerate(ranges, 1)},
+            "action_ranges": {f"command{i}": (x / unit, y / unit, shown) for i, (x, y) in enumerate(ranges, 1)},
             "step": repeat * self.scenario.control_period,  # s
             "left_out": ("controller of the scenario", "its reference beyond the current period"),
         }
@@ -137,18 +137,18 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
         """Begin an episode with one of the plants; `options` may select it, ``{"plant": 3}``."""
         super().reset(seed=seed)
-        given = (options or {}).get("plant")
-        row = self.np_random.integers(self.joint.plants.rows) if given is None else given
+        row = (options or {}).get("plant")
+        row = int(self.np_random.integers(self.joint.plants.rows) if row is None else row)
         self._steps = 0
-        return self._program.begin(int(row)).observation.astype(np.float32), {"plant": int(row)}
+        return self._program.begin(row).observation.astype(np.float32), {"plant": row}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Apply commands for a step."""
         step = self._program.advance(action)
         self._steps += 1
         info = {"stiffness": float(step.stiffness), "air": float(step.air)}
-        observation = np.asarray(step.observation, np.float32)
-        return observation, float(step.reward), bool(step.failed), self._steps >= self.joint.most_steps, info
+        observation, ended = np.asarray(step.observation, np.float32), self._steps >= self.joint.most_steps
+        return observation, float(step.reward), bool(step.failed), ended, info
 
 
 class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):

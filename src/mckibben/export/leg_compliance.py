@@ -47,20 +47,20 @@ def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
     zero = posture_of(leg, [0.0] * len(leg.joints))
     foot = _at_centre_of_last(leg)
     body = float(jnp.trace(foot_mobility(foot, zero))) / 3  # MuJoCo's mean over x, y and z
-    normal = jnp.stack([jnp.asarray(one) for one in ground.normal])
-    mobility, found = float(normal @ foot_mobility(leg, start.posture) @ normal), {}
+    normal = jnp.stack([jnp.asarray(component) for component in ground.normal])
+    mobility, softness = float(normal @ foot_mobility(leg, start.posture) @ normal), {}
     if leg.trunk.freedom == "fixed":  # a straight leg below a fixed trunk has no mobility along itself
         mobility = max(mobility, 1 / float(leg.total_mass))
     stiffness = float(ground.stiffness)
     damper = _damper(stiffness, float(ground.damping), 1 / mobility, TOUCH_SPEED)
-    found["ground"] = _scaled(stiffness, damper, body)
+    softness["ground"] = _scaled(stiffness, damper, body)
     weight = float(leg.total_mass * plant.gravity)
     slope = float(ground.friction * weight / ground.slip_speed) or 1.0
-    found["friction"] = _scaled(0.0, slope / FRICTION_RATIO, body)
+    softness["friction"] = _scaled(0.0, slope / FRICTION_RATIO, body)
     for joint, mobility in zip(leg.joints, jnp.diag(joint_mobility(leg, zero)).tolist(), strict=True):
         if joint.locked is None:
-            found[joint.name] = _stop(joint, mobility)
-    return found
+            softness[joint.name] = _stop(joint, mobility)
+    return softness
 
 
 def _stop(joint: Any, mobility: float) -> Compliance:
@@ -69,7 +69,7 @@ def _stop(joint: Any, mobility: float) -> Compliance:
 
 
 def _scaled(stiffness: float, damping: float, mobility: float) -> Compliance:
-    return Compliance(*(each * mobility * (1 - _IMPEDANCE) for each in (stiffness, damping)))
+    return Compliance(*(number * mobility * (1 - _IMPEDANCE) for number in (stiffness, damping)))
 
 
 def _damper(stiffness: float, damping: float, mass: float, speed: float) -> float:

@@ -10,6 +10,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike, PyTree
 
 import mckibben
 from mckibben.control import Setpoint
@@ -17,7 +18,7 @@ from mckibben.errors import ExportError
 from mckibben.export.controller import ControllerModule, recorded, stepping_module, units_of
 from mckibben.export.controller_files import program_files
 from mckibben.export.plant import is_real
-from mckibben.export.targets import Exported, check_name, write_exported
+from mckibben.export.targets import Exported, check_name
 from mckibben.leg import JointwiseControl, LegMeasurement, LegPlant, LegReference, LegStart
 from mckibben.numerics.compiled import numeric
 from mckibben.simulation.problem import sampling_times
@@ -31,7 +32,9 @@ class _GivenSetpoints(LegReference):
     def init(self, measurement: LegMeasurement) -> tuple[()]:
         return ()
 
-    def step(self, state: Any, time: Any, measurement: LegMeasurement, period: Any) -> tuple[Any, tuple[Setpoint, ...]]:
+    def step(
+        self, state: PyTree, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
+    ) -> tuple[Any, tuple[Setpoint, ...]]:
         return (), self.setpoints
 
 
@@ -66,7 +69,7 @@ def export_leg_controller(
     made = _module(plant.with_period(control_period), controller, start, name, duration, control_period)
     text = f"Controller of a leg, written by mckibben {mckibben.__version__}."
     exported = Exported(program_files(made, name, "a leg", text, control_period, single=single))
-    write_exported(exported, out, overwrite=overwrite)
+    exported.save(out, force=overwrite)
     return exported
 
 
@@ -77,26 +80,26 @@ def _module(
     plant, controller, initial = numeric((plant, controller.with_period(period), plant.begin(start)))
     joints = len(controller.controllers)
     zero = jnp.zeros(())
-    given = dataclasses.replace(controller, reference=_GivenSetpoints((Setpoint(zero, zero),) * joints))
-    numbers, fixed = eqx.partition(given, is_real)
+    example = dataclasses.replace(controller, reference=_GivenSetpoints((Setpoint(zero, zero),) * joints))
+    numbers, fixed = eqx.partition(example, is_real)
     parameters = {"controller": numbers, "control_period": np.asarray(period)}
 
-    def of(parameters: Any, setpoints: tuple[Setpoint, ...]) -> JointwiseControl:
-        found = eqx.combine(parameters["controller"], fixed)
-        return dataclasses.replace(found, reference=_GivenSetpoints(setpoints))
+    def of(parameters: PyTree, setpoints: tuple[Setpoint, ...]) -> JointwiseControl:
+        controller = eqx.combine(parameters["controller"], fixed)
+        return dataclasses.replace(controller, reference=_GivenSetpoints(setpoints))
 
-    def init(parameters: Any, measurement: LegMeasurement) -> dict[str, Any]:
+    def init(parameters: PyTree, measurement: LegMeasurement) -> dict[str, PyTree]:
         return {"state": of(parameters, ()).init(measurement)}
 
-    def step(parameters: Any, state: Any, setpoint: Any, measurement: LegMeasurement) -> dict[str, Any]:
+    def step(parameters: PyTree, state: PyTree, setpoint: PyTree, measurement: LegMeasurement) -> dict[str, PyTree]:
         setpoints = tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"]))
         controller = of(parameters, setpoints)
         state, commands = controller.step(state, jnp.zeros(()), measurement, parameters["control_period"])
-        pressures = {f"pressure{number}": one for number, one in enumerate(commands, 1)}
+        pressures = {f"pressure{number}": command for number, command in enumerate(commands, 1)}
         return {"state": state, "commands": pressures, "telemetry": controller.telemetry(state)}
 
     measurement = plant.sample(initial, 0.0)[1]
-    state = jax.tree.map(lambda one: np.zeros(one.shape, one.dtype), jax.eval_shape(given.init, measurement))
+    state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), jax.eval_shape(example.init, measurement))
     setpoint = {"angles": (zero,) * joints, "stiffness": (zero,) * joints}
     module = stepping_module(name, parameters, init, step, state, setpoint, measurement)
     muscles, of_joints = range(1, len(plant.muscles) + 1), range(joints)
@@ -104,27 +107,18 @@ def _module(
     columns = (
         *(f"setpoint.angles_{i}" for i in of_joints),
         *(f"setpoint.stiffness_{i}" for i in of_joints),
-        *(f"measurement.{one}" for one in measured),
+        *(f"measurement.{name}" for name in measured),
         *(f"commands.pressure{i}" for i in muscles),
     )
     times = sampling_times(duration, period)
     substeps = plant.needed_substeps(start.angles, None, period)
     recording = recorded(plant, controller, times, initial, period, substeps, _wanted)
-    units = {
-        **{f"setpoint.angles.{i}": "rad" for i in of_joints},
-        **{f"setpoint.stiffness.{i}": "N*m/rad" for i in of_joints},
-        **{f"measurement.angles.{i}": "rad" for i in of_joints},
-        **{f"measurement.pressures.{i - 1}": "Pa, gauge" for i in muscles},
-        **{f"commands.pressure{i}": "Pa, gauge" for i in muscles},
-        **{f"telemetry.stiffness_estimate_{i}": "N*m/rad" for i in of_joints},
-        "measurement.ground_force": "N",
-        "parameters.control_period": "s",
-    }
-    units |= units_of(parameters, "parameters")
-    return ControllerModule(module, units, columns, recording, ())
+    return ControllerModule(module, units_of(module, "Pa, gauge"), columns, recording, ())
 
 
-def _wanted(controller: JointwiseControl, state: Any, time: Any, measurement: LegMeasurement, period: Any) -> Any:
+def _wanted(
+    controller: JointwiseControl, state: PyTree, time: ArrayLike, measurement: LegMeasurement, period: Any
+) -> Any:
     """Angles and stiffness of all joints at a time [s]."""
     angles, stiffness = zip(*controller.reference.step(state[0], time, measurement, period)[1], strict=True)
     return *angles, *stiffness

@@ -1,16 +1,17 @@
-"""A joint for MuJoCo: MJCF with tendons, and an engine plugin for the forces of its muscles."""
+"""MuJoCo models of joints: MJCF with tendons, and an engine plugin or callbacks for the forces of their muscles."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import equinox as eqx
 import numpy as np
+from jaxtyping import ArrayLike, PyTree
 
 import mckibben
 from mckibben.actuator import Actuator
@@ -19,7 +20,7 @@ from mckibben.codegen.source_module import SourceModule
 from mckibben.errors import ExportError
 from mckibben.export.muscle_plugin import MuscleFunctions, PluginMuscle, is_filter, plugin_files
 from mckibben.export.plant import is_real
-from mckibben.export.targets import Exported
+from mckibben.export.targets import Exported, filled
 from mckibben.joint import (
     AntagonisticJoint,
     Geometry,
@@ -33,63 +34,71 @@ from mckibben.joint import (
 )
 from mckibben.muscle import Muscle
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.scenario import Scenario
 
 _GRAVITY = 9.81  # m/s^2
-COMMAND_DELAY = "delay of the commands"  # among the omitted parts
+COMMAND_DELAY = "delay of the commands"
+"""Entry of the omitted parts for a plant with such a delay."""
 
 
 class Transmission(NamedTuple):
     """Transmission of a muscle; without a tendon it drives the joint: its length is the angle, its force a torque."""
 
-    fixed_sites: str = ""  # in MJCF
-    moving_sites: str = ""
-    tendon: str = ""
-    offset: Any = 0.0  # path length in excess of the tendon [m]
-    points: tuple[tuple[float, float], ...] = ()  # that the tendon connects [m]
+    tendon: str = ""  # in MJCF, of a joint alone
+    offset: float = 0.0  # path length in excess of the tendon [m]
+    points: tuple[tuple[float, float], ...] = ()  # connected by the tendon: on the fixed body, on the moving one [m]
     coefficient: float = 0.0  # of the angle, in place of points [m/rad]
 
 
 def transmissions(geometry: Geometry) -> tuple[Transmission, Transmission]:
     """Transmissions of both muscles of a geometry."""
     if isinstance(geometry, KneeGeometry):
-        height, radius = float(geometry.joint_length), float(geometry.joint_radius)
+        height, radius = geometry.joint_length, geometry.joint_radius
         first, second = (
             _two_sites(i, (side * radius, height), (side * radius, 0.0), geometry.connector_length)
             for i, side in ((1, -1), (2, 1))
         )
-    elif isinstance(geometry, PairedPaths):
-        first, second = (
-            path_transmission(i, path, side) for i, path, side in ((1, geometry.path1, 1), (2, geometry.path2, -1))
-        )
-    else:
-        first = second = Transmission()
-    return first, second
+        return first, second
+    if isinstance(geometry, PairedPaths):
+        return path_transmission(1, geometry.path1, 1), path_transmission(2, geometry.path2, -1)
+    return Transmission(), Transmission()
 
 
-def path_transmission(number: int, path: Any, side: int) -> Transmission:
-    """Transmission of a muscle with a path."""
+def path_transmission(number: int, path: object, side: int) -> Transmission:
+    """Transmission of muscle `number` over a path; `side` is the sign of its moment arm."""
     if isinstance(path, TwoBonePath):
         ends = (path.proximal_x, path.proximal_y), (path.distal_x, path.distal_y)
         return _two_sites(number, *ends, path.connector_length)
     if isinstance(path, Pulley):
         coefficient = float(side * path.radius)
         tendon = f'<fixed name="muscle{number}"><joint joint="joint" coef="{coefficient!r}"/></fixed>'
-        return Transmission(tendon=tendon, offset=path.rest_length, coefficient=coefficient)
+        return Transmission(tendon, float(path.rest_length), coefficient=coefficient)
     return Transmission()
 
 
 def _two_sites(number: int, fixed: tuple[Any, Any], moving: tuple[Any, Any], connector: Any) -> Transmission:
-    points = tuple((float(x), float(y)) for x, y in (fixed, moving))
-    first, last = (
-        f'<site name="{name}{number}" pos="{x!r} {y!r} 0"/>'
-        for name, (x, y) in zip(("fixed", "moving"), points, strict=True)
-    )
-
     ends = f'<site site="fixed{number}"/><site site="moving{number}"/>'
     tendon = f'<spatial name="muscle{number}" width="0.008" rgba="0.8 0.2 0.15 1">{ends}</spatial>'
-    return Transmission(first, last, tendon, -connector, points)
+    points = tuple((float(x), float(y)) for x, y in (fixed, moving))
+    return Transmission(tendon, -float(connector), points)
+
+
+class Drive(NamedTuple):
+    """A muscle in MJCF: its tendon or the joint that it drives, and its selection from a plant."""
+
+    name: str
+    tendon: str  # in MJCF; empty if it drives the joint
+    joint: str
+    index: int  # among the muscles of the plant
+    muscle: Callable[[Any], tuple[Muscle, Tendon]]  # of a plant
+    path: Callable[[Any, Any], Any]  # length [m] of the path, of a plant at MuJoCo's length
+    parts: tuple[tuple[str, str], ...] = ()  # sites of the straight parts of the tendon
+
+    @property
+    def target(self) -> str:
+        """Attribute of an actuator for what it drives."""
+        return f"tendon={quoteattr(self.name)}" if self.tendon else f"joint={quoteattr(self.joint)}"
 
 
 class MuscleModel(NamedTuple):
@@ -102,6 +111,161 @@ class MuscleModel(NamedTuple):
     left_out: tuple[str, ...]
 
 
+class Scene(NamedTuple):
+    """Parts of a model in MJCF other than its actuators, and the coordinates at the start."""
+
+    text: str
+    gravity: float  # m/s^2
+    sensors: str
+    position: Sequence[ArrayLike]
+    velocity: Sequence[ArrayLike]
+
+
+def muscle_functions(
+    plant: Plant, name: str, drives: Sequence[Drive], start: PyTree, *, filters: bool = True
+) -> tuple[SourceModule, list[MuscleFunctions]]:
+    """The functions of all muscles of a plant in a module; with `filters`, MuJoCo's own model first-order valves."""
+    numbers, fixed = eqx.partition(numeric(plant), is_real)
+    module, functions = SourceModule(name, {"plant": numbers}, "plant."), []
+    for number, drive in enumerate(drives, 1):
+        state = start.muscles[drive.index], start.pressures[drive.index], state_of_muscle(start.air, drive.index)
+        filtered = filters and is_filter(plant.valve.for_muscle(drive.index))  # type: ignore[attr-defined]
+        functions.append(MuscleFunctions(fixed, number, drive.muscle, drive.path, state, filtered))
+        functions[-1].add_to(module)
+    return module, functions
+
+
+def muscle_model(
+    plant: PyTree,
+    name: str,
+    timestep: float,
+    drives: Sequence[Drive],
+    scene: Scene,
+    start: PyTree,
+    left_out: Sequence[str],
+    *,
+    plugin: bool,
+) -> MuscleModel:
+    """MJCF of a scene with the muscles of a plant as actuators of the plugin or of callbacks, and their functions."""
+    left_out = [*left_out, *([] if plant.has_ideal_io else ["sensors and disturbances of the plant"])]
+    left_out += [] if plant.command_delay is None else [COMMAND_DELAY]
+    plant = dataclasses.replace(plant, command_delay=None)
+    module, functions = muscle_functions(plant, name, drives, start, filters=plugin)
+    xml = mjcf(plant, name, timestep, drives, functions, scene, plugin=plugin)
+    kinds = tuple(function.summary for function in functions)
+    return MuscleModel(xml, module, kinds, tuple(drive.name for drive in drives), tuple(left_out))
+
+
+def mjcf(
+    plant: PyTree,
+    name: str,
+    timestep: float,
+    drives: Sequence[Drive],
+    functions: Sequence[MuscleFunctions],
+    scene: Scene,
+    *,
+    plugin: bool = True,
+) -> str:
+    """MJCF of a scene with the tendons of its muscles and, if there are `functions`, their actuators."""
+    moved = list(zip(drives, functions, strict=True)) if functions else []
+    write = _plugin_actuators if plugin else _callback_actuators
+    actuators, activations = write(plant, name, moved)
+    commands = [0.0 if plant.valve.direct else function.pressure for _, function in moved]
+    commands += [0.0] * (len(actuators) - len(commands))
+    start = {"qpos": scene.position, "qvel": scene.velocity, "act": activations, "ctrl": commands}
+    keys = " ".join(f'{key}="{numbers_text(numbers)}"' for key, numbers in start.items() if len(numbers))
+    separator = "\n    "
+    return filled(
+        "model.xml",
+        {
+            "version": mckibben.__version__,
+            "name": name,
+            "extension": f'<plugin plugin="mckibben.{name}"/>' if moved and plugin else "",
+            "timestep": repr(timestep),
+            "gravity": repr(-scene.gravity),
+            "scene": scene.text,
+            "tendons": separator.join(drive.tendon for drive in drives if drive.tendon),
+            "actuators": separator.join(actuators),
+            "sensors": scene.sensors,
+            "start": f'<key name="start" {keys}/>',
+        },
+    )
+
+
+Driven = Sequence[tuple[Drive, MuscleFunctions]]
+"""Muscles with their functions."""
+
+
+def _plugin_actuators(plant: PyTree, name: str, muscles: Driven) -> tuple[list[str], list[float]]:
+    """Actuators of the plugin, and their activations at the start."""
+    actuators = [
+        f'<plugin name={quoteattr(drive.name)} {drive.target} plugin="mckibben.{name}" '
+        f"{function.summary.dynamics(plant.valve.for_muscle(drive.index))} {_limits(plant, drive)}>"
+        f'<config key="muscle" value="{number}"/></plugin>'
+        for number, (drive, function) in enumerate(muscles, 1)
+    ]
+    return actuators, [number for _, function in muscles for number in function.activations]
+
+
+def _callback_actuators(plant: PyTree, name: str, muscles: Driven) -> tuple[list[str], list[float]]:
+    """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation."""
+    # They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
+    actuators = [
+        f"<general name={quoteattr(drive.name)} {drive.target} "
+        + 'dyntype="integrator" ' * (len(function.activations) > 0)
+        + f'gaintype="user" biastype="user" {_limits(plant, drive)}/>'
+        for drive, function in muscles
+    ]
+    actuators += [
+        f'<general name={quoteattr(f"{drive.name}_state{place}")} {drive.target} dyntype="integrator" gainprm="0"/>'
+        for drive, function in muscles
+        for place in range(1, len(function.activations))
+    ]
+    first = [function.activations[:1] for _, function in muscles]
+    rest = [function.activations[1:] for _, function in muscles]
+    return actuators, [number for activations in (*first, *rest) for number in activations]
+
+
+def _limits(plant: PyTree, drive: Drive) -> str:
+    """Attributes for the range of commands, gauge pressures [Pa] or openings; a return spring has no limits."""
+    muscle, _ = drive.muscle(plant)
+    valve = plant.valve.for_muscle(drive.index)
+    low, high = (float(np.asarray(limit)) for limit in valve.command_range(muscle.specimen.domain))
+    return f'ctrllimited="true" ctrlrange="{numbers_text((low, high))}"' if low < high else 'ctrllimited="false"'
+
+
+def numbers_text(numbers: Iterable[Any]) -> str:
+    """Numbers of an attribute as text."""
+    return " ".join(repr(float(number) + 0.0) for number in numbers)  # no negative zeros
+
+
+def beyond(offset: float) -> Callable[[Any, Any], Any]:
+    """Length of a path that exceeds its tendon by an offset [m]."""
+    return lambda plant, length: length + offset
+
+
+def joint_drives(geometry: Geometry, moved: Sequence[Transmission] | None = None) -> list[Drive]:
+    """Both muscles of a joint; `moved` are their transmissions (default: those of MuJoCo)."""
+
+    def muscle(index: int) -> Callable[[JointPlant], tuple[Muscle, Tendon]]:
+        return lambda plant: ((plant.joint.muscle1, plant.joint.muscle2)[index], plant.joint.tendon)
+
+    def path(index: int) -> Callable[[JointPlant, Any], Any]:
+        return lambda plant, angle: plant.joint.geometry.path_lengths(angle)[index]
+
+    return [
+        Drive(
+            name=f"muscle{index + 1}",
+            tendon=transmission.tendon,
+            joint="joint",
+            index=index,
+            muscle=muscle(index),
+            path=beyond(transmission.offset) if transmission.tendon else path(index),
+        )
+        for index, transmission in enumerate(moved or transmissions(geometry))
+    ]
+
+
 def joint_model(
     plant: JointPlant,
     name: str = "joint",
@@ -110,40 +274,78 @@ def joint_model(
     *,
     plugin: bool = True,
 ) -> MuscleModel:
-    """MJCF of a plant with actuators of the plugin or of callbacks, and the functions of its muscles."""
+    """MJCF of a joint with its load, valves and muscles, and the functions of the muscles.
+
+    Raises `ExportError`, which lists all parts that MuJoCo cannot represent: valves that switch between steps, a supply
+    that drops, springs in series with the muscles, and loads with a torque other than gravity.
+
+    Parameters
+    ----------
+    name
+        Name of the model and of the plugin, an identifier of C.
+    timestep
+        Time step [s], of the classical Runge-Kutta method.
+    start
+        State of the keyframe "start". Default: at 0 rad without pressure.
+    plugin
+        Whether the actuators are those of the plugin; otherwise, callbacks set their forces, as in MuJoCo Warp.
+    """
     check_parts(plant)
-    moved = transmissions(plant.joint.geometry)
-    left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
-    left_out += [] if plant.command_delay is None else [COMMAND_DELAY]
-    left_out += [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo has its own model"]
-    for number, one in enumerate(moved, 1):
-        if not one.tendon:
-            left_out.append(f"tendon of muscle {number}: path not supported by MuJoCo; its torque acts on the joint")
-    plant = dataclasses.replace(plant, command_delay=None)
     start = plant.init_state(0.0, (0.0, 0.0)) if start is None else start
-    module, muscles, acts = muscle_module(plant, moved, start, name, filters=plugin)
-    point = mass_point(plant.load)
-    xml = _mjcf(plant, name, timestep, moved, muscles, point, start, acts, plugin=plugin)
-    return MuscleModel(xml, module, muscles, ("muscle1", "muscle2"), (*left_out, *point.chosen))
+    drives, point = joint_drives(plant.joint.geometry), mass_point(plant.load)
+    left_out = [] if plant.friction is None else ["presliding of the joint's friction: MuJoCo has its own model"]
+    left_out += [
+        f"tendon of muscle {drive.index + 1}: path not supported by MuJoCo; its torque acts on the joint"
+        for drive in drives
+        if not drive.tendon
+    ]
+    left_out += point.assumed
+    scene = _joint_scene(plant, point, start)
+    return muscle_model(plant, name, timestep, drives, scene, start, left_out, plugin=plugin)
+
+
+def _joint_scene(plant: JointPlant, point: MassPoint, start: PlantState) -> Scene:
+    """The joint in a vertical plane: its x and y are turned so that gravity points to the hanging angle."""
+    sine, cosine = math.sin(float(plant.load.hanging_angle)), math.cos(float(plant.load.hanging_angle))
+    sites: dict[str, list[str]] = {"fixed": [], "moving": []}
+    for number, transmission in enumerate(transmissions(plant.joint.geometry), 1):
+        for body, (x, y) in zip(sites, transmission.points, strict=False):
+            sites[body].append(f'<site name="{body}{number}" pos="{x!r} {y!r} 0"/>')
+    friction = "" if plant.friction is None else f' frictionloss="{float(plant.friction.torque)!r}"'
+    values = {
+        "sine": repr(sine),
+        "cosine": repr(cosine),
+        "minus_sine": repr(-sine),
+        "damping": repr(float(plant.load.damping)),
+        "friction": friction,
+        "centre": repr(-point.distance),
+        "mass": repr(point.mass),
+        "inertia": repr(point.inertia),
+        "end": repr(-point.distance or -0.1),
+        **{f"{body}_sites": "\n    ".join(texts) for body, texts in sites.items()},
+    }
+    sensors = '<jointpos name="angle" joint="joint"/><jointvel name="velocity" joint="joint"/>'
+    text = filled("joint-scene.xml", values)
+    return Scene(text, gravity_of(plant.load), sensors, [start.angle], [start.velocity])
 
 
 def check_parts(plant: JointPlant) -> None:
     """Raise an error that lists all parts of a plant that MuJoCo does not support."""
-    found: list[ExportError] = []
+    errors: list[ExportError] = []
     for check in (lambda: check_valve(plant.valve), lambda: check_tendon(plant.joint), lambda: mass_point(plant.load)):
         try:
             check()
         except ExportError as error:
-            found.append(error)
-    if len(found) > 1:
-        parts, remedies = "; ".join(one.message for one in found), ", ".join(one.remedy for one in found)
-        raise ExportError(parts, field=found[0].field, remedy=remedies) from found[0]
-    if found:
-        raise found[0]
+            errors.append(error)
+    if len(errors) > 1:
+        parts, remedies = "; ".join(e.message for e in errors), ", ".join(e.remedy for e in errors)
+        raise ExportError(parts, field=errors[0].field, remedy=remedies) from errors[0]
+    if errors:
+        raise errors[0]
 
 
 def check_valve(valve: Actuator) -> None:
-    """Raise an error for a valve that the plugin does not support."""
+    """Raise an error for a valve that MuJoCo does not support."""
     if valve.switches:
         raise cannot("valve", "valves that switch between steps", "give it a FlowValve")
     if valve.reservoir is not None:
@@ -156,216 +358,49 @@ def check_tendon(joint: AntagonisticJoint) -> None:
         raise cannot("tendon", "springs in series with the muscles", "give the joint rigid tendons")
 
 
-def muscle_module(
-    plant: JointPlant, moved: tuple[Transmission, Transmission], start: PlantState, name: str, *, filters: bool = True
-) -> tuple[SourceModule, tuple[PluginMuscle, PluginMuscle], list[Any]]:
-    """The functions of both muscles, their kinds, and their activations at the start; `filters`: with MuJoCo's own."""
-    numbers, fixed = eqx.partition(numeric(plant), is_real)
-    module = SourceModule(name, {"plant": numbers}, "plant.")
-    filtered = [filters and is_filter(plant.valve.for_muscle(index)) for index in (0, 1)]
-    first, second = (_functions(fixed, index, one, start, filtered[index]) for index, one in enumerate(moved))
-    for one in (first, second):
-        one.add_to(module)
-    return module, (first.summary, second.summary), [first.activations, second.activations]
-
-
-def _functions(fixed: Any, index: int, moved: Transmission, start: PlantState, filtered: bool) -> MuscleFunctions:
-    """Functions of one muscle."""
-
-    def path(plant: JointPlant, length: Any) -> Any:
-        return length + float(moved.offset) if moved.tendon else plant.joint.geometry.path_lengths(length)[index]
-
-    def muscle(plant: JointPlant) -> tuple[Muscle, Tendon]:
-        return (plant.joint.muscle1, plant.joint.muscle2)[index], plant.joint.tendon
-
-    begun = start.muscles[index], start.pressures[index], state_of_muscle(start.air, index)
-    return MuscleFunctions(fixed, index + 1, muscle, path, begun, filtered)
+def cannot(field: str, part: str, remedy: str) -> ExportError:
+    """Error for a part that MuJoCo does not support."""
+    return ExportError(f"MuJoCo does not support {part}", field=field, remedy=remedy)
 
 
 class MassPoint(NamedTuple):
-    """Mass [kg] hanging along -y at angle 0, its distance [m], its own inertia, and a note on assumed values."""
+    """Mass [kg] hanging along -y at angle 0, its distance [m], its own inertia [kg*m^2], and a note on assumptions."""
 
     mass: float
     distance: float
     inertia: float
-    chosen: tuple[str, ...]
+    assumed: tuple[str, ...]
 
 
 def mass_point(load: Load) -> MassPoint:
-    """A body with the inertia and the gravity torque of a load."""
+    """A body with the inertia and the gravity torque of a load; `ExportError` for one with another torque.
+
+    With the largest torque of gravity G = m g d, the body hangs at d = G / (m g) and has the inertia J - m d^2. If only
+    G and the inertia J are known, m = 2 G^2 / (J g^2), for which half of J is that of the point.
+    """
     inertia, moment, gravity = float(load.total_inertia), float(load.gravity_moment), gravity_of(load)
     angles = np.linspace(-1, 1, 5)
     hanging = moment * np.sin(float(load.hanging_angle) - angles)
     if not np.allclose(load.gravity_torque(angles), hanging, rtol=0, atol=1e-9 * max(1.0, abs(moment))):
         raise cannot("load", "a load with a torque other than gravity", "give a PendulumLoad or a GeneralLoad")
-    mass, chosen = known_mass(load), ()
+    mass, assumed = _known_mass(load), ()
     if mass is None:
         mass = 2 * moment**2 / (inertia * gravity**2) or 1.0
-        chosen = (f"mass of the load: {mass:.4g} kg is assumed, as only its inertia and torque are known",)
+        assumed = (f"mass of the load: {mass:.4g} kg is assumed, as only its inertia and torque are known",)
     distance = moment / (mass * gravity) if gravity else 0.0
-    return MassPoint(mass, distance, max(inertia - mass * distance**2, 1e-12 * inertia), chosen)
+    return MassPoint(mass, distance, max(inertia - mass * distance**2, 1e-12 * inertia), assumed)
 
 
 def gravity_of(load: Load) -> float:
-    """G [m/s^2] of a load."""
+    """Gravitational acceleration [m/s^2] of a load."""
     return float(getattr(load, "gravity", _GRAVITY))
 
 
-def known_mass(load: Load) -> float | None:
+def _known_mass(load: Load) -> float | None:
     """Mass [kg] of a load, if known."""
     if hasattr(load, "mass1"):
         return float(load.mass1 + load.mass2) or None
     return float(load.mass) if hasattr(load, "mass") else None
-
-
-def command_range(valve: Actuator, muscle: Muscle) -> tuple[float, float]:
-    """Lowest and highest command of a muscle: gauge pressures [Pa], or openings."""
-    low, high = valve.command_range(muscle.specimen.domain)
-    return float(np.asarray(low)), float(np.asarray(high))
-
-
-def numbers_text(numbers: Any) -> str:
-    """Numbers of an MJCF attribute as text."""
-    return " ".join(repr(float(one) + 0.0) for one in numbers)  # no negative zeros
-
-
-def plugin_actuator(
-    module: str, number: int, name: str, target: str, dynamics: str, limits: tuple[float, float]
-) -> str:
-    """Actuator of a muscle; without a command range, as for a return spring, it has no limits."""
-    return (
-        f'<plugin name={quoteattr(name)} {target} plugin="mckibben.{module}" {dynamics} {_limited(limits)}>'
-        f'<config key="muscle" value="{number}"/></plugin>'
-    )
-
-
-def _limited(limits: tuple[float, float]) -> str:
-    """Attributes for the range of an actuator's commands."""
-    return f'ctrllimited="true" ctrlrange="{numbers_text(limits)}"' if limits[0] < limits[1] else 'ctrllimited="false"'
-
-
-def callback_actuators(
-    names: Sequence[str],
-    muscles: Sequence[PluginMuscle],
-    targets: Sequence[str],
-    limits: Sequence[tuple[float, float]],
-) -> list[str]:
-    """Actuators whose forces and rates callbacks set: one for each muscle, then one for each further activation."""
-    # They are integrators, because MuJoCo Warp integrates no activations of the type ``user``.
-    dynamics = ['dyntype="integrator" ' if muscle.activations else "" for muscle in muscles]
-    main = [
-        f'<general name={quoteattr(name)} {target} {kind}gaintype="user" biastype="user" {_limited(limited)}/>'
-        for name, target, kind, limited in zip(names, targets, dynamics, limits, strict=True)
-    ]
-    rest = [
-        f'<general name={quoteattr(f"{name}_state{place}")} {target} dyntype="integrator" gainprm="0"/>'
-        for name, muscle, target in zip(names, muscles, targets, strict=True)
-        for place in range(1, muscle.activations)
-    ]
-    return main + rest
-
-
-def callback_states(acts: Sequence[Sequence[float]]) -> list[float]:
-    """Activations of all muscles in the order of `callback_actuators`."""
-    return [one for part in (slice(1), slice(1, None)) for each in acts for one in each[part]]
-
-
-def keyframe(**numbers: Any) -> str:
-    """Keyframe of the initial state, from numbers by MuJoCo's names; empty ones are not written."""
-    given = " ".join(f'{key}="{numbers_text(one)}"' for key, one in numbers.items() if len(one))
-    return f'<key name="start" {given}/>'
-
-
-def mjcf_document(
-    name: str,
-    *,
-    timestep: float,
-    gravity: float,
-    scene: str,
-    tendons: Sequence[str],
-    actuators: Sequence[str],
-    sensors: str,
-    start: str,
-) -> str:
-    """MJCF of a scene with muscles and the plugin for their forces, if there are actuators."""
-    separator = "\n    "
-    return f"""<!-- Written by mckibben {mckibben.__version__}. Angles in rad, pressures in Pa, gauge. -->
-<mujoco model="{name}">
-  <extension>{f'<plugin plugin="mckibben.{name}"/>' if any("<plugin" in one for one in actuators) else ""}</extension>
-  <compiler angle="radian" autolimits="true"/>
-  <option timestep="{timestep!r}" integrator="RK4" gravity="0 0 {-gravity!r}"/>
-  {scene}
-  <tendon>
-    {separator.join(tendons)}
-  </tendon>
-  <actuator>
-    {separator.join(actuators)}
-  </actuator>
-  <sensor>{sensors}</sensor>
-  <keyframe>{start}</keyframe>
-</mujoco>
-"""
-
-
-def _mjcf(
-    plant: Any,
-    name: str,
-    timestep: float,
-    moved: tuple[Transmission, Transmission],
-    muscles: tuple[PluginMuscle, ...],
-    point: MassPoint,
-    start: PlantState,
-    acts: list[Any],
-    *,
-    plugin: bool,
-) -> str:
-    """MJCF of the joint in a vertical plane: its x and y are turned so that gravity points to the hanging angle."""
-    sine, cosine = math.sin(float(plant.load.hanging_angle)), math.cos(float(plant.load.hanging_angle))
-    mass, distance, rest, _ = point
-    inertial = f'pos="0 {-distance!r} 0" mass="{mass!r}" diaginertia="{rest!r} {rest!r} {rest!r}"'
-    both = plant.joint.muscle1, plant.joint.muscle2
-    valves = [plant.valve.for_muscle(index) for index in (0, 1)]
-    targets = [f'tendon="muscle{number}"' if one.tendon else 'joint="joint"' for number, one in enumerate(moved, 1)]
-    limits = [command_range(valve, muscle) for valve, muscle in zip(valves, both, strict=True)]
-    if plugin:
-        actuators = [
-            plugin_actuator(name, number, f"muscle{number}", target, summary.dynamics(valve), limited)
-            for number, (target, summary, valve, limited) in enumerate(
-                zip(targets, muscles, valves, limits, strict=True), 1
-            )
-        ]
-        states = [*acts[0], *acts[1]]
-    else:
-        actuators = callback_actuators(("muscle1", "muscle2"), muscles, targets, limits)
-        states = callback_states(acts)
-    fixed, moving = (
-        "\n    ".join(filter(None, (getattr(one, part) for one in moved))) for part in ("fixed_sites", "moving_sites")
-    )
-    lost = "" if plant.friction is None else f' frictionloss="{float(plant.friction.torque)!r}"'
-    scene = f"""<option><flag contact="disable"/></option>
-  <default><geom contype="0" conaffinity="0"/><site size="0.006"/></default>
-  <worldbody>
-    <body name="base" xyaxes="{cosine!r} 0 {-sine!r} {sine!r} 0 {cosine!r}">
-    {fixed}
-      <body name="limb">
-        <joint name="joint" type="hinge" axis="0 0 1" damping="{float(plant.load.damping)!r}"{lost}/>
-        <inertial {inertial}/>
-        <geom type="capsule" fromto="0 0 0 0 {-distance or -0.1!r} 0" size="0.01" rgba="0.4 0.45 0.5 1"/>
-    {moving}
-      </body>
-    </body>
-  </worldbody>"""
-    commands = [*([0.0, 0.0] if plant.valve.direct else start.pressures), *[0.0] * (len(actuators) - 2)]
-    return mjcf_document(
-        name,
-        timestep=timestep,
-        gravity=gravity_of(plant.load),
-        scene=scene,
-        tendons=[one.tendon for one in moved if one.tendon],
-        actuators=actuators,
-        sensors='<jointpos name="angle" joint="joint"/><jointvel name="velocity" joint="joint"/>',
-        start=keyframe(qpos=[start.angle], qvel=[start.velocity], act=states, ctrl=commands),
-    )
 
 
 def mjcf_files(scenario: Scenario, name: str, folder: Path) -> Exported:
@@ -374,12 +409,6 @@ def mjcf_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     timestep = scenario.control_period / scenario.needed_substeps()
     model = joint_model(plant, name, timestep, plant.complete_state(scenario.initial(plant)))
     left_out = ("controller and reference of the scenario: set data.ctrl yourself", *model.left_out)
-    files = plugin_files(
-        model.module, model.muscles, model.xml, f"the joint of the scenario {scenario.name!r}", left_out
-    )
+    title = f"the joint of the scenario {scenario.name!r}"
+    files = plugin_files(model.module, model.muscles, model.xml, title, left_out)
     return Exported(files | {"scenario.yaml": scenario.dumps(folder=folder)}, left_out)
-
-
-def cannot(field: str, what: str, remedy: str) -> ExportError:
-    """Error for a part that MuJoCo does not support."""
-    return ExportError(f"MuJoCo does not support {what}", field=field, remedy=remedy)

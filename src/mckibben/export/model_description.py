@@ -1,4 +1,4 @@
-"""modelDescription.xml and buildDescription.xml of an FMU, of FMI 2.0 and 3.0."""
+"""modelDescription.xml of an FMU (FMI 2.0)."""
 
 from __future__ import annotations
 
@@ -25,123 +25,104 @@ _ATTRIBUTES = {  # causality, variability and initial of each kind
 
 
 def model_description(
-    unit: FunctionalUnit, variables: Sequence[ScalarVariable], token: str, sources: Sequence[str], version: int
+    unit: FunctionalUnit, variables: Sequence[ScalarVariable], token: str, sources: Sequence[str]
 ) -> str:
     """Text of modelDescription.xml."""
     root = ET.Element(
         "fmiModelDescription",
         {
-            "fmiVersion": f"{version}.0",
+            "fmiVersion": "2.0",
             "modelName": unit.module.name,
-            "guid" if version == 2 else "instantiationToken": token,
+            "guid": token,
             "description": printable(unit.title),
             "generationTool": f"mckibben {mckibben.__version__}",
             "variableNamingConvention": "structured",
+            "numberOfEventIndicators": "0",
         },
     )
-    if version == 2:
-        root.set("numberOfEventIndicators", "0")
-    _add_interfaces(root, unit, sources, version)
+    _add_interfaces(root, unit, sources)
     _add_units(root, variables)
     ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(float(unit.longest)))
-    listed = ET.SubElement(root, "ModelVariables")
-    for reference, one in enumerate(variables):
-        _add_variable(listed, reference, one, variables, version)
-    _add_structure(ET.SubElement(root, "ModelStructure"), variables, version)
-    return _text(root)
-
-
-def build_description(name: str, sources: Sequence[str]) -> str:
-    """Text of sources/buildDescription.xml, which FMI 3.0 uses instead of a list in modelDescription.xml."""
-    root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
-    configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=name)
-    listed = ET.SubElement(configuration, "SourceFileSet", language="C99")
-    for source in sources:
-        ET.SubElement(listed, "SourceFile", name=source)
-    return _text(root)
-
-
-def _text(root: ET.Element) -> str:
+    parent = ET.SubElement(root, "ModelVariables")
+    for reference, variable in enumerate(variables):
+        _add_variable(parent, reference, variable, variables)
+    _add_structure(ET.SubElement(root, "ModelStructure"), variables)
     ET.indent(root)
     return ET.tostring(root, "unicode", xml_declaration=True).replace("encoding='us-ascii'", "encoding='UTF-8'") + "\n"
 
 
-def _add_interfaces(root: ET.Element, unit: FunctionalUnit, sources: Sequence[str], version: int) -> None:
+def _add_interfaces(root: ET.Element, unit: FunctionalUnit, sources: Sequence[str]) -> None:
     """Interfaces for model exchange and co-simulation, with their capabilities."""
-    state = "state" if version == 2 else "State"
-    common = {"modelIdentifier": unit.module.name, f"canGetAndSetFMU{state}": "true", f"canSerializeFMU{state}": "true"}
-    stepping = {"canHandleVariableCommunicationStepSize": str(not unit.sampled).lower()}
-    completes = any(one.name == "project" for one in unit.module.functions)
-    if version == 2:
-        common["canNotUseMemoryManagementFunctions"] = "true"
-        completing = {"completedIntegratorStepNotNeeded": str(not completes).lower()}
-    else:
-        completing = {"needsCompletedIntegratorStep": str(completes).lower()}
-        stepping |= {"fixedInternalStepSize": repr(float(unit.longest))} if unit.sampled else {}
-    for kind, attributes in (("ModelExchange", completing), ("CoSimulation", stepping)):
+    completes = any(function.name == "project" for function in unit.module.functions)
+    capabilities = {
+        "ModelExchange": {"completedIntegratorStepNotNeeded": str(not completes).lower()},
+        "CoSimulation": {"canHandleVariableCommunicationStepSize": str(not unit.sampled).lower()},
+    }
+    common = {
+        "modelIdentifier": unit.module.name,
+        "canGetAndSetFMUstate": "true",
+        "canSerializeFMUstate": "true",
+        "canNotUseMemoryManagementFunctions": "true",
+    }
+    for kind, attributes in capabilities.items():
         if kind == "CoSimulation" or unit.model_exchange:
-            interface = ET.SubElement(root, kind, common | attributes)
-            if version == 2:
-                listed = ET.SubElement(interface, "SourceFiles")
-                for source in sources:
-                    ET.SubElement(listed, "File", name=source)
+            files = ET.SubElement(ET.SubElement(root, kind, common | attributes), "SourceFiles")
+            for source in sources:
+                ET.SubElement(files, "File", name=source)
 
 
 def _add_units(root: ET.Element, variables: Sequence[ScalarVariable]) -> None:
     """Units of the variables in terms of SI, and display units."""
-    units = dict.fromkeys(one.unit for one in variables if one.unit)
+    units = dict.fromkeys(variable.unit for variable in variables if variable.unit)
     if units:
         definitions = ET.SubElement(root, "UnitDefinitions")
-        for one in units:
-            definition = ET.SubElement(definitions, "Unit", name=one)
-            powers = zip(_BASES, dimensions(one), strict=True)
+        for unit in units:
+            definition = ET.SubElement(definitions, "Unit", name=unit)
+            powers = zip(_BASES, dimensions(unit), strict=True)
             ET.SubElement(definition, "BaseUnit", {base: str(power) for base, power in powers if power})
-            if one in _SHOWN:
-                shown, factor = _SHOWN[one]
+            if unit in _SHOWN:
+                shown, factor = _SHOWN[unit]
                 ET.SubElement(definition, "DisplayUnit", name=shown, factor=repr(factor))
 
 
 def _add_variable(
-    parent: ET.Element, reference: int, one: ScalarVariable, variables: Sequence[ScalarVariable], version: int
+    parent: ET.Element, reference: int, variable: ScalarVariable, variables: Sequence[ScalarVariable]
 ) -> None:
-    """A ScalarVariable with a Real (2.0), or a Float64 (3.0)."""
-    causality, variability, initial = _ATTRIBUTES[one.kind]
+    causality, variability, initial = _ATTRIBUTES[variable.kind]
+    rate = variable.rate_of is not None
     attributes = {
-        "name": one.name,
+        "name": variable.name,
         "valueReference": str(reference),
-        "causality": causality,
+        "causality": "local" if rate else causality,
         "variability": variability,
+        "initial": initial,
     }
-    attributes |= {"initial": initial} if initial else {}
-    real = {"unit": one.unit} if one.unit else {}
-    if one.unit in _SHOWN:
-        real["displayUnit"] = _SHOWN[one.unit][0]
-    if one.unit in NOMINAL:
-        real["nominal"] = repr(NOMINAL[one.unit])
-    if one.start is not None:
-        real["start"] = repr(float(one.start))
-    if one.rate_of is not None:
-        attributes["causality"] = "local"
-        states = [number for number, other in enumerate(variables) if other.kind in "sc"]
-        real["derivative"] = str(states[one.rate_of] + (version == 2))  # an index from 1, or a value reference
-    if version == 2:
-        ET.SubElement(ET.SubElement(parent, "ScalarVariable", attributes), "Real", real)
-    else:
-        ET.SubElement(parent, "Float64", attributes | real)
+    states = [number for number, other in enumerate(variables, 1) if other.kind in "sc"]
+    real = {
+        "unit": variable.unit or None,
+        "displayUnit": _SHOWN.get(variable.unit, (None,))[0],
+        "nominal": repr(NOMINAL[variable.unit]) if variable.unit in NOMINAL else None,
+        "start": None if variable.start is None else repr(float(variable.start)),
+        "derivative": None if variable.rate_of is None else str(states[variable.rate_of]),  # an index from 1
+    }
+    scalar = ET.SubElement(parent, "ScalarVariable", _present(attributes))
+    ET.SubElement(scalar, "Real", _present(real))
 
 
-def _add_structure(parent: ET.Element, variables: Sequence[ScalarVariable], version: int) -> None:
-    """Outputs, derivatives and initial unknowns."""
-    numbered = list(enumerate(variables))
-    outputs = [number for number, one in numbered if one.kind == "s" or (one.kind == "o" and one.rate_of is None)]
-    rates = [number for number, one in numbered if one.rate_of is not None]
-    computed = [number for number, one in numbered if one.kind in "co"]
-    derivative = "Derivative" if version == 2 else "ContinuousStateDerivative"
-    for name, references in (("Output", outputs), (derivative, rates), ("InitialUnknown", computed)):
-        if version == 2 and references:
-            part = ET.SubElement(parent, f"{name}s")
-            for reference in references:
-                ET.SubElement(part, "Unknown", index=str(reference + 1))
-        elif version == 3:
-            for reference in references:
-                ET.SubElement(parent, name, valueReference=str(reference))
+def _present(attributes: dict[str, str | None]) -> dict[str, str]:
+    """The attributes that are not None."""
+    return {name: value for name, value in attributes.items() if value is not None}
+
+
+def _add_structure(parent: ET.Element, variables: Sequence[ScalarVariable]) -> None:
+    """Outputs, derivatives and initial unknowns, by their indices from 1."""
+    indices = {
+        "Outputs": [n for n, v in enumerate(variables, 1) if v.kind == "s" or (v.kind == "o" and v.rate_of is None)],
+        "Derivatives": [n for n, v in enumerate(variables, 1) if v.rate_of is not None],
+        "InitialUnknowns": [n for n, v in enumerate(variables, 1) if v.kind in "co"],
+    }
+    for name, numbers in indices.items():
+        if numbers:
+            part = ET.SubElement(parent, name)
+            for number in numbers:
+                ET.SubElement(part, "Unknown", index=str(number))

@@ -15,17 +15,23 @@ from mckibben.errors import ExportError
 _LOADED: dict[str, Path] = {}  # libraries by name: MuJoCo keeps one plugin per name for the lifetime of the process
 
 
-def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
+def load_mujoco(folder: str | os.PathLike[str], name: str = "") -> Any:
     """The `mujoco.MjModel` of a folder written by `mckibben export --to mjcf`; builds the plugin on first use.
 
     Raises `ExportError` without MuJoCo or a C compiler, or if a plugin of that name from another folder is loaded
-    already.
+    already, or unless the folder has one model or that of the given name.
+
+    Parameters
+    ----------
+    name
+        Name of the model. Default: that of the only ``*.xml`` in the folder.
     """
     mujoco = import_mujoco()
     folder = Path(folder).resolve()
+    name = _only_model(folder, name)
     library, sources = folder / f"lib{name}.so", [folder / f"{name}.c", folder / "plugin.c"]
     if name not in _LOADED:
-        if not library.exists() or library.stat().st_mtime < max(one.stat().st_mtime for one in sources):
+        if not library.exists() or library.stat().st_mtime < max(source.stat().st_mtime for source in sources):
             build_plugin(library, sources, Path(mujoco.__file__).parent)
         mujoco.mj_loadPluginLibrary(str(library))
         _LOADED[name] = library
@@ -34,6 +40,18 @@ def load_mujoco(folder: str | os.PathLike[str], name: str = "joint") -> Any:
         message = f"a plugin mckibben.{name} is already loaded from {_LOADED[name].parent}"
         raise ExportError(message, field="name", value=name, remedy=remedy)
     return mujoco.MjModel.from_xml_path(str(folder / f"{name}.xml"))
+
+
+def _only_model(folder: Path, name: str) -> str:
+    """Name of the model in a folder, a given one or the only one."""
+    names = sorted(path.stem for path in folder.glob("*.xml"))
+    if name in names or (not name and len(names) == 1):
+        return name or names[0]
+    remedy = (
+        f"give the name of one of them: {', '.join(names)}" if names else "write one with mckibben export --to mjcf"
+    )
+    message = f"{folder} has {len(names)} models" if names and not name else f"{folder} has no model {name}".rstrip()
+    raise ExportError(message, field="name", value=name, remedy=remedy)
 
 
 def import_mujoco() -> Any:
@@ -55,8 +73,8 @@ def build_plugin(library: Path, sources: list[Path], mujoco: Path) -> None:
     compiler = compiler_words()
     if shutil.which(compiler[0]) is None:
         raise ExportError("there is no C compiler", field="CC", remedy="install one, or set CC to its name")
-    found = sorted(mujoco.glob("libmujoco.*"))
+    libraries = sorted(mujoco.glob("libmujoco.*"))
     command = [*compiler, "-std=c99", "-O2", "-fPIC", "-shared", f"-I{mujoco / 'include'}", "-o", library, *sources]
-    made = subprocess.run([*map(str, [*command, *found]), "-lm"], capture_output=True, text=True)
+    made = subprocess.run([*map(str, [*command, *libraries]), "-lm"], capture_output=True, text=True)
     if made.returncode:
         raise ExportError(f"the plugin does not compile: {made.stderr[:2000]}", field="CC", remedy="report it")

@@ -9,12 +9,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array, PyTree
 
 import mckibben
 from mckibben.actuator.base import AirState, AirVolume, state_of_muscle
 from mckibben.codegen.c import write_c
 from mckibben.codegen.source_module import SourceModule
-from mckibben.export.controller_files import filled
+from mckibben.export.targets import filled
 from mckibben.joint import Tendon
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
@@ -26,7 +27,7 @@ class Activations(NamedTuple):
 
     creep: Any  # [N, Pa]
     valve: Any  # its state, and the temperature of the air [K]
-    pressure: Any  # [Pa], unless the valve is ideal
+    pressure: PyTree  # [Pa], unless the valve is ideal
 
 
 class PluginMuscle(NamedTuple):
@@ -59,7 +60,7 @@ class MuscleFunctions:
 
     def __init__(
         self,
-        fixed: Any,  # the plant without its real numbers, which are parameters of the module
+        fixed: PyTree,  # the plant without its real numbers, which are parameters of the module
         number: int,  # from 1
         muscle_of: Callable[[Any], tuple[Muscle, Tendon]],
         path_of: Callable[[Any, Any], Any],  # path [m] at MuJoCo's length
@@ -83,21 +84,21 @@ class MuscleFunctions:
         """Add the functions to a module."""
         number, (activations, anchors, slips, filtered, _) = self._number, self.summary
         zero = np.zeros(())
-        given = {"length": zero, "velocity": zero, "command": zero}
-        given |= {"act": np.zeros(activations)} if activations else {}
+        inputs = {"length": zero, "velocity": zero, "command": zero}
+        inputs |= {"act": np.zeros(activations)} if activations else {}
         argument = f"input{number}"
-        held = {argument: given | ({"anchors": np.zeros(anchors)} if anchors else {})}
+        held = {argument: inputs | ({"anchors": np.zeros(anchors)} if anchors else {})}
 
-        def force(parameters: Any, **arguments: Any) -> dict[str, Any]:
+        def force(parameters: PyTree, **arguments: PyTree) -> dict[str, PyTree]:
             return {"force": self._force(parameters, arguments[argument])}
 
-        def rates(parameters: Any, **arguments: Any) -> dict[str, Any]:
+        def rates(parameters: PyTree, **arguments: PyTree) -> dict[str, PyTree]:
             return {f"rate{number}": {"act": self._rates(parameters, arguments[argument])}}
 
-        def settled(parameters: Any, **arguments: Any) -> dict[str, Any]:
+        def settled(parameters: PyTree, **arguments: PyTree) -> dict[str, PyTree]:
             return {f"after{number}": self._settled(parameters, arguments[argument])}
 
-        def unset(parameters: Any, **arguments: Any) -> dict[str, Any]:
+        def unset(parameters: PyTree, **arguments: PyTree) -> dict[str, PyTree]:
             return {f"first{number}": {"anchors": self._unset(parameters, arguments[argument])}}
 
         module.add(f"force{number}", f"force of muscle {number}, 0 or below", force, held)
@@ -106,36 +107,38 @@ class MuscleFunctions:
         if slips:
             module.add(f"settled{number}", f"muscle {number} after a step; the force does not change", settled, held)
         if anchors:
-            module.add(f"unset{number}", f"unstressed anchors of muscle {number}", unset, {argument: given})
+            module.add(f"unset{number}", f"unstressed anchors of muscle {number}", unset, {argument: inputs})
 
-    def _at(self, parameters: Any, given: Any) -> tuple[Any, tuple[Muscle, Tendon], Any, Any, Activations, MuscleState]:
+    def _at(
+        self, parameters: PyTree, inputs: PyTree
+    ) -> tuple[Any, tuple[Muscle, Tendon], Any, Any, Activations, MuscleState]:
         """Plant, muscle with its tendon, path and its derivative, activations, and state of the muscle."""
         plant = eqx.combine(parameters["plant"], self._fixed)
-        path, slope = value_and_derivative(lambda length: self._path_of(plant, length), given["length"])
-        acts = self._layout.unpack(given["act"]) if "act" in given else self._start
+        path, slope = value_and_derivative(lambda length: self._path_of(plant, length), inputs["length"])
+        acts = self._layout.unpack(inputs["act"]) if "act" in inputs else self._start
         if not plant.valve.holds_pressure:
-            acts = acts._replace(pressure=given["command"])
-        state = MuscleState(tuple(given.get("anchors", ())), acts.creep)
+            acts = acts._replace(pressure=inputs["command"])
+        state = MuscleState(tuple(inputs.get("anchors", ())), acts.creep)
         return plant, self._muscle_of(plant), path, slope, acts, state
 
-    def _force(self, parameters: Any, given: Any) -> Any:
-        _, (muscle, tendon), path, slope, (_, _, pressure), state = self._at(parameters, given)
+    def _force(self, parameters: PyTree, inputs: PyTree) -> Any:
+        _, (muscle, tendon), path, slope, (_, _, pressure), state = self._at(parameters, inputs)
         contraction = tendon.contraction(muscle, path, pressure, state)
-        viscous = muscle.viscous_force(contraction, pressure, slope * given["velocity"], state)
+        viscous = muscle.viscous_force(contraction, pressure, slope * inputs["velocity"], state)
         return -(muscle.tension(contraction, pressure, state) + viscous) * slope
 
-    def _rates(self, parameters: Any, given: Any) -> Any:
-        plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, given)
-        valve, command, velocity = plant.valve.for_muscle(self._number - 1), given["command"], given["velocity"]
+    def _rates(self, parameters: PyTree, inputs: PyTree) -> Any:
+        plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, inputs)
+        valve, command, velocity = plant.valve.for_muscle(self._number - 1), inputs["command"], inputs["velocity"]
         creep = muscle.state_rate(held, slope * velocity, pressure).creep
         if not valve.holds_pressure:
             return self._layout.pack(Activations(creep, ((), ()), ()), jnp)
 
         def volumes() -> tuple[AirVolume, AirVolume]:
-            def volume(length: Any) -> Any:
+            def volume(length: Array) -> Any:
                 return muscle.specimen.volume(muscle.specimen.contraction_at(self._path_of(plant, length)))
 
-            size, growth = value_and_derivative(volume, given["length"])
+            size, growth = value_and_derivative(volume, inputs["length"])
             air = AirVolume(size + valve.attached_volume, growth * velocity)
             return air, air
 
@@ -147,16 +150,16 @@ class MuscleFunctions:
         rates = Activations(creep, state_of_muscle(moved, 0), changed)
         return self._layout.pack(rates, jnp)
 
-    def _settled(self, parameters: Any, given: Any) -> dict[str, Any]:
-        plant, (muscle, _), path, _, acts, state = self._at(parameters, given)
+    def _settled(self, parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
+        plant, (muscle, _), path, _, acts, state = self._at(parameters, inputs)
         friction, creep = muscle.update_state(state, muscle.specimen.contraction_at(path), acts.pressure)
         pressure = acts.pressure if plant.valve.holds_pressure else ()
         held = Activations(creep, acts.valve, pressure)
-        found = {"act": self._layout.pack(held, jnp)} if self._layout.size else {}
-        return found | ({"anchors": jnp.stack(friction)} if friction else {})
+        settled = {"act": self._layout.pack(held, jnp)} if self._layout.size else {}
+        return settled | ({"anchors": jnp.stack(friction)} if friction else {})
 
-    def _unset(self, parameters: Any, given: Any) -> Any:
-        _, (muscle, _), path, _, acts, _ = self._at(parameters, given)
+    def _unset(self, parameters: PyTree, inputs: PyTree) -> Any:
+        _, (muscle, _), path, _, acts, _ = self._at(parameters, inputs)
         return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path), acts.pressure).friction)
 
 
@@ -164,45 +167,16 @@ def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
     """C code of the plugin around the functions of its muscles."""
     values = {"name": name, "plugin": f"mckibben.{name}", "count": str(len(muscles))}
     parts, rows = [], []
-    for number, (activations, anchors, slips, filtered, _) in enumerate(muscles, 1):
-        load, rates = [], []
-        if activations:
-            load.append("memcpy(given.act, act, sizeof given.act);")
-        if anchors:
-            load += [
-                "if (state[0] == UNSET) {",
-                f"    {name}_first{number} first;",
-                f"    {name}_unset{number}(model, &given, &first);",
-                "    memcpy(state + 2, first.anchors, sizeof first.anchors);",
-                "}",
-                "memcpy(given.anchors, state + 2, sizeof given.anchors);",
-            ]
-        if slips:
-            store = [("act", "act")] if activations else []
-            store += [("state + 2", "anchors")] if anchors else []
-            copied = [f"    memcpy({to}, after.{part}, sizeof after.{part});" for to, part in store]
-            again = [f"    memcpy(given.{part}, after.{part}, sizeof after.{part});" for _, part in store]
-            load += [
-                "if (state[0] == STEPPED) {",
-                f"    {name}_after{number} after;",
-                "    given.command = state[1];",
-                f"    {name}_settled{number}(model, &given, &after);",
-                *copied,
-                *again,
-                "    given.command = command(m, d, i);",
-                "}",
-                "state[0] = SETTLED;",
-            ]
-        if activations > filtered:
-            rates += [
-                f"{name}_rate{number} found;",
-                f"{name}_rates{number}(model, &given, &found);",
-                f"memcpy(d->act_dot + m->actuator_actadr[i], found.act, {activations - filtered} * sizeof(mjtNum));",
-            ]
-        rows.append(f"    {{{anchors}, act_dot{number}, force{number}}},\n")
-        text = {"load": load, "rates": rates}
-        body = {key: "\n".join(f"    {line}" for line in lines) for key, lines in text.items()}
-        parts.append(filled("plugin_muscle.c", values | body | {"k": str(number)}))
+    for number, muscle in enumerate(muscles, 1):
+        numbers = {
+            "k": number,
+            "activations": muscle.activations,
+            "anchors": muscle.anchors,
+            "slips": int(muscle.slips),
+            "rates": muscle.activations - muscle.filtered,
+        }
+        parts.append(filled("plugin_muscle.c", values | {key: str(value) for key, value in numbers.items()}))
+        rows.append(f"    {{{muscle.anchors}, act_dot{number}, force{number}}},\n")
     return filled("plugin.c", values | {"muscles": "".join(parts), "rows": "".join(rows)})
 
 
@@ -213,7 +187,7 @@ def plugin_files(
     name = module.name
     comment = f"Muscles of {title}, written by mckibben {mckibben.__version__}."
     sources = write_c(module, comment, single=False)
-    listed = "".join(f"- {one}\n" for one in left_out)
+    listed = "".join(f"- {part}\n" for part in left_out)
     return {
         f"{name}.xml": xml,
         f"{name}.h": sources.header,

@@ -5,18 +5,27 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
+
+from jaxtyping import PyTree
 
 import mckibben
 from mckibben.actuator import IdealValve
 from mckibben.codegen.graph import FOLDED as NUMERIC
 from mckibben.errors import ExportError
 from mckibben.export.evaluation import evaluate, find_function
-from mckibben.export.mjcf import MassPoint, Transmission, gravity_of, mass_point, muscle_module, transmissions
-from mckibben.export.targets import Exported
+from mckibben.export.mjcf import (
+    Transmission,
+    gravity_of,
+    joint_drives,
+    mass_point,
+    muscle_functions,
+    transmissions,
+)
+from mckibben.export.targets import Exported, filled
 from mckibben.muscle.creep import NoCreep
 from mckibben.muscle.friction import NoFriction
 from mckibben.plant import JointPlant
@@ -41,26 +50,29 @@ class OsimModel(NamedTuple):
 
 
 def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "joint") -> OsimModel:
-    """The joint and load of a plant at gauge pressures [Pa]; raises `ExportError`."""
+    """The joint and load of a plant for OpenSim 4.6, at constant gauge pressures [Pa] of both muscles.
+
+    Raises `ExportError` for a force without a closed form, paths of tables, and loads with a torque other than gravity.
+    """
     joint = plant.joint
     muscles = [
-        dataclasses.replace(one, friction=NoFriction(), creep=NoCreep()) for one in (joint.muscle1, joint.muscle2)
+        dataclasses.replace(muscle, friction=NoFriction(), creep=NoCreep()) for muscle in (joint.muscle1, joint.muscle2)
     ]
     static = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
     plant_without = JointPlant(static, plant.load, IdealValve())
-    first, second = (one if one.fixed_sites else Transmission() for one in transmissions(joint.geometry))
+    moved = [path if path.points else Transmission() for path in transmissions(joint.geometry)]
     start = plant_without.init_state(0.0, (0.0, 0.0))
-    module, _, _ = muscle_module(plant_without, (first, second), start, name)
+    module, _ = muscle_functions(plant_without, name, joint_drives(joint.geometry, moved), start)
     left_out = ["valves: the pressures are constant"]
     left_out += [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += ["friction and creep of the muscles"] if joint.has_friction or joint.has_creep else []
     left_out += [] if plant.friction is None else ["friction of the joint"]
     expressions, rests, forces = [], [], []
-    for number, (moved, muscle, pressure) in enumerate(zip((first, second), muscles, pressures, strict=True), 1):
-        rest = float(muscle.specimen.initial_length - moved.offset) if moved.tendon else None
+    for number, (path, muscle, pressure) in enumerate(zip(moved, muscles, pressures, strict=True), 1):
+        rest = float(muscle.specimen.initial_length - path.offset) if path.tendon else None
         lines = _Expression()
-        given = {"length": "q" if rest is None else f"(s+{rest!r})", "velocity": 0.0, "command": float(pressure)}
-        inputs = {f"input{number}.{key}": value for key, value in given.items()}
+        arguments = {"length": "q" if rest is None else f"(s+{rest!r})", "velocity": 0.0, "command": float(pressure)}
+        inputs = {f"input{number}.{key}": value for key, value in arguments.items()}
         try:
             force = evaluate(module, find_function(module.functions, f"force{number}"), lines, inputs)["force"][0]
             expressions.append(lines.text(force if rest is None else lines["neg"](force)))
@@ -72,10 +84,9 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
         rests.append(rest)
         if rest is None:
             left_out.append(f"path of muscle {number}: not supported by OpenSim; its torque acts on the joint")
-        forces.append(_force(number, moved, rest, expressions[-1], float(pressure)))
-    point = mass_point(plant.load)
-    text = _osim(plant, name, point, "".join(forces))
-    return OsimModel(text, tuple(expressions), tuple(rests), (*left_out, *point.chosen))
+        forces.append(_force(number, path, rest, expressions[-1], float(pressure)))
+    text = _osim(plant, name, forces)
+    return OsimModel(text, tuple(expressions), tuple(rests), (*left_out, *mass_point(plant.load).assumed))
 
 
 class _Condition(NamedTuple):
@@ -96,33 +107,33 @@ class _Expression(dict[str, Callable[..., Any]]):
     def __init__(self) -> None:
         self._names: dict[str, str] = {}
         written: dict[str, Callable[..., Any]] = {
-            one: lambda *xs, one=one: f"{one}({','.join(xs)})" for one in self._SAME
+            name: lambda *xs, name=name: f"{name}({','.join(xs)})" for name in self._SAME
         }
-        written |= {one: lambda x, y, sign=sign: f"({x}{sign}{y})" for one, sign in self._INFIX.items()}
+        written |= {name: lambda x, y, sign=sign: f"({x}{sign}{y})" for name, sign in self._INFIX.items()}
         written |= dict.fromkeys(("lt", "le"), lambda x, y: _Condition(f"step({y}-{x})", x, y))
         written |= dict.fromkeys(("gt", "ge"), lambda x, y: _Condition(f"step({x}-{y})", y, x))
         written["eq"] = lambda x, y: _Condition(f"(step({x}-{y})*step({y}-{x}))")
         written |= {"neg": lambda x: f"(-{x})" if not x.startswith("(-") else x[2:-1], "real": lambda x: x}
-        super().__init__({one: self._folded(one, function) for one, function in written.items()})
+        super().__init__({name: self._folded(name, function) for name, function in written.items()})
         self["select"] = self._select
 
     def text(self, result: Any) -> str:
         """The whole expression."""
         sizes: dict[str, int] = {}
         for text, name in [*self._names.items(), (str(result), "")]:
-            sizes[name] = len(text) + sum(sizes[one] for one in re.findall(r"\bv\d+", text))
+            sizes[name] = len(text) + sum(sizes[name] for name in re.findall(r"\bv\d+", text))
         if sizes[""] > _MOST:
             raise ExportError(f"expanded, it has {sizes['']} characters, more than {_MOST}", field="expression")
         definitions = [f"{name}={text}" for text, name in self._names.items()]
         return ";".join([str(result), *reversed(definitions)])  # definitions follow their use
 
     def _folded(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def operation(*arguments: Any) -> Any:
-            if not any(isinstance(one, str) for one in arguments):
+        def operation(*arguments: PyTree) -> Any:
+            if not any(isinstance(argument, str) for argument in arguments):
                 return NUMERIC[name](*arguments)
             if name in ("add", "sub") and 0 in arguments[1:]:
                 return arguments[0]
-            return self._named(function(*(one if isinstance(one, str) else _number(one) for one in arguments)))
+            return self._named(function(*map(_number, arguments)))
 
         return operation
 
@@ -148,70 +159,34 @@ def _number(value: Any) -> str:
 
 
 def _force(number: int, moved: Transmission, rest: float | None, expression: str, pressure: float) -> str:
-    """A force of the model."""
-    name, where = f"muscle{number}", f"<!-- at {pressure / bar:.6g} bar -->"
+    """Text of the force of a muscle."""
+    values = {"number": str(number), "pressure": f"{pressure / bar:.6g}", "expression": escape(expression)}
     if rest is None:
-        return f"""
-      <ExpressionBasedCoordinateForce name="{name}">{where}
-        <coordinate>angle</coordinate>
-        <expression>{escape(expression)}</expression>
-      </ExpressionBasedCoordinateForce>"""
-    points = "".join(
-        f"""
-          <PathPoint name="{kind}{number}">
-            <socket_parent_frame>{frame}</socket_parent_frame>
-            <location>{place[0]!r} {place[1]!r} 0</location>
-          </PathPoint>"""
-        for kind, frame, place in zip(("fixed", "moving"), ("/ground", "/bodyset/limb"), moved.points, strict=True)
-    )
-    return f"""
-      <ExpressionBasedPathForce name="{name}">{where}
-        <GeometryPath name="path"><PathPointSet><objects>{points}
-        </objects></PathPointSet></GeometryPath>
-        <resting_length>{rest!r}</resting_length>
-        <clamp_stretch>false</clamp_stretch>
-        <expression>{escape(expression)}</expression>
-      </ExpressionBasedPathForce>"""
+        return filled("torque.osim", values)
+    ends = (f"{x!r} {y!r}" for x, y in moved.points)
+    return filled("path.osim", values | dict(zip(("fixed", "moving"), ends, strict=True)) | {"rest": repr(rest)})
 
 
-def _osim(plant: JointPlant, name: str, point: MassPoint, forces: str) -> str:
+def _osim(plant: JointPlant, name: str, forces: Sequence[str]) -> str:
     """The document; gravity is rotated by the hanging angle, as the limb hangs along -y at angle 0."""
-    hanging, gravity = float(plant.load.hanging_angle), gravity_of(plant.load)
-    return f"""<?xml version="1.0" encoding="UTF-8"?>
-<!-- Written by mckibben {mckibben.__version__}. -->
-<OpenSimDocument Version="40600">
-  <Model name="{name}">
-    <gravity>{gravity * math.sin(hanging)!r} {-gravity * math.cos(hanging)!r} 0</gravity>
-    <BodySet><objects>
-      <Body name="limb">
-        <mass>{point.mass!r}</mass>
-        <mass_center>0 {-point.distance!r} 0</mass_center>
-        <inertia>{point.inertia!r} {point.inertia!r} {point.inertia!r} 0 0 0</inertia>
-      </Body>
-    </objects></BodySet>
-    <JointSet><objects>
-      <PinJoint name="joint">
-        <socket_parent_frame>/ground</socket_parent_frame>
-        <socket_child_frame>/bodyset/limb</socket_child_frame>
-        <coordinates><Coordinate name="angle"/></coordinates>
-      </PinJoint>
-    </objects></JointSet>
-    <ForceSet><objects>
-      <SpringGeneralizedForce name="damping">
-        <coordinate>angle</coordinate>
-        <stiffness>0</stiffness>
-        <viscosity>{float(plant.load.damping)!r}</viscosity>
-      </SpringGeneralizedForce>{forces}
-    </objects></ForceSet>
-  </Model>
-</OpenSimDocument>
-"""
+    hanging, gravity, point = float(plant.load.hanging_angle), gravity_of(plant.load), mass_point(plant.load)
+    values = {
+        "version": mckibben.__version__,
+        "name": name,
+        "gravity": f"{gravity * math.sin(hanging)!r} {-gravity * math.cos(hanging)!r}",
+        "mass": repr(point.mass),
+        "centre": repr(-point.distance),
+        "inertia": repr(point.inertia),
+        "damping": repr(float(plant.load.damping)),
+        "forces": "".join(forces),
+    }
+    return filled("model.osim", values)
 
 
 def osim_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The joint of a scenario at its initial pressures."""
     plant = scenario.plant()
-    pressure1, pressure2 = (float(one) for one in scenario.initial(plant).pressures)
+    pressure1, pressure2 = (float(pressure) for pressure in scenario.initial(plant).pressures)
     model = osim_model(plant, (pressure1, pressure2), name)
     left_out = ("controller and reference of the scenario", *model.left_out)
     return Exported({f"{name}.osim": model.text, "scenario.yaml": scenario.dumps(folder=folder)}, left_out)

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
+from jaxtyping import Array, PyTree
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.joint.antagonistic import NO_STATES
@@ -41,22 +42,22 @@ def plant_module(
     module = SourceModule(name, {"plant": numbers, "control_period": np.asarray(control_period or 0.0)}, "plant.")
     state = jax.tree.map(np.asarray, plant.init_state(0.0, (0.0, 0.0)))
 
-    def of(parameters: Any) -> JointPlant:
+    def of(parameters: PyTree) -> JointPlant:
         return eqx.combine(parameters["plant"], fixed)
 
-    def torque(parameters: Any, angle: Any, pressures: Any) -> dict[str, Any]:
+    def torque(parameters: PyTree, angle: Array, pressures: tuple[Array, Array]) -> dict[str, PyTree]:
         return {"torque": of(parameters).joint.torque(angle, pressures)}
 
-    def stiffness(parameters: Any, angle: Any, pressures: Any) -> dict[str, Any]:
+    def stiffness(parameters: PyTree, angle: Array, pressures: tuple[Array, Array]) -> dict[str, PyTree]:
         return {"stiffness": of(parameters).joint.stiffness(angle, pressures)}
 
-    def tensions(parameters: Any, angle: Any, pressures: Any) -> dict[str, Any]:
+    def tensions(parameters: PyTree, angle: Array, pressures: tuple[Array, Array]) -> dict[str, PyTree]:
         return {"tensions": of(parameters).joint.tensions(angle, pressures)}
 
-    def rate(parameters: Any, state: PlantState, commands: Commands) -> dict[str, Any]:
+    def rate(parameters: PyTree, state: PlantState, commands: Commands) -> dict[str, PyTree]:
         return {"rate": state_rate(of(parameters), state, commands)}
 
-    def step(parameters: Any, state: PlantState, commands: Commands) -> dict[str, Any]:
+    def step(parameters: PyTree, state: PlantState, commands: Commands) -> dict[str, PyTree]:
         plant = of(parameters)
         following = plant.advance(state, plant.clip_commands(commands), parameters["control_period"], substeps)
         return {"following": following}

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache, partial
-from hashlib import sha256
-from importlib import metadata
-from importlib.util import module_from_spec, spec_from_file_location
+from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from types import ModuleType
 from typing import Any
 
 import jax
-import numpy as np
+from jaxtyping import PyTree
 
 import mckibben
 from mckibben.codegen.source_module import Function, SourceModule
 from mckibben.codegen.warp import write_warp
-from mckibben.errors import ExportError
-from mckibben.export.controller_files import filled
-from mckibben.export.leg_mjcf import leg_model
+from mckibben.export.leg_mjcf import leg_model, plant_and_start
 from mckibben.export.mjcf import COMMAND_DELAY, MuscleModel, joint_model
 from mckibben.export.muscle_plugin import PluginMuscle
-from mckibben.export.targets import Exported
-from mckibben.leg import LegPlant, LegState
+from mckibben.export.targets import Exported, filled
+from mckibben.leg import LegPlant, LegScenario, LegState
 from mckibben.muscle import Muscle
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.scenario import Scenario
@@ -37,54 +29,40 @@ def warp_files(scenario: Scenario, name: str, folder: Path) -> Exported:
     plant = scenario.plant()
     timestep = scenario.control_period / scenario.needed_substeps()
     start = plant.complete_state(scenario.initial(plant))
-    made = warp_joint(plant, name, timestep, start, scenario.name)
-    left_out = ("controller and reference of the scenario: set data.ctrl yourself", *made.left_out)
-    return Exported({**made.files, "scenario.yaml": scenario.dumps(folder=folder)}, left_out)
+    exported = warp_joint(plant, name, timestep, start, scenario.name)
+    left_out = ("controller and reference of the scenario: set data.ctrl yourself", *exported.left_out)
+    return Exported({**exported.contents, "scenario.yaml": scenario.dumps(folder=folder)}, left_out)
 
 
 def warp_joint(plant: JointPlant, name: str, timestep: float, start: PlantState, title: str = "") -> Exported:
     """MJCF and module of a plant, which starts in a state, for time steps [s]."""
-    return _files(joint_model(with_strengths(plant), name, timestep, start, plugin=False), plant, title)
+    return _files(joint_model(_with_strengths(plant), name, timestep, start, plugin=False), plant, title)
+
+
+def leg_files(scenario: LegScenario, name: str, folder: Path) -> Exported:
+    """The leg of a scenario in its touchdown or squat posture as MJCF, and its muscles for MuJoCo Warp."""
+    plant, start = plant_and_start(scenario)
+    return warp_leg(plant, name, scenario.name, timestep=scenario.step, start=start)
 
 
 def warp_leg(plant: LegPlant, name: str, title: str = "", *, timestep: float, start: LegState) -> Exported:
     """MJCF and module of a leg, which starts in a state, for time steps [s]."""
-    made = _files(leg_model(with_strengths(plant), name, timestep, start, plugin=False), plant, title)
-    return made._replace(left_out=("controller: set data.ctrl yourself", *made.left_out))
+    exported = _files(leg_model(_with_strengths(plant), name, timestep, start, plugin=False), plant, title)
+    return replace(exported, left_out=("controller: set data.ctrl yourself", *exported.left_out))
 
 
 def _files(model: MuscleModel, plant: Plant, title: str) -> Exported:
     name, delay = model.module.name, float(plant.command_delay or 0.0)
-    left_out = tuple(each for each in model.left_out if each != COMMAND_DELAY)
+    left_out = tuple(part for part in model.left_out if part != COMMAND_DELAY)
     text = warp_muscles(model.module, model.muscles, model.names, title or name, delay, left_out)
     return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
 
 
-def with_strengths(plant: Any) -> Any:
+def _with_strengths(plant: PyTree) -> Any:
     """A plant whose muscles have their strength as a number, a parameter."""
     known = lambda part: isinstance(part, Muscle)  # noqa: E731
     numbered = lambda part: replace(part, strength=1.0) if known(part) and part.strength is None else part  # noqa: E731
     return jax.tree.map(numbered, plant, is_leaf=known)
-
-
-def split_parameters(varying: Any, known: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Arrays of a plant among the `PARAMETERS` of a module, one row per plant, and names of the others."""
-    leaves = jax.tree_util.tree_flatten_with_path(varying)[0]
-    table = {jax.tree_util.keystr(path, simple=True, separator="."): np.asarray(leaf) for path, leaf in leaves}
-    table = {name.removeprefix("plant."): values for name, values in table.items()}
-    carried = {name for name in table if name in known or name == "command_delay"}
-    return {name: table[name] for name in carried}, sorted(table.keys() - carried)
-
-
-def drawn_muscles(
-    kind: Callable[..., Any], parameters: Mapping[str, Any], model: Any, worlds: int, device: Any, prefix: str = ""
-) -> Any:
-    """`Muscles` of a module with drawn parameters, whose rows the worlds take in turn."""
-    longest = float(np.max(parameters.get("command_delay", 0.0)))
-    made = kind(model, worlds, device, prefix, max(longest, 0.02))
-    for name, values in parameters.items():
-        made.set(name, np.resize(values, (worlds, *np.shape(values)[1:])))
-    return made
 
 
 def warp_muscles(
@@ -97,20 +75,21 @@ def warp_muscles(
 ) -> str:
     """Text of the module of Warp for the muscles of a model, with the delay [s] of their commands."""
     numbers = range(1, len(muscles) + 1)
-    before = [sum(one.anchors for one in muscles[: number - 1]) for number in numbers]
-    kernels = map(partial(_kernels, {one.name: one for one in module.functions}), muscles, numbers, before)
+    before = [sum(muscle.anchors for muscle in muscles[: number - 1]) for number in numbers]
+    functions = {function.name: function for function in module.functions}
+    kernels = map(partial(_kernels, functions), muscles, numbers, before)
     return filled(
         "warp-muscles.txt",
         {
             "title": title.replace("\\", "/").replace('"""', "'"),
             "version": mckibben.__version__,
             "name": module.name,
-            "left_out": "".join(f"- {one}\n" for one in left_out),
+            "left_out": "".join(f"- {part}\n" for part in left_out),
             "delay": repr(delay),
             "functions": write_warp(module),
             "kernels": "".join(kernels),
             "actuators": repr(tuple(names)),
-            "pressures": repr(tuple(one.activations - 1 if one.pressurized else -1 for one in muscles)),
+            "pressures": repr(tuple(muscle.activations - 1 if muscle.pressurized else -1 for muscle in muscles)),
             "anchors": repr(tuple(muscle.anchors for muscle in muscles)),
             "dynamics": ", ".join(f"dynamics{number}" for number in numbers),
             "forces": ", ".join(f"forces{number}" for number in numbers),
@@ -132,20 +111,20 @@ def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: in
     }
 
     def call(name: str) -> str:
-        given = [
-            single.get(one.name) or places[one.name][place]
+        inputs = [
+            single.get(member.name) or places[member.name][place]
             for members in functions[name].arguments.values()
-            for one in members
-            for place in range(one.size)
+            for member in members
+            for place in range(member.size)
         ]
-        return f"{name}({', '.join(['model', 'world', *given])})"
+        return f"{name}({', '.join(['model', 'world', *inputs])})"
 
     def assigned(name: str, targets: Mapping[str, Sequence[str]], condition: str = "") -> str:
         """Statements that store the results of a function."""
         if name not in functions:
             return ""
         (members,) = functions[name].results.values()
-        stored = [targets[one.name][place] for one in members for place in range(one.size)]
+        stored = [targets[member.name][place] for member in members for place in range(member.size)]
         results = [f"r{place}" for place in range(len(stored))]
         lines = [f"{', '.join(results)} = {call(name)}"]
         lines += [f"{target} = {result}" for target, result in zip(stored, results, strict=True)]
@@ -161,26 +140,3 @@ def _kernels(functions: Mapping[str, Function], muscle: PluginMuscle, number: in
         "force": f"    force[world, actuator] = {call(f'force{number}')}",
     }
     return filled("warp-muscle.txt", values)
-
-
-@cache
-def loaded(text: str) -> ModuleType:
-    """Module of a text; Warp reads its source while it is executed, and replaces a module of the same name."""
-    name = f"joint_warp_{sha256(text.encode()).hexdigest()[:16]}"
-    with TemporaryDirectory() as folder:
-        path = Path(folder) / f"{name}.py"
-        path.write_text(text)
-        spec = spec_from_file_location(name, path)
-        assert spec is not None and spec.loader is not None
-        module = module_from_spec(spec)
-        spec.loader.exec_module(module)
-    return module
-
-
-def check_version(package: str, least: str, below: str) -> None:
-    """Raise an error for an installed version of a package that does not fit."""
-    version = metadata.version(package)
-    first, given, second = (tuple(map(int, re.findall(r"\d+", one)[:2])) for one in (least, version, below))
-    if not first <= given < second:
-        remedy = f"install a version from {least} to below {below}"
-        raise ExportError(f"{package} is {version}", field=package, value=version, remedy=remedy)

@@ -2,17 +2,19 @@
 
 from mckibben.identification.creep import CreepFit, identify_creep, identify_pressure_creep
 from mckibben.identification.estimator import Interval, IntervalEstimate
-from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
+from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import ResidualCorrelation, identify
-from mckibben.identification.friction import FormComparison, HysteresisFit, LackOfFit, SensorDrift, identify_hysteresis
+from mckibben.identification.friction import identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import Grouping
+from mckibben.identification.hysteresis import FormComparison, HysteresisFit, LackOfFit, SensorDrift
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.regression import ForceIntervals
 from mckibben.identification.storage import read_law
+from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
 from mckibben.identification.threshold import ThresholdFit, identify_threshold
 from mckibben.identification.validation import ErrorStatistics, Validation, validate
 from mckibben.identification.with_friction import FitWithFriction, identify_with_friction, shows_hysteresis

@@ -55,7 +55,7 @@ class CreepFit(Result):
 
     creep: MaxwellCreep | NoCreep
     p_value: float = column("1", "probability without creep", digits=2)
-    amplitude: float
+    amplitude: float = column("", "stiffness [N/m] or share")
     amplitude_interval: tuple[float, float]
     time_constant: float = column("s", "time constant", digits=3)
     time_constant_interval: tuple[float, float]

@@ -21,20 +21,20 @@ from mckibben.identification.estimator import (
     standard_errors,
     unidentifiable,
 )
-from mckibben.identification.fit import (
+from mckibben.identification.fit import Fit
+from mckibben.identification.grouping import Grouping, row_numbers
+from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
+from mckibben.identification.outliers import find_outliers, without_outliers
+from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
+from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, laws_from, smooth_refit
+from mckibben.identification.summary import (
     DatasetSummary,
-    Fit,
     LeaveOnePressureOut,
     Outlier,
     domain_of,
     left_out,
     off_levels,
 )
-from mckibben.identification.grouping import Grouping, row_numbers
-from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
-from mckibben.identification.outliers import find_outliers, without_outliers
-from mckibben.identification.regression import NotIdentifiableError, Refit, Regression, pressure_blocks
-from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, prior_of, prior_rows
 from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, SmoothLaw
 from mckibben.result import Remark
 from mckibben.units import percent, show
@@ -83,9 +83,11 @@ def identify(
     if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
         values = (law_type,) if dataset is None else (law_type, dataset)
         kinds = [f"class {value.__name__}" if isinstance(value, type) else type(value).__name__ for value in values]
+        law = next((kind for kind in kinds if kind.endswith("Law")), "ExponentialLaw").removeprefix("class ")
+        data = "data" if IsobaricDataset in map(type, values) else "read_dataset('rig.csv')"
         raise IdentificationError(
             f"identify takes the class of a law and a dataset, not {' and '.join(kinds)}",
-            remedy="write identify(ExponentialLaw, read_dataset('rig.csv'))",
+            remedy=f"write identify({law}, {data})",
         )
     means = dataset.plateau_means()
     return fit_means(law_type, means, find_outliers(means) if robust else (), domain)
@@ -106,10 +108,10 @@ def fit_means(
     if smooth:
         eq2 = FitProblem.of(ExponentialLaw, points)
         start = solve(eq2, grid_search(eq2)).position
-        kinds = SMOOTH_LAWS if law_type is SmoothLaw else _laws_from(law_type)
+        kinds = SMOOTH_LAWS if law_type is SmoothLaw else laws_from(law_type)
         solution, simpler = fit_smooth(kinds, points, np.ones(len(points), bool), start)
         law_type = solution.problem.law_type
-        refit = _smooth_refit(() if simpler else _laws_from(law_type), points, start)
+        refit = smooth_refit(() if simpler else laws_from(law_type), points, start)
     else:
         problem = FitProblem.of(law_type, points)
         solution = solve(problem, grid_search(problem))
@@ -165,31 +167,6 @@ def fit_means(
         regression=regression,
         outliers=outliers,
     )
-
-
-def _laws_from(law_type: type[ForceLaw]) -> tuple[type[ForceLaw], ...]:
-    """Law with deviations, and the simpler ones that may take its place in a refit."""
-    return SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]
-
-
-def _smooth_refit(laws: tuple[type[ForceLaw], ...], points: IsobaricDataset, start: Floats) -> Refit:
-    return lambda kept: fit_smooth(laws, points, kept, start, compare=False)[0]
-
-
-def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools, scales: Floats | None) -> Regression:
-    """Regression of a law that was fitted to points; `scales` are those of the prior of a law with deviations."""
-    kind = type(law)
-    constants = {p.name: float(getattr(law, p.name)) for p in kind.constants}
-    problem, refit = dataclasses.replace(FitProblem.of(kind, points), constants=constants), None
-    values = np.array([float(getattr(law, p.name)) for p in kind.parameters()])
-    position = problem.cube.position(values[problem.linear :].tolist())
-    if scales is not None:
-        prior = prior_of(kind, points.levels)
-        problem = dataclasses.replace(problem, prior=prior_rows(prior, scales))
-        refit = _smooth_refit(_laws_from(kind), points, position)
-    found = project(problem, position, values[: problem.linear])
-    solution = Solution(problem, values, position, found.cost, found.triangle, converged=True)
-    return Regression(points, problem, solution, at_bound, refit)
 
 
 def _check_count(law_type: type[ForceLaw], points: IsobaricDataset, slack: int) -> None:

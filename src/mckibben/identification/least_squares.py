@@ -30,7 +30,7 @@ from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification.estimator import Bools, Floats, least_squares, tsqr_r
 from mckibben.muscle import Domain, ForceLaw, Parameter
 from mckibben.notebook import stop_check
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 
 
 def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> Floats:
@@ -71,14 +71,14 @@ def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, 
     return design_matrix(law, free, *padded)[:count]
 
 
-@compiled
+@jit
 def _columns(
     law: ForceLaw, values: ArrayLike, contraction: ArrayLike, pressure: ArrayLike, *, names: tuple[str, ...]
 ) -> Array:
     return _force_and_columns(lambda given: dataclasses.replace(law, **given), names, values, contraction, pressure)[1]
 
 
-@compiled
+@jit
 def _columns_and_residuals(
     law_type: type[ForceLaw],
     values: ArrayLike,
@@ -96,7 +96,7 @@ def _columns_and_residuals(
     return jnp.concatenate([columns, (jnp.asarray(force) - modelled)[None]]) * jnp.asarray(weights)
 
 
-@compiled
+@jit
 def _grid_of_columns_and_residuals(law_type: type[ForceLaw], values: ArrayLike, *others: Any) -> Array:
     """`_columns_and_residuals` of many values, shape (count, parameters)."""
     return jax.vmap(lambda one: _columns_and_residuals(law_type, one, *others))(jnp.asarray(values))

@@ -27,6 +27,7 @@ _PAIRED = 0.5  # share of the points of a direction that were measured at positi
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
 _AGAINST = 0.1  # of a step: a smaller move against the stroke may be a position measured twice
 _FAR = 1.0  # m: exceeds any presliding length
+_MOVED = 1e-9  # m
 _AT_REST = 1e-3  # of the highest rate
 _SLACK = 2  # fewest slack points that determine the sensor's zero of a path
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
@@ -146,32 +147,42 @@ class LoadingPaths:
         measured = length
         length = _monotone(length, paths, loading)
         moves = np.concatenate([np.diff(length[path]) for path in paths])
-        moved = np.abs(moves) > 1e-9
-        count = int(np.count_nonzero(moved))
-        backwards = float(np.sqrt(np.mean((length - measured) ** 2)))
-        reversals = sum(int(np.count_nonzero(np.diff(loading[path]))) for path in paths)
-        text = ""
-        if backwards > _BACKWARDS * np.ptp(measured):
-            text = f"the length moves against the direction of the points, by {show(backwards, 'mm', 3)} (RMS)"
-        elif reversals > _REVERSALS * count or not count:
-            text = f"the direction changes {reversals} times in {count} moves"
-        if text:
-            raise IdentificationError(f"{text}: the rows are not in the order of the test", remedy=_ORDER_REMEDY)
+        _check_order(measured, length, paths, loading)
         longest = max(map(len, paths))
         place = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths], axis=1)
         side = np.array([-1.0 if loading[path[0]] else 1.0 for path in paths])
         counts = np.array([len(path) for path in paths])
-        step = float(np.median(np.abs(moves[moved])))
-        turns = np.zeros(len(length))
-        for path in paths:
-            size = np.abs(np.diff(length[path]))
-            beside = np.minimum(np.append(size[:1], size[:-1]), np.append(size[1:], size[-1:]))
-            repeated = size < np.maximum(_REPEATED * step, _REPEATED_HERE * beside)
-            turns[path[1:]] = np.where(repeated, np.diff(loading[path].astype(float)), 0.0)
+        step = float(np.median(np.abs(moves[np.abs(moves) > _MOVED])))
+        turns = _turns(length, paths, loading, step)
         strokes = [part for path in paths for part in np.split(path, np.flatnonzero(np.diff(loading[path])) + 1)]
         forwards = np.concatenate([np.diff(measured[part]) * (1 if loading[part[0]] else -1) for part in strokes])
         against = float(np.mean(forwards < -_AGAINST * step)) if forwards.size else 0.0
         return cls(place, counts, side, length, step, turns, against=against)
+
+
+def _check_order(measured: Floats, length: Floats, paths: Sequence[Ints], loading: Bools) -> None:
+    """Refuse rows whose lengths or directions are not in the order of a test; `length` is monotone along strokes."""
+    count = sum(int(np.count_nonzero(np.abs(np.diff(length[path])) > _MOVED)) for path in paths)
+    backwards = float(np.sqrt(np.mean((length - measured) ** 2)))
+    reversals = sum(int(np.count_nonzero(np.diff(loading[path]))) for path in paths)
+    text = ""
+    if backwards > _BACKWARDS * np.ptp(measured):
+        text = f"the length moves against the direction of the points, by {show(backwards, 'mm', 3)} (RMS)"
+    elif reversals > _REVERSALS * count or not count:
+        text = f"the direction changes {reversals} times in {count} moves"
+    if text:
+        raise IdentificationError(f"{text}: the rows are not in the order of the test", remedy=_ORDER_REMEDY)
+
+
+def _turns(length: Floats, paths: Sequence[Ints], loading: Bools, step: float) -> Floats:
+    """1 or -1 at a row at the same position as the row of the other direction before it, else 0."""
+    turns = np.zeros(len(length))
+    for path in paths:
+        size = np.abs(np.diff(length[path]))
+        beside = np.minimum(np.append(size[:1], size[:-1]), np.append(size[1:], size[-1:]))
+        repeated = size < np.maximum(_REPEATED * step, _REPEATED_HERE * beside)
+        turns[path[1:]] = np.where(repeated, np.diff(loading[path].astype(float)), 0.0)
+    return turns
 
 
 def moving_rates(rate: Floats) -> Floats:

@@ -15,8 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from mckibben.identification.fit import slope_grid, wrong_slopes
 from mckibben.identification.least_squares import Solution, design_matrix
+from mckibben.identification.summary import slope_grid, wrong_slopes
 from mckibben.muscle import Domain
 
 _ROUNDS = 50

@@ -21,10 +21,10 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification.estimator import Bools, Floats, scatter_growth
-from mckibben.identification.fit import Outlier
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.smooth import Deviations
+from mckibben.identification.summary import Outlier
 from mckibben.muscle import ExponentialLaw, GaussianProcessLaw
 from mckibben.units import percent
 

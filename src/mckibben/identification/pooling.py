@@ -16,11 +16,12 @@ from mckibben.component.checks import check_positive
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.identification.estimator import Floats, Ints, t_quantile
-from mckibben.identification.fit import Fit, left_out
+from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.smooth import SMOOTH_LAWS
+from mckibben.identification.summary import left_out
 from mckibben.muscle import ExponentialLaw, ForceLaw, Specimen, forces
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.units import show

@@ -13,7 +13,7 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, described
-from mckibben.identification.fit import Fit, Outlier, left_out, unphysical
+from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import ResidualCorrelation, identify, residual_correlation, without_direction_means
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
@@ -23,6 +23,7 @@ from mckibben.identification.regression import (
     contraction_blocks,
     pressure_blocks,
 )
+from mckibben.identification.summary import Outlier, left_out, unphysical
 from mckibben.identification.with_friction import shows_hysteresis
 from mckibben.muscle import LAWS, ForceLaw, GaussianProcessLaw, SmoothLaw
 from mckibben.notebook import Progress, notebook_progress

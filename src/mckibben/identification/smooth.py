@@ -34,11 +34,11 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import group_pressures
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import CONDITION_LIMIT, Bools, Floats, condition_number
-from mckibben.identification.fit import domain_of, unphysical
-from mckibben.identification.least_squares import FitProblem, Solution, solve
+from mckibben.identification.least_squares import FitProblem, Solution, project, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.monotone import monotone
-from mckibben.identification.regression import RESOLUTION, contraction_blocks, pressure_blocks
+from mckibben.identification.regression import RESOLUTION, Refit, Regression, contraction_blocks, pressure_blocks
+from mckibben.identification.summary import domain_of, unphysical
 from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.gaussian_process import ORDER
 from mckibben.muscle.smooth import DEGREE
@@ -234,18 +234,14 @@ def fit_smooth(
     kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, kept: Bools, start: Floats, *, compare: bool = True
 ) -> tuple[Solution, str]:
     """Best law for the kept points, or Eq. 2 and the reason; without comparison the first law that they support."""
-    eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
-    base, used = solve(eq2, start), points.select(kept)
-    residuals, reach = base.residuals, float(np.ptp(used.contraction))
-    if len(used) < _LEAST * len(eq2.names) or not reach or np.abs(residuals).max() < _ROUNDING * used.force.max():
+    base, used = solve(FitProblem.of(ExponentialLaw, points).subset(kept), start), points.select(kept)
+    if not _may_deviate(base, used):
         return base, "Eq. 2 is exact, or the points are too few"
     folds = _folds(base, points, used) if kinds and compare else {}
     theirs = {kind: _left_out(base, some) for kind, some in folds.items()}
     accepted: list[tuple[Solution, float]] = []
     reason = "the points support no deviation"
-    for kind in kinds:
-        if kind is GaussianProcessLaw and not np.ptp(used.pressure):
-            continue
+    for kind in _possible(kinds, used):
         deviations = Deviations.of(kind, points, base)
         fitted = deviations.fit()
         if fitted is None:
@@ -255,10 +251,12 @@ def fit_smooth(
         if not objection and not compare:
             return found, ""
         if not objection:
-            ours = {one: deviations.left_out(some, hyperparameters) for one, some in folds.items()}
-            ratios = {one: _ratio(ours[one], theirs[one]) for one in folds}
-            worse = [one for one, ratio in ratios.items() if ratio > _WORSE[one]]
-            score = float(np.exp(np.mean(np.log(list(ratios.values()))))) if ratios else 0.0
+            ratios = {
+                block: _ratio(deviations.left_out(fits, hyperparameters), theirs[block])
+                for block, fits in folds.items()
+            }
+            worse = [block for block, ratio in ratios.items() if ratio > _WORSE[block]]
+            score = _geometric_mean(list(ratios.values()))
             if not worse and score < _BETTER:
                 accepted.append((found, score))
             objection = f"with deviations the errors at left-out {' and '.join(worse or folds)}s are hardly smaller"
@@ -267,6 +265,22 @@ def fit_smooth(
         return base, reason
     least = min(score for _, score in accepted)
     return min((found for found, score in accepted if _BETTER * score <= least), key=lambda found: found.aicc), ""
+
+
+def _possible(kinds: Sequence[type[ForceLaw]], used: IsobaricDataset) -> list[type[ForceLaw]]:
+    """Laws that points may support: a process over the pressure needs several."""
+    return [kind for kind in kinds if kind is not GaussianProcessLaw or np.ptp(used.pressure)]
+
+
+def _may_deviate(base: Solution, used: IsobaricDataset) -> bool:
+    """Whether there are enough points off Eq. 2 to determine deviations."""
+    enough = len(used) >= _LEAST * len(base.problem.names) and bool(np.ptp(used.contraction))
+    return enough and bool(np.abs(base.residuals).max() >= _ROUNDING * used.force.max())
+
+
+def _geometric_mean(ratios: Sequence[float]) -> float:
+    """Geometric mean; 0 without any."""
+    return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
 
 
 def _objection(found: Solution, base: Solution, used: IsobaricDataset) -> str:
@@ -312,3 +326,29 @@ def _ratio(ours: Floats, theirs: Floats) -> float:
     """Error relative to that of Eq. 2; 1 where neither can be compared."""
     both = np.isfinite(ours) & np.isfinite(theirs)
     return float(np.linalg.norm(ours[both]) / np.linalg.norm(theirs[both])) if both.any() else 1.0
+
+
+def laws_from(law_type: type[ForceLaw]) -> tuple[type[ForceLaw], ...]:
+    """Law with deviations, and the simpler ones that may take its place in a refit."""
+    return SMOOTH_LAWS[SMOOTH_LAWS.index(law_type) :]
+
+
+def smooth_refit(laws: tuple[type[ForceLaw], ...], points: IsobaricDataset, start: Floats) -> Refit:
+    """Identification method of cross-validation: the first of the laws that the points left support."""
+    return lambda kept: fit_smooth(laws, points, kept, start, compare=False)[0]
+
+
+def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools, scales: Floats | None) -> Regression:
+    """Regression of a law that was fitted to points; `scales` are those of the prior of a law with deviations."""
+    kind = type(law)
+    constants = {p.name: float(getattr(law, p.name)) for p in kind.constants}
+    problem, refit = replace(FitProblem.of(kind, points), constants=constants), None
+    values = np.array([float(getattr(law, p.name)) for p in kind.parameters()])
+    position = problem.cube.position(values[problem.linear :].tolist())
+    if scales is not None:
+        prior = prior_of(kind, points.levels)
+        problem = replace(problem, prior=prior_rows(prior, scales))
+        refit = smooth_refit(laws_from(kind), points, position)
+    found = project(problem, position, values[: problem.linear])
+    solution = Solution(problem, values, position, found.cost, found.triangle, converged=True)
+    return Regression(points, problem, solution, at_bound, refit)

@@ -18,11 +18,10 @@ from mckibben.component.schema import ComponentField
 from mckibben.config.document import to_text
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import Problem, RangeError, ScenarioError
-from mckibben.identification.fit import DatasetSummary, Fit, LeaveOnePressureOut, Outlier
-from mckibben.identification.fitting import restored_regression
+from mckibben.errors import RangeError
 from mckibben.identification.regression import Regression, RobustErrors
-from mckibben.identification.smooth import prior_of, prior_scales
+from mckibben.identification.smooth import prior_of, prior_scales, restored_regression
+from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
 from mckibben.muscle import LAWS, ForceLaw
 from mckibben.result import Remark
 from mckibben.storage.files import atomic_write, sealed
@@ -93,15 +92,15 @@ class _FitNumbers(ConfigModel):
     @model_validator(mode="before")
     @classmethod
     def _read_not_finite(cls, section: Any) -> Any:
-        return _with_not_finite(section)
+        return _numbers(section)
 
 
-def _with_not_finite(section: Any) -> Any:
+def _numbers(section: Any) -> Any:
     """Numbers in place of the texts for those that are not finite, such as errors of parameters at a bound."""
     if isinstance(section, dict):
-        return {key: _with_not_finite(value) for key, value in section.items()}
+        return {key: _numbers(value) for key, value in section.items()}
     if isinstance(section, list | tuple):
-        return [_with_not_finite(value) for value in section]
+        return [_numbers(value) for value in section]
     return _NOT_FINITE.get(section, section) if isinstance(section, str) else section
 
 
@@ -132,8 +131,8 @@ class _FitFile(DocumentModel):
         return self
 
 
-def write_fit(fit: Fit, path: Path) -> None:
-    """Write a fit; the file appears complete or not at all."""
+def write_fit(fit: Any, path: Path) -> None:
+    """Write a `Fit`; the file appears complete or not at all."""
     numbers = _FitNumbers(
         **{name: getattr(fit, name) for name in _FitNumbers.model_fields if name not in ("correlations", "data")},
         correlations=np.asarray(fit.correlations).tolist(),
@@ -154,17 +153,8 @@ def read_law(path: str | os.PathLike[str]) -> ForceLaw:
     return _FitFile.read(path).law
 
 
-def read_fit(path: Path) -> Fit:
-    """Read a file that `write_fit` wrote; raises a `ScenarioError` with every problem and its line."""
-    fit = find_fit(path)
-    if fit is None:
-        problem = Problem("has a law, but not the numbers of its fit", remedy="give a file that `identify` wrote")
-        raise ScenarioError(os.fspath(path), [problem])
-    return fit
-
-
-def find_fit(path: Path) -> Fit | None:
-    """Read a file as `read_fit`, or return None for one of a law alone."""
+def read_fields(path: Path) -> dict[str, Any] | None:
+    """Fields of a `Fit` from a file; None for one of a law alone."""
     file = _FitFile.read(path)
     law, numbers = file.law, file.fit
     if numbers is None:
@@ -176,15 +166,15 @@ def find_fit(path: Path) -> Fit | None:
         at_bound = np.isnan(list(numbers.standard_errors.values()))
         scales = None if points.prior_scales is None else np.array(points.prior_scales)
         regression = restored_regression(law, table, at_bound, scales)
-    fields: dict[str, Any] = {name: getattr(numbers, name) for name in _FitNumbers.model_fields if name != "data"}
-    fields |= {"notes": tuple(numbers.notes), "outliers": tuple(numbers.outliers)}
-    residuals = regression.solution.residuals if regression else None
-    return Fit(
-        **{**fields, "correlations": np.array(numbers.correlations)},
-        law=law,
-        residuals=residuals,
-        regression=regression,
-    )
+    return {
+        **{name: getattr(numbers, name) for name in _FitNumbers.model_fields if name != "data"},
+        "law": law,
+        "notes": tuple(numbers.notes),
+        "outliers": tuple(numbers.outliers),
+        "correlations": np.array(numbers.correlations),
+        "residuals": regression.solution.residuals if regression else None,
+        "regression": regression,
+    }
 
 
 def law_types(*, installed: bool = False) -> dict[str, type[ForceLaw]]:

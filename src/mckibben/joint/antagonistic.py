@@ -19,7 +19,7 @@ from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, Pressure
 from mckibben.muscle.air import ATMOSPHERE
 from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
-from mckibben.numerics.compiled import compiled_alone, computed_once
+from mckibben.numerics.compiled import cached_trace, jit_inline
 from mckibben.numerics.elementary import floating
 from mckibben.units import deg
 
@@ -170,7 +170,7 @@ class AntagonisticJoint(Component):
         """Whether a muscle has creep."""
         return self.muscle1.has_creep or self.muscle2.has_creep
 
-    @compiled_alone
+    @jit_inline
     def contractions(self, angle: ArrayLike, pressures: Pressures, states: MuscleStates = NO_STATES) -> Pair:
         """Return the contraction [-] of each muscle."""
         pressure1, pressure2 = pressure_pair(pressures)
@@ -185,7 +185,7 @@ class AntagonisticJoint(Component):
         _warn_outside(self, angle, pressures)
         return self._tensions(angle, pressures)
 
-    @compiled_alone
+    @jit_inline
     def _tensions(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         pressure1, pressure2 = pressure_pair(pressures)
         path1, path2 = self.geometry.path_lengths(angle)
@@ -200,7 +200,7 @@ class AntagonisticJoint(Component):
         _warn_outside(self, angle, pressures)
         return self._torque(angle, pressures)
 
-    @compiled_alone
+    @jit_inline
     def _torque(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
         pressure1, pressure2 = pressure_pair(pressures)
         (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
@@ -222,8 +222,8 @@ class AntagonisticJoint(Component):
         _warn_outside(self, angle, pressures)
         return self.evaluate(angle, pressures)
 
-    @compiled_alone
-    @computed_once
+    @jit_inline
+    @cached_trace
     def evaluate(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return `torque_and_stiffness` without a check of the domain."""
         pressure1, pressure2 = pressure_pair(pressures)

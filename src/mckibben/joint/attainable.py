@@ -25,7 +25,7 @@ from mckibben.joint.geometry import Geometry, Pair
 from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.compiled import compiled, compiled_alone
+from mckibben.numerics.compiled import jit, jit_inline
 from mckibben.numerics.elementary import floating
 from mckibben.units import deg
 
@@ -62,7 +62,7 @@ def check_angle(angle: ArrayLike) -> None:
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
 
-@compiled_alone
+@jit_inline
 def torque_range(
     joint: Joint, angle: ArrayLike, pressure_limits: tuple[float, float] | None, minimum_tension: float
 ) -> Pair:
@@ -75,7 +75,7 @@ def torque_range(
     return jnp.where(feasible, lowest, jnp.nan), jnp.where(feasible, highest, jnp.nan)
 
 
-@compiled_alone
+@jit_inline
 def stiffness_range(
     joint: Joint,
     angle: ArrayLike,
@@ -98,7 +98,7 @@ class StaticSolution(NamedTuple):
     highest: Array
 
 
-@compiled
+@jit
 def solve_static(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
     """Return the pressures for a torque and a stiffness at an angle; NaN selects the middle of the range."""
     return _solve_static(joint, angle, torque, stiffness)
@@ -109,7 +109,7 @@ def _solve_static(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: 
     return _solve(segment.profile(), segment.feasible, stiffness, _fractions(joint))
 
 
-@compiled
+@jit
 def _solve_many(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
     """Return the solutions for arrays of shape (n,)."""
     return jax.vmap(lambda *numbers: _solve_static(joint, *numbers))(angle, torque, stiffness)

@@ -12,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive, check_within
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.compiled import compiled_alone
+from mckibben.numerics.compiled import jit_inline
 from mckibben.numerics.elementary import sincos
 from mckibben.units import Angle, Distance, Length, MomentArm, Strength
 
@@ -52,7 +52,7 @@ class Geometry(Component):
         """Return the moment arm [m] of each muscle, positive; muscle 2 acts in the direction of the angle."""
         return self.paths_and_arms(angle)[1]
 
-    @compiled_alone
+    @jit_inline
     def paths_and_arms(self, angle: ArrayLike) -> tuple[Pair, Pair]:
         """Return `path_lengths` and `moment_arms` from one pass."""
         paths, (slope1, slope2) = value_and_derivative(self.path_lengths, angle)

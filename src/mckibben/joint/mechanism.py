@@ -13,7 +13,7 @@ from mckibben.joint.antagonistic import AntagonisticJoint
 from mckibben.joint.geometry import Geometry, Pair
 from mckibben.muscle import Specimen
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.units import deg
 
 Points = NDArray[np.float64]
@@ -109,7 +109,7 @@ class Mechanism:
         return -distance * np.array([cosine * self.up[0] - sine * self.up[1], sine * self.up[0] + cosine * self.up[1]])
 
 
-@compiled
+@jit
 def _profiles(geometry: Geometry, angles: ArrayLike) -> tuple[tuple[Pair, Pair], tuple[Pair, Pair]]:
     """Paths and moment arms over angles [rad], and their derivatives; compiled once per kind of geometry."""
     return value_and_derivative(geometry.paths_and_arms, angles)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.leg.mechanism import Leg
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.numerics.spatial import IDENTITY, ZERO, Vector, X, Y, Z, product, total
 from mckibben.plant.bodies import MASSLESS, Body, Equations, Frame, Hinge, equations, frames_of
 
@@ -222,7 +222,7 @@ def joint_mobility(leg: Leg, posture: Posture) -> Float[Array, "joints joints"]:
     return jax.jacfwd(moved)(jnp.zeros(len(leg.joints)))
 
 
-@compiled
+@jit
 def mobilities(leg: Leg, angles: tuple[ArrayLike, ...]) -> tuple[Array, Array]:
     """Return the mobilities of the foot and of the joints at angles [rad]."""
     posture = posture_of(leg, angles)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mckibben.errors import RangeError
 from mckibben.leg.dynamics import at_rest, frames, posture_of
 from mckibben.leg.mechanism import Leg
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 
 Floats = NDArray[np.float64]
 
@@ -153,7 +153,7 @@ def foot_jacobian(leg: Leg, angles: Sequence[float], force: Sequence[float] | No
     return np.asarray(jacobian), np.asarray(geometric)
 
 
-@compiled
+@jit
 def _jacobian(
     leg: Leg, angles: tuple[ArrayLike, ...], force: tuple[ArrayLike, ...]
 ) -> tuple[Float[Array, "d n"], Float[Array, "n n"]]:

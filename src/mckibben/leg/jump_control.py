@@ -18,7 +18,7 @@ from mckibben.errors import RangeError
 from mckibben.leg.control import LegController
 from mckibben.leg.plant import LegMeasurement, LegPlant
 from mckibben.numerics.batching import RANK
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.units import Instant, PositiveTime, ShortTime, Tension, ms
 
@@ -111,7 +111,7 @@ def planned_commands(
     return means, np.stack([np.interp(times, fine, column) for column in np.asarray(reached).T], -1)
 
 
-@compiled
+@jit
 def _valves(plant: LegPlant, angles: Any, pressures: Any, rates: Any, period: Any) -> tuple[Array, Array]:
     """Commands that lead the pressures along a plan, by the model that controllers have of the valves."""
     leg, valve, dead = plant.leg, plant.valve, plant.valve.attached_volume

@@ -23,7 +23,7 @@ from mckibben.leg.jump_control import PlannedControl, planned_commands
 from mckibben.leg.mechanism import Leg
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.numerics.calculus import bracketed_root, value_and_derivative
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.units import bar, mm, ms
 
 Floats = NDArray[np.float64]
@@ -362,12 +362,12 @@ def _on_line(plant: LegPlant, start: tuple[Any, ...], change: tuple[Any, ...], p
     return posture._replace(z=-depth), motion(leg, posture, still, plant.gravity).height - depth
 
 
-@compiled
+@jit
 def _heights(plant: LegPlant, start: Any, change: Any, place: Array) -> Array:
     return _on_line(plant, start, change, place)[1]
 
 
-@compiled
+@jit
 def _places(
     plant: LegPlant, start: Any, change: Any, reach: tuple[Any, Any], height: Array, speed: Array, acceleration: Array
 ) -> tuple[Array, Array, Array]:
@@ -380,7 +380,7 @@ def _places(
     return place, rate, (acceleration - bend * rate * rate) / slope
 
 
-@compiled
+@jit
 def _dynamics(plant: LegPlant, start: Any, change: Any, moved: Any, standing: Any) -> tuple[Array, Array]:
     """Force of the ground along its normal, and torques, at points of the line; with the foot on the ground or not."""
     leg, normal = plant.leg, plant.ground.normal

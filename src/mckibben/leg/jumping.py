@@ -32,7 +32,7 @@ from mckibben.leg.study_journal import StudyJournal, StudyKind, check_continued
 from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.numerics.spatial import Z
 from mckibben.plant.base import MOST_SUBSTEPS
 from mckibben.simulation.software import engine_of_job
@@ -209,7 +209,7 @@ def standing_torques(plant: LegPlant, angles: tuple[float, ...]) -> Floats:
     return np.asarray(_standing(plant, tuple(angles)))
 
 
-@compiled
+@jit
 def _standing(plant: LegPlant, angles: tuple[ArrayLike, ...]) -> Array:
     leg = plant.leg
     posture = posture_of(leg, angles)

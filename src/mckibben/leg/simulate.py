@@ -21,7 +21,7 @@ from mckibben.leg.metrics import LegMetrics, MetricSums, measure
 from mckibben.leg.plant import LegPlant, LegSample, LegStart
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.simulation.accuracy import (
     ACCURACY,
     Positions,
@@ -199,7 +199,7 @@ def simulate_leg(
     return result
 
 
-@compiled
+@jit
 def _measured(samples: LegSample, final: Any, period: ArrayLike, plant: LegPlant) -> LegMetrics:
     return measure(samples, plant.observe(final), period, plant)
 

@@ -15,7 +15,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import RigidTendon
 from mckibben.leg.mechanism import Leg
 from mckibben.muscle import PressureAffineLaw
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 
 Floats = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ def _not_affine(leg: Leg) -> Iterator[tuple[str, str]]:
                 yield name, type(part).__name__
 
 
-@compiled
+@jit
 def _affine(leg: Leg, angles: tuple[ArrayLike, ...]) -> tuple[tuple[Array, ...], tuple[Array, Array]]:
     """Torques and tensions, offsets and slopes over the pressures; and the derivatives of the torques by the angles."""
 

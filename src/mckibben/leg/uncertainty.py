@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from mckibben.actuator import Actuator
 from mckibben.component.schema import ENDINGS, origin_of
-from mckibben.identification.storage import read_fit
+from mckibben.identification import Fit
 from mckibben.leg.plant import LegPlant
 from mckibben.leg.scenario import DrawSettings, LegScenario
 from mckibben.muscle import ForceLaw, Muscle, SpringLaw
@@ -42,7 +41,7 @@ def drawn_plant(scenario: LegScenario) -> LegPlant:
         file = origin_of(muscle.law)
         if file.endswith(ENDINGS):
             if file not in fits:
-                fit = read_fit(Path(file))
+                fit = Fit.from_yaml(file)
                 draws = fit.draws(rng, spec.draws)
                 draws = {name: np.append(fit.estimates[name], values) for name, values in draws.items()}
                 fits[file] = dataclasses.replace(fit.law, **draws)  # pyrefly: ignore[bad-argument-type]

@@ -14,7 +14,7 @@ from jaxtyping import Array, ArrayLike, Float
 from numpy.typing import NDArray
 
 from mckibben.component.base import Component
-from mckibben.numerics.batching import compute_once
+from mckibben.numerics.batching import fusion_barrier
 from mckibben.numerics.elementary import floating
 from mckibben.units import BoundedInt, Force, Length, Pressure, Quantity, Speed
 
@@ -217,7 +217,7 @@ class MaxwellSlip(Friction):
         if self.tension_growth is None:
             return smooth_limit(self._width(tension, pressure), tension, jnp)
         # The tension is used twice: XLA would evaluate the law once per use, and again in derivatives.
-        return compute_once(lambda: smooth_limit(self._width(tension, pressure), tension, jnp))
+        return fusion_barrier(lambda: smooth_limit(self._width(tension, pressure), tension, jnp))
 
     def initial(self, length: ArrayLike) -> FrictionState:
         return (floating(length),) * self.elements

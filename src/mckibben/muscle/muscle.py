@@ -25,7 +25,7 @@ from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
 from mckibben.numerics.calculus import derivative
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.units import Strength, bar
 
 
@@ -61,7 +61,7 @@ class Muscle(Component):
     @classmethod
     def from_file(cls, value: Any) -> Any:
         """Return the section of a muscle for one of a return spring; `RangeError` for a fit."""
-        if isinstance(value, dict) and "parameters" in value:
+        if isinstance(value, dict) and {"law"} <= value.keys() <= {"law", "equation", "version", "fit"}:
             remedy = "give the muscle a specimen, and the file as its law"
             raise RangeError("is a fit, the law of a muscle", remedy=remedy)
         if not isinstance(value, dict) or value.get("class") != "return_spring":
@@ -247,11 +247,11 @@ def _at_points(function: Callable[..., Array], of: Any, *arguments: ArrayLike) -
     return values.ravel()[:points].reshape(shape)
 
 
-@compiled
+@jit
 def _force(of: Muscle | ForceLaw, contraction: Array, pressure: Array) -> Array:
     return of.force(contraction, pressure)
 
 
-@compiled
+@jit
 def _half_width(of: Friction, tension: Array, pressure: Array) -> Array:
     return jnp.broadcast_to(of.half_width_at(tension, pressure), tension.shape)

@@ -196,7 +196,7 @@ class Specimen(Component):
         if self.initial_diameter is None or self.braid_angle is None:
             names = [name for name in ("initial_diameter", "braid_angle") if getattr(self, name) is None]
             missing = " and ".join(names)
-            remedy = f"give the specimen its {missing}, or volume_terms, which `mckibben identify --diameter` estimates"
+            remedy = f"give the specimen its {missing}, or volume_terms, which `mckibben identify --inner` estimates"
             raise RangeError(f"{what} of {self.name} needs its {missing}", field=names[0], remedy=remedy)
         return self.initial_diameter, self.braid_angle
 

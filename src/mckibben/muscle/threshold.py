@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.muscle.base import ForceLaw, check_point
 from mckibben.muscle.specimen import Domain
-from mckibben.numerics.compiled import compiled_alone
+from mckibben.numerics.compiled import jit_inline
 from mckibben.units import Percent, Quantity
 
 Threshold = Annotated[float, Quantity("Pa", "bar", 0.01, 5)]
@@ -85,7 +85,7 @@ class ThresholdLaw(ForceLaw):
         contraction, pressure = check_point(contraction, pressure)
         return self._force(contraction, pressure)
 
-    @compiled_alone  # traced: the law would warn of effective pressures near 0, as of numbers in bar
+    @jit_inline  # traced: the law would warn of effective pressures near 0, as of numbers in bar
     def _force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
         return self.law.force(contraction, self.effective_pressure(pressure))
 

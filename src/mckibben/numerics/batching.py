@@ -18,7 +18,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import ArrayLike
+from jax.tree_util import PyTreeDef
+from jaxtyping import ArrayLike, PyTree
 
 from mckibben.errors import ParameterError
 
@@ -33,8 +34,13 @@ RANK = "rank"
 """Metadata key of a field that holds arrays in a single run, such as samples over time: their number of axes."""
 
 
-def lanes_of(tree: Any) -> tuple[int | None, Any]:
-    """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an extra axis."""
+def lanes_of(tree: PyTree) -> tuple[int | None, Any]:
+    """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an extra axis.
+
+    A leaf is a number in a single run, unless its field has a `RANK`; in a batch it is a number, shared by all runs, or
+    an array of shape (lanes, ...). Raises `ParameterError` for other shapes, empty arrays and different numbers of
+    lanes; the message names the leaves.
+    """
     count, first, flags = None, "", []
     leaves, structure = jax.tree.flatten(tree)
     if not any(np.ndim(leaf) for leaf in leaves if eqx.is_array_like(leaf)):
@@ -62,11 +68,22 @@ def lanes_of(tree: Any) -> tuple[int | None, Any]:
     return count, jax.tree_util.tree_unflatten(structure, flags)
 
 
-def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> dict[str, Any]:
-    """Trees with new, checked values at leaves by dotted names; ``joint.muscle.strength`` is that of both muscles."""
+def with_leaves(trees: Mapping[str, PyTree], values: Mapping[str, ArrayLike]) -> dict[str, PyTree]:
+    """Trees with new, checked values at leaves by dotted names; ``joint.muscle.strength`` is that of both muscles.
+
+    Raises `ParameterError` for names that do not exist and for values that are not numbers, or not integers where the
+    field is one; `RangeError` for values outside the range of a field.
+
+    Parameters
+    ----------
+    trees
+        Pytrees by name; the name ``plant`` is left out in the names of its leaves.
+    values
+        Numbers in SI, or arrays of shape (lanes,), by the names of leaves (`named_leaves`).
+    """
     if not values:
         return dict(trees)
-    values = {each: value for name, value in values.items() for each in _aliased(trees, name)}
+    values = {address: value for name, value in values.items() for address in _aliased(trees, name)}
     known = select_leaves(trees, list(values))
     numbers = {name: _numbers(trees, name, known[name], value) for name, value in values.items()}
     changed = replace_leaves(trees, numbers)
@@ -77,45 +94,45 @@ def with_leaves(trees: Mapping[str, Any], values: Mapping[str, ArrayLike]) -> di
     return changed
 
 
-def _place(trees: Mapping[str, Any], name: str) -> tuple[str, tuple[str, ...]]:
+def _place(trees: Mapping[str, PyTree], name: str) -> tuple[str, tuple[str, ...]]:
     """Tree of a leaf, and the steps to it: names of parts of the plant begin at these."""
     root, *steps = name.split(".")
     return (root, tuple(steps)) if root in trees else (_UNNAMED, (root, *steps))
 
 
-def _aliased(trees: Mapping[str, Any], name: str) -> list[str]:
+def _aliased(trees: Mapping[str, PyTree], name: str) -> list[str]:
     """Names of the leaves that a name stands for."""
     root, steps = _place(trees, name)
     owner = trees.get(root)
     for depth, step in enumerate(steps):
         if names := getattr(type(owner), "aliases", {}).get(step):
             prefix = [] if root == _UNNAMED else [root]
-            several = [".".join([*prefix, *steps[:depth], one, *steps[depth + 1 :]]) for one in names]
-            return [each for one in several for each in _aliased(trees, one)]
+            addresses = [".".join([*prefix, *steps[:depth], alias, *steps[depth + 1 :]]) for alias in names]
+            return [leaf for address in addresses for leaf in _aliased(trees, address)]
         if not hasattr(owner, step):
             break
         owner = getattr(owner, step)
     return [name]
 
 
-def _numbers(trees: Mapping[str, Any], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
+def _numbers(trees: Mapping[str, PyTree], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
     """Values of a leaf as an array of its type."""
     try:
-        given = np.asarray(value)
+        array = np.asarray(value)
     except (TypeError, ValueError, OverflowError):  # ragged rows, or not an array
-        given = np.asarray(None)
-    whole = jnp.issubdtype(given.dtype, jnp.integer)
-    if not (whole or jnp.issubdtype(given.dtype, jnp.floating)):
+        array = np.asarray(None)
+    whole = jnp.issubdtype(array.dtype, jnp.integer)
+    if not (whole or jnp.issubdtype(array.dtype, jnp.floating)):
         raise ParameterError(
             f"the values of {name} are not numeric", value=value, remedy="give a number, or an array with one per run"
         )
     if not whole and _is_whole(trees, name):
         raise ParameterError(f"{name} is an integer", value=value, remedy="give integers")
     keeps = whole and jnp.issubdtype(np.asarray(leaf).dtype, jnp.integer)
-    return given if keeps else given.astype(float)
+    return array if keeps else array.astype(float)
 
 
-def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
+def _is_whole(trees: Mapping[str, PyTree], name: str) -> bool:
     """Whether a leaf is declared an integer, such as a seed, rather than a float written without a decimal point."""
     root, steps = _place(trees, name)
     owner = _descend(trees[root], steps[:-1]) if steps else trees
@@ -125,7 +142,7 @@ def _is_whole(trees: Mapping[str, Any], name: str) -> bool:
     return kind is int or str(kind).startswith("int ") or kind == "int"
 
 
-def select_leaves(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
+def select_leaves(trees: Mapping[str, PyTree], names: Sequence[str]) -> dict[str, PyTree]:
     """Leaves by dotted name; raises as `with_leaves` does."""
     known = named_leaves(trees)
     for name in names:
@@ -136,26 +153,26 @@ def select_leaves(trees: Mapping[str, Any], names: Sequence[str]) -> dict[str, A
     return {name: known[name] for name in names}
 
 
-def named_leaves(trees: Mapping[str, Any]) -> dict[str, Any]:
+def named_leaves(trees: Mapping[str, PyTree]) -> dict[str, PyTree]:
     """All numeric leaves by dotted name; those of the plant begin with its parts, as in a scenario."""
-    found = {}
+    named = {}
     for root, tree in trees.items():
         leaves, structure = jax.tree.flatten(tree)
         for name, leaf in zip(_names(structure), leaves, strict=True):
             if eqx.is_array_like(leaf) and not isinstance(leaf, bool):
-                found[name if root == _UNNAMED else f"{root}.{name}"] = leaf
-    return found
+                named[name if root == _UNNAMED else f"{root}.{name}"] = leaf
+    return named
 
 
 @functools.lru_cache(maxsize=256)
-def _names(structure: Any) -> tuple[str, ...]:
+def _names(structure: PyTreeDef) -> tuple[str, ...]:
     """Dotted names of the leaves of a structure."""
     tree = jax.tree.unflatten(structure, range(structure.num_leaves))
     paths = jax.tree_util.tree_leaves_with_path(tree)
     return tuple(jax.tree_util.keystr(path, simple=True, separator=".") for path, _ in paths)
 
 
-def replace_leaves(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[str, Any]:
+def replace_leaves(trees: Mapping[str, PyTree], values: Mapping[str, PyTree]) -> dict[str, PyTree]:
     """Trees with new values at existing leaves."""
     changed = dict(trees)
     for name, value in values.items():
@@ -164,7 +181,7 @@ def replace_leaves(trees: Mapping[str, Any], values: Mapping[str, Any]) -> dict[
     return changed
 
 
-def recheck(tree: Any) -> None:
+def recheck(tree: PyTree) -> None:
     """Run the checks of every module in a tree, as at construction."""
     _check(tree)
     tree = vars(tree) if isinstance(tree, eqx.Module) else tree
@@ -189,7 +206,7 @@ def cast(tree: Tree, kind: Any) -> Tree:
 
 
 def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
-    """Chunk of every leaf, padded to `size` with the last lane: programs are compiled for one size."""
+    """Chunk of every leaf along its first axis, padded to `size` with the last lane: programs have one size."""
 
     def piece(leaf: Any) -> Any:
         part = np.asarray(leaf[chunk])
@@ -201,7 +218,18 @@ def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
 def map_chunks(
     call: Callable[[slice], R], count: int, size: int, workers: int | None = None
 ) -> Iterator[tuple[slice, R]]:
-    """Call a function on chunks of lanes in threads (JAX releases the lock); yield chunks and results in order."""
+    """Call a function on chunks of lanes in threads (JAX releases the lock); yield chunks and results in order.
+
+    At most two chunks per thread are computed ahead of their reader. An error in a chunk is raised when its turn comes,
+    and ends the others, as closing the iterator does.
+
+    Parameters
+    ----------
+    count, size
+        Numbers of lanes, and of lanes in a chunk.
+    workers
+        Number of threads. Default: of processor cores.
+    """
     workers = workers or cores()
     chunks = iter([slice(start, min(start + size, count)) for start in range(0, count, size)])
     pending: deque[tuple[slice, Future[R]]] = deque()
@@ -227,7 +255,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _rank(tree: Any, path: tuple[Any, ...]) -> int:
+def _rank(tree: PyTree, path: tuple[Any, ...]) -> int:
     """Number of axes of a leaf in a single run."""
     *owners, last = path
     for step in owners:
@@ -240,7 +268,7 @@ def _rank(tree: Any, path: tuple[Any, ...]) -> int:
     return field.metadata.get(RANK, 0)
 
 
-def _descend(tree: Any, steps: tuple[str, ...]) -> Any:
+def _descend(tree: PyTree, steps: tuple[str, ...]) -> Any:
     for step in steps:
         tree = tree[int(step)] if step.isdigit() else getattr(tree, step)
     return tree
@@ -266,8 +294,12 @@ def trace_mode() -> tuple[bool, bool]:
     return _BATCHED.get(), _ROLLED.get()
 
 
-def compute_once(function: Callable[..., R], *args: object) -> R:
-    """`function(*args)`; in a batched program within a branch, so that XLA does not repeat it at each use."""
+def fusion_barrier(function: Callable[..., R], *args: object) -> R:
+    """`function(*args)`; in a batched program within a branch, so that XLA does not repeat it at each use.
+
+    XLA fuses an expensive value into each of its users, and computes it in each of them. It does not fuse across a
+    branch, whose condition it cannot know. Derivatives and results are those of the function.
+    """
     if not _BATCHED.get():
         return function(*args)
 

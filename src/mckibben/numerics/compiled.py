@@ -11,8 +11,10 @@ from typing import Any, ParamSpec, TypeVar, cast
 import jax
 import jax.core
 import numpy as np
+from jax.tree_util import PyTreeDef
+from jaxtyping import PyTree
 
-from mckibben.numerics.batching import compute_once, trace_mode
+from mckibben.numerics.batching import fusion_barrier, trace_mode
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, load_or_compile
 from mckibben.numerics.runtime import batch_options, xla_programs_folder
 
@@ -22,8 +24,11 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def numeric(tree: Any) -> Any:
-    """Tree with its Python and NumPy numbers as NumPy arrays (JAX's would be put on the device one by one)."""
+def numeric(tree: PyTree) -> Any:
+    """Tree with its Python and NumPy numbers as NumPy arrays (JAX's would be put on the device one by one).
+
+    Booleans, texts and other leaves stay as they are: they are static in programs.
+    """
 
     def convert(leaf: Any) -> Any:
         if isinstance(leaf, float):  # the common case, and the quicker check
@@ -37,8 +42,11 @@ def numeric(tree: Any) -> Any:
     return jax.tree.map(convert, tree)
 
 
-def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """`equinox.filter_jit` that traces Python numbers too: a new value does not recompile."""
+def jit(function: Callable[P, R]) -> Callable[P, R]:
+    """`equinox.filter_jit` that traces Python numbers too: a new value does not recompile.
+
+    The program is kept in the user's program cache, if that is in use (`numerics.program_cache`).
+    """
     program = Program(function)
 
     @functools.wraps(function)
@@ -49,9 +57,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def compiled_alone(function: Callable[P, R]) -> Callable[P, R]:
-    """`compiled` for concrete arguments; inlined when traced by another program."""
-    alone = compiled(function)
+def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
+    """`jit` for concrete arguments; inlined when traced by another program."""
+    alone = jit(function)
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -60,37 +68,40 @@ def compiled_alone(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def computed_once(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator for functions and methods that are always called by `compute_once`, and traced once per structure."""
+def cached_trace(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator for functions and methods that are always called by `fusion_barrier`, and traced once per structure."""
     program = Program(function)
 
     @functools.wraps(function)
     def once(*args: P.args, **kwargs: P.kwargs) -> R:
         call = program if _is_traced((args, kwargs)) else function
-        return compute_once(lambda: call(*args, **kwargs))
+        return fusion_barrier(lambda: call(*args, **kwargs))
 
     return once
 
 
-def _is_traced(tree: Any) -> bool:
+def _is_traced(tree: PyTree) -> bool:
     """Whether a tree contains tracers of another program."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
 
 
-def compiled_as_given(function: Callable[P, R], options: Callable[[], dict[str, Any]] = dict) -> Callable[P, R]:
-    """`compiled` with only arrays traced and numbers static; pass trees through `numeric` first."""
+def jit_arrays(function: Callable[P, R], options: Callable[[], dict[str, int]] = dict) -> Callable[P, R]:
+    """`jit` with only arrays traced and numbers static; pass trees through `numeric` first.
+
+    `options` are compiler options of XLA, asked for when a program is compiled.
+    """
     return cast(Any, functools.update_wrapper(Program(function, options), function))
 
 
-def compiled_batch(function: Callable[P, R]) -> Callable[P, R]:
-    """`compiled_as_given` with the compiler options for many lanes."""
-    return compiled_as_given(function, batch_options)
+def jit_lanes(function: Callable[P, R]) -> Callable[P, R]:
+    """`jit_arrays` with the compiler options for many lanes."""
+    return jit_arrays(function, batch_options)
 
 
 class Program:
     """Pure function of arrays, compiled once per structure of its arguments; all other leaves are static."""
 
-    def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, Any]] = dict) -> None:
+    def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, int]] = dict) -> None:
         self._function = function
         self._options = options
         self._programs: dict[Any, Callable[..., Any]] = {}
@@ -100,7 +111,7 @@ class Program:
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         leaves, structure = jax.tree.flatten((args, kwargs))
         static = tuple(ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves)
-        arrays = [leaf for leaf, kept in zip(leaves, static, strict=True) if kept is ARRAY]
+        arrays = [leaf for leaf, mark in zip(leaves, static, strict=True) if mark is ARRAY]
         if _is_traced(arrays):  # part of another program
             known = (structure, static, tuple(map(type, static)), trace_mode())
             if (program := self._parts.get(known)) is None:
@@ -121,7 +132,7 @@ class Program:
                     return answer
         return program(*arrays)
 
-    def _jitted(self, structure: Any, static: tuple[Any, ...], *, inline: bool = False) -> Any:
+    def _jitted(self, structure: PyTreeDef, static: tuple[Any, ...], *, inline: bool = False) -> Any:
         """`jax.jit` of the function over its array leaves."""
 
         def call(*arrays: Any) -> Any:

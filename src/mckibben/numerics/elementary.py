@@ -97,22 +97,30 @@ _F32 = _Constants(
 
 
 def exp(x: ArrayLike) -> Float[Array, "..."]:
-    """Exponential, elementwise."""
+    """Exponential, elementwise, to a few units in the last place of 32 or 64 bits.
+
+    With n the integer nearest to x / ln 2, exp x = 2^n exp(x - n ln 2), the latter by a polynomial. Subnormal results
+    are 0. Derivatives of any order exist. Raises `TypeError` for other precisions.
+    """
     return _exp(floating(x))
 
 
 def sin(x: ArrayLike) -> Float[Array, "..."]:
-    """Sine, elementwise."""
+    """Sine, elementwise; see `sincos`."""
     return _sincos(floating(x))[0]
 
 
 def cos(x: ArrayLike) -> Float[Array, "..."]:
-    """Cosine, elementwise."""
+    """Cosine, elementwise; see `sincos`."""
     return _sincos(floating(x))[1]
 
 
 def sincos(x: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Sine and cosine, at the cost of one."""
+    """Sine and cosine, at the cost of one, absolute error below 3e-16 for angles of a few hundred radians.
+
+    The angle [rad] is reduced to [-pi/4, pi/4] by multiples of pi/2 in two parts (Cody and Waite); the polynomials are
+    those of fdlibm in 64 bits and of Cephes (S. L. Moshier) in 32.
+    """
     return _sincos(floating(x))
 
 

@@ -25,6 +25,8 @@ import equinox
 import jax
 import jaxlib.version
 import numpy as np
+from jax.tree_util import PyTreeDef
+from jaxtyping import PyTree
 
 from mckibben.numerics.runtime import processor
 from mckibben.storage.private import SOURCES, is_private, read_private, source_files, write_private
@@ -49,7 +51,7 @@ class FingerprintError(ValueError):
     """A value has no fingerprint that is valid in other processes."""
 
 
-def program_path(folder: Path, function: Callable[..., Any], static: Sequence[Any], *rest: Any) -> Path | None:
+def program_path(folder: Path, function: Callable[..., Any], static: Sequence[PyTree], *rest: PyTree) -> Path | None:
     """File of a program in `folder`; None without fingerprint or trusted folder."""
     try:
         words = [code_fingerprint(function), *map(fingerprint, static)]
@@ -78,7 +80,13 @@ def write_program(path: Path, content: bytes) -> None:
 
 
 def load_or_compile(
-    folder: Path, jitted: Any, arrays: list[Any], function: Callable[..., Any], structure: Any, static: Any, *rest: Any
+    folder: Path,
+    jitted: Any,
+    arrays: list[Any],
+    function: Callable[..., Any],
+    structure: PyTreeDef,
+    static: PyTree,
+    *rest: PyTree,
 ) -> Callable[..., Any]:
     """Program from its file in `folder`, or compiled and written; `jitted` without fingerprint or trusted folder."""
     from jax.experimental.serialize_executable import deserialize_and_load, serialize
@@ -86,15 +94,15 @@ def load_or_compile(
     path = program_path(folder, function, (structure, *static), *rest)
     if path is None:
         return jitted
-    given = jax.tree.structure((tuple(arrays), {}))
+    arguments = jax.tree.structure((tuple(arrays), {}))
     try:
         payload, answer = pickle.loads(read_private(path))
-        return deserialize_and_load(payload, given, jax.tree.structure(answer))
+        return deserialize_and_load(payload, arguments, jax.tree.structure(answer))
     except Exception:  # missing, damaged, not private, or of another JAX
         program = jitted.lower(*arrays).compile()
     try:
         payload, _, answer = serialize(program)
-        jax.block_until_ready(deserialize_and_load(payload, given, answer)(*arrays))  # not every program loads again
+        jax.block_until_ready(deserialize_and_load(payload, arguments, answer)(*arrays))  # not every one loads again
         write_program(path, pickle.dumps((payload, jax.tree.unflatten(answer, [0] * answer.num_leaves))))
     except Exception:  # it runs even where it cannot be stored, such as on a full disk
         pass
@@ -118,7 +126,7 @@ def code_fingerprint(thing: Any) -> str:
     return name
 
 
-def structure_fingerprint(structure: Any) -> str:
+def structure_fingerprint(structure: PyTreeDef) -> str:
     """Classes and static values of a JAX tree structure."""
     node = structure.node_data()
     if node is None:
@@ -141,9 +149,9 @@ def fingerprint(value: Any) -> str:
     elif isinstance(value, np.dtype):
         text = f"{value.str} {value.name}"
     elif isinstance(value, dict):
-        text = " ".join(f"{fingerprint(key)}:{fingerprint(one)}" for key, one in value.items())
+        text = " ".join(f"{fingerprint(key)}:{fingerprint(item)}" for key, item in value.items())
     elif isinstance(value, _CONTAINERS):
-        names = [fingerprint(one) for one in value]
+        names = [fingerprint(item) for item in value]
         text = " ".join(sorted(names) if isinstance(value, set | frozenset) else names)
     elif dataclasses.is_dataclass(value):
         fields = dataclasses.fields(value)

@@ -13,32 +13,32 @@ from typing import Any, NamedTuple
 from mckibben.numerics.elementary import sincos
 
 
-def product(one: Any, two: Any) -> Any:
-    """Return one times two."""
-    for known, other in ((one, two), (two, one)):
+def product(a: Any, b: Any) -> Any:
+    """Return a times b."""
+    for known, other in ((a, b), (b, a)):
         if isinstance(known, int | float):
             if known == 0:
                 return 0.0
             if abs(known) == 1:
                 return other if known == 1 else -other
-    return one * two
+    return a * b
 
 
-def total(one: Any, two: Any) -> Any:
-    """Return one plus two."""
-    for known, other in ((one, two), (two, one)):
+def total(a: Any, b: Any) -> Any:
+    """Return a plus b."""
+    for known, other in ((a, b), (b, a)):
         if isinstance(known, int | float) and known == 0:
             return other
-    return one + two
+    return a + b
 
 
-def difference(one: Any, two: Any) -> Any:
-    """Return one minus two."""
-    if one is two:
+def difference(a: Any, b: Any) -> Any:
+    """Return a minus b."""
+    if a is b:
         return 0.0
-    if isinstance(two, int | float) and two == 0:
-        return one
-    return -two if isinstance(one, int | float) and one == 0 else one - two
+    if isinstance(b, int | float) and b == 0:
+        return a
+    return -b if isinstance(a, int | float) and a == 0 else a - b
 
 
 class Vector(NamedTuple):
@@ -59,7 +59,7 @@ class Vector(NamedTuple):
 
     def scaled(self, factor: Any) -> Vector:
         """Return the vector times a factor."""
-        return Vector(*(product(factor, one) for one in self))
+        return Vector(*(product(factor, number) for number in self))
 
     def dot(self, other: Vector) -> Any:
         """Return the scalar product."""
@@ -83,7 +83,7 @@ X, Y, Z = Vector(1.0, 0.0, 0.0), Vector(0.0, 1.0, 0.0), Vector(0.0, 0.0, 1.0)
 def unit_vector(direction: Sequence[float]) -> Vector:
     """Return a vector of known numbers with the length 1."""
     length = math.hypot(*direction)
-    return Vector(*(float(one) / length for one in direction))
+    return Vector(*(float(number) / length for number in direction))
 
 
 class Rotation(NamedTuple):
@@ -144,17 +144,17 @@ class Tensor(NamedTuple):
         return cls(number, 0.0, 0.0, number, 0.0, number)
 
     @classmethod
-    def dyad(cls, one: Vector, two: Vector) -> Tensor:
+    def dyad(cls, a: Vector, b: Vector) -> Tensor:
         """Return the symmetric part of the dyadic product."""
 
         def mean(a: Any, b: Any) -> Any:
             return product(0.5, total(a, b))
 
         return cls(
-            product(one.x, two.x),
-            mean(product(one.x, two.y), product(one.y, two.x)),
-            mean(product(one.x, two.z), product(one.z, two.x)),
-            product(one.y, two.y),
-            mean(product(one.y, two.z), product(one.z, two.y)),
-            product(one.z, two.z),
+            product(a.x, b.x),
+            mean(product(a.x, b.y), product(a.y, b.x)),
+            mean(product(a.x, b.z), product(a.z, b.x)),
+            product(a.y, b.y),
+            mean(product(a.y, b.z), product(a.z, b.y)),
+            product(a.z, b.z),
         )

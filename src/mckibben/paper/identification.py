@@ -14,7 +14,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.identification import Fit, Validation, identify, validate
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ChouLaw, ExponentialLaw, ForceLaw, Muscle
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.paper.settings import SETTINGS, Setting, StiffnessReference, pid_scenario
 from mckibben.plant import JointPlant
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest, away_from_turns
@@ -165,7 +165,7 @@ def _static_range(plant: JointPlant, angles: NDArray[np.float64], infeasible: ND
     return edge(angles[zero::-1], infeasible[zero::-1]), edge(angles[zero:], infeasible[zero:])
 
 
-@compiled
+@jit
 def _attainable(joint: AntagonisticJoint, angle: Array, torque: Array) -> tuple[Array, Array]:
     return joint.attainable_stiffness(angle, torque)
 

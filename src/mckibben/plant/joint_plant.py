@@ -20,7 +20,7 @@ from mckibben.joint.attainable import StaticSolution, check_finite, raise_unatta
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
 from mckibben.muscle.friction import FrictionState
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant.base import IOState, Motion, Plant
 from mckibben.plant.joint_friction import JointFriction
@@ -222,7 +222,7 @@ def _steepest_damping(muscle: Muscle, friction: MaxwellSlip, lengths: NDArray[np
     return float(np.max(friction.steepest_damping(lengths, tension, pressures)))
 
 
-@compiled
+@jit
 def _tensions(muscle: Muscle, lengths: ArrayLike, pressures: ArrayLike) -> Array:
     return muscle.tension(muscle.specimen.contraction_at(lengths), pressures)
 
@@ -242,7 +242,7 @@ def _extremes(angles: ArrayLike) -> NDArray[np.float64]:
     return np.array([at.flat[0], np.nanmin(at), np.nanmax(at)])
 
 
-@compiled
+@jit
 def _equilibrium(plant: JointPlant, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Array, StaticSolution]:
     """Return the equilibrium, the muscles' torque [N*m] in it, and the static solution, from one program."""
     torque = -plant.load.gravity_torque(angle)

@@ -9,7 +9,7 @@ from mckibben.joint import Geometry
 from mckibben.joint.attainable import pressure_limits_of
 from mckibben.muscle import Muscle
 from mckibben.numerics.calculus import derivative
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
 from mckibben.units import percent
@@ -122,7 +122,7 @@ def friction_torque(
     return jnp.max(opposed), jnp.max(jnp.maximum(low1, high1) + jnp.maximum(low2, high2))
 
 
-@compiled
+@jit
 def attained_stiffness(
     plant: JointPlant, angle: ArrayLike, reserve: ArrayLike, minimum_tension: float
 ) -> tuple[Array, Array]:

@@ -188,7 +188,7 @@ class Make(NamedTuple):
         Raises `ParameterError` for a muscle without volume, and for a spread outside 0 to 1, or 1 with the fit.
         """
         if not muscle.specimen.has_volume:
-            remedy = "give its initial_diameter and braid_angle, or identify it with --diameter"
+            remedy = "give its initial_diameter and braid_angle, or identify it with --inner"
             raise ParameterError(f"{name}: the volume of the muscle is unknown", field="specimen", remedy=remedy)
         uncertainty = math.hypot(spread, 0.0 if fit is None else _relative_error(fit))
         if not (spread >= 0 and uncertainty < 1):

@@ -23,7 +23,7 @@ from mckibben.control import Constant, DecouplingControl, PolePlacement, Ramp, R
 from mckibben.errors import ParameterError, UnreachableError
 from mckibben.joint import AntagonisticJoint, PairedPaths, Pulley, RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant import JointPlant
 from mckibben.reachability.air_supply import AirSupply, air_supply
 from mckibben.reachability.lengths import check_lengths, with_lengths
@@ -304,7 +304,7 @@ def _margins(plants: Sequence[JointPlant], lengths: dict[str, Any], need: Requir
     return np.nan_to_num(functools.reduce(np.minimum, margins), nan=-np.inf)
 
 
-@compiled
+@jit
 def _margins_of(
     plant: JointPlant, lengths: Any, angles: ArrayLike, stiffness: Any, reserve: ArrayLike, speed: ArrayLike
 ) -> Array:

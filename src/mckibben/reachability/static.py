@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.attainable import cocontraction_segment, is_affine
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
 from mckibben.simulation.feasibility import distance_from
@@ -181,7 +181,7 @@ def _torque_grid(angles: Values, torques: list[Values], columns: int, rows: int)
     return np.broadcast_to(angles[chosen], (rows, columns)), low + fraction * (high - low)
 
 
-@compiled
+@jit
 def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tuple[Array, ...]:
     """Static torque, attainable torques; stiffness and pressures, (points, angles), NaN where infeasible."""
     angle, points = floating(angle), floating(points)
@@ -199,11 +199,11 @@ def _static_states(plant: JointPlant, angle: ArrayLike, points: ArrayLike) -> tu
     return torque, *(jnp.where(able, limit, jnp.nan) for limit in limits), stiffness, *pressures
 
 
-@compiled
+@jit
 def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Array) -> Array:
     return joint.secant_stiffness(angle, (pressures[0], pressures[1]), SMALL_MOTION)
 
 
-@compiled
+@jit
 def _attainable_stiffness(plant: JointPlant, angle: ArrayLike, torque: ArrayLike) -> tuple[Array, Array]:
     return plant.supplied_joint.attainable_stiffness(angle, torque)

@@ -15,10 +15,10 @@ from jax import lax
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.codegen.native import compile_alone, warn_of_fallback
+from mckibben.codegen.native import compile_native, warn_of_fallback
 from mckibben.control.base import Controller, Measurement, Setpoint
 from mckibben.errors import ExportError, SimulationError
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.program_cache import ARRAYS
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.oscillation import LimitCycle, Oscillation
@@ -50,12 +50,12 @@ def _zero(plant: JointPlant, low: float, high: float) -> float:
     return float(angles[at] + part * (angles[at + 1] - angles[at]))
 
 
-@compiled
+@jit
 def _torque(plant: JointPlant, angles: ArrayLike) -> Array:
     return plant.joint.torque(angles, (0.0, 0.0)) + plant.load.gravity_torque(angles)
 
 
-@compiled
+@jit
 def complete_state(plant: JointPlant, state: PlantState) -> PlantState:
     """`JointPlant.complete_state` as one program."""
     return plant.complete_state(state)
@@ -194,7 +194,7 @@ def detect_flat(states: FlatTree, memory: Array, inputs: Array) -> tuple[Array, 
     return states.pack(so_far, jnp), jnp.stack(so_far.limit_cycle(index + 1, period))
 
 
-@compiled
+@jit
 def _begin(controller: Controller, angle: Any, pressures: tuple[Any, Any]) -> Any:
     return controller.init(Measurement(angle, pressures))
 
@@ -221,7 +221,7 @@ def advance_flat(
 def compile_flat(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
     """Compile a function of static arguments and arrays by the C compiler or, if that is not possible, by XLA."""
     try:
-        return compile_alone(function, *sizes, static=static)
+        return compile_native(function, *sizes, static=static)
     except ExportError as error:
         warn_of_fallback(error)
         return _compile_loop(functools.partial(function, *static), *sizes)

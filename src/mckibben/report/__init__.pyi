@@ -1,8 +1,7 @@
 from .animation import animate as animate
-from .benchmark import benchmark_air as benchmark_air
-from .benchmark import benchmark_errors as benchmark_errors
-from .benchmark import benchmark_references as benchmark_references
-from .benchmark import write_benchmark as write_benchmark
+from .comparison import comparison_air as comparison_air
+from .comparison import comparison_errors as comparison_errors
+from .comparison import write_comparison as write_comparison
 from .drawing import draw_joint as draw_joint
 from .figures import ReportFigure as ReportFigure
 from .figures import figures as figures
@@ -20,8 +19,7 @@ from .leg import foot_ellipses as foot_ellipses
 from .leg import jump_traces as jump_traces
 from .leg import landing_forces as landing_forces
 from .leg import plan_stiffness as plan_stiffness
-from .leg import write_jump as write_jump
-from .leg import write_landing as write_landing
+from .muscle import fit as fit
 from .muscle import isobaric as isobaric
 from .muscle import isobaric_curves as isobaric_curves
 from .muscle import law_comparison as law_comparison
@@ -32,6 +30,7 @@ from .study import planned as planned
 from .study import sweep as sweep
 from .study import tuning as tuning
 from .style import house_style as house_style
+from .style import png_of as png_of
 from .style import save as save
 from .tracking import control_results as control_results
 from .tracking import controller_comparison as controller_comparison

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
@@ -18,7 +19,8 @@ from PIL import Image
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.joint.mechanism import Mechanism, muscle_sizes
 from mckibben.report.drawing import JointPicture, limb_and_masses, outer_points
-from mckibben.report.style import BLUE, DESIRED, SKY, VERMILLION, draw_band, pressure_colours, robust_limits, styled
+from mckibben.report.palette import MUSCLES, VERMILLION
+from mckibben.report.style import DESIRED, draw_band, pressure_colours, robust_limits, styled
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, deg
 
@@ -73,25 +75,17 @@ def animate(
     FileError
         If the file exists and `overwrite` is not set.
     """
-    animation_format(path)
+    kind = animation_format(path)
     if not np.isfinite(result["angle"]).all():
         raise SimulationError("the run diverged: there is nothing to draw", remedy="animate a run that is finite")
     frames = _frames(result, _plant_of(result) if plant is None else plant)
     milliseconds = round(1000 * min(result.times[-1] / len(frames), _MOST_FRAMES / _RATE / len(frames)))
-    return write_frames(frames, path, milliseconds, overwrite=overwrite, lossless=True, quality=30, method=2)
-
-
-def write_frames(
-    frames: list[Image.Image], path: str | os.PathLike[str], milliseconds: int, *, overwrite: bool, **webp: Any
-) -> Path:
-    """Write images as an animation that repeats, and return its path; `webp` are options of Pillow for that format."""
-    kind = animation_format(path)
+    options: dict[str, Any] = {"lossless": True, "quality": 30, "method": 2}
     if kind == "GIF":
-        frames, webp = _differences(frames), {"optimize": False, "transparency": _CLEAR, "disposal": 1}
+        frames, options = _differences(frames), {"optimize": False, "transparency": _CLEAR, "disposal": 1}
+    options |= {"save_all": True, "append_images": frames[1:], "loop": 0, "duration": max(milliseconds, 20)}
     with atomic_write(path, overwrite=overwrite) as part:
-        frames[0].save(
-            part, format=kind, save_all=True, append_images=frames[1:], duration=max(milliseconds, 20), loop=0, **webp
-        )
+        frames[0].save(part, format=kind, **options)
     return Path(path)
 
 
@@ -100,10 +94,10 @@ def _differences(frames: list[Image.Image]) -> list[Image.Image]:
     palette = frames[len(frames) // 3].quantize(_CLEAR, dither=Image.Dither.NONE)
     indices = [np.asarray(frame.quantize(palette=palette, dither=Image.Dither.NONE)) for frame in frames]
     changes = [np.where(now == before, _CLEAR, now) for before, now in itertools.pairwise(indices)]
-    found = [Image.fromarray(each.astype(np.uint8)) for each in (indices[0], *changes)]
-    for image in found:
+    images = [Image.fromarray(index.astype(np.uint8)) for index in (indices[0], *changes)]
+    for image in images:
         image.putpalette(palette.getpalette() or [])
-    return found
+    return images
 
 
 def _plant_of(result: SimulationResult) -> JointPlant:
@@ -150,12 +144,11 @@ def _frames(result: SimulationResult, plant: JointPlant) -> list[Image.Image]:
     images = []
     for frame, index in enumerate(at):
         canvas.restore_region(background)
-        diameter = [None if one is None else float(one[frame]) for one in diameters]
-        colours = list(scale.to_rgba(pressures[:, frame]))
-        picture.update(float(angles[frame]), [float(one[frame]) for one in lengths], diameter, colours)
+        size = [length[frame] for length in lengths], [None if width is None else width[frame] for width in diameters]
+        picture.update(float(angles[frame]), *size, list(scale.to_rgba(pressures[:, frame])))
         for cursor in cursors:
             cursor.set_xdata([times[index]])
-        for artist in sorted(moving, key=lambda one: one.get_zorder()):
+        for artist in sorted(moving, key=Artist.get_zorder):
             assert artist.axes is not None
             artist.axes.draw_artist(artist)
         images.append(Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3].copy()))
@@ -172,7 +165,7 @@ def _plots(figure: SubFigure, result: SimulationResult, times: NDArray[np.float6
     rows[1].plot(times, result["stiffness"], color=VERMILLION)
     rows[1].plot(times, result["desired_stiffness"], **DESIRED)
     rows[1].set_ylim(*robust_limits([result["stiffness"], result["desired_stiffness"]], margin=0.3))
-    for number, colour in ((1, BLUE), (2, SKY)):
+    for number, colour in enumerate(MUSCLES, 1):
         rows[2].plot(times, result[f"pressure{number}"] / bar, color=colour, label=f"muscle {number}")
     rows[2].legend(loc="upper right", ncols=2, fontsize=8, borderaxespad=0.0, handlelength=1.2)
     rows[2].set_ylim(0, 1.35 * max(float(result[f"pressure{i}"].max()) for i in (1, 2)) / bar or 1.0)

@@ -18,7 +18,8 @@ from mckibben.component.checks import check_kind
 from mckibben.joint import AntagonisticJoint, Geometry, KneeGeometry, KneeLoad, PendulumLoad
 from mckibben.joint.mechanism import SLENDER, Mechanism, Points, Strand, muscle_sizes
 from mckibben.plant import JointPlant
-from mckibben.report.style import BLACK, BLUE, VERMILLION, blank, minus, pressure_colours, styled
+from mckibben.report.palette import BLACK, GREY, MUSCLES
+from mckibben.report.style import blank, minus, pressure_colours, styled
 from mckibben.units import bar, deg, mm
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ def draw_joint(
     *,
     labels: bool = True,
 ) -> Figure:
-    """Drawing of a joint at an angle [rad], with its dimensions and a second panel of the hinge.
+    """Drawing of a joint at an angle [rad], with its dimensions and moment arms.
 
     Muscles have the lengths of the geometry, or of the joint at gauge pressures [Pa] (default: 0), and a diameter given
     by the volume of their specimens. A path that is not a straight line is drawn as the cam with its moment arms; a
@@ -152,7 +153,7 @@ def draw_joint(
     pressures
         Gauge pressures (p1, p2) [Pa], which colour the muscles.
     labels
-        Whether to label the dimensions; without labels there is one panel.
+        Whether to label the dimensions.
 
     Examples
     --------
@@ -171,25 +172,22 @@ def draw_joint(
     diameters: Sequence[Any] = (None, None)
     if muscles is not None:
         lengths, diameters = muscle_sizes(muscles, muscles.contractions(angle, pressures or (0.0, 0.0)))
-    sizes = [float(one) for one in lengths], [None if one is None else float(one) for one in diameters]
+    sizes = [float(length) for length in lengths], [None if width is None else float(width) for width in diameters]
     scale = None if pressures is None else _pressure_scale(muscles, pressures)
     colours = [_UNKNOWN] * 2 if scale is None else list(scale.to_rgba(np.asarray(pressures, float) / bar))
 
-    box, strands = outer_points(mechanism, limb, (angle,)), mechanism.strands(angle)
-    figure = blank(4.6, 5.0) if labels else blank(2.4, 4.0)
-    grid = figure.subplots(1, 2, width_ratios=(1, 1.4)) if labels else [figure.subplots()]
-    margin = 0.04 * np.ptp(box, axis=0).max()
-    for axes, (limits, room) in zip(grid, ((box, margin), (_nearby(mechanism, strands), 0.0)), strict=False):
-        JointPicture(axes, mechanism, limb, masses, muscles.springs if muscles else (False, False)).update(
-            angle, *sizes, colours
-        )
-        axes.set_xlim(limits[:, 0].min() - room, limits[:, 0].max() + room)
-        axes.set_ylim(limits[:, 1].min() - room, limits[:, 1].max() + room)
+    springs = muscles.springs if muscles else (False, False)
+    box = outer_points(mechanism, limb, (angle,))
+    figure = blank(4.2, 5.0) if labels else blank(2.4, 4.0)
+    axes = figure.subplots()
+    strands = JointPicture(axes, mechanism, limb, masses, springs).update(angle, *sizes, colours)
+    (left, bottom), (right, top) = box.min(axis=0), box.max(axis=0)
+    margin = 0.04 * max(right - left, top - bottom)
+    axes.set(xlim=(left - margin, right + margin), ylim=(bottom - margin, top + margin))
     if scale is not None:
-        figure.colorbar(scale, ax=list(grid), label="pressure [bar]", location="bottom", fraction=0.04, pad=0.02)
+        figure.colorbar(scale, ax=axes, label="pressure [bar]", location="bottom", fraction=0.04, pad=0.02)
     if labels:
-        _label_whole(grid[0], mechanism, strands, sizes[0])
-        _label_hinge(grid[1], mechanism, strands, angle)
+        _label(axes, mechanism, strands, sizes[0], angle)
     return figure
 
 
@@ -198,13 +196,6 @@ def _pressure_scale(joint: AntagonisticJoint | None, pressures: Pressures) -> Sc
     if joint is not None:
         highest = max([highest, *(float(muscle.domain.pressure_max) for muscle in (joint.muscle1, joint.muscle2))])
     return ScalarMappable(Normalize(0.0, highest / bar), pressure_colours())
-
-
-def _nearby(mechanism: Mechanism, strands: Sequence[Strand]) -> Points:
-    """Corners of the panel of the hinge."""
-    reach = max(float(np.linalg.norm(point)) for strand in strands for point in (strand.end, *strand.wrap))
-    reach = 1.6 * min(reach, mechanism.height / 2)
-    return np.array([[-reach, -1.5 * reach], [reach, 1.1 * reach]])
 
 
 def _note(
@@ -218,69 +209,44 @@ def _note(
     axes.text(x, y, text, ha=ha, va=va, parse_math=True, zorder=8, bbox=halo, **_NOTE, **look)
 
 
-def _span(axes: Axes, one: tuple[float, float], other: tuple[float, float]) -> None:
-    """Dimension line between two points."""
-    arrow = {"arrowstyle": "<|-|>", "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0, "color": BLACK, "mutation_scale": 7}
-    axes.annotate("", one, other, arrowprops=arrow, zorder=7)
-
-
-def _label_whole(axes: Axes, mechanism: Mechanism, strands: Sequence[Strand], lengths: Sequence[float]) -> None:
-    """Names of the muscles, and the lengths of a `KneeGeometry`."""
-    geometry, up = mechanism.geometry, mechanism.up
+def _label(axes: Axes, mechanism: Mechanism, strands: Sequence[Strand], lengths: Sequence[float], angle: float) -> None:
+    """Names of the muscles, moment arms and angle, and the lengths of a `KneeGeometry`."""
+    geometry, up, height = mechanism.geometry, mechanism.up, mechanism.height
     right = np.array([up[1], -up[0]])
-    gap = 0.045 * mechanism.height
-    rotation = 90.0 if abs(up[1]) > 0.5 else 0.0
+    gap, rotation = 0.045 * height, 90.0 if abs(up[1]) > 0.5 else 0.0
     second = 1.0 if (strands[1].start - strands[0].start) @ right >= 0 else -1.0
     for number, (strand, length, side) in enumerate(zip(strands, lengths, (-second, second), strict=True), 1):
         first, last = strand.body(length)
         _note(axes, (first + last) / 2, f"muscle {number}", side * right, gap, rotation=rotation)
+        along = (strand.end - strand.start) / strand.length
+        foot = strand.start - (strand.start @ along) * along
+        color = MUSCLES[number - 1]
+        axes.plot(*np.array([np.zeros(2), foot]).T, color=color, linewidth=1.4, linestyle=(0, (3, 1.5)), zorder=7)
+        _note(axes, foot, f"$d_{number}$", foot / np.linalg.norm(foot), gap)
         if isinstance(geometry, KneeGeometry) and number == 2:
             _note(axes, (strand.start + first) / 2, "$L_u$", side * right, gap)
             _note(axes, (strand.end + last) / 2, "$L_d$", side * right, gap)
-    # room for the names at the sides
     low, high = axes.get_xlim()
-    axes.set_xlim(low - 0.16 * mechanism.height, high + 0.12 * mechanism.height)
+    axes.set_xlim(low - 0.16 * height, high + 0.12 * height)  # room for the names at the sides
     if isinstance(geometry, KneeGeometry):
-        x = -float(geometry.joint_radius) - 0.15 * mechanism.height
-        top = float(geometry.joint_length)
-        for y, end in ((top, -float(geometry.joint_radius)), (0.0, 0.0)):
-            axes.plot([x - gap / 2, end], [y, y], color="#8A8A8A", linewidth=0.6, zorder=0)
-        _span(axes, (x, 0.0), (x, top))
-        _note(axes, np.array([x, 0.45 * top]), "$H$", np.array([-1.0, 0.0]), gap / 2)
-
-
-def _label_hinge(axes: Axes, mechanism: Mechanism, strands: Sequence[Strand], angle: float) -> None:
-    """Moment arms, angle, and the radius of a `KneeGeometry`."""
-    reach = axes.get_xlim()[1]
-    for number, (strand, colour) in enumerate(zip(strands, (VERMILLION, BLUE), strict=True), 1):
-        along = (strand.end - strand.start) / strand.length
-        foot = strand.start - (strand.start @ along) * along
-        axes.plot(*np.array([np.zeros(2), foot]).T, color=colour, linewidth=1.4, linestyle=(0, (3, 1.5)), zorder=7)
-        outward = foot / np.linalg.norm(foot)
-        _note(axes, foot, f"$d_{number}$", outward, 0.08 * reach)
-    if isinstance(mechanism.geometry, KneeGeometry):
-        end = strands[1].end
-        axes.plot(*np.array([np.zeros(2), end]).T, color=BLACK, linewidth=0.9, zorder=7)
-        axes.plot(*end, "o", color=BLACK, markersize=3, zorder=7)
-        _note(axes, end / 2, "$r$", np.array([-end[1], end[0]]) / np.linalg.norm(end), 0.04 * reach)
-    down = mechanism.limb(0.0, 1.25 * reach)
-    axes.plot(*np.array([np.zeros(2), down]).T, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), zorder=3)
+        _label_height(axes, geometry, height)
     if abs(angle) > 1 * deg:
+        down, radius = mechanism.limb(0.0, 0.4 * height), 0.3 * height
+        axes.plot(*np.array([np.zeros(2), down]).T, color=BLACK, linewidth=0.7, linestyle=(0, (4, 2)), zorder=3)
         zero = math.degrees(math.atan2(down[1], down[0]))
         first, last = sorted((zero, zero + angle / deg))
-        axes.add_patch(
-            Arc((0, 0), 2 * reach, 2 * reach, theta1=first, theta2=last, color=BLACK, linewidth=0.9, zorder=7)
-        )
-        _note(axes, mechanism.limb(angle / 2, reach), "$θ$", mechanism.limb(angle / 2, 1.0), 0.05 * reach)
-    arms = [float(arm) / mm for arm in mechanism.geometry.moment_arms(angle)]
-    axes.set_title(f"hinge at {minus(angle / deg, '.3g')} deg", loc="center", color="#555555")
-    axes.text(
-        0.5,
-        0.0,
-        f"$d_1$ {arms[0]:.3g} mm   $d_2$ {arms[1]:.3g} mm",
-        parse_math=True,
-        ha="center",
-        va="top",
-        transform=axes.transAxes,
-        **_NOTE,
-    )
+        arc = {"theta1": first, "theta2": last, "color": BLACK, "linewidth": 0.9, "zorder": 7}
+        axes.add_patch(Arc((0, 0), 2 * radius, 2 * radius, **arc))
+        _note(axes, mechanism.limb(angle / 2, radius), "$θ$", mechanism.limb(angle / 2, 1.0), gap / 2)
+    arms = " and ".join(f"{float(arm) / mm:.3g}" for arm in geometry.moment_arms(angle))
+    axes.set_title(f"{minus(angle / deg, '.3g')} deg: moment arms {arms} mm", loc="center", color=GREY)
+
+
+def _label_height(axes: Axes, geometry: KneeGeometry, height: float) -> None:
+    """Dimension line of the distance from the hip to the hinge."""
+    x, top = -float(geometry.joint_radius) - 0.15 * height, float(geometry.joint_length)
+    for y, end in ((top, -float(geometry.joint_radius)), (0.0, 0.0)):
+        axes.plot([x - 0.02 * height, end], [y, y], color=GREY, linewidth=0.6, zorder=0)
+    arrow = {"arrowstyle": "<|-|>", "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0, "color": BLACK, "mutation_scale": 7}
+    axes.annotate("", (x, 0.0), (x, top), arrowprops=arrow, zorder=7)
+    _note(axes, np.array([x, 0.45 * top]), "$H$", np.array([-1.0, 0.0]), 0.02 * height)

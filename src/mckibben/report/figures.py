@@ -49,22 +49,24 @@ def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
     yield from _of_the_methods(reproduction)
 
 
-def _figure(name: str, figure: Figure, suffix: str = "", **values: object) -> ReportFigure:
-    """A figure with its texts."""
-    texts = tomllib.loads((resources.files("mckibben.report") / "figures.toml").read_text(encoding="utf-8"))[name]
-    written = {key: text.format(**values).replace("N*m/rad", "N·m/rad") for key, text in texts.items()}
-    return ReportFigure(name + suffix, figure=figure, **written)
+def described(key: str, figure: Figure, suffix: str = "", **values: object) -> ReportFigure:
+    """A figure with its texts from `figures.toml`, of which `values` fill the braces; its name ends in `suffix`."""
+    texts = tomllib.loads((resources.files("mckibben.report") / "figures.toml").read_text(encoding="utf-8"))[key]
+    written = {"section": ""} | {
+        name: text.format(**values).replace("N*m/rad", "N·m/rad") for name, text in texts.items()
+    }
+    return ReportFigure(key.rpartition("/")[2] + suffix, figure=figure, **written)
 
 
 def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
     found = reproduction.identification
     rig = found.rig
     levels, points = len(rig.test.pressures), len(rig.test)
-    yield _figure("fig3-isobaric-curves", isobaric_curves(rig.test), rig=rig, levels=levels, points=points)
+    yield described("fig3-isobaric-curves", isobaric_curves(rig.test), rig=rig, levels=levels, points=points)
     laws = {EXPERIMENTAL: found.fits[RIG].law, CHOU: ChouLaw.of(rig.muscle.specimen)}
-    yield _figure("fig4-law-comparison", law_comparison(rig.retest, laws, found.retested))
+    yield described("fig4-law-comparison", law_comparison(rig.retest, laws, found.retested))
     measured = {name_of(name): (found.data[name], found.fits[name]) for name in found.measured}
-    yield _figure("measured-muscles", measured_muscles(measured))
+    yield described("measured-muscles", measured_muscles(measured))
 
 
 def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
@@ -78,8 +80,8 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
     }
     at_rest = {name: found.at(0.0) for name, found in maps.items()}
     ranges = "; ".join(f"{name}: {low:.1f} to {high:.1f} N·m/rad at 0 degrees" for name, (low, high) in at_rest.items())
-    yield _figure("attainable-stiffness", attainable_stiffness(maps, references), ranges=ranges)
-    yield _figure("torque-stiffness-map", torque_stiffness_map(maps))
+    yield described("attainable-stiffness", attainable_stiffness(maps, references), ranges=ranges)
+    yield described("torque-stiffness-map", torque_stiffness_map(maps))
 
 
 def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[ReportFigure]:
@@ -90,10 +92,10 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
     }
     panels = {f"{name}, {title}": (name, found[name]) for name in (PID, BP) for title, found in columns.items()}
     step = f"{setting.before} to {setting.after}".replace(" N*m/rad to", " to")
-    yield _figure("fig7-control-results", control_results(panels), suffix, setting=setting, step=step)
+    yield described("fig7-control-results", control_results(panels), suffix, setting=setting, step=step)
     constant = columns[f"{StiffnessReference.CONSTANT.value} stiffness"]
     rmse = {name: result.metrics["angle_rmse"] / deg for name, result in constant.items()}
-    yield _figure("fig8-errors", error_curves(columns), suffix, setting=setting, rmse=rmse)
+    yield described("fig8-errors", error_curves(columns), suffix, setting=setting, rmse=rmse)
 
 
 def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
@@ -104,13 +106,13 @@ def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
             found.setdefault(setting.name, {})[reference.value] = {
                 name: run for (key, w, name), run in runs.items() if key == setting.key and w is reference
             }
-    yield _figure("controller-comparison", controller_comparison(found), seeds=seeds)
+    yield described("controller-comparison", controller_comparison(found), seeds=seeds)
     histories = {}
     for setting in SETTINGS:
         for name in (BP, TUNED_BP):
             run = runs[setting.key, StiffnessReference.STEP, name]
             histories[f"{setting.name},\n{name}"] = (run.result, gain_ratio(run))
-    yield _figure("bp-gains", gain_histories(histories), free=FREE)
+    yield described("bp-gains", gain_histories(histories), free=FREE)
 
 
 def gain_ratio(run: ControllerRun) -> float:

@@ -1,4 +1,4 @@
-"""Figures of identification: ranking, uncertainty, hysteresis and creep."""
+"""Figures of identification: ranking, uncertainty and hysteresis."""
 
 from __future__ import annotations
 
@@ -15,18 +15,12 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.identification.ranking import EXTRAPOLATION
+from mckibben.report.palette import BAND, BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION
 from mckibben.report.style import (
-    BAND,
-    BLACK,
-    BLUE,
     DIRECTIONS,
     DOUBLE,
-    GREEN,
     LOADING,
-    ORANGE,
-    PURPLE,
     UNLOADING,
-    VERMILLION,
     beside,
     blank,
     by_direction,

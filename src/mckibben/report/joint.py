@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,13 +20,10 @@ from mckibben.reachability import (
     StaticEnvelope,
     static_envelope,
 )
+from mckibben.report.palette import BLACK, BLUE, MUSCLES, ORANGE, VERMILLION
 from mckibben.report.style import (
-    BLACK,
-    BLUE,
     DESIRED,
     DOUBLE,
-    ORANGE,
-    VERMILLION,
     beside,
     blank,
     draw_band,
@@ -34,8 +31,8 @@ from mckibben.report.style import (
     letter,
     log_ticks,
     minus,
-    part_of,
     plain_numbers,
+    pressure_colours,
     robust_limits,
     styled,
 )
@@ -167,99 +164,96 @@ _STATIC, _DYNAMIC = "#DCE9F2", "#9CC3E0"
 
 
 @styled
-def envelope(found: Envelope) -> Figure:
-    """Attainable set of a scenario's joint, and its reference."""
+def envelope(envelope: Envelope) -> Figure:
+    """Attainable set of a scenario's joint, and its reference.
+
+    Panels: torque and stiffness range over the angle; static stiffness over the angle; stiffness and angle over time.
+    """
     figure = blank(DOUBLE, 5.8)
     (torque, stiffness), (over_time, angle) = figure.subplots(2, 2)
-    _torque(figure, torque, found)
-    _over_angle(stiffness, found)
-    _over_time(over_time, found)
-    _angle(angle, found)
-    letter(torque, 0, "torque and stiffness range")
-    letter(stiffness, 1, "static stiffness")
-    letter(over_time, 2, "stiffness along the reference")
-    letter(angle, 3, "angle")
+    _torque(figure, torque, envelope)
+    _over_angle(stiffness, envelope)
+    _over_time(over_time, envelope)
+    _angle(angle, envelope)
+    titles = ("torque and stiffness range", "static stiffness", "stiffness along the reference", "angle")
+    for i, (axes, title) in enumerate(zip(figure.axes, titles, strict=False)):
+        letter(axes, i, title)
     legend_above(figure, torque, stiffness, over_time, angle, columns=3)
     return figure
 
 
-def _torque(figure: Figure, axes: Axes, found: Envelope) -> None:
-    holds, motion = found.static, found.trackability.trajectory
-    if holds.map_angles.size:
-        stiffness_range = np.nan_to_num(holds.map_stiffness.width)
-        drawn = axes.contourf(holds.map_angles / deg, holds.map_torques, stiffness_range, 10, cmap="cividis")
+def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
+    static, trackability = envelope.static, envelope.trackability
+    torque = trackability.bands.torque
+    seen = torque
+    if static.map_angles.size:
+        width, seen = np.nan_to_num(static.map_stiffness.width), static.map_torques
+        drawn = axes.contourf(static.map_angles / deg, static.map_torques, width, 10, cmap="cividis")
         drawn.set_rasterized(True)
         figure.colorbar(drawn, ax=axes, label="K_max − K_min [N·m/rad]", pad=0.02)
-        held = slice(*np.searchsorted(holds.angles, [holds.map_angles[0, 0] - 1e-9, holds.map_angles[0, -1] + 1e-9]))
-        axes.plot(holds.angles[held] / deg, holds.torque[held], color="white", linewidth=1.2, linestyle=(0, (1, 1.2)))
-    torque = found.trackability.bands.torque
-    axes.plot(motion.angle / deg, torque, color="white", linewidth=2.4, zorder=4)
-    look = {"color": VERMILLION, "linewidth": 1.1, "label": "torque of the reference motion"}
-    axes.plot(motion.angle / deg, torque, zorder=5, **look)
+    angles = trackability.trajectory.angle / deg
+    axes.plot(angles, torque, color="white", linewidth=2.4, zorder=4)
+    axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque of the reference motion")
     axes.grid(False)
     axes.set(xlabel=_ANGLE, ylabel=_TORQUE)
-    seen = holds.map_torques if holds.map_torques.size else torque
-    low, high = float(np.min(seen)), float(np.max(seen))
-    most = 0.6 * (high - low)
+    most = 0.6 * np.ptp(seen)
+    low, high = seen.min(), seen.max()
     axes.set_ylim(max(min(low, torque.min()), low - most) - 0.3, min(max(high, torque.max()), high + most) + 0.3)
 
 
-def _over_angle(axes: Axes, found: Envelope) -> None:
-    holds, motion = found.static, found.trackability.trajectory
-    inside = holds.inside
+def _over_angle(axes: Axes, envelope: Envelope) -> None:
+    static, motion = envelope.static, envelope.trackability.trajectory
+    inside = static.inside
     if inside.any():
-        _band(axes, holds, color=_STATIC, label="attainable, static")
+        _band(axes, static, color=_STATIC, label="attainable, static")
     else:
         axes.text(0.5, 0.5, "no static equilibrium", transform=axes.transAxes, ha="center")
     axes.plot(motion.angle / deg, motion.stiffness, color=BLACK, linewidth=0.9, zorder=3)  # back and forth: no dashes
     axes.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    if holds.small_motion is None:
-        _limits(axes, *(edge[inside] for edge in holds.stiffness), motion.stiffness)
+    if static.small_motion is None:
+        _limits(axes, *(edge[inside] for edge in static.stiffness), motion.stiffness)
     else:  # often many times the isobaric stiffness
         axes.set_yscale("log")
         log_ticks(axes.yaxis, 1, 2, 5)
 
 
-def _band(axes: Axes, holds: StaticEnvelope, *, color: str, label: str) -> None:
-    inside = holds.inside
-    angles, low, high = holds.angles[inside] / deg, holds.stiffness.lowest[inside], holds.stiffness.highest[inside]
+def _band(axes: Axes, static: StaticEnvelope, *, color: str, label: str) -> None:
+    inside = static.inside
+    angles, low, high = static.angles[inside] / deg, static.stiffness.lowest[inside], static.stiffness.highest[inside]
     draw_band(axes, angles, low, high, color=color, label=label)
     for edge in (low, high):
         axes.plot(angles, edge, color=BLUE, linewidth=0.8)
-    if holds.small_motion is not None:
-        for edge, label in zip(holds.small_motion, ("small motion, at both ends", "_nolegend_"), strict=True):
-            axes.plot(angles, edge[inside], color=BLUE, linewidth=0.9, linestyle=(0, (1, 1.2)), label=label)
+    for edge, label in zip(static.small_motion or (), ("small motion, at both ends", "_nolegend_"), strict=False):
+        axes.plot(angles, edge[inside], color=BLUE, linewidth=0.9, linestyle=(0, (1, 1.2)), label=label)
 
 
-def _over_time(axes: Axes, found: Envelope) -> None:
-    motion, bands = found.trackability.trajectory, found.trackability.bands
-    shown = _shown(found)
+def _over_time(axes: Axes, envelope: Envelope) -> None:
+    motion, bands = envelope.trackability.trajectory, envelope.trackability.bands
+    shown = _shown(envelope)
     times = motion.times[shown]
-    draw_band(axes, times, *(edge[shown] for edge in bands.static), color=_STATIC, label="attainable, static")
-    look = {"color": _DYNAMIC, "label": "attainable, reference motion", "zorder": 1}
-    draw_band(axes, times, *(edge[shown] for edge in bands.rate_limited), **look)
     edges = [edge[shown] for edge in (*bands.static, *bands.rate_limited)]
+    draw_band(axes, times, *edges[:2], color=_STATIC, label="attainable, static")
+    draw_band(axes, times, *edges[2:], color=_DYNAMIC, label="attainable, reference motion", zorder=1)
     axes.plot(times, motion.stiffness[shown], label="reference", **DESIRED)
-    axes.set(xlabel="time [s]", ylabel=_STIFFNESS)
-    axes.set_xlim(times[0], times[-1])
+    axes.set(xlabel="time [s]", ylabel=_STIFFNESS, xlim=(times[0], times[-1]))
     _limits(axes, *edges, motion.stiffness[shown])
 
 
-def _angle(axes: Axes, found: Envelope) -> None:
-    motion, holds = found.trackability.trajectory, found.static
-    shown = _shown(found)
+def _angle(axes: Axes, envelope: Envelope) -> None:
+    motion, static = envelope.trackability.trajectory, envelope.static
+    shown = _shown(envelope)
     times = motion.times[shown]
-    if holds.angle_min <= holds.angle_max:
-        axes.axhspan(holds.angle_min / deg, holds.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
+    if static.angle_min <= static.angle_max:
+        axes.axhspan(static.angle_min / deg, static.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
     axes.plot(times, motion.angle[shown] / deg, label="reference", **DESIRED)
-    axes.set(xlabel="time [s]", ylabel=_ANGLE)
-    axes.set_xlim(times[0], times[-1])
+    axes.set(xlabel="time [s]", ylabel=_ANGLE, xlim=(times[0], times[-1]))
 
 
-def _shown(found: Envelope) -> slice:
+def _shown(envelope: Envelope) -> slice:
     """Samples to draw: two periods of a sine, else all."""
-    times, sine = found.trackability.trajectory.times, found.scenario.signals.angle
-    if not (isinstance(sine, Sine) and sine.frequency and isinstance(found.scenario.signals.stiffness, Constant)):
+    times, signals = envelope.trackability.trajectory.times, envelope.scenario.signals
+    sine = signals.angle
+    if not (isinstance(sine, Sine) and sine.frequency and isinstance(signals.stiffness, Constant)):
         return slice(None)
     return slice(0, max(int(np.searchsorted(times, times[0] + 2 / sine.frequency)), 2))
 
@@ -270,36 +264,29 @@ def _limits(axes: Axes, *curves: np.ndarray) -> None:
 
 
 @styled
-def stiffness(found: StiffnessTests) -> Figure:
-    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates.
-
-    For air with a temperature also K' and K'' with closed valves over the rate.
-    """
-    varied = [name for name in found.tests if name not in (HELD, CLOSED)]
-    panels = 1 + len(varied)
-    figure = blank(DOUBLE, 2.9 if found.closed_dynamic is None else 5.2)
-    grid = figure.add_gridspec(1 if found.closed_dynamic is None else 2, 2 * panels)
-    first, *others = (figure.add_subplot(grid[0, 2 * column : 2 * column + 2]) for column in range(panels))
-    if found.closed_dynamic is not None:
-        below = [figure.add_subplot(grid[1, part]) for part in (slice(panels), slice(panels, None))]
-        _closed_valves(below, found, found.closed_dynamic, panels)
-    amplitudes = found.amplitude / deg
-    forms = ((HELD, found.secant, found.isobaric, BLUE), (CLOSED, found.closed_secant, found.closed_valve, VERMILLION))
+def stiffness(tests: StiffnessTests) -> Figure:
+    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates."""
+    varied = [name for name in tests.tests if name not in (HELD, CLOSED)]
+    figure = blank(DOUBLE, 2.9)
+    first, *others = figure.subplots(1, 1 + len(varied))
+    forms = ((HELD, tests.secant, tests.isobaric, BLUE), (CLOSED, tests.closed_secant, tests.closed_valve, VERMILLION))
+    amplitudes = tests.amplitude / deg
     for name, secant, slope, color in forms:
         first.plot(amplitudes, secant, color=color, label=f"{SHOWN[name]}, closed form")
-        first.axhline(
-            slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=f"{SHOWN[name]}, without friction"
-        )
-        test = found.tests[name]
+        label = f"{SHOWN[name]}, without friction"
+        first.axhline(slope, color=color, linewidth=0.8, linestyle=(0, (4, 2)), label=label)
+        test = tests.tests[name]
         for row, marker, size in ((0, "o", 4.5), (-1, "x", 3.0)):
-            label = f"simulated, {test.frequency[row]:.2g} Hz"
-            look = {"color": color, "linestyle": "", "marker": marker, "markersize": size, "fillstyle": "none"}
-            first.plot(amplitudes, test.stiffness[row], label=label if color == BLUE else None, **look)
-    letter(first, 0, "constant pressures, closed valves")
-    for i, (axes, name) in enumerate(zip(others, varied, strict=True)):
-        for _, secant, _, color in forms:
+            label = f"simulated, {test.frequency[row]:.2g} Hz" if color == BLUE else None
+            look: dict[str, Any] = {"color": color, "linestyle": "", "marker": marker}
+            look |= {"markersize": size, "fillstyle": "none"}
+            first.plot(amplitudes, test.stiffness[row], label=label, **look)
+        for axes in others:
             axes.plot(amplitudes, secant, color=color, linewidth=2.6, alpha=0.3)
-        test, shades = found.tests[name], part_of("viridis", 0, 222)
+    letter(first, 0, "constant pressures, closed valves")
+    shades = pressure_colours()
+    for i, (axes, name) in enumerate(zip(others, varied, strict=True)):
+        test = tests.tests[name]
         values = test.magnitude if name == CONTROLLED else test.stiffness
         for k, (rate, row) in enumerate(zip(test.frequency, values, strict=True)):
             color = shades(k / max(len(test.frequency) - 1, 1))
@@ -308,56 +295,44 @@ def stiffness(found: StiffnessTests) -> Figure:
     for axes in (first, *others):
         axes.set(xscale="log", xlabel="amplitude [deg]")
         plain_numbers(axes.xaxis)
-        if axes is others[-1]:
-            axes.set_yscale("log")
-            plain_numbers(axes.yaxis)
-        else:
-            axes.set_ylim(bottom=0.0)
+        axes.set_ylim(bottom=0.0)
+    others[-1].set_ylim(auto=True)
+    others[-1].set_yscale("log")
+    plain_numbers(others[-1].yaxis)
     first.set_ylabel(_STIFFNESS)
     others[-1].set_ylabel("magnitude [N·m/rad]")
     legend_above(figure, first, others[-1], columns=4)
     return figure
 
 
-def _closed_valves(both: list[Axes], found: StiffnessTests, closed: np.ndarray, panels: int) -> None:
-    """Storage and loss part of the smallest motion over its rate, with closed valves: closed form and simulation."""
-    test = found.tests[CLOSED]
-    expected = closed + found.secant[0] - found.isobaric + 1j * found.tests[HELD].loss[:, 0]
-    rows = ((expected.real, test.stiffness, "storage K'"), (expected.imag, test.loss, "loss K''"))
-    for i, (axes, (form, simulated, name)) in enumerate(zip(both, rows, strict=True)):
-        axes.plot(test.frequency, form, color=VERMILLION, label="closed form")
-        look = {"color": VERMILLION, "linestyle": "", "marker": "o", "markersize": 4.5, "fillstyle": "none"}
-        axes.plot(test.frequency, simulated[:, 0], label="simulated", **look)
-        axes.set(xscale="log", xlabel="rate [Hz]", ylabel=_STIFFNESS)
-        plain_numbers(axes.xaxis)
-        letter(axes, panels + i, f"closed valves, {name}, {found.amplitude[0] / deg:.2g} deg")
+def _box(axes: Axes, angles: Sequence[float], stiffness: Sequence[float], label: str) -> None:
+    """Draw a range of angles [rad] and of stiffness [N*m/rad]."""
+    (first, last), (low, high) = (angle / deg for angle in angles), stiffness
+    look: dict[str, Any] = {"fill": False, "edgecolor": BLACK, "linewidth": 1.4}
+    axes.add_patch(Rectangle((first, low), last - first, high - low, label=label, **look))
 
 
 @styled
-def selection(found: Selection) -> Figure:
+def selection(selection: Selection) -> Figure:
     """Attainable stiffness and torque over the angle of the best joint, and the requirement."""
-    need, joint = found.requirement, found.best
-    holds = static_envelope(joint.plant, about=need.middle)
+    need, joint = selection.requirement, selection.best
+    static = static_envelope(joint.plant, about=need.middle)
     figure = blank(DOUBLE, 3.2)
     left, right = figure.subplots(1, 2)
-    _band(left, holds, color=_STATIC, label="attainable, static")
-    first, last = (angle / deg for angle in need.angles)
+    _band(left, static, color=_STATIC, label="attainable, static")
     if need.stiffness:
-        low, high = need.stiffness
-        look = {"fill": False, "edgecolor": BLACK, "linewidth": 1.4, "label": "required"}
-        left.add_patch(Rectangle((first, low), last - first, high - low, **look))
-    inside = holds.inside
-    angles, held = holds.angles[inside] / deg, holds.torque[inside]
-    draw_band(right, angles, *(edge[inside] for edge in holds.torque_range), color=_STATIC, label="attainable, static")
-    right.plot(angles, held, label="static torque of the load", **DESIRED)
-    moved = (holds.angles[inside] >= need.angles[0]) & (holds.angles[inside] <= need.angles[1])
-    for sign in (-1, 1):
-        label = "required, with motion and reserve" if sign > 0 else None
-        right.plot(angles[moved], held[moved] + sign * need.reserve, color=BLACK, linewidth=1.4, label=label)
-    for axes in (left, right):
-        axes.set_xlim(*(need.middle / deg + side * _SHOWN_RANGE * need.amplitude / deg for side in (-1, 1)))
-    left.set(xlabel=_ANGLE, ylabel=_STIFFNESS)
-    right.set(xlabel=_ANGLE, ylabel=_TORQUE)
+        _box(left, need.angles, need.stiffness, "required")
+    inside = static.inside
+    angles, torque = static.angles[inside] / deg, static.torque[inside]
+    limits = (edge[inside] for edge in static.torque_range)
+    draw_band(right, angles, *limits, color=_STATIC, label="attainable, static")
+    right.plot(angles, torque, label="static torque of the load", **DESIRED)
+    moved = (static.angles[inside] >= need.angles[0]) & (static.angles[inside] <= need.angles[1])
+    for sign, label in ((-1, None), (1, "required, with motion and reserve")):
+        right.plot(angles[moved], torque[moved] + sign * need.reserve, color=BLACK, linewidth=1.4, label=label)
+    middle, half = need.middle / deg, _SHOWN_RANGE * need.amplitude / deg
+    left.set(xlabel=_ANGLE, ylabel=_STIFFNESS, xlim=(middle - half, middle + half))
+    right.set(xlabel=_ANGLE, ylabel=_TORQUE, xlim=(middle - half, middle + half))
     letter(left, 0, joint.name)
     letter(right, 1, ", ".join(f"{name} {length / mm:.4g} mm" for name, length in list(joint.lengths.items())[:2]))
     legend_above(figure, left, right)
@@ -365,60 +340,53 @@ def selection(found: Selection) -> Figure:
 
 
 @styled
-def calibration(found: CalibratedJoint) -> Figure:
+def calibration(calibration: CalibratedJoint) -> Figure:
     """Model stiffness before and after calibration over recording time, with 95 % intervals, and its change."""
     figure = blank(DOUBLE, 2.9)
     over_time, over_angle = figure.subplots(1, 2, width_ratios=(2, 1))
     start = 0.0
-    for number, one in enumerate(found.recordings):
-        angle, pressures = one.angle[::_SAMPLES_APART], one.pressures[::_SAMPLES_APART]
-        pair = pressures[:, 0], pressures[:, 1]
-        before, wide = found.prior_stiffness(angle, pair)
-        after, narrow = found.stiffness(angle, pair)
-        time = start + one.time[::_SAMPLES_APART] - one.time[0]
+    for recording in calibration.recordings:
+        angle, pressures = recording.angle[::_SAMPLES_APART], recording.pressures[::_SAMPLES_APART].T
+        before = calibration.prior_stiffness(angle, (pressures[0], pressures[1]))
+        after = calibration.stiffness(angle, (pressures[0], pressures[1]))
+        time = start + recording.time[::_SAMPLES_APART] - recording.time[0]
         start = float(time[-1])
         over_time.axvline(start, color=BLACK, linewidth=0.6)
-        names = (("model before", before, wide, ORANGE), ("calibrated", after, narrow, BLUE))
-        for name, value, deviation, colour in names:
-            label = name if number == 0 else None
-            over_time.plot(time, value, color=colour, linewidth=1.0, label=label)
-            band = f"{name}, 95 % interval" if number == 0 else None
-            draw_band(
-                over_time, time, value - 1.96 * deviation, value + 1.96 * deviation, color=colour, alpha=0.2, label=band
-            )
-        order = np.argsort(angle)
-        over_angle.plot(angle[order] / deg, (after - before)[order], ".", color=BLUE, markersize=2)
+        for name, (value, deviation), color in (("model before", before, ORANGE), ("calibrated", after, BLUE)):
+            over_time.plot(time, value, color=color, linewidth=1.0, label=name)
+            edges = value - 1.96 * deviation, value + 1.96 * deviation
+            draw_band(over_time, time, *edges, color=color, alpha=0.2, label=f"{name}, 95 % interval")
+        over_angle.plot(angle / deg, after[0] - before[0], ".", color=BLUE, markersize=2)
     letter(over_time, 0, "stiffness along the recordings")
     letter(over_angle, 1, "calibrated minus before")
-    over_time.set(xlabel="time [s]", ylabel="stiffness [N·m/rad]")
-    over_angle.set(xlabel="joint angle [deg]", ylabel="difference [N·m/rad]")
+    over_time.set(xlabel="time [s]", ylabel=_STIFFNESS)
+    over_angle.set(xlabel=_ANGLE, ylabel="difference [N·m/rad]")
     over_angle.axhline(0.0, color=BLACK, linewidth=0.6)
     legend_above(figure, over_time, columns=2)
     return figure
 
 
 @styled
-def valve_calibration(found: ValveCalibration) -> Figure:
+def valve_calibration(calibration: ValveCalibration) -> Figure:
     """Commands, measured and simulated pressures of both muscles over a few seconds of each recording, and errors."""
-    recordings = found.recordings
+    recordings = calibration.recordings
     figure = blank(DOUBLE, 1.9 * len(recordings) + 0.8)
     rows = figure.subplots(len(recordings), 2, squeeze=False, width_ratios=(2, 1))
-    number = 0
-    for (over_time, over_error), one in zip(rows, recordings, strict=True):
-        assert one.commands is not None
-        simulated, time = found.simulate(one), one.time - one.time[0]
+    for number, ((over_time, over_error), recording) in enumerate(zip(rows, recordings, strict=True)):
+        assert recording.commands is not None
+        simulated, time = calibration.simulate(recording), recording.time - recording.time[0]
         shown = (time >= _FROM) & (time <= _FROM + _LENGTH)
-        for place, (column, colour) in enumerate(zip(found.muscles, (BLUE, VERMILLION), strict=False)):
-            name = f"muscle {column + 1}"
-            over_time.plot(time[shown], one.commands[shown, column] / bar, color=BLACK, linewidth=0.7)
-            over_time.plot(time[shown], one.pressures[shown, column] / bar, color=colour, linewidth=2.4, alpha=0.35)
-            over_time.plot(time[shown], simulated[shown, place] / bar, color=colour, linewidth=0.9, label=name)
-            error = (one.pressures[:, column] - simulated[:, place]) / kPa
-            over_error.plot(time[::_ERRORS_APART], error[::_ERRORS_APART], color=colour, linewidth=0.5)
-        letter(over_time, number, "commands (black), measured (pale) and simulated")
-        letter(over_error, number + 1, "measured minus simulated")
+        for place, muscle in enumerate(calibration.muscles):
+            color, measured = MUSCLES[muscle], recording.pressures[:, muscle]
+            over_time.plot(time[shown], recording.commands[shown, muscle] / bar, color=BLACK, linewidth=0.7)
+            over_time.plot(time[shown], measured[shown] / bar, color=color, linewidth=2.4, alpha=0.35)
+            label = f"muscle {muscle + 1}"
+            over_time.plot(time[shown], simulated[shown, place] / bar, color=color, linewidth=0.9, label=label)
+            error = (measured - simulated[:, place]) / kPa
+            over_error.plot(time[::_ERRORS_APART], error[::_ERRORS_APART], color=color, linewidth=0.5)
+        letter(over_time, 2 * number, "commands (black), measured (pale) and simulated")
+        letter(over_error, 2 * number + 1, "measured minus simulated")
         over_time.set(xlabel="time [s]", ylabel="pressure [bar]")
         over_error.set(xlabel="time [s]", ylabel="error [kPa]")
-        number += 2
     legend_above(figure, rows[0][0], columns=2)
     return figure

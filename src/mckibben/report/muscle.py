@@ -33,7 +33,7 @@ from mckibben.units import bar, percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recording
-    from mckibben.identification import Fit, Validation
+    from mckibben.identification import Fit, FitWithFriction, Validation
 
 _CONTRACTION, _FORCE = "contraction [%]", "force [N]"
 _MOST_CURVES = 20
@@ -114,6 +114,11 @@ def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
         remedy = "write isobaric(dataset, fit), or fit.plot()"
         raise RangeError(f"isobaric draws a dataset, not a {type(dataset).__name__}", remedy=remedy)
     return measured_muscles({dataset.table.attrs["specimen"] or "isobaric test": (dataset, fit)})
+
+
+def fit(result: FitWithFriction) -> Figure:
+    """Points, fitted curves and residuals of a law, without the friction that was identified with it."""
+    return isobaric(result.points, result.fit)
 
 
 @styled

@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import os
 import re
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import jinja2
 import markupsafe
@@ -91,6 +93,28 @@ def write_page(path: Path, text: str) -> Path:
     with atomic_write(path, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
     return path
+
+
+class Section(NamedTuple):
+    """Part of a page: its title, tables, and figures; `words` for tables whose cells are texts."""
+
+    title: str
+    tables: Sequence[tables.Table]
+    figures: Sequence[Any] = ()
+    words: bool = False
+
+
+def write_document(
+    path: Path, *, title: str, lead: str, sections: Sequence[Section], source_title: str, source: str, again: str = ""
+) -> Path:
+    """Write a self-contained page, and its figures in `figures/` next to it; return its path.
+
+    `source` is the file from which the results follow, `again` the commands that repeat them.
+    """
+    parts = [section._replace(figures=[embedded(one, path.parent) for one in section.figures]) for section in sections]
+    template = template_of("document.html.jinja")
+    texts = {"title": title, "lead": lead, "source_title": source_title, "source": source, "again": again}
+    return write_page(path, template.render(style=style_sheet(), sections=parts, **texts))
 
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:

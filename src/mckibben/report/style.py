@@ -30,6 +30,7 @@ from matplotlib.ticker import FixedFormatter, LogLocator, NullFormatter, StrMeth
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import printable
+from mckibben.report.palette import BAND, BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from mckibben.storage.files import atomic_write
 
 if TYPE_CHECKING:
@@ -37,11 +38,6 @@ if TYPE_CHECKING:
 
 SINGLE, DOUBLE = 3.5, 7.2
 """Widths of one and of two columns of a journal [inches]."""
-
-BLACK, ORANGE, SKY, GREEN = "#111111", "#E69F00", "#56B4E9", "#009E73"
-BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
-"""The colour-blind safe palette of Okabe and Ito."""
-BAND = "#DBE2E9"
 
 DESIRED: dict[str, Any] = {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.0, "zorder": 3}
 CONTROLLERS: dict[str, dict[str, Any]] = {
@@ -126,10 +122,17 @@ class NotebookFigure(Figure):
     """Figure shown as an image in notebooks, with or without pyplot."""
 
     def _repr_png_(self) -> bytes:
-        image = io.BytesIO()
-        with house_style():
-            FigureCanvasAgg(self).print_png(image)
-        return image.getvalue()
+        return png_of(self)
+
+
+def png_of(figure: Figure, resolution: float | None = None) -> bytes:
+    """Image of a figure as PNG, at a resolution [dpi] (default: that of the figure)."""
+    image = io.BytesIO()
+    if resolution is not None:
+        figure.set_dpi(resolution)
+    with house_style():
+        FigureCanvasAgg(figure).print_png(image)
+    return image.getvalue()
 
 
 def blank(width: float, height: float) -> Figure:

@@ -16,6 +16,7 @@ from mckibben.units import bar, deg, factor, mm, ms, percent
 
 if TYPE_CHECKING:
     from mckibben.paper import Reproduction
+    from mckibben.result import Listing
 
 NAMES = {
     RIG: "simulated rig (Eq. 3 with friction)",
@@ -67,6 +68,12 @@ class Table:
     caption: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
+
+
+def table_of(listing: Listing) -> Table:
+    """Table of a listing of a result, with units in the head."""
+    head = [f"{title} [{unit}]" if unit not in ("", "1") else title for title, unit in listing.header()]
+    return Table(listing.title, head, listing.rows())
 
 
 def number(value: Any, digits: int = 3) -> str:

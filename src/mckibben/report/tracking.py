@@ -13,16 +13,11 @@ from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
+from mckibben.report.palette import BLACK, BLUE, GREEN, MUSCLES, PURPLE, VERMILLION
 from mckibben.report.style import (
-    BLACK,
-    BLUE,
     CONTROLLERS,
     DESIRED,
     DOUBLE,
-    GREEN,
-    PURPLE,
-    SKY,
-    VERMILLION,
     blank,
     draw_band,
     legend_above,
@@ -34,12 +29,13 @@ from mckibben.report.style import (
     robust_limits,
     styled,
 )
+from mckibben.simulation import SimulationResult
 from mckibben.simulation.metrics import SETTLING_PART, last_change, settling_band
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.paper.tracking import ControllerRun
-    from mckibben.simulation import Feasibility, Margins, SimulationResult
+    from mckibben.simulation import Feasibility, Margins
 
 TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
 _BAND = "attainable at the desired angle"
@@ -54,7 +50,7 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
 
     Runs are given by name, such as ``{"PID": result}``, or one alone. Raises `RangeError` if their references differ.
     """
-    if not isinstance(results, Mapping):
+    if isinstance(results, SimulationResult):
         results = {"run": results}
     _same_reference(results)
     alone = len(results) == 1
@@ -86,9 +82,9 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
         grid[3].set(ylabel="small-motion\n" + STIFFNESS)
         grid[3].set_ylim(*robust_limits(list(small.values()), floor=_LEAST_RANGE * max(map(np.nanmax, small.values()))))
     if alone:
-        for muscle, colour, style in (("1", BLUE, "-"), ("2", SKY, (0, (5, 1.5)))):
-            pressure = first[f"pressure{muscle}"] / bar
-            grid[-1].plot(times, pressure, color=colour, linestyle=style, label=f"muscle {muscle}")
+        for number, (colour, style) in enumerate(zip(MUSCLES, ("-", (0, (5, 1.5))), strict=True), 1):
+            pressure = first[f"pressure{number}"] / bar
+            grid[-1].plot(times, pressure, color=colour, linestyle=style, label=f"muscle {number}")
         grid[-1].set(ylabel="pressure [bar]")
         grid[-1].legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
     grid[-1].set(xlabel=TIME)
@@ -282,12 +278,12 @@ _WIDEST = 1e3  # ratio of axis limits; larger values are drawn as arrows
 
 
 @styled
-def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, ControllerRun]]]) -> Figure:
+def controller_comparison(runs: Mapping[str, Mapping[str, Mapping[str, ControllerRun]]]) -> Figure:
     """Median over seeds (dot) and worst seed of runs by geometry, stiffness reference and controller."""
-    figure = blank(DOUBLE, 2.5 * len(found) + 0.5)
-    grid = figure.subplots(len(found), len(_METRICS), squeeze=False, sharey="row")
-    for i, (geometry, references) in enumerate(found.items()):
-        names = list(dict.fromkeys(name for runs in references.values() for name in runs))
+    figure = blank(DOUBLE, 2.5 * len(runs) + 0.5)
+    grid = figure.subplots(len(runs), len(_METRICS), squeeze=False, sharey="row")
+    for i, (geometry, references) in enumerate(runs.items()):
+        names = list(dict.fromkeys(name for controllers in references.values() for name in controllers))
         names.sort(key=lambda name: list(CONTROLLERS).index(name) if name in CONTROLLERS else len(CONTROLLERS))
         for j, (metric, label, unit) in enumerate(_METRICS):
             axes = grid[i, j]
@@ -298,7 +294,7 @@ def controller_comparison(found: Mapping[str, Mapping[str, Mapping[str, Controll
             axes.tick_params(axis="y", length=0)
             axes.grid(axis="y", visible=False)
             letter(axes, len(_METRICS) * i + j, geometry)
-    references = next(iter(found.values()))
+    references = next(iter(runs.values()))
     grey: dict[str, Any] = {"linestyle": "", "color": "#444444"}
     handles = [
         Line2D([], [], marker="o", markersize=5, markerfacecolor=face, label=f"{name} stiffness", **grey)
@@ -340,50 +336,56 @@ def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Fig
 def _dots(
     axes: Axes, references: Mapping[str, Mapping[str, ControllerRun]], names: list[str], metric: str, unit: float
 ) -> None:
-    runs = [(k, names.index(name), name, run) for k, w in enumerate(references.values()) for name, run in w.items()]
+    """Median and worst value of a metric by controller (row) and stiffness reference (filled or white dot)."""
+    runs = [(name, k, run) for k, w in enumerate(references.values()) for name, run in w.items()]
     medians = [run.median(metric) / unit for *_, run in runs]
-    smallest = min((m for m in medians if np.isfinite(m) and m > 0), default=1.0)
-    good = [run.worst(metric) / unit for *_, run in runs if run.unstable == 0]
-    largest = max((g for g in good if np.isfinite(g) and g < _WIDEST * smallest), default=10 * smallest)
-    end = 2.0 * largest
-    for (k, place, name, run), median in zip(runs, medians, strict=True):
-        y = place + (-0.17 if k == 0 else 0.17)
-        look = CONTROLLERS.get(name, {"color": "#444444", "marker": "o"})
+    smallest = min((value for value in medians if 0 < value < np.inf), default=1.0)
+    stable = [run.worst(metric) / unit for *_, run in runs if run.unstable == 0]
+    end = 2.0 * max((value for value in stable if value < _WIDEST * smallest), default=10 * smallest)
+    for (name, k, run), median in zip(runs, medians, strict=True):
+        look: dict[str, Any] = CONTROLLERS.get(name, {"color": "#444444", "marker": "o"})
+        place, color = names.index(name) + (-0.17 if k == 0 else 0.17), look["color"]
         worst = run.worst(metric) / unit
-        seeds = 1 if run.seeds is None else int(np.size(run.seeds.angle_rmse))
-        lost = not (median <= end) or run.unstable > seeds / 2
+        lost = not (median <= end) or run.unstable > _seeds(run) / 2
         if lost or not (worst <= end):
-            axes.plot(end, y, linestyle="", marker=">", color=look["color"], clip_on=False, markersize=5)
+            axes.plot(end, place, linestyle="", marker=">", color=color, clip_on=False, markersize=5)
         if lost:
-            text = (
-                f"{run.unstable} of {seeds} unstable"
-                if run.unstable
-                else "never"
-                if np.isnan(median)
-                else f"{median:.2g}"
-            )
-            axes.annotate(text, (end, y), (-6, 0), textcoords="offset points", ha="right", va="center", fontsize=6.5)
+            look = {"ha": "right", "va": "center", "fontsize": 6.5}
+            axes.annotate(_why_lost(run, median), (end, place), (-6, 0), textcoords="offset points", **look)
             continue
-        axes.plot([median, worst if worst <= end else end], [y, y], color=look["color"], linewidth=1.8, alpha=0.55)
-        dot: dict[str, Any] = {**look, "linestyle": "", "markersize": 5, "markeredgewidth": 1.1}
-        axes.plot(median, y, markerfacecolor=look["color"] if k == 0 else "white", zorder=3, **dot)
+        axes.plot([median, worst if worst <= end else end], [place] * 2, color=color, linewidth=1.8, alpha=0.55)
+        dot = look | {"linestyle": "", "markersize": 5, "markeredgewidth": 1.1, "zorder": 3}
+        axes.plot(median, place, markerfacecolor=color if k == 0 else "white", **dot)
     axes.set_xscale("log")
     axes.set_xlim(smallest / 1.6, end)
     log_ticks(axes.xaxis, *(1.0, 2.0, 5.0) if end / smallest < 60 else (1.0,))
 
 
+def _seeds(run: ControllerRun) -> int:
+    return 1 if run.seeds is None else int(np.size(run.seeds.angle_rmse))
+
+
+def _why_lost(run: ControllerRun, median: float) -> str:
+    """Text of a run that is not on the scale."""
+    if run.unstable:
+        return f"{run.unstable} of {_seeds(run)} unstable"
+    return "never" if np.isnan(median) else f"{median:.2g}"
+
+
 @styled
-def feasibility(found: Feasibility) -> Figure:
+def feasibility(feasibility: Feasibility) -> Figure:
     """A reference over time: its angle, and its stiffness with the attainable range at that angle."""
     figure = blank(DOUBLE, 3.4)
     above, below = figure.subplots(2, 1, sharex=True)
-    above.plot(found.times, found.desired_angle / deg, **DESIRED)
+    above.plot(feasibility.times, feasibility.desired_angle / deg, **DESIRED)
     above.set(ylabel=ANGLE)
-    draw_band(below, found.times, found.lowest, found.highest, label=_BAND)
-    below.plot(found.times, found.desired_stiffness, label="desired", **DESIRED)
-    missed = np.where(found.shortfall == 0, np.nan, found.desired_stiffness)
-    if not found.feasible:
-        below.plot(found.times, missed, color=VERMILLION, marker=".", markersize=3, label="not attainable", zorder=4)
+    draw_band(below, feasibility.times, feasibility.lowest, feasibility.highest, label=_BAND)
+    below.plot(feasibility.times, feasibility.desired_stiffness, label="desired", **DESIRED)
+    missed = np.where(feasibility.shortfall == 0, np.nan, feasibility.desired_stiffness)
+    if not feasibility.feasible:
+        below.plot(
+            feasibility.times, missed, color=VERMILLION, marker=".", markersize=3, label="not attainable", zorder=4
+        )
     below.set(xlabel=TIME, ylabel=STIFFNESS)
     figure.align_ylabels([above, below])
     legend_above(figure, below)
@@ -391,21 +393,21 @@ def feasibility(found: Feasibility) -> Figure:
 
 
 @styled
-def margins(found: Margins) -> Figure:
+def margins(margins: Margins) -> Figure:
     """Loci of the open loop at the operating point of least disk margin, and the sensitivity at all points."""
     figure = blank(DOUBLE, 3.0)
     nyquist, bode = figure.subplots(1, 2)
-    worst = int(found.disk.argmin())
-    for locus in found.loci[worst].T:
+    worst = int(margins.disk.argmin())
+    for locus in margins.loci[worst].T:
         nyquist.plot(locus.real, locus.imag, ".", color=BLUE, markersize=1.5)
     turn = np.linspace(0, 2 * np.pi, 200)
     nyquist.plot(np.cos(turn), np.sin(turn), color="0.7", linewidth=0.6)
     nyquist.plot(-1, 0, "+", color=VERMILLION)
     nyquist.set(xlim=(-3, 2), ylim=(-2.5, 2.5), aspect="equal", xlabel="real part", ylabel="imaginary part")
-    letter(nyquist, 0, f"open loop at {found.time[worst]:.3g} s")
-    for row, values in enumerate(found.sensitivity):
+    letter(nyquist, 0, f"open loop at {margins.time[worst]:.3g} s")
+    for row, values in enumerate(margins.sensitivity):
         look = {"color": BLUE, "zorder": 3} if row == worst else {"color": "0.75", "linewidth": 0.6}
-        bode.loglog(found.frequency, values, **look)
+        bode.loglog(margins.frequency, values, **look)
     bode.set(xlabel="frequency [Hz]", ylabel="largest singular value")
     letter(bode, 1, "sensitivity at the commands")
     plain_numbers(bode.xaxis)

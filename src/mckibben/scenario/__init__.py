@@ -8,7 +8,15 @@ from mckibben.errors import CallError
 from mckibben.scenario.muscle import muscle_text, read_specimen
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
 from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario, with_run
-from mckibben.scenario.values import Known, batched, edit_scenario, known_names, run_many, valid_rows, with_values
+from mckibben.scenario.values import (
+    ModelFollows,
+    batched,
+    edit_scenario,
+    followed_names,
+    run_many,
+    valid_rows,
+    with_values,
+)
 
 
 class _Module(ModuleType):
@@ -22,7 +30,7 @@ class _Module(ModuleType):
 sys.modules[__name__].__class__ = _Module
 
 __all__ = [
-    "Known",
+    "ModelFollows",
     "RunSettings",
     "Scenario",
     "ScenarioParameter",
@@ -31,8 +39,8 @@ __all__ = [
     "edit_scenario",
     "find_parameter",
     "find_parameters",
+    "followed_names",
     "initial_state",
-    "known_names",
     "list_parameters",
     "muscle_text",
     "read_specimen",

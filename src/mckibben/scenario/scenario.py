@@ -16,7 +16,7 @@ from typing import Annotated, Any, TypeVar
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
 from mckibben.actuator import Actuator, IdealValve
-from mckibben.component.calls import checked_call, user_level
+from mckibben.component.calls import checked_call
 from mckibben.component.checks import whole_periods
 from mckibben.component.extensions import package_version, version_differences
 from mckibben.component.schema import ComponentField, independent, inherit, write
@@ -28,13 +28,12 @@ from mckibben.errors import (
     McKibbenError,
     McKibbenWarning,
     Problem,
-    ReachabilityWarning,
     ScenarioError,
     no_attribute,
 )
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.plant import Disturbance, JointFriction, JointPlant, NoDisturbance, PerfectSensors, PlantState, Sensors
-from mckibben.simulation import ACCURACY, AtRest, Margins, SimulationResult, margins, needed_substeps, run_quietly
+from mckibben.simulation import ACCURACY, AtRest, Margins, SimulationResult, margins, needed_substeps, simulate
 from mckibben.units import Accuracy, Angle, BoundedInt, CommandDelay, Duration, PositiveTime, Stiffness
 
 _MOST_PERIODS = 10_000_000
@@ -243,10 +242,7 @@ class Scenario(RunSettings):
         Warns if its reference is not statically feasible.
         """
         changes |= {} if controller is None else {"controller": controller}
-        result = run_scenario(self.replace(**changes) if changes else self)
-        if result.feasibility and not result.feasibility.feasible:
-            warnings.warn(result.feasibility.verdict(), ReachabilityWarning, stacklevel=user_level())
-        return result
+        return run_scenario(self.replace(**changes) if changes else self, warn_infeasible=True)
 
     @checked_call
     def envelope(self, **options: Any) -> Any:
@@ -323,7 +319,7 @@ def initial_state(scenario: Scenario) -> AtRest:
     return AtRest(scenario.start.angle, math.nan if stiffness is None else stiffness)
 
 
-def run_scenario(scenario: Scenario, *, source: str = "") -> SimulationResult:
+def run_scenario(scenario: Scenario, *, source: str = "", warn_infeasible: bool = False) -> SimulationResult:
     """Result of a scenario, with its text and the feasibility of its reference; `source` is its file, for errors.
 
     Raises `ScenarioError` if its parts do not fit together.
@@ -345,11 +341,12 @@ def run_scenario(scenario: Scenario, *, source: str = "") -> SimulationResult:
     with building("controller"):
         control = scenario.control()
     with building("start"):  # all else has been checked
-        return run_quietly(
+        return simulate(
             plant,
             control,
             scenario.reference(),
             **scenario.timing,
             initial=initial_state(scenario),
             scenario=scenario.dumps(),
+            warn_infeasible=warn_infeasible,
         )

@@ -126,14 +126,16 @@ def _ends(column: NDArray) -> list[Any]:
     return sorted({end.item() for part in signs if part.size for end in (part.min(), part.max())})
 
 
-Known = Collection[str] | Literal["all"]
+ModelFollows = Collection[str] | Literal["all"]
 """Plant parameters that the controller's model follows when they vary."""
 
 _PLANT = ("joint", "load", "valve", "command_delay")
 
 
-def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known: Known = "all") -> Scenario:
-    """The scenario with other values [SI] by name, validated as if they were in its file; `known` as for `batched`.
+def with_values(
+    scenario: Scenario, values: Mapping[str, float | int], *, model_follows: ModelFollows = "all"
+) -> Scenario:
+    """The scenario with other values [SI] by name, validated as if in its file; `model_follows` as for `batched`.
 
     Raises `ParameterError` if a name is unknown or repeated, or a value is invalid.
 
@@ -146,15 +148,15 @@ def with_values(scenario: Scenario, values: Mapping[str, float | int], *, known:
     columns = _columns(scenario, {name: [value] for name, value in values.items()})
     _check_rules(scenario, columns)
     numbers = {parameter: column[0].item() for parameter, column in columns.items()}
-    return _with(_with_fixed_model(scenario, numbers, known), numbers)
+    return _with(_with_fixed_model(scenario, numbers, model_follows), numbers)
 
 
-def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known = ()) -> Scenario:
+def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, model_follows: ModelFollows = ()) -> Scenario:
     """A batch of scenarios, with arrays of shape (n,) for the varied parameters.
 
     The objects built from it (`plant`, `control`, `reference`) have these arrays among their leaves. Such a scenario
     can be neither written nor compared. A controller's model that is taken from the plant stays nominal, except
-    for the `known` plant parameters ("all": all of them).
+    for the `model_follows` plant parameters ("all": all of them).
 
     Raises `ParameterError` if a name is unknown or repeated, or a row is invalid; it names the first such row.
 
@@ -173,32 +175,34 @@ def batched(scenario: Scenario, table: Mapping[str, ArrayLike], *, known: Known 
     """
     columns = _columns(scenario, table)
     _check_rules(scenario, columns)
-    return _with(_with_fixed_model(scenario, columns, known), columns)
+    return _with(_with_fixed_model(scenario, columns, model_follows), columns)
 
 
-def known_names(scenario: Scenario, known: Known, varied: Iterable[str]) -> tuple[str, ...]:
-    """Varied parameters that the plant and the controller's model have in common; `known` as for `batched`.
+def followed_names(scenario: Scenario, model_follows: ModelFollows, varied: Iterable[str]) -> tuple[str, ...]:
+    """Varied parameters that the plant and the controller's model have in common; `model_follows` as for `batched`.
 
-    Raises `ParameterError` if a known parameter is not varied, or the controller does not take it from the plant.
+    Raises `ParameterError` if such a parameter is not varied, or the controller does not take it from the plant.
 
     Examples
     --------
     >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
-    >>> known_names(scenario, "all", ["load.mass2", "joint.geometry.connector_length"])
+    >>> followed_names(scenario, "all", ["load.mass2", "joint.geometry.connector_length"])
     ('joint.geometry.connector_length',)
     """
     followed = {parameter.name: _follows(scenario, parameter) for parameter in find_parameters(scenario, varied)}
-    if known == "all":
+    if model_follows == "all":
         return tuple(name for name, follows in followed.items() if follows)
-    names = tuple(parameter.name for parameter in find_parameters(scenario, known))
+    names = tuple(parameter.name for parameter in find_parameters(scenario, model_follows))
     for name in names:
         if name not in followed:
             raise ParameterError(
-                f"{name} is known but not varied", value=name, remedy="vary it, or leave it out of known"
+                f"the model follows {name}, which is not varied",
+                value=name,
+                remedy="vary it, or leave it out of model_follows",
             )
         if not followed[name]:
             message = f"the controller's model does not take {name} from the plant"
-            raise ParameterError(message, value=name, remedy="leave it out of known")
+            raise ParameterError(message, value=name, remedy="leave it out of model_follows")
     return names
 
 
@@ -219,10 +223,14 @@ def valid_rows(scenario: Scenario, table: Mapping[str, ArrayLike]) -> NDArray[np
     return mask
 
 
-def _with_fixed_model(scenario: Scenario, values: Mapping[ScenarioParameter, Any], known: Known) -> Scenario:
-    """Return the scenario with the controller's model fixed, at the given values of known parameters, else its own."""
+def _with_fixed_model(
+    scenario: Scenario, values: Mapping[ScenarioParameter, Any], model_follows: ModelFollows
+) -> Scenario:
+    """Return the scenario with the controller's model fixed, at the values of the parameters that it follows."""
     plant = {parameter: value for parameter, value in values.items() if parameter.part in _PLANT}
-    names = [parameter.name for parameter in (plant if known == "all" else find_parameters(scenario, known))]
+    names = [
+        parameter.name for parameter in (plant if model_follows == "all" else find_parameters(scenario, model_follows))
+    ]
     follows = {parameter: value for parameter, value in plant.items() if parameter.name in names}
     if len(follows) == len(plant):
         return scenario
@@ -333,14 +341,14 @@ def run_many(
     scenario: Scenario,
     table: Mapping[str, ArrayLike],
     *,
-    known: Known = (),
+    model_follows: ModelFollows = (),
     **options: Any,
 ) -> Batch:
     """Simulate a scenario for each row of a table of values, with options of `simulate_many`.
 
     Raises `ParameterError` for an invalid row.
     """
-    many = batched(scenario, table, known=known)
+    many = batched(scenario, table, model_follows=model_follows)
     return simulate_many(
         many.plant(),
         many.control(),

@@ -10,7 +10,7 @@ from mckibben.simulation.metrics import SETTLING_PART, Metrics, measure, rms, se
 from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, sampled_signal, without_last_change
 from mckibben.simulation.result import RunResult, SimulationResult, compute_metrics, compute_trajectory
-from mckibben.simulation.simulate import needed_substeps, run_episode, run_quietly, simulate, unknown_air
+from mckibben.simulation.simulate import needed_substeps, run_episode, simulate, unknown_air
 from mckibben.simulation.stability import Margins, disk_margins, linear_loop, margins
 from mckibben.simulation.trajectories import Trajectory, trajectory
 
@@ -45,7 +45,6 @@ __all__ = [
     "needed_substeps",
     "rms",
     "run_episode",
-    "run_quietly",
     "sampled",
     "sampled_signal",
     "settling_band",

@@ -12,7 +12,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.component.checks import whole_periods
@@ -21,7 +21,7 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast, pad_chunk
-from mckibben.numerics.compiled import compiled_batch
+from mckibben.numerics.compiled import jit_lanes
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Column, Listing, Result
 from mckibben.simulation.accuracy import (
@@ -195,7 +195,7 @@ def simulate_many(
     metrics: Sequence[str] = Metrics._fields,
     keep: Sequence[str] = (),
     every: float | None = None,
-    precision: Any = 64,
+    precision: object = 64,
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
@@ -260,7 +260,7 @@ def simulate_many(
     >>> control = PositionStiffnessControl(PID(2e5, 60e5, 0.4e5), PID(-1.5e5, -100e5, 0.0), model=knee)
     >>> simulate_many(plant, control, Reference(angle=Sine(0.03, 1.0), stiffness=72.5), duration=0.5,
     ...               over={"load.mass2": np.linspace(0.3, 0.7, 3)}, metrics=["angle_rmse"])
-    <Batch: 3 runs (3 completed), metrics angle_rmse>
+    <Batch: 3 runs: 3 completed>
     """
     kind = float_type(precision)
     check_accuracy(accuracy, substeps, np.finfo(kind).bits)
@@ -315,7 +315,7 @@ class _Runs(NamedTuple):
     engine: str
     size: int  # runs per chunk
 
-    def begun(self, lanes: SimulationProblem) -> tuple[Any, Any, Array]:
+    def begun(self, lanes: SimulationProblem) -> tuple[PyTree, PyTree, Array]:
         """Shared and varying parts of the runs of a chunk, those of their beginnings included, and their spans."""
         begun, span = _begun(lanes, self.shared, self.times, self.asked)
         varies = bool(jax.tree.leaves(lanes.reference))
@@ -377,7 +377,7 @@ class _Runs(NamedTuple):
         return max(first_substeps(eqx.combine(run, self.shared), self.times, self.period) for run in runs)
 
 
-def _last(leaf: Any) -> Any:
+def _last(leaf: NDArray) -> NDArray:
     return np.moveaxis(leaf, 0, -1)
 
 
@@ -416,11 +416,11 @@ def _begin(
     return _Beginnings(setpoints, changes, starts, exist, split), span
 
 
-_begun = compiled_batch(_begin)
+_begun = jit_lanes(_begin)
 
 
 @BatchFunction
-def _positions(shared: Any, lane: Any) -> tuple[Array, ...]:
+def _positions(shared: PyTree, lane: PyTree) -> tuple[Array, ...]:
     """Positions of one run over time."""
     problem, begun, period, substeps, every = shared
     own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)
@@ -428,7 +428,7 @@ def _positions(shared: Any, lane: Any) -> tuple[Array, ...]:
 
 
 @BatchFunction
-def _run(shared: Any, lane: Any) -> dict[str, Array]:
+def _run(shared: PyTree, lane: PyTree) -> dict[str, Array]:
     """Columns of one run."""
     problem, begun, period, asked, substeps = shared
     own, begun = eqx.combine(lane[0], problem), eqx.combine(lane[1], begun)

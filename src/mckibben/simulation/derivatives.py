@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.codegen.native import NativeFunction
@@ -24,7 +24,7 @@ from mckibben.numerics.batching import (
     replace_leaves,
     select_leaves,
 )
-from mckibben.numerics.compiled import compiled_as_given
+from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import ACCURACY, check_accuracy
 from mckibben.simulation.engine import compute_with
@@ -143,7 +143,7 @@ class _Asked(NamedTuple):
     mode: Mode
 
 
-@compiled_as_given
+@jit_arrays
 def _by_xla(
     run: SimulationProblem, times: ArrayLike, period: ArrayLike, asked: _Asked
 ) -> tuple[dict[str, Array], dict[str, dict[str, Array]]]:
@@ -171,8 +171,8 @@ def _by_xla(
 
 
 def _natively(
-    shared: SimulationProblem, numbers: dict[str, Any], times: ArrayLike, period: ArrayLike, asked: _Asked
-) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    shared: SimulationProblem, numbers: dict[str, Array], times: ArrayLike, period: ArrayLike, asked: _Asked
+) -> tuple[dict[str, NDArray], dict[str, dict[str, NDArray]]]:
     """`_by_xla` forwards: the directions are runs side by side, in a program of the C compiler."""
     leaves, structure = jax.tree.flatten(numbers)
     flat: Any = np.concatenate([np.ravel(leaf) for leaf in leaves])
@@ -180,7 +180,7 @@ def _natively(
     values, slopes = _along((shared, flat, varying, rest, split, period, asked), (np.eye(flat.size), tangents))
     ends = np.cumsum([np.size(leaf) for leaf in leaves])[:-1]
 
-    def shaped(slope: Any) -> dict[str, Any]:
+    def shaped(slope: NDArray) -> dict[str, NDArray]:
         parts = zip(np.split(slope, ends), leaves, strict=True)
         return jax.tree.unflatten(structure, [part.reshape(np.shape(leaf)) for part, leaf in parts])
 
@@ -190,7 +190,7 @@ def _natively(
     )
 
 
-@compiled_as_given
+@jit_arrays
 def _begun(
     shared: SimulationProblem, flat: Array, times: ArrayLike, asked: _Asked
 ) -> tuple[_Begun, _Begun, tuple[_Begun, Array, Array | None]]:
@@ -206,14 +206,14 @@ def _begun(
         varying, rest = eqx.partition((start, setpoints, change), kinds)
         return varying, (rest, exists, _split(change, times, asked))
 
-    def along(direction: Array) -> Any:
+    def along(direction: Array) -> PyTree:
         return jax.jvp(begin, (flat,), (direction,), has_aux=True)
 
     return jax.vmap(along, out_axes=(None, -1, None))(jnp.eye(flat.size))
 
 
 @NativeFunction
-def _along(parts: Any, lane: Any) -> Any:
+def _along(parts: PyTree, lane: PyTree) -> PyTree:
     """Metrics, and their derivatives in one direction."""
     shared, flat, varying, rest, split, period, asked = parts
 

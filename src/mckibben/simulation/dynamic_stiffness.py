@@ -19,7 +19,7 @@ from mckibben.control.open_loop import OpenLoopControl
 from mckibben.errors import RangeError
 from mckibben.joint import Load
 from mckibben.numerics.batching import batched_program
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.loop import LoopState, control_period, initial_loop
 from mckibben.units import bar
@@ -161,7 +161,7 @@ def dynamic_stiffness(
     return DynamicStiffness(rates / (2 * np.pi), amplitudes, stiffness, loss)
 
 
-@compiled_as_given
+@jit_arrays
 def _last_cycle(
     plant: JointPlant,
     controller: Controller,

@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import ArrayLike, PyTree
+from numpy.typing import DTypeLike, NDArray
 
 from mckibben.codegen.cuda import CudaFunction, device
 from mckibben.codegen.native import NativeFunction, compiler, warn_of_fallback
@@ -16,7 +17,7 @@ from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import DeviceError, ExportError, ParameterError, SimulationError, quoted
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, map_chunks, pad_chunk
-from mckibben.numerics.compiled import compiled_batch
+from mckibben.numerics.compiled import jit_lanes
 from mckibben.plant import Plant
 from mckibben.simulation.loop import Record, compiled_episode, episode
 
@@ -95,12 +96,18 @@ def compute_with(
 
 
 def run_alone(
-    engine: str, plant: Plant, controller: DiscreteTimeSystem, setpoints: Any, start: Any, period: Any, substeps: int
-) -> tuple[tuple[Any, Record], str]:
+    engine: str,
+    plant: Plant,
+    controller: DiscreteTimeSystem,
+    setpoints: PyTree,
+    start: PyTree,
+    period: ArrayLike,
+    substeps: int,
+) -> tuple[tuple[PyTree, Record], str]:
     """State after one run with its record, and the engine that computed them; `numeric` parts."""
-    parts: Any = plant, controller, setpoints, start, period, np.asarray(substeps)
+    parts: PyTree = plant, controller, setpoints, start, period, np.asarray(substeps)
 
-    def by_xla() -> tuple[Any, Record]:
+    def by_xla() -> tuple[PyTree, Record]:
         # The stages of many muscles take minutes to compile, unless they are rolled; they are faster as well.
         with batched_program() if len(plant.muscles) > 2 else contextlib.nullcontext():
             return compiled_episode(*parts)
@@ -109,7 +116,7 @@ def run_alone(
 
 
 @NativeFunction
-def native_episode(parts: Any, _: None) -> tuple[Any, Record]:
+def native_episode(parts: PyTree, _: None) -> tuple[PyTree, Record]:
     """State after one run, and its record."""
     return episode(*parts)
 
@@ -117,10 +124,12 @@ def native_episode(parts: Any, _: None) -> tuple[Any, Record]:
 class BatchFunction:
     """A pure function of a shared tree and of one with the runs along the last axis, compiled by any engine."""
 
-    def __init__(self, function: Callable[[Any, Any], Any]) -> None:
+    def __init__(self, function: Callable[[PyTree, PyTree], PyTree]) -> None:
         self._function, self._native, self._cuda = function, NativeFunction(function), CudaFunction(function)
 
-    def __call__(self, engine: str, shared: Any, lanes: Any, precision: Any = np.float64) -> tuple[Any, str]:
+    def __call__(
+        self, engine: str, shared: PyTree, lanes: PyTree, precision: DTypeLike = np.float64
+    ) -> tuple[PyTree, str]:
         """Results, and the engine that computed them."""
         single = np.dtype(precision) == np.float32
         return compute_with(
@@ -131,9 +140,9 @@ class BatchFunction:
         )
 
 
-@compiled_batch
-def _by_xla(function: Callable[[Any, Any], Any], shared: Any, lanes: Any) -> Any:
-    def run(lane: Any) -> Any:
+@jit_lanes
+def _by_xla(function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, lanes: PyTree) -> PyTree:
+    def run(lane: PyTree) -> PyTree:
         with batched_program():
             return function(shared, lane)
 
@@ -141,8 +150,8 @@ def _by_xla(function: Callable[[Any, Any], Any], shared: Any, lanes: Any) -> Any
 
 
 def compute_chunks(
-    compute: Callable[[Any], tuple[R, str]],
-    lanes: Any,
+    compute: Callable[[PyTree], tuple[R, str]],
+    lanes: PyTree,
     count: int,
     *,
     chunk: int | None = None,
@@ -154,7 +163,7 @@ def compute_chunks(
     """Results of many runs in their order, and the engine; chunks for `compute` have the runs along the last axis."""
     size = chunk_size(chunk, count, workers, engine, numbers)
 
-    def piece_of(piece: slice) -> tuple[Any, str]:
+    def piece_of(piece: slice) -> tuple[PyTree, str]:
         part = jax.tree.map(lambda x: np.moveaxis(x, 0, -1), pad_chunk(lanes, piece, size))
         answer, used = compute(part)
         kept = piece.stop - piece.start
@@ -171,8 +180,8 @@ def compute_chunks(
 
 
 def compute_groups(
-    compute: Callable[[Any, int], tuple[R, str]],
-    lanes: Any,
+    compute: Callable[[PyTree, int], tuple[R, str]],
+    lanes: PyTree,
     substeps: NDArray[np.int64],
     *,
     progress: Progress | None = None,
@@ -202,7 +211,7 @@ def compute_groups(
     return jax.tree.map(lambda *each: np.concatenate(each)[back], *results), used[0]
 
 
-def dynamic_steps(substeps: int) -> Any:
+def dynamic_steps(substeps: int) -> int | NDArray:
     """Number of integration steps as an argument of a program, and a single step as part of it, which is faster."""
     return substeps if substeps == 1 else np.asarray(substeps)
 

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import functools
 import operator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
-from mckibben.numerics.compiled import compiled_as_given
+from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.simulation.metrics import (
     Change,
@@ -35,24 +35,24 @@ from mckibben.simulation.trajectories import trajectory
 class Record(NamedTuple):
     """The record of every control period; each leaf has the shape of the time axis."""
 
-    state: Any  # what the plant observes of its state
+    state: PyTree  # what the plant observes of its state
     commands: tuple[Array, ...]  # within the limits of the plant
     limited: Array  # whether the plant limited a command
     telemetry: dict[str, Array]
 
 
-LoopState = tuple[Any, Any]
+LoopState = tuple[PyTree, PyTree]
 """States of plant and controller at the start of a control period."""
 
 
-def initial_loop(plant: Plant, controller: DiscreteTimeSystem, start: Any) -> LoopState:
+def initial_loop(plant: Plant, controller: DiscreteTimeSystem, start: PyTree) -> LoopState:
     """The plant at its start, and the controller initialised from the first measurement."""
     state = plant.begin(start)
     return state, controller.init(plant.sample(state, 0.0)[1])
 
 
 def control_period(
-    plant: Plant, controller: DiscreteTimeSystem, state: LoopState, setpoint: Any, period: ArrayLike, substeps: int
+    plant: Plant, controller: DiscreteTimeSystem, state: LoopState, setpoint: PyTree, period: ArrayLike, substeps: int
 ) -> tuple[LoopState, Record]:
     """One control period: the controller's step, then the plant under the constant commands."""
     plant_state, controller_state = state
@@ -65,40 +65,40 @@ def control_period(
 
 
 def episode(
-    plant: Plant, controller: DiscreteTimeSystem, setpoints: Any, initial: Any, period: ArrayLike, substeps: int
-) -> tuple[Any, Record]:
+    plant: Plant, controller: DiscreteTimeSystem, setpoints: PyTree, initial: PyTree, period: ArrayLike, substeps: int
+) -> tuple[PyTree, Record]:
     """Run a controller on a plant; a pure function, to be compiled, vmapped and differentiated.
 
     Setpoints at the start of each control period [s] are arrays of shape (periods,), for a leg the times. Returns the
     plant's state after the last period, and the record of shape (periods,).
     """
 
-    def next_period(state: LoopState, setpoint: Any) -> tuple[LoopState, Record]:
+    def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, Record]:
         return control_period(plant, controller, state, setpoint, period, substeps)
 
     (final, _), record = lax.scan(next_period, initial_loop(plant, controller, initial), setpoints)
     return final, record
 
 
-compiled_episode = compiled_as_given(episode)
+compiled_episode = jit_arrays(episode)
 """`episode`, compiled once for each structure of its arguments; give it `numeric` ones."""
 
 
 def positions_over_time(
     plant: Plant,
     controller: DiscreteTimeSystem,
-    setpoints: Any,
-    initial: Any,
+    setpoints: PyTree,
+    initial: PyTree,
     period: ArrayLike,
-    substeps: Any,
+    substeps: int,
     every: int,
 ) -> tuple[Array, ...]:
     """Positions at the start of every n-th control period of an episode, each of shape (periods / n,)."""
 
-    def next_period(state: LoopState, setpoint: Any) -> tuple[LoopState, None]:
+    def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, None]:
         return control_period(plant, controller, state, setpoint, period, substeps)[0], None
 
-    def next_kept(state: LoopState, setpoints: Any) -> tuple[LoopState, tuple[Array, ...]]:
+    def next_kept(state: LoopState, setpoints: PyTree) -> tuple[LoopState, tuple[Array, ...]]:
         return lax.scan(next_period, state, setpoints)[0], tuple(jax.tree.leaves(state[0][0]))
 
     rows = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), setpoints)
@@ -142,7 +142,7 @@ def streaming_episode(
     change = last_change(setpoints.stiffness) if change is None else change
 
     @functools.partial(jax.jit, inline=True)  # traced once for both runs
-    def step(state: LoopState, setpoint: Setpoint) -> tuple[LoopState, Any]:
+    def step(state: LoopState, setpoint: Setpoint) -> tuple[LoopState, Record]:
         return control_period(plant, controller, state, setpoint, period, substeps)
 
     def step_without_change(carry: _Carry, following: LoopState, setpoint: Setpoint, index: Array) -> LoopState:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.component.columns import Label, labelled, labels_of
 from mckibben.simulation.oscillation import find_limit_cycle
@@ -28,11 +28,11 @@ M = TypeVar("M")
 class Totals(NamedTuple):
     """Sums and maxima by name; of one control period, of some, or of all."""
 
-    sums: dict[str, Any]
-    maxima: dict[str, Any]
+    sums: dict[str, PyTree]
+    maxima: dict[str, PyTree]
 
     @classmethod
-    def of(cls, metrics: Iterable[Metric], sample: Any) -> Totals:
+    def of(cls, metrics: Iterable[Metric], sample: PyTree) -> Totals:
         """Totals of single control periods, elementwise: of scalars, or of arrays of shape (periods,)."""
         totals = cls({}, {})
         for metric in metrics:
@@ -57,7 +57,7 @@ class Run(NamedTuple):
 
     periods: int
     period: ArrayLike
-    tracked: Any = None
+    tracked: PyTree = None
 
 
 @dataclass(frozen=True)
@@ -67,33 +67,33 @@ class Metric(Label, abc.ABC):
     _: KW_ONLY
     of: str  # name of the quantity of a sample that it is made of
 
-    def terms(self, sample: Any) -> Totals:
+    def terms(self, sample: PyTree) -> Totals:
         """Return the terms of single control periods, by names that metrics may share."""
         return Totals({}, {})
 
     @abc.abstractmethod
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         """Return the metric of a whole run."""
 
 
 class RootMeanSquare(Metric):
     """Root mean square of an error; its derivative at 0 is 0."""
 
-    def terms(self, sample: Any) -> Totals:
+    def terms(self, sample: PyTree) -> Totals:
         return Totals({f"{self.of}^2": jnp.square(getattr(sample, self.of))}, {})
 
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         return root(totals.sums[f"{self.of}^2"] / run.periods)
 
 
 class StandardDeviation(Metric):
     """Root mean square of an error about its mean over the run."""
 
-    def terms(self, sample: Any) -> Totals:
+    def terms(self, sample: PyTree) -> Totals:
         error = getattr(sample, self.of)
         return Totals({f"{self.of}^2": jnp.square(error), self.of: error}, {})
 
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         variance = totals.sums[f"{self.of}^2"] / run.periods - jnp.square(totals.sums[self.of] / run.periods)
         return root(jnp.where(variance < 0, 0.0, variance))  # rounding may take it below
 
@@ -101,44 +101,44 @@ class StandardDeviation(Metric):
 class Largest(Metric):
     """Largest value of a quantity, 0 if all are below."""
 
-    def terms(self, sample: Any) -> Totals:
+    def terms(self, sample: PyTree) -> Totals:
         return Totals({}, {self.of: getattr(sample, self.of)})
 
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         return totals.maxima[self.of]
 
 
 class LargestError(Metric):
     """Largest absolute value of a quantity."""
 
-    def terms(self, sample: Any) -> Totals:
+    def terms(self, sample: PyTree) -> Totals:
         return Totals({}, {f"|{self.of}|": jax.tree.map(jnp.abs, getattr(sample, self.of))})
 
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         return totals.maxima[f"|{self.of}|"]
 
 
 class Total(Metric):
     """Sum of a quantity over the control periods."""
 
-    def terms(self, sample: Any) -> Totals:
+    def terms(self, sample: PyTree) -> Totals:
         return Totals({self.of: getattr(sample, self.of)}, {})
 
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         return totals.sums[self.of]
 
 
 class Duration(Total):
     """Time [s] with a flag, which is 0 or 1."""
 
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         return totals.sums[self.of] * run.period
 
 
 class Tracked(Metric):
     """Quantity of the state that is tracked from each control period to the next, at the end of a run."""
 
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         return getattr(run.tracked, self.of)
 
 
@@ -148,7 +148,7 @@ def metrics_of(kind: type) -> dict[str, Metric]:
     return cast(dict[str, Metric], labels_of(kind))
 
 
-def values_of(kind: type[M], totals: Totals, run: Any) -> M:
+def values_of(kind: type[M], totals: Totals, run: Run) -> M:
     """Return the metrics of a class, of a whole run."""
     return kind(**{name: metric.value(totals, run) for name, metric in metrics_of(kind).items()})
 
@@ -174,7 +174,7 @@ _BAND_FLOOR = 1e-3  # least half width of the band, as a fraction of the setpoin
 class SettlingTime(Largest):
     """Time [s] from the last change until a quantity, the number of the period from 1 if outside a band, stays 0."""
 
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         change: Change = run.tracked.change
         unsettled = jnp.maximum(totals.maxima[self.of] - 1, change.at - 1)
         in_band = run.periods - 1 - unsettled  # periods at the end
@@ -185,7 +185,7 @@ class SettlingTime(Largest):
 class LargestAfterChange(Largest):
     """Largest value of a quantity since the last change of the setpoint; NaN without one."""
 
-    def value(self, totals: Totals, run: Any) -> Any:
+    def value(self, totals: Totals, run: Run) -> PyTree:
         return jnp.where(run.tracked.change.ends, totals.maxima[self.of], jnp.nan)
 
 
@@ -305,7 +305,7 @@ def measure_since(
     periods = moved.angle.shape[0]
     zero = jnp.zeros_like(moved.stiffness[0])
 
-    def following(so_far: Any, at: tuple[Array, Trajectory]) -> tuple[Any, None]:
+    def following(so_far: PyTree, at: tuple[Array, Trajectory]) -> tuple[PyTree, None]:
         totals, air = so_far
         index, now = at
         before = [jnp.where(index == 0, new, old) for new, old in zip((now.air1, now.air2), air, strict=True)]
@@ -389,7 +389,7 @@ class MetricSample(NamedTuple):
         settled = jnp.abs(stiffness_error) <= _band(change, stiffness_at_change)
         coupling = jnp.abs(jnp.asarray(moved.angle) - moved.angle_without_step)
 
-        def number(flag: Any) -> Array:
+        def number(flag: ArrayLike) -> Array:
             return jnp.asarray(flag).astype(stiffness_error.dtype)
 
         return cls(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar, cast
@@ -21,7 +21,7 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import Signal
 from mckibben.errors import ParameterError, SimulationError, described, with_article
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.engine import BatchFunction
@@ -132,7 +132,7 @@ def _check_numbers(trees: Mapping[str, Any]) -> None:
         raise SimulationError(f"{name} is not a number", field=name, value=leaf, remedy="give a finite number")
 
 
-def _has_nan(leaf: Any) -> bool:
+def _has_nan(leaf: object) -> bool:
     if isinstance(leaf, float):
         return math.isnan(leaf)
     known = isinstance(leaf, np.ndarray | jax.Array) and not isinstance(leaf, jax.core.Tracer)
@@ -162,7 +162,7 @@ def check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
             )
 
 
-def float_type(precision: Any) -> Any:
+def float_type(precision: object) -> np.dtype:
     """The float type of a precision: 32 or 64 bits, or the type itself."""
     kinds = {32: np.dtype(np.float32), 64: np.dtype(np.float64)}
     if isinstance(precision, int):
@@ -186,7 +186,7 @@ def sample_reference(reference: Reference, times: ArrayLike) -> Setpoint:
 
 
 _each_sample = BatchFunction(sample_reference)
-_all_samples = compiled(sample_reference)
+_all_samples = jit(sample_reference)
 
 
 def sampled_reference(reference: Reference, times: NDArray[np.float64]) -> Setpoint:
@@ -205,7 +205,7 @@ def _value_at(signal: Signal, time: Array) -> Array:
 _each_value = BatchFunction(_value_at)
 
 
-def sampled_signal(signal: Any, times: NDArray[np.float64]) -> NDArray[np.float64]:
+def sampled_signal(signal: Signal | Callable, times: NDArray[np.float64]) -> NDArray[np.float64]:
     """Values of a signal at times [s], computed by a compiled program."""
     if not isinstance(signal, Signal):  # another function may be one of all times
         return np.asarray(signal(times), float)

@@ -21,7 +21,7 @@ from mckibben.errors import FileError, Problem, SimulationError, no_attribute, s
 from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint, MuscleStates
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import Domain
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.result import Column, Remark, Result
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.engine import BatchFunction, compute_with
@@ -436,12 +436,12 @@ def _native_metrics(parts: Any, _: None) -> Metrics:
     return measure_since(*parts)
 
 
-_metrics_by_xla = compiled(measure_since)
-_friction_torque = compiled(AntagonisticJoint.friction_torque)
-_creep_torque = compiled(AntagonisticJoint.creep_torque)
+_metrics_by_xla = jit(measure_since)
+_friction_torque = jit(AntagonisticJoint.friction_torque)
+_creep_torque = jit(AntagonisticJoint.creep_torque)
 
 
-@compiled
+@jit
 def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressures) -> Array:
     return joint.secant_stiffness(angle, pressures, SMALL_MOTION)
 

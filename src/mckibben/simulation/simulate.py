@@ -16,7 +16,7 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import (
     ACCURACY,
@@ -60,6 +60,7 @@ def simulate(
     initial: PlantState | AtRest | None = None,
     engine: str = "auto",
     scenario: str = "",
+    warn_infeasible: bool = True,
 ) -> SimulationResult:
     """Run a controller on a plant.
 
@@ -87,6 +88,8 @@ def simulate(
         The result's `engine` names the one used. Their results differ by rounding.
     scenario
         Text to store with the result.
+    warn_infeasible
+        Whether to warn of a reference that is not feasible; the result has its feasibility.
 
     Warns
     -----
@@ -109,37 +112,6 @@ def simulate(
     if controller is None or reference is None:
         remedy = "write simulate(plant, controller, reference), or scenario.simulate()"
         raise SimulationError("a plant, a controller and a reference are needed", remedy=remedy)
-    result = run_quietly(
-        plant,
-        controller,
-        reference,
-        duration=duration,
-        control_period=control_period,
-        accuracy=accuracy,
-        substeps=substeps,
-        initial=initial,
-        engine=engine,
-        scenario=scenario,
-    )
-    if result.feasibility and not result.feasibility.feasible:
-        warnings.warn(result.feasibility.verdict(), ReachabilityWarning, stacklevel=user_level())
-    return result
-
-
-def run_quietly(
-    plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
-    *,
-    duration: float,
-    control_period: float,
-    accuracy: float,
-    substeps: int | None,
-    initial: PlantState | AtRest | None,
-    engine: str = "auto",
-    scenario: str,
-) -> SimulationResult:
-    """`simulate` without a warning of a reference that is not feasible; the result has its feasibility."""
     times = sampling_times(duration, control_period)
     check_accuracy(accuracy, substeps)
     check_engine(engine)
@@ -170,6 +142,8 @@ def run_quietly(
             f"{text}, outside of which the moment arm is assumed constant", DomainWarning, stacklevel=user_level()
         )
     tension = getattr(controller, "minimum_tension", None)
+    if not reach.feasible and warn_infeasible:
+        warnings.warn(reach.verdict(), ReachabilityWarning, stacklevel=user_level())
     if tension and reach.feasible:
         limited = feasibility(plant, times, setpoints, static_band(plant, setpoints.angle, amplitude, tension))
         if not limited.feasible:
@@ -352,7 +326,7 @@ def _native_start(parts: tuple[SimulationProblem, Setpoint], _: None) -> tuple[P
     return parts[0].start(parts[1])
 
 
-_start_by_xla = compiled(SimulationProblem.start)
+_start_by_xla = jit(SimulationProblem.start)
 
 
 def _raise_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:

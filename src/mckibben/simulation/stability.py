@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
@@ -21,7 +21,7 @@ from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
-from mckibben.numerics.compiled import compiled_as_given, numeric
+from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Remark, Result, column
 from mckibben.simulation.engine import BatchFunction
@@ -49,9 +49,9 @@ _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a consta
 class LinearLoop(NamedTuple):
     """The closed loop over a control period: x' = a x + b d, u = c x, with commands u and their disturbance d."""
 
-    a: Any
-    b: Any
-    c: Any
+    a: NDArray[np.float64]
+    b: NDArray[np.float64]
+    c: NDArray[np.float64]
 
 
 class Margins(Result):
@@ -214,7 +214,7 @@ def _linearised_at(
     control_period: float,
     chosen: NDArray[np.int64],
     substeps: int,
-) -> tuple[LinearLoop, float, Any]:
+) -> tuple[LinearLoop, float, PyTree]:
     """Linearisations at control periods of a run, amplitude of its limit cycle [rad], and shapes of the states."""
     initial = _without_modulation(plant, initial)
     plant = _without_noise(plant, control_period).with_period(control_period)
@@ -277,16 +277,16 @@ def _without_noise(plant: JointPlant, period: float) -> JointPlant:
     return dataclasses.replace(ideal, command_delay=delay if np.any(delay) else None)
 
 
-def _without_modulation(plant: JointPlant, initial: Any) -> Any:
+def _without_modulation(plant: JointPlant, initial: PyTree) -> PyTree:
     """The initial state without that of a pulse width modulation, which the mean flow lacks."""
     return initial._replace(air=()) if plant.valve.switches and isinstance(initial, PlantState) else initial
 
 
-@compiled_as_given
-def _begun(lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike) -> tuple[Any, Array]:
+@jit_arrays
+def _begun(lanes: SimulationProblem, shared: SimulationProblem, times: ArrayLike) -> tuple[PyTree, Array]:
     """Start and setpoints of each run, and whether it can start."""
 
-    def begin(lane: SimulationProblem) -> tuple[Any, Array]:
+    def begin(lane: SimulationProblem) -> tuple[PyTree, Array]:
         run = eqx.combine(lane, shared)
         setpoints = sample_reference(run.reference, times)
         start, exists = run.start(setpoints)
@@ -314,7 +314,7 @@ def _linearised(
     count, *shape = states.shape
     directions = np.eye(count + 2)
 
-    def lane(leaf: Any) -> Any:
+    def lane(leaf: NDArray) -> NDArray:
         """A leaf as lanes, one for each run, point and direction, which are its last axes."""
         return np.broadcast_to(leaf, (*leaf.shape[:-3], *shape, count + 2)).reshape(*leaf.shape[:-3], -1)
 
@@ -331,13 +331,13 @@ def _linearised(
 
 
 @BatchFunction
-def _visited(shared: Any, lane: Any) -> tuple[Array, Array]:
+def _visited(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
     """States of plant and controller at each control period, and the amplitude of the limit cycle of the run [rad]."""
     (problem, period, substeps), (own, start, setpoints) = shared, lane
     run = problem if own is None else eqx.combine(own, problem)
     count = setpoints.angle.shape[0]
 
-    def step(carry: tuple[LoopState, Oscillation], row: tuple[Setpoint, Array]) -> tuple[Any, Array]:
+    def step(carry: tuple[LoopState, Oscillation], row: tuple[Setpoint, Array]) -> tuple[PyTree, Array]:
         (loop, so_far), (setpoint, index) = carry, row
         following, _ = _advance(run, loop, setpoint, jnp.zeros(2), period, substeps)
         return (following, so_far.after(loop[0].angle, setpoint.angle, index)), ravel_pytree(loop)[0]
@@ -348,7 +348,7 @@ def _visited(shared: Any, lane: Any) -> tuple[Array, Array]:
 
 
 @BatchFunction
-def _along(shared: Any, lane: Any) -> tuple[Array, Array]:
+def _along(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
     """Derivatives of the next state and of the commands in a direction of the state and the disturbed commands."""
     (problem, period, substeps), (own, start, state, setpoint, direction) = shared, lane
     run = problem if own is None else eqx.combine(own, problem)
@@ -387,9 +387,9 @@ def _radius(poles: NDArray[np.complex128]) -> float:
 class _Triangular(NamedTuple):
     """A linear loop in the coordinates of a Schur decomposition, whose matrix is upper triangular."""
 
-    a: Any
-    b: Any
-    c: Any
+    a: NDArray[np.complex128]
+    b: NDArray[np.complex128]
+    c: NDArray[np.complex128]
 
     @classmethod
     def of(cls, loop: LinearLoop) -> _Triangular:

@@ -11,7 +11,7 @@ from mckibben.actuator.base import at_room_temperature
 from mckibben.component.columns import Label, labelled
 from mckibben.control.base import Setpoint
 from mckibben.joint.antagonistic import NO_STATES
-from mckibben.numerics.batching import compute_once
+from mckibben.numerics.batching import fusion_barrier
 from mckibben.plant import JointPlant
 from mckibben.units import atm
 
@@ -64,15 +64,15 @@ def trajectory(
 ) -> Trajectory:
     """Trajectory of a record; elementwise, of one control period or of all."""
     state, joint = record.state, plant.joint
-    torque, stiffness = compute_once(joint.torque_and_stiffness, state.angle, state.pressures)
+    torque, stiffness = fusion_barrier(joint.torque_and_stiffness, state.angle, state.pressures)
     if stiffness_amplitude is not None:
-        stiffness = compute_once(joint.secant_stiffness, state.angle, state.pressures, stiffness_amplitude)
+        stiffness = fusion_barrier(joint.secant_stiffness, state.angle, state.pressures, stiffness_amplitude)
     pressure1, pressure2 = state.pressures
     if state.muscles != NO_STATES:
-        forces = compute_once(joint.forces, state.angle, state.velocity, state.pressures, state.muscles)
+        forces = fusion_barrier(joint.forces, state.angle, state.velocity, state.pressures, state.muscles)
         (force1, force2), torque, (contraction1, contraction2) = forces
     else:
-        contraction1, contraction2 = compute_once(joint.contractions, state.angle, state.pressures)
+        contraction1, contraction2 = fusion_barrier(joint.contractions, state.angle, state.pressures)
         force1 = joint.muscle1.tension(contraction1, pressure1)
         force2 = joint.muscle2.tension(contraction2, pressure2)
     muscles = ((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))

@@ -52,13 +52,13 @@ def is_private(status: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
 
 
 def source_files(folder: str = str(Path(__file__).parents[1])) -> tuple[tuple[str, int, int], ...]:
-    """Path, size and time of change of our source files and of the catalog."""
+    """Path, size and time of change of our source files, of headers of C and of the catalog."""
     files: list[tuple[str, int, int]] = []
     with os.scandir(folder) as entries:
         for entry in sorted(entries, key=lambda entry: entry.name):
             if entry.is_dir(follow_symlinks=False):
                 files += source_files(entry.path)
-            elif entry.name.endswith((".py", ".yaml")):
+            elif entry.name.endswith((".py", ".yaml", ".h", ".cu")):
                 files.append((entry.path, entry.stat().st_size, entry.stat().st_mtime_ns))
     return tuple(files)
 

@@ -12,13 +12,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from mckibben.errors import FileError, McKibbenWarning, Problem
 from mckibben.storage.files import file_lock, make_folder
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 STUDY = "study.sqlite"
 """Name of the file of a study in its folder."""
@@ -178,11 +178,15 @@ class Job:
 
     def read_arrays(self, number: int) -> dict[str, NDArray[Any]]:
         """Return a record of arrays by name."""
+        import numpy as np  # the command line starts without it
+
         with np.load(io.BytesIO(self.read(number)), allow_pickle=False) as file:
             return dict(file.items())
 
     def add_arrays(self, number: int, arrays: Mapping[str, NDArray[Any]]) -> None:
         """Write a record of arrays by name."""
+        import numpy as np
+
         content = io.BytesIO()
         np.savez(content, **arrays)  # type: ignore[arg-type]  # our names, none of which savez reserves
         self.add({number: content.getvalue()})

@@ -34,8 +34,8 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
             raise NotInCatalogError(
                 f"{name} is a dataset of the catalog",
                 value=name,
-                remedy="leave out the options that read files (--read, --column, --initial-length, --ambient, --decimal, "
-                "--accept)",
+                remedy="leave out the options that read files (--read, --column, --initial-length, --ambient, "
+                "--decimal, --accept)",
             )
         return catalog.dataset(name)
     for name in names:

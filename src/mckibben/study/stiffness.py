@@ -15,7 +15,7 @@ from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
 from mckibben.result import Column, Listing, Result, column
 from mckibben.scenario import Scenario
@@ -135,7 +135,7 @@ def stiffness_tests(
     )
 
 
-@compiled
+@jit
 def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index: Any, dead_volume: Any) -> tuple:
     air = {"polytropic_index": index, "dead_volume": dead_volume}
     return (
@@ -146,7 +146,7 @@ def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index
     )
 
 
-@compiled
+@jit
 def _closed_dynamic(plant: JointPlant, state: Any, rates: Any) -> Any:
     """Complex stiffness [N*m/rad] of small motions at rates [Hz] with closed valves, without friction."""
     volumes = [air.volume for air in plant.air_volumes(state)]

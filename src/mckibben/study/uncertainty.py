@@ -25,7 +25,7 @@ from mckibben.identification.grouping import Grouping
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import pressure_pair
 from mckibben.muscle import ForceLaw
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def joint_bands(
     return JointBands(bands[0], bands[1], doubtful)
 
 
-@compiled
+@jit
 def torque_and_stiffness_gradients(
     joint: AntagonisticJoint, values: tuple[Any, ...], angle: Any, pressure1: Any, pressure2: Any
 ) -> tuple[Array, list[Array], tuple[Array, Array]]:

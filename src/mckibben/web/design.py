@@ -21,12 +21,12 @@ from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.attainable import cocontraction_segment, is_affine
 from mckibben.joint.mechanism import SLENDER, Mechanism, Points, muscle_sizes
 from mckibben.muscle import Muscle
-from mckibben.numerics.compiled import compiled
+from mckibben.numerics.compiled import jit
 from mckibben.plant.joint_plant import rated_for
 from mckibben.reachability.envelope import active_limits
 from mckibben.reachability.static import scan_points
+from mckibben.report.palette import MUSCLES
 from mckibben.units import bar, deg, mm, percent
-from mckibben.web.layout import BLUE, VERMILLION
 
 _MUSCLES = {"MAS-10-180N-AA-MC-O": "lei-mas-10-180n", "DMSP-10-250": "sarosi-dmsp-10"}
 """Specimens of the catalog and their laws."""
@@ -149,7 +149,7 @@ class _Pose(NamedTuple):
     """Pressures [Pa] at the lowest and at the highest stiffness."""
 
 
-@compiled
+@jit
 def _ranges(
     joint: AntagonisticJoint, angles: ArrayLike, torque: ArrayLike, angle: ArrayLike, limits: tuple[float, float]
 ) -> tuple[Any, Any, Any, _Pose]:
@@ -253,7 +253,7 @@ def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[Any, Any
         *(path("#8a949d", bone, (0, 0), end) for end in levers),
     ]
     lengths, diameters = muscle_sizes(joint, contractions)
-    for strand, length, diameter, color in zip(strands, lengths, diameters, (BLUE, VERMILLION), strict=True):
+    for strand, length, diameter, color in zip(strands, lengths, diameters, MUSCLES, strict=True):
         thick = (SLENDER * length if diameter is None else diameter) / mm
         body = path(color, float(thick), *strand.body(float(length))).replace("round", "butt")
         parts += [path("#6b7680", 0.5 * bone, strand.start, strand.end, *strand.wrap), body]

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from nicegui import events, ui
@@ -20,45 +19,38 @@ from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
 from mckibben.errors import ScenarioError, UnitError, printable
-from mckibben.identification import Fit, FitWithFriction, HysteresisFit, Ranking, identify_with_friction, rank
+from mckibben.identification import Fit, HysteresisFit, identify_with_friction, rank
 from mckibben.identification.storage import law_types
 from mckibben.muscle import Muscle
 from mckibben.muscle.air import inner_volume, volume_terms
-from mckibben.numerics.calculus import evenly_spaced
+from mckibben.result import Remark
 from mckibben.scenario import muscle_text
-from mckibben.units import bar, factor, percent, quantity
+from mckibben.units import factor, quantity
 from mckibben.web.layout import (
-    BLACK,
-    PALETTE,
     JobPage,
     button,
-    chart,
-    dots,
-    draw,
     frame,
-    line,
     panel,
     progress_row,
     quiet,
     results_side,
     select,
-    show_warnings,
+    show_remarks,
     side,
     table,
     text_area,
     upload,
 )
 from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal, rows_read
+from mckibben.web.results import Presented, show_result
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
 from mckibben.web.wording import FRICTION, KEEP, SKIP, on_page
 
 _LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
-_MOST_CURVES = 12
 _SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
 _MOST_FILES = 64
-_LEFT_OUT = "left out"
 NEEDS_MUSCLE = "It needs muscle.yaml and fit.yaml in its folder: “Download muscle” on the page Muscle gives both."
 _FRICTION = {"where the data show it": None, "with": True, "without": False}
 
@@ -78,10 +70,7 @@ class IdentificationState(JobState):
     reading: ReadingFields = field(default_factory=ReadingFields)
     read_by: ReadingFields | None = None  # the fields by which the data were read; none for the catalog
     reading_notes: list[str] = field(default_factory=list)
-    found: FitWithFriction | None = None
-    outliers_kept: bool = False  # in `found`
-    ranking: Ranking | None = None
-    ranked_last: bool = False  # after the fit: the newest result is shown first
+    results: dict[str, Presented] = field(default_factory=dict)  # fit and ranking, the newest first
     muscle: Muscle | None = None
 
     def use(
@@ -94,13 +83,13 @@ class IdentificationState(JobState):
     ) -> None:
         """Replace the data and forget the results of earlier ones."""
         self.name, self.data, self.sources, self.read_by, self.old = name, data, tuple(sources), read_by, False
-        self.found = self.ranking = self.error = None
+        self.results, self.error = {}, None
         self.reading_notes, self.notes = list(reading_notes), []
 
-    @property
-    def fit(self) -> Fit | None:
-        """The law, without friction."""
-        return self.found.fit if self.found else None
+    def show_first(self, name: str, result: Presented, heard: list[str]) -> None:
+        """Replace a result, which is then the newest."""
+        self.results = {name: result} | {other: old for other, old in self.results.items() if other != name}
+        self.notes, self.error = heard, None
 
 
 def keep_muscle(
@@ -108,7 +97,7 @@ def keep_muscle(
 ) -> Muscle | None:
     """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown.
 
-    An inner diameter, or the measured volume of air, gives it a volume, as `mckibben identify --diameter` and `--fill`.
+    An inner diameter, or the measured volume of air, gives it a volume, as `mckibben identify --inner`.
     """
     fit.to_yaml(folder / "fit.yaml")
     attrs = data.table.attrs
@@ -133,11 +122,6 @@ def keep_muscle(
         return None
     (folder / "muscle.yaml").write_text(text, encoding="utf-8")
     return read_component(Muscle, folder / "muscle.yaml")
-
-
-def _residuals(fit: Fit, points: IsobaricDataset) -> tuple[np.ndarray, np.ndarray]:
-    """Contractions [%] and residuals [N], of the forces as measured."""
-    return points.contraction / percent, points.force - np.asarray(fit.law.force(points.contraction, points.pressure))
 
 
 def page() -> None:
@@ -282,14 +266,15 @@ class _Page(JobPage[IdentificationState]):
         law, diameter, keep = law_types()[state.law], state.diameter, state.keep_outliers
         friction = _FRICTION[state.friction]
 
-        def compute(_: Callable[[str, float], None]) -> tuple[FitWithFriction, Muscle | None, Path]:
+        def compute(_: Callable[[str, float], None]) -> tuple[Presented, Muscle | None, Path]:
             found = identify_with_friction(law, data, friction=friction, robust=not keep)
             kept = Path(tempfile.mkdtemp(dir=folder))
-            return found, keep_muscle(found.fit, found.hysteresis, data, kept, diameter), kept
+            muscle = keep_muscle(found.fit, found.hysteresis, data, kept, diameter)
+            return Presented.of(found), muscle, kept
 
-        def done(found: tuple[FitWithFriction, Muscle | None, Path], heard: list[str]) -> None:
-            state.found, state.muscle, kept = found
-            state.notes, state.error, state.outliers_kept, state.ranked_last = heard, None, keep, False
+        def done(made: tuple[Presented, Muscle | None, Path], heard: list[str]) -> None:
+            fit, state.muscle, kept = made
+            state.show_first("fit", fit, heard)
             for name in ("fit.yaml", "muscle.yaml"):  # only now: a cancelled fit leaves the files of the last one
                 (folder / name).unlink(missing_ok=True)
                 if (kept / name).exists():
@@ -305,11 +290,12 @@ class _Page(JobPage[IdentificationState]):
             ui.notify("give measured points first")
             return
 
-        def done(found: Ranking, heard: list[str]) -> None:
-            state.ranking, state.notes, state.error, state.ranked_last = found, heard, None, True
-
         robust = not state.keep_outliers
-        self.start_job(lambda progress: rank(data, robust=robust, progress=progress), done)
+
+        def compute(progress: Callable[[str, float], None]) -> Presented:
+            return Presented.of(rank(data, robust=robust, progress=progress))
+
+        self.start_job(compute, partial(state.show_first, "ranking"))
 
     def show(self) -> None:
         """Show everything known."""
@@ -325,13 +311,12 @@ class _Page(JobPage[IdentificationState]):
                 )
         elif notes := dict.fromkeys([*state.reading_notes, *state.notes]):
             with panel():
-                show_warnings(notes)
+                show_remarks(Remark.warning("", text) for text in notes)
         with ui.column().classes("w-full" + (" stale" if state.old else "")).style("gap: 16px"):
-            results: list[tuple[Any, Callable[[Any], None]]]
-            results = [(state.found, self.show_fit), (state.ranking, self.show_ranking)]
-            for found, show in reversed(results) if state.ranked_last else results:
-                if found is not None:
-                    show(found)
+            for name, result in state.results.items():
+                with show_result(result, name):
+                    if name == "fit":
+                        self.show_uses()
             if state.data is not None and not state.old:
                 self.show_data(state.data)
 
@@ -348,10 +333,12 @@ class _Page(JobPage[IdentificationState]):
             if read := attrs.get("columns_read"):
                 cells, last = rows_read(read)
                 titles = ("column", "quantity", "unit", "unit from", "range", "remark")
-                table(titles, [[*map(self.named, row)] for row in cells], left=6).classes("understood").mark("read")
+                table(titles, [[*map(self.named, row)] for row in cells], texts=range(6)).classes("understood").mark(
+                    "read"
+                )
                 quiet(self.named(last))
             recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
-            table(("column", "unit", "from", "to"), rows, left=2)
+            table(("column", "unit", "from", "to"), rows, texts=(0, 1))
             lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []
             if ignored := attrs.get("ignored_columns"):
                 lines.append(f"not read: {self.named(ignored)}")
@@ -360,83 +347,14 @@ class _Page(JobPage[IdentificationState]):
             for text in [*lines, *self.named(attrs.get("preprocessing", "")).splitlines()]:
                 quiet(printable(text, 500))
 
-    def show_fit(self, found: FitWithFriction) -> None:
-        """Estimates, curves and residuals, and the friction."""
-        fit, means = found.fit, found.points.plateau_means()
-        with panel(f"{type(fit.law).__name__}: {fit.law.equation}"):
-            with ui.element("div").classes("pair"):
-                forces = chart("contraction [%]", "force [N]", height=320)
-                residuals = chart("contraction [%]", "residual [N]", height=320)
-            levels = means.pressures
-            chosen = levels[evenly_spaced(len(levels), _MOST_CURVES)]
-            eps = np.linspace(fit.law.domain.contraction_min, fit.law.domain.contraction_max, 80)
-            curves, left, out = [], [], np.isin(np.arange(len(means)) + 1, [one.row for one in fit.outliers])
-            for i, level in enumerate(chosen):
-                color, name = PALETTE[i % len(PALETTE)], f"{level / bar:.3g} bar"
-                points = means.select((means.levels == level) & ~out)
-                curves.append(dots(name, points.contraction / percent, points.force, color))
-                curves.append(
-                    line(name, eps / percent, np.asarray(fit.law.force(eps, level)).clip(min=0), color, width=1.5)
-                )
-                left.append(dots(name, *_residuals(fit, points.taut), color))
-            if out.any():
-                points, look = means.select(out), {"symbol": "diamond", "symbolSize": 12, "z": 4}
-                curves.insert(0, dots(_LEFT_OUT, points.contraction / percent, points.force, BLACK) | look)
-                left.insert(0, dots(_LEFT_OUT, *_residuals(fit, points), BLACK) | look)
-            draw(forces, curves)
-            draw(residuals, left)
-            intervals = fit.intervals()
-            rows = []
-            for p in (one for one in type(fit.law).parameters() if not one.penalised):
-                scale, (low, high) = factor(p.shown), intervals[p.name]
-                shown = f"{low / scale:.4g} to {high / scale:.4g}" if np.isfinite(low + high) else "at its bound"
-                rows.append((p.name, p.meaning, f"{fit.estimates[p.name] / scale:.5g}", shown, p.shown))
-            table(("parameter", "meaning", "estimate", "95 % interval", "unit"), rows, left=2)
-            unseen = fit.leave_one_pressure_out
-            held_out = f"; {unseen.rmse:.3g} N at left-out pressures" if unseen else ""
-            ui.label(
-                f"residuals: RMSE {fit.rmse:.3g} N, at most {fit.max_error:.3g} N{held_out}; "
-                f"{fit.points_used} points used{', outliers kept' if self.state.outliers_kept else ''}"
-            ).classes("quiet number")
-            show_warnings(fit.warnings)
-            self.show_friction(found)
-            with ui.row().classes("items-center").style("gap: 8px"):
-                button("Download muscle", self.download, "download", main=True)
-                if self.state.muscle is not None:
-                    button("Design a joint with it", self.design)
-                else:
-                    quiet("give the initial length to use the muscle in scenarios")
-
-    @staticmethod
-    def show_friction(found: FitWithFriction) -> None:
-        """Whether the law was fitted with friction, and its estimates."""
-        if found.note:
-            ui.label(printable(found.note, 500)).classes("quiet number").mark("friction")
-        if found.hysteresis is not None:
-            listing = next(listing for listing in found.hysteresis.listings() if listing.title)
-            table([title for title, _ in listing.header()], listing.rows(), left=1)
-            show_warnings(one for one in found.hysteresis.warnings if one not in found.fit.warnings)
-
-    def show_ranking(self, found: Ranking) -> None:
-        """Laws, best first."""
-        blocks = found.blocks
-        rows = [
-            (
-                entry.law,
-                entry.parameters,
-                f"{entry.fit.rmse:.3g}" if entry.fit else "-",
-                *(f"{cv[name].rmse:.3g}" if name in (cv := entry.cross_validation) else "-" for name in blocks),
-                printable("; ".join([*entry.flags, *entry.remarks]) or entry.refused, 300),
-            )
-            for entry in found.entries
-        ]
-        with panel(f"Laws, ranked by {found.criterion}"):
-            made = table(
-                ("law", "parameters", "RMSE [N]", *(f"held-out {name} [N]" for name in blocks), "remarks"), rows
-            )
-            made.columns[-1]["align"] = "left"
-            for remark in found.remarks():
-                quiet(printable(self.named(str(remark)), 500))
+    def show_uses(self) -> None:
+        """What can be done with the muscle."""
+        with ui.row().classes("items-center").style("gap: 8px"):
+            button("Download muscle", self.download, "download", main=True)
+            if self.state.muscle is not None:
+                button("Design a joint with it", self.design)
+            else:
+                quiet("give the initial length to use the muscle in scenarios")
 
     def download(self) -> None:
         """Offer fit.yaml, the recipe of a file and, if the length is known, muscle.yaml for download."""

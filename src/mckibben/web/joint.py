@@ -11,6 +11,7 @@ from nicegui import events, ui
 
 from mckibben.errors import McKibbenError
 from mckibben.muscle import Muscle
+from mckibben.report.palette import BLACK, BLUE, GREEN, MUSCLES, VERMILLION
 from mckibben.units import deg, mm, percent
 from mckibben.web.design import (
     ANGLES,
@@ -30,11 +31,7 @@ from mckibben.web.design import (
 )
 from mckibben.web.identify import NEEDS_MUSCLE, IdentificationState
 from mckibben.web.layout import (
-    BLACK,
-    BLUE,
-    GREEN,
     LATER,
-    VERMILLION,
     NumberField,
     NumberSlider,
     band,
@@ -51,7 +48,6 @@ from mckibben.web.layout import (
 )
 from mckibben.web.session import Latest, in_thread, session
 
-_SHARE = 0.25  # contractions [%] that may be meant as shares, up to those of a muscle
 _COMPILING = "computing; a new kind of joint or law compiles for a few seconds"
 
 
@@ -106,11 +102,9 @@ class _Page:
                             ui.label()
                             .classes("quiet number")
                             .style(f"border-left: 4px solid {color}; padding-left: 6px")
-                            for color in (BLUE, VERMILLION)
+                            for color in MUSCLES
                         ]
                     self.number("angle", "°", "angle", (-POSE, POSE), 0.5)
-                    self.play = ui.switch("move", on_change=self.move).props("dense").classes("quiet")
-                    self.timer = ui.timer(0.05, self.swing, active=False)
                 with panel("Attainable stiffness", stays=True):
                     degrees = {"min": -POSE, "max": POSE}
                     self.stiffness = chart("joint angle [°]", "stiffness [N·m/rad]", height=350, xAxis=degrees)
@@ -125,7 +119,6 @@ class _Page:
             with panel("At this angle"), ui.element("div").classes("facts") as facts:
                 self.facts = [self.fact(name) for name in ("stiffness", "torque of the muscles", "moment arms")]
         self.shown = self.drawing, self.stiffness, self.small_panel, self.torque, facts
-        self.phase = 0.0
         self.found: Designed | None = None
         ui.timer(0.0, self.again, once=True)
         ui.timer(LATER, self.show_rest)
@@ -254,9 +247,7 @@ class _Page:
         self.lowest.text = measured if least else ""
         own, between = muscle.specimen.initial_length / mm, connector_length(found.joint.geometry)
         connectors = "" if between is None else f"connectors {between / mm:.1f} mm, "
-        share = 0 < design.contraction < _SHARE
-        hint = f"; contraction {design.contraction:g} %; if {100 * design.contraction:g} % is meant, enter that"
-        self.series.text = f"{connectors}muscles of {own:g} mm{hint if share else ''}"
+        self.series.text = f"{connectors}muscles of {own:g} mm"
         (k1, k2), (t1, t2), arms = (tuple(float(x) for x in pair) for pair in (here.stiffness, here.torque, here.arms))
         small = "" if here.small_motion is None else "; small motion {:.3g} to {:.3g}".format(*here.small_motion)
         self.facts[0].text = f"{k1:.3g} to {k2:.3g} N·m/rad{small}" if math.isfinite(k1) else "the load is not held"
@@ -275,16 +266,6 @@ class _Page:
         self.errors.clear()
         with self.errors:
             show_error(error)
-
-    async def move(self) -> None:
-        """Start or stop the motion."""
-        self.timer.active = self.play.value
-
-    async def swing(self) -> None:
-        """Move to the next angle."""
-        self.phase += 0.07
-        self.design.angle = round(0.6 * POSE * math.sin(self.phase), 1)
-        await self.again()
 
     def download(self) -> None:
         """Offer the joint as a scenario section for download."""

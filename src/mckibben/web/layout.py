@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 import time
-from collections.abc import Awaitable, Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -18,17 +18,15 @@ from nicegui import events, ui
 from numpy.typing import ArrayLike
 
 from mckibben.errors import DatasetError, FileError, McKibbenError, printable
+from mckibben.report.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILLION
+from mckibben.result import Remark, Severity
 from mckibben.web import resource
 from mckibben.web.session import Jobs, JobState
 from mckibben.web.wording import on_page, quotes
 
 State = TypeVar("State", bound=JobState)
 
-BLACK, ORANGE, SKY, GREEN = "#111111", "#E69F00", "#56B4E9", "#009E73"
-BLUE, VERMILLION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
-"""The palette of `report.style`, which imports matplotlib."""
 PALETTE = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, BLACK)
-GREY = "#5f6b76"
 
 LATER = 0.05
 """Delay [s] of updates other than the curves after a slider moves: the browser draws the curves first."""
@@ -128,7 +126,7 @@ def show_error(error: McKibbenError) -> None:
         for one in error.problems[:100]
     ]
     place = "column" if isinstance(error, DatasetError) else "field"
-    table(("line", place, "problem", "remedy"), rows, left=4)
+    table(("line", place, "problem", "remedy"), rows, texts=range(4))
     if count > len(rows):
         ui.label(f"and {count - len(rows)} more").classes("quiet")
 
@@ -141,19 +139,11 @@ def _message(message: str, remedy: str) -> None:
             quiet(printable(remedy, 1000))
 
 
-_TO_RESULTS = """
-while (!e.getClientRects().length) e = e.nextElementSibling;
-const at = e.getBoundingClientRect(), seen = document.elementFromPoint(at.left + at.width / 2, at.top + 1);
-if (at.top > innerHeight / 2 || !e.contains(seen)) e.scrollIntoView();
-"""
-"""Scrolls to an element, or to the next one that is shown, if its top is not in view or is covered."""
-
-
 class JobPage(Generic[State]):
     """One visit of a page, which shows the results of its jobs as they appear."""
 
     def __init__(self, state: State, folder: Path) -> None:
-        self.state, self.folder, self.shown, self.job = state, folder, -1, 0
+        self.state, self.folder, self.shown = state, folder, -1
         self.seen: McKibbenError | None = None
         self.ended = False
 
@@ -166,32 +156,25 @@ class JobPage(Generic[State]):
             done(found, heard)
             self.ended = scroll
 
-        self.job = self.state.jobs.start(compute, end, self.fail)
+        self.state.jobs.start(compute, end, self.fail)
 
     def fail(self, error: McKibbenError) -> None:
         """Store an error for display."""
         self.state.error = error
 
     def news(self) -> bool:
-        """Whether there is something new to show; notifies of a job that another tab has ended."""
-        jobs = self.state.jobs
-        if jobs.replaced(self.job):
-            ui.notify("a computation that another tab has started replaces that of this one")
-            self.job = 0
-        new, self.shown = self.shown != jobs.version, jobs.version
+        """Whether there is something new to show."""
+        new, self.shown = self.shown != self.state.jobs.version, self.state.jobs.version
         return new
 
     def show_results(self, on: ui.column, show: Callable[[], None]) -> None:
-        """Replace the results, and scroll to those of a job that has just ended if they are not in view.
-
-        They are those below `on` if it is empty.
-        """
+        """Replace the results, and scroll to those of a job that has just ended."""
         on.clear()
         with on:
             show()
         if self.ended:
             self.ended = False
-            ui.run_javascript(f"{{let e = document.getElementById('{on.html_id}');{_TO_RESULTS}}}")
+            ui.run_javascript(f"document.getElementById('{on.html_id}').parentElement.scrollIntoView()")
 
     def show_failure(self, error: McKibbenError, title: str = "") -> None:
         """Show the error of the last job, scrolling to a new one."""
@@ -201,21 +184,31 @@ class JobPage(Generic[State]):
             ui.run_javascript(f"document.getElementById('{shown.html_id}').scrollIntoView({{block: 'center'}})")
             self.seen = error
 
-    def show_remarks(self) -> None:
+    def show_notes(self) -> None:
         """Show the error of the last job, or its remarks."""
         if self.state.error is not None:
             self.show_failure(self.state.error)
         elif self.state.notes:
             with panel():
-                show_warnings(self.state.notes)
+                show_remarks(Remark.warning("", text) for text in self.state.notes)
 
 
-def show_warnings(texts: Iterable[str]) -> None:
-    """Warnings, one per line."""
-    for text in texts:
+_SEVERITIES = {
+    Severity.SEVERE: ("error", VERMILLION),
+    Severity.WARNING: ("warning_amber", ORANGE),
+    Severity.NOTE: ("info", GREY),
+}
+"""Icon and colour of a remark, in addition to its word."""
+
+
+def show_remarks(remarks: Iterable[Remark]) -> None:
+    """Show remarks, the most severe first, each with the colour and the word of its severity."""
+    order = list(_SEVERITIES)
+    for remark in sorted(remarks, key=lambda remark: order.index(remark.severity)):
+        icon, color = _SEVERITIES[remark.severity]
         with ui.row().classes("no-wrap items-start").style("gap: 8px"):
-            ui.icon("warning_amber", color=ORANGE).style("font-size: 18px")
-            quiet(printable(text, 1000))
+            ui.icon(icon, color=color).style("font-size: 18px")
+            quiet(printable(str(remark), 1000))
 
 
 _BREAKS_AT_DOTS = r"""
@@ -226,10 +219,10 @@ _BREAKS_AT_DOTS = r"""
 """A cell whose dotted names may continue on the next line, a unit not; copied text has no additional characters."""
 
 
-def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, left: int = 1) -> ui.table:
-    """A table; the first `left` columns are text."""
+def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, texts: Collection[int] = (0,)) -> ui.table:
+    """A table; the columns of these numbers are texts, others are aligned to the right."""
     columns: list[dict[str, Any]] = [
-        {"name": str(i), "label": name, "field": str(i), "align": "left" if i < left else "right"}
+        {"name": str(i), "label": name, "field": str(i), "align": "left" if i in texts else "right"}
         for i, name in enumerate(header)
     ]
     cells = [{"key": k, **{str(i): cell for i, cell in enumerate(row)}} for k, row in enumerate(rows)]
@@ -424,9 +417,10 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
             "textStyle": {**text, "fontWeight": "normal"},
         },
         "textStyle": {"fontFamily": "inherit"},
-        "grid": {"left": 58, "right": 16, "top": _TOP, "bottom": 44},
+        "grid": {"left": 58, "right": 16, "top": 36, "bottom": 44},
         "legend": {
             "top": 0,
+            "type": "scroll",  # in one row
             "icon": "path://M0,0M16,14M0,5h16v4h-16z",  # as high as the texts
             "itemWidth": 16,
             "itemHeight": 14,
@@ -446,18 +440,6 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui
     return ui.echart(options).classes("w-full").style(f"height: {height}px")
 
 
-_TOP, _ROW = 36, 24  # of a plot below a legend of one row, and of each further row [px]
-
-
-def _below_legend(names: Sequence[str]) -> list[dict[str, Any]]:
-    """Tops of the plot by the width of its chart, in which the legend has one or more rows."""
-    width = sum(6 * len(name) + 31 for name in names)  # of text, icon and gaps [px]
-    rows = [
-        {"query": {"maxWidth": width // row}, "option": {"grid": {"top": _TOP + row * _ROW}}} for row in range(1, 6)
-    ]
-    return [{"option": {"grid": {"top": _TOP}}}, *rows]
-
-
 def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[str] | None = None) -> None:
     """Replace the curves of a chart; the legend omits the lower ends of bands.
 
@@ -468,9 +450,8 @@ def draw(on: ui.echart, series: Iterable[dict[str, Any]], *, legend: Iterable[st
     names, alike = list(dict.fromkeys(names)), series and len(on.options["series"]) == len(series)
     with on.props.suspend_updates():  # what is sent later, such as another class, must not bring back older curves
         on.options["title"]["show"], on.options["legend"]["data"], on.options["series"] = not series, names, series
-        on.options["media"] = media = _below_legend(names)
     if not alike:
         on.update()
         return
     changed = [{key: one[key] for key in ("type", "name", "data", "markLine") if key in one} for one in series]
-    on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}, "media": media})
+    on.run_chart_method("setOption", {"series": changed, "legend": {"data": names}})

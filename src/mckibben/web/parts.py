@@ -10,11 +10,9 @@ import equinox as eqx
 
 from mckibben import catalog
 from mckibben.component.schema import replaced
-from mckibben.joint import Cam, MusclePath, PairedPaths, Pulley, TwoBonePath
-from mckibben.muscle import MaxwellSlip, Muscle, NoFriction
+from mckibben.muscle import MaxwellSlip, NoFriction
 from mckibben.scenario import Scenario
 from mckibben.units import mm
-from mckibben.web.design import JointDesign, joint_of
 from mckibben.web.workbench import START, with_section
 
 
@@ -42,85 +40,35 @@ def _section(key: str, sections: Mapping[str, str]) -> Choice:
     return Choice(tuple(sections), lambda scenario, name: scenario.replace(**{key: component(name)}), chosen)
 
 
-def _with_muscles(scenario: Scenario, change: Callable[[Muscle, int], Muscle]) -> Scenario:
-    """The scenario with both muscles changed, given their numbers."""
-    joint = scenario.joint
-    muscles = {f"muscle{number}": change(getattr(joint, f"muscle{number}"), number) for number in (1, 2)}
-    return scenario.replace(joint=replaced(joint, muscles))
-
-
-def _strengths() -> Choice:
-    """Equal muscles, or muscles whose strengths differ, each with fields of its own."""
-    options = "equal", "unequal"
-
-    def choose(scenario: Scenario, name: str) -> Scenario:
-        if name == "equal":
-            return _with_muscles(scenario, lambda _, __: scenario.joint.muscle1)
-        return _with_muscles(scenario, lambda one, number: replaced(one, {"strength": {1: 0.95, 2: 1.05}[number]}))
-
-    def chosen(scenario: Scenario) -> str:
-        return options[not eqx.tree_equal(scenario.joint.muscle1, scenario.joint.muscle2)]
-
-    return Choice(options, choose, chosen)
-
-
 def _friction() -> Choice:
     """Friction of both muscles."""
     options = {"none": NoFriction(), "Maxwell slip": MaxwellSlip(half_width=6.0, presliding_length=0.5 * mm)}
 
+    def choose(scenario: Scenario, name: str) -> Scenario:
+        muscles = {
+            key: replaced(getattr(scenario.joint, key), {"friction": options[name]}) for key in ("muscle1", "muscle2")
+        }
+        return scenario.replace(joint=replaced(scenario.joint, muscles))
+
     def chosen(scenario: Scenario) -> str | None:
-        kinds = {type(one.friction) for one in (scenario.joint.muscle1, scenario.joint.muscle2)}
+        kinds = {type(muscle.friction) for muscle in (scenario.joint.muscle1, scenario.joint.muscle2)}
         return next((name for name, friction in options.items() if kinds == {type(friction)}), None)
 
-    return Choice(
-        tuple(options),
-        lambda scenario, name: _with_muscles(scenario, lambda one, _: replaced(one, {"friction": options[name]})),
-        chosen,
-    )
-
-
-def _path(number: int) -> Choice:
-    """Path of one muscle; that of the other one becomes a pulley if the joint has no separate paths."""
-    key = f"path{number}"
-    kinds = {
-        "pulley": ("pulleys", Pulley),
-        "cam": ("cams", Cam),
-        "between two bones": ("between two bones", TwoBonePath),
-    }
-
-    def made(scenario: Scenario, kind: str, number: int) -> MusclePath:
-        joint = joint_of(JointDesign(kind=kind), getattr(scenario.joint, f"muscle{number}"))
-        return getattr(joint.geometry, f"path{number}")
-
-    def choose(scenario: Scenario, name: str) -> Scenario:
-        geometry = scenario.joint.geometry
-        if not isinstance(geometry, PairedPaths):
-            geometry = PairedPaths(*(made(scenario, "pulleys", one) for one in (1, 2)))
-        geometry = replaced(geometry, {key: made(scenario, kinds[name][0], number)})
-        return scenario.replace(joint=replaced(scenario.joint, {"geometry": geometry}))
-
-    def chosen(scenario: Scenario) -> str | None:
-        path = type(getattr(scenario.joint.geometry, key, None))
-        return next((name for name, (_, kind) in kinds.items() if path is kind), None)
-
-    return Choice(tuple(kinds), choose, chosen)
+    return Choice(tuple(options), choose, chosen)
 
 
 def _valves() -> dict[str, str]:
     """Sections of valves; those of the catalog with a supply, and the settings that a maker leaves open."""
     left_open = {"SwitchingValves": ", period: 10 ms", "PressureRegulator": ", time_constant: 30 ms"}
-    found = {"ideal": "ideal", "first order": "{time_constant: 20 ms}"}
+    sections = {"ideal": "ideal", "first order": "{time_constant: 20 ms}"}
     for name in catalog.names("valves"):
         settings = left_open.get(catalog.valve_section(name)["class"], "")
-        found[name] = f"{{from: {name}, supply: 7 bar{settings}}}"
-    return found
+        sections[name] = f"{{from: {name}, supply: 7 bar{settings}}}"
+    return sections
 
 
 CHOICES: Mapping[str, Choice] = {
-    "muscles": _strengths(),
     "friction of the muscles": _friction(),
-    "path of muscle 1": _path(1),
-    "path of muscle 2": _path(2),
     "load": _section(
         "load", {"shank and foot": "knee-table-2", "pendulum": "{class: pendulum, mass: 0.5 kg, length: 200 mm}"}
     ),

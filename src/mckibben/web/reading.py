@@ -32,7 +32,6 @@ class ReadingFields:
     """Reading options, as texts of the fields of the page."""
 
     initial_length: str = ""
-    ambient: str = ""
     displacement: str = ""
     zero_length: str = ""
     from_name: str = ""
@@ -40,10 +39,11 @@ class ReadingFields:
     largest_force: str = ""
     decimal: str = ""
     specimen: str = ""
-    accept: str = ""
     negative: bool = False
     skip: bool = False
     columns: str = ""
+    ambient: str = ""
+    accept: str = ""
     others: dict[str, Any] = field(default_factory=dict)
     """Settings of a recipe without a field, which it keeps: those of recordings only, and a positive sign."""
 

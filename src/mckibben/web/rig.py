@@ -16,28 +16,14 @@ from mckibben.config.document import LONGEST_TEXT
 from mckibben.config.model import parse_model
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ParameterError, RigError
+from mckibben.report.palette import BLUE, GREEN, VERMILLION
 from mckibben.rig.session import Progress
 from mckibben.study.rig.document import RigTest
 from mckibben.study.rig.running import CheckedTest, check, data_name, run_test
 from mckibben.units import bar, percent
 from mckibben.web import resource
 from mckibben.web.identify import IdentificationState
-from mckibben.web.layout import (
-    BLUE,
-    GREEN,
-    VERMILLION,
-    JobPage,
-    button,
-    chart,
-    dots,
-    draw,
-    frame,
-    line,
-    panel,
-    select,
-    side,
-    text_area,
-)
+from mckibben.web.layout import JobPage, button, chart, dots, draw, frame, line, panel, select, side, text_area
 from mckibben.web.session import JobState, session
 
 _MOST_SAMPLES = 5_000_000
@@ -149,7 +135,7 @@ class _Page(JobPage[RigState]):
 
     def show(self) -> None:
         """Show the error or the remarks of the test, and what can be done with its points."""
-        self.show_remarks()
+        self.show_notes()
         if (data := self.state.data) is not None:
             with panel(f"{len(data)} points measured"):
                 button("Identify the muscle", self.identify, main=True)

@@ -12,15 +12,12 @@ from nicegui import events, ui
 
 from mckibben.config.document import LONGEST_TEXT
 from mckibben.errors import printable
+from mckibben.report.palette import BLACK, BLUE, MUSCLES
 from mckibben.scenario import Scenario, ScenarioParameter, list_parameters, with_values
 from mckibben.units import bar, deg, factor
 from mckibben.web.identify import NEEDS_MUSCLE
 from mckibben.web.layout import (
-    BLACK,
-    BLUE,
-    GREEN,
     PALETTE,
-    VERMILLION,
     JobPage,
     NumberField,
     band,
@@ -174,7 +171,7 @@ class _Page(JobPage[Workbench]):
 
     def show(self) -> None:
         """Show the error or the remarks of the last run."""
-        self.show_remarks()
+        self.show_notes()
         if self.state.error is not None and self.state.current is not None:
             quiet("The fields and curves are those of the last scenario that ran.")
 
@@ -322,7 +319,7 @@ class _Page(JobPage[Workbench]):
                 if SMALL_MOTION in one.columns
             ]
             draw(self.small, [*older, line("now", time, small, BLUE)])
-        colors = (("antagonist", "pressure1", GREEN), ("agonist", "pressure2", VERMILLION))
+        colors = (("muscle 1", "pressure1", MUSCLES[0]), ("muscle 2", "pressure2", MUSCLES[1]))
         draw(self.pressure, [line(name, time, columns[key] / bar, color) for name, key, color in colors])
         self.numbers.clear()
         with self.numbers:

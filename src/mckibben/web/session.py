@@ -7,14 +7,14 @@ import contextvars
 import tempfile
 import time
 import warnings
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from nicegui import Client, app, background_tasks
+from nicegui import app, background_tasks
 
 from mckibben.errors import McKibbenError, McKibbenWarning, printable
 from mckibben.notebook import stop_check
@@ -22,8 +22,6 @@ from mckibben.notebook import stop_check
 T = TypeVar("T")
 
 _MOST_SESSIONS = 32
-_MOST_WAITING = 16
-"""Pages sent whose browser has not connected yet; NiceGUI alone would keep each for 60 s."""
 
 
 class Session:
@@ -61,9 +59,6 @@ def session() -> Session:
     _sessions[name] = found
     if len(_sessions) > _MOST_SESSIONS:
         _sessions.popitem(last=False)[1].end()
-    waiting = [one for one in Client.instances.values() if not one.has_socket_connection and not one._delete_tasks]
-    for one in waiting[:-_MOST_WAITING]:
-        one.delete()
     return found
 
 
@@ -149,7 +144,6 @@ class Jobs:
         self.version = 0
         self.step, self.part, self.began = "", 0.0, 0.0
         self._number = self._running = 0
-        self._replaced: deque[int] = deque(maxlen=_MOST_SESSIONS)
 
     @property
     def busy(self) -> bool:
@@ -161,22 +155,13 @@ class Jobs:
         self._number += 1
         self.version += 1
 
-    def replaced(self, number: int) -> bool:
-        """Whether another job ended the one of this number before it was done."""
-        return number in self._replaced
-
     def start(
         self,
         compute: Callable[[Callable[[str, float], None]], T],
         done: Callable[[T, list[str]], None],
         fail: Callable[[McKibbenError], None],
-    ) -> int:
-        """Compute in a thread, replacing a running job; then call `done` with the warnings, or `fail`.
-
-        Returns the number of the job.
-        """
-        if self.busy:
-            self._replaced.append(self._number)
+    ) -> None:
+        """Compute in a thread, replacing a running job; then call `done` with the warnings, or `fail`."""
         self._number += 1
         number = self._running = self._number
         self.step, self.part, self.began = "", 0.0, time.monotonic()
@@ -209,7 +194,6 @@ class Jobs:
                 self.version += 1
 
         background_tasks.create(run(), name="mckibben job")
-        return number
 
 
 @dataclass

@@ -8,31 +8,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from nicegui import ui
 
 from mckibben.errors import printable
 from mckibben.scenario import Scenario
 from mckibben.study.tune import Method
 from mckibben.web.layout import (
-    BLUE,
-    GREY,
     JobPage,
     NumberField,
     button,
-    chart,
-    draw,
     frame,
-    line,
     panel,
     progress_row,
     quiet,
     results_side,
     select,
-    show_warnings,
     side,
-    table,
 )
+from mckibben.web.results import show_result
 from mckibben.web.session import JobState, session
 from mckibben.web.studies import (
     AUTOMATIC,
@@ -41,11 +34,9 @@ from mckibben.web.studies import (
     MOST_RUNS,
     MOST_SEED,
     MOST_STEPS,
-    Compared,
     ComparisonRequest,
-    Tuned,
+    Study,
     TuningRequest,
-    best_so_far,
     compared,
     tuned,
 )
@@ -58,9 +49,7 @@ class StudyState(JobState):
 
     tuning: TuningRequest = field(default_factory=TuningRequest)
     comparison: ComparisonRequest = field(default_factory=ComparisonRequest)
-    tuned: Tuned | None = None
-    compared: Compared | None = None
-    newest: str = "tuned"  # of both, which is shown first
+    results: dict[str, Study] = field(default_factory=dict)  # the newest first
 
 
 def page() -> None:
@@ -154,10 +143,10 @@ class _Page(JobPage[StudyState]):
             ui.notify("a study is running: cancel it first")
             return
 
-        def done(found: Tuned | Compared, heard: list[str]) -> None:
-            setattr(state, name, found)
-            state.newest = name
-            state.notes = [one for one in heard if one not in found.remarks]
+        def done(study: Study, heard: list[str]) -> None:
+            state.results = {name: study} | {other: old for other, old in state.results.items() if other != name}
+            shown = [remark.text for remark in study.presented.remarks]
+            state.notes = [text for text in heard if text not in shown]
 
         state.error, state.notes = None, []
         self.start_job(lambda progress: compute(text, request, folder, progress), done)
@@ -170,13 +159,12 @@ class _Page(JobPage[StudyState]):
     def show(self) -> None:
         """Show everything known."""
         state = self.state
-        self.show_remarks()
-        results: dict[str, Callable[[Any], None]] = {"tuned": self.show_tuned, "compared": self.show_compared}
-        for name in sorted(results, key=lambda one: one != state.newest):
-            if (found := getattr(state, name)) is not None:
-                with self.result_of(found.text):
-                    results[name](found)
-        if state.tuned is None and state.compared is None and state.error is None:
+        self.show_notes()
+        for name, (presented, text, scenarios) in state.results.items():
+            with self.result_of(text), show_result(presented, name), ui.row().classes("items-center"):
+                chosen = select(list(scenarios), "scenario", value=next(iter(scenarios))).classes(remove="w-full")
+                self.run_button(name, scenarios, chosen)
+        if not state.results and state.error is None:
             with panel("No study yet"):
                 quiet(
                     "Tune searches the gains of the scenario for the lowest cost. Compare tunes its controller and "
@@ -193,67 +181,9 @@ class _Page(JobPage[StudyState]):
                 quiet("Result of the scenario before it was changed.")
             yield
 
-    def show_tuned(self, found: Tuned) -> None:
-        """Costs of the search, gains and metrics."""
-        with panel(f"Tuned: {found.change}, {len(found.costs)} points evaluated"):
-            if found.disk_margin:
-                quiet(
-                    f"The search kept a disk margin of at least {found.disk_margin:g} at four points of the run. The "
-                    "least margins below cover more points and frequencies and may be smaller."
-                )
-            else:
-                quiet("The search kept no disk margin.")
-            show_warnings(found.remarks)
-            costs = chart("evaluated point", "cost", height=220, yAxis=_cost_axis(found.costs))
-            number = np.arange(1, len(found.costs) + 1)
-            at = int(np.argmin(found.costs)) + 1
-            quiet(f"Point {at} of {len(found.costs)} has the lowest cost.")
-            draw(costs, [line("lowest so far", number, best_so_far(found.costs), BLUE)])
-            table(("parameter", "before", "tuned"), found.parameters)
-            table(("metric", "before", "tuned"), found.metrics)
-            button("Run the tuned scenario", lambda: self.run(found.scenario), "use-tuned", main=True)
-
-    def show_compared(self, found: Compared) -> None:
-        """Errors as bars and table."""
-        with panel("Compared on the same unseen runs, each controller tuned with the same budget"):
-            show_warnings(found.remarks)
-            bars(found.errors)
-            table(found.headers, found.rows)
-            if found.at_equal_air:
-                quiet("With gains that take no more air than the scenario's controller in the training runs:")
-                table(found.headers, found.at_equal_air)
-            with ui.row().classes("items-center").style("gap: 12px"):
-                chosen = ui.select(list(found.scenarios), value=next(iter(found.scenarios)), label="controller")
-                chosen.props("dense").style("min-width: 180px")
-                scenarios = found.scenarios
-                button("Run it", lambda: self.run(scenarios[str(chosen.value)]), "use-compared", main=True)
-
-
-def _cost_axis(costs: np.ndarray) -> dict[str, str]:
-    """A logarithmic axis, unless the lowest costs so far are within a decade: it would show all of that."""
-    shown = best_so_far(costs)
-    shown = shown[np.isfinite(shown)]
-    return {"type": "log" if shown.size and shown[0] > 10.0 * shown[-1] else "value"}
-
-
-def bars(errors: dict[str, tuple[float, float]]) -> ui.echart:
-    """Bars of the median and the 95th percentile of the angle error [deg], by name, the first on top."""
-    made = chart("angle RMSE [°]", "", height=70 + 50 * len(errors))
-    names = list(errors)[::-1]
-    options = made.options
-    options["grid"] |= {"left": 12, "containLabel": True}
-    options["xAxis"] |= {"min": 0, "scale": False}
-    options["yAxis"] = {
-        "type": "category",
-        "data": names,
-        "axisLabel": {"color": GREY, "width": 120, "overflow": "break", "lineHeight": 14},
-    }
-    series = [
-        {"type": "bar", "name": title, "data": [float(f"{errors[name][k]:.4g}") for name in names], "color": color}
-        for k, (title, color) in enumerate((("median", BLUE), ("95 %", "#9aa7b3")))
-    ]
-    draw(made, series)
-    return made
+    def run_button(self, name: str, scenarios: dict[str, Scenario], chosen: ui.select) -> None:
+        """Button that opens the chosen scenario of a study on the page Run."""
+        button("Run it", lambda: self.run(scenarios[str(chosen.value)]), f"use-{name}", main=True)
 
 
 def _lines(label: str, on: Any, name: str) -> None:

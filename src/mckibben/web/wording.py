@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 
 from mckibben.errors import ON_COMMAND_LINE
-from mckibben.identification.fit import KEEP_OUTLIERS
 from mckibben.identification.fitting import WITH_FRICTION
+from mckibben.identification.summary import KEEP_OUTLIERS
 from mckibben.scenario.parameters import LISTING
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options

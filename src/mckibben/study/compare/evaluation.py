@@ -50,7 +50,7 @@ def _controller_of(runs: Runs, group: Group, controller: str, table: dict[str, A
         values = {name: np.tile(column, sets) for name, column in conditions.items()}
         values |= {name: column[lanes] for name, column in columns.items()}
         scenario = suite.scenario(controller, reference, joint)
-        parts.append((lanes, (batched(scenario, values, known="all") if values else scenario).control()))
+        parts.append((lanes, (batched(scenario, values, model_follows="all") if values else scenario).control()))
     return merged(parts, group.count * sets)
 
 

@@ -16,6 +16,7 @@ from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Batch, Metrics, Outcome, SimulationResult
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.storage.files import make_folder
+from mckibben.study.compare.checks import filename
 from mckibben.study.compare.runs import Runs
 from mckibben.study.compare.statistics import (
     MAIN,
@@ -29,7 +30,7 @@ from mckibben.study.compare.statistics import (
     percentiles,
     ratio_of_medians,
 )
-from mckibben.study.compare.suite import Suite, filename
+from mckibben.study.compare.suite import Suite
 from mckibben.study.compare.table import write_table
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.study.tune.search import Vector
@@ -46,7 +47,7 @@ class CompareResult(Result):
     with no more air than the tuned first controller, by medians of the training runs; None if the first is not tuned.
     """
 
-    figures = ("benchmark_errors",)
+    figures = ("comparison_errors",)
     files = ("runs.nc", "suite.yaml", "controllers")
 
     suite: Suite

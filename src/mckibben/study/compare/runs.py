@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from mckibben.control import Reference, Samples, Sine
 from mckibben.control.base import Setpoint
 from mckibben.numerics.batching import lanes_of
-from mckibben.numerics.compiled import compiled, numeric
+from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, with_values
 from mckibben.simulation.problem import check_frequencies, sample_reference, sampled_reference, sampling_times
@@ -129,7 +129,7 @@ def _sampled(reference: Reference, times: NDArray[np.float64]) -> Column:
     return np.stack(_sampled_lanes(lanes, shared, times))
 
 
-@compiled
+@jit
 def _sampled_lanes(lanes: Reference, shared: Reference, times: NDArray[np.float64]) -> Setpoint:
     return jax.vmap(lambda lane: sample_reference(eqx.combine(lane, shared), times))(lanes)
 

@@ -16,7 +16,7 @@ from mckibben.control.base import Reference
 from mckibben.joint.attainable import is_affine
 from mckibben.numerics.batching import lanes_of, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
-from mckibben.numerics.compiled import compiled_batch, numeric
+from mckibben.numerics.compiled import jit_lanes, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched
 from mckibben.simulation.feasibility import attainable_band
@@ -64,7 +64,7 @@ def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArra
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-@compiled_batch
+@jit_lanes
 def _feasibility(varied: _Case, shared: _Case, instants: ArrayLike, size: int) -> dict[str, Array]:
     """Scan over instants, with all runs in parallel: a joint with springs needs much memory per instant."""
 

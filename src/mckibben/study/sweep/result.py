@@ -18,7 +18,7 @@ from mckibben.component.columns import attributes
 from mckibben.dataset.schema import load_netcdf, write_netcdf
 from mckibben.errors import FileError, ParameterError, Problem
 from mckibben.result import Column, Listing, Remark
-from mckibben.scenario import Known, Scenario, batched, with_values
+from mckibben.scenario import ModelFollows, Scenario, batched, with_values
 from mckibben.simulation import Metrics
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import RunTable, outcome_variable
@@ -122,11 +122,13 @@ class SweepResult(RunTable):
         nominal = Scenario.parse(self.table.attrs["scenario"], folder=folder)
         about = json.loads(self.table.attrs["manifest"])
         first = {name: np.array([value]) for name, value in about["first"].items()}
-        if digest_of_model(nominal, first, about["known"]) != about["digest of model"]:
+        if digest_of_model(nominal, first, about["model_follows"]) != about["digest of model"]:
             message = "a file or catalog entry that the scenario names has changed, or another version made the sweep"
             remedy = "give the sweep's folder with the original files, and use the version that made it"
             raise FileError(os.fspath(folder), [Problem(message, remedy=remedy)])
-        return with_values(nominal, {name: self[name][run].item() for name in self.inputs}, known=about["known"])
+        return with_values(
+            nominal, {name: self[name][run].item() for name in self.inputs}, model_follows=about["model_follows"]
+        )
 
     def write(self, folder: Path) -> None:
         """Write sweep.nc to a folder."""
@@ -217,9 +219,9 @@ def _listing(title: str, headers: tuple[str, ...], rows: list[tuple[Any, ...]]) 
     )
 
 
-def digest_of_model(scenario: Scenario, table: Table, known: Known) -> str:
+def digest_of_model(scenario: Scenario, table: Table, model_follows: ModelFollows) -> str:
     """Return a digest of all numbers of the first run, including the files and catalog entries that it names."""
-    first = batched(scenario, {name: column[:1] for name, column in table.items()}, known=known)
+    first = batched(scenario, {name: column[:1] for name, column in table.items()}, model_follows=model_follows)
     leaves = jax.tree_util.tree_leaves_with_path((first.plant(), first.control(), first.reference()))
     digest = hashlib.sha256()
     for path, leaf in leaves:

@@ -16,7 +16,7 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.errors import FileError, ParameterError, Problem, SimulationError, suggest
 from mckibben.notebook import Progress
-from mckibben.scenario import Known, Scenario, batched, known_names, run_many
+from mckibben.scenario import ModelFollows, Scenario, batched, followed_names, run_many
 from mckibben.simulation import Batch, Metrics
 from mckibben.simulation.accuracy import STEP_COLUMNS
 from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
@@ -51,7 +51,7 @@ class Sweep(Study):
     seed: int
     metrics: tuple[str, ...]
     precision: int  # bits
-    known: tuple[str, ...]  # varied plant parameters that the controller's model follows
+    model_follows: tuple[str, ...]  # varied plant parameters that the controller's model follows
     batch_size: int  # tables are padded to a multiple: a result must not depend on the number of runs
     software: Mapping[str, str]  # versions, engine and compiler, required of all processes
     block: int
@@ -73,7 +73,7 @@ class Sweep(Study):
         metrics: Sequence[str] | None = None,
         precision: int | None = None,
         block: int | None = None,
-        known: Known | None = None,
+        model_follows: ModelFollows | None = None,
         engine: str = "auto",
         **about: Any,
     ) -> Sweep:
@@ -85,7 +85,7 @@ class Sweep(Study):
         if precision not in (None, 32, 64) or isinstance(precision, bool):
             raise ParameterError(f"a precision of {precision!r} bits", value=precision, remedy="choose 64 or 32")
         swept = _swept(over, scenario)
-        followed = known_names(scenario, known or (), [parameter.name for parameter in swept])
+        followed = followed_names(scenario, model_follows or (), [parameter.name for parameter in swept])
         seed = 0 if seed is None or method == "grid" else seed
         table = sample(swept, method, _SAMPLES if samples is None else samples, seed)
         rows = len(next(iter(table.values())))
@@ -103,7 +103,7 @@ class Sweep(Study):
             "scenario": self.scenario.dumps(folder=self.folder),
             "source": _plain(Path(self.source).name if Path(self.source).is_absolute() else self.source),
             "over": [parameter.text for parameter in self.swept],
-            "known": list(self.known),
+            "model_follows": list(self.model_follows),
             "design": self.method,
             "samples": self.samples,
             "seed": self.seed,
@@ -114,7 +114,7 @@ class Sweep(Study):
             "software": dict(self.software),
             "digest of values": _digest_of_table(self.rows()),
             "first": {name: column[0].item() for name, column in first.items()},
-            "digest of model": digest_of_model(self.scenario, first, self.known),
+            "digest of model": digest_of_model(self.scenario, first, self.model_follows),
         }
 
     def rows(self) -> Table:
@@ -145,7 +145,7 @@ class Sweep(Study):
         return replace(self, software=software(engine_of_job(trial, engine=engine)))
 
     def _simulate(self, rows: Table, **options: Any) -> Batch:
-        own = {"known": self.known, "metrics": self.metrics, "precision": self.precision, "workers": 1}
+        own = {"model_follows": self.model_follows, "metrics": self.metrics, "precision": self.precision, "workers": 1}
         return run_many(self.scenario, dict(rows), **own, **options)
 
 
@@ -164,7 +164,7 @@ def sweep(
     dask: str | None = None,
     workers: int | None = None,
     block: int | None = None,
-    known: Known | None = None,
+    model_follows: ModelFollows | None = None,
     engine: str = "auto",
     source: str = "",
     progress: Progress | None = None,
@@ -196,7 +196,7 @@ def sweep(
         Threads or local processes. Default: one per core.
     block
         Runs per block. Default: chosen by the number of runs.
-    known
+    model_follows
         Varied plant parameters that the controller's model follows, "all" for all of them. Default: none; the
         controller's model is the scenario's in all runs.
     engine
@@ -224,7 +224,13 @@ def sweep(
     array([0.482, 0.551, 0.512, 0.431])
     """
     options: dict[str, Any] = {"over": over, "design": design, "samples": samples, "seed": seed, "metrics": metrics}
-    options |= {"precision": precision, "block": block, "known": known, "engine": engine, "source": source}
+    options |= {
+        "precision": precision,
+        "block": block,
+        "model_follows": model_follows,
+        "engine": engine,
+        "source": source,
+    }
     if dask is not None:
         check_cluster(dask)
     if out is not None:

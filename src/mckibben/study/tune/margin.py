@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mckibben.control import Reference, Step
 from mckibben.errors import McKibbenError, ParameterError
 from mckibben.plant import NoDisturbance
-from mckibben.scenario import Known, Scenario, find_parameters, run_many, run_scenario
+from mckibben.scenario import ModelFollows, Scenario, find_parameters, run_many, run_scenario
 from mckibben.simulation.metrics import METRICS, in_shown_units
 from mckibben.study.parameters import Table
 from mckibben.units import deg
@@ -39,7 +39,7 @@ def stability_margin(
     largest: float = 10.0,
     growth: float = 3.0,
     conditions: Table | None = None,
-    known: Known = (),
+    model_follows: ModelFollows = (),
 ) -> float:
     """Return the factor by which parameters may be increased together before the loop oscillates.
 
@@ -60,7 +60,7 @@ def stability_margin(
         Largest factor, and ratio of errors, both above 1.
     conditions
         Values [SI] of other parameters by name; the margin is then the smallest over all rows.
-    known
+    model_follows
         Plant parameters that the controller's model follows, "all" for all of them. Default: none.
 
     Returns
@@ -79,7 +79,7 @@ def stability_margin(
         if not parameter.nominal:
             raise ParameterError(f"{parameter.name} has no value to multiply", remedy="set it in the scenario")
         table[parameter.name] = np.tile(parameter.nominal * factors, rows)
-    batch = run_many(scenario, table, known=known, metrics=("angle_rmse",))
+    batch = run_many(scenario, table, model_follows=model_follows, metrics=("angle_rmse",))
     error = np.where(batch.failed, np.inf, batch["angle_rmse"]).reshape(rows, _FACTORS)
     if not np.isfinite(error[:, 0]).all():
         raise ParameterError("the nominal run fails", remedy="simulate it to see why")
@@ -109,12 +109,12 @@ class Robustness(NamedTuple):
 
 
 def in_conditions(
-    scenario: Scenario, gains: Sequence[str], conditions: Table, *, largest: float, known: Known = ()
+    scenario: Scenario, gains: Sequence[str], conditions: Table, *, largest: float, model_follows: ModelFollows = ()
 ) -> Robustness:
     """Return errors under conditions and the margin of nonzero gains, at most `largest` or their range."""
 
     def errors(of: Scenario, rows: Table) -> NDArray[np.float64]:
-        batch = run_many(of, rows, known=known, metrics=("angle_rmse",))
+        batch = run_many(of, rows, model_follows=model_follows, metrics=("angle_rmse",))
         return np.where(batch.failed, np.inf, batch["angle_rmse"])
 
     moved = errors(scenario, conditions)
@@ -128,7 +128,9 @@ def in_conditions(
         return Robustness(moved, unstable, 0.0)
     most = min(largest, *(float(gain.upper) / float(gain.nominal or 1.0) for gain in tuned))
     del rows[tuned[0].name]
-    return Robustness(moved, 0, min(stability_margin(small, gains, largest=most, conditions=rows, known=known), most))
+    return Robustness(
+        moved, 0, min(stability_margin(small, gains, largest=most, conditions=rows, model_follows=model_follows), most)
+    )
 
 
 def metrics_and_margins(scenario: Scenario) -> tuple[dict[str, float], dict[str, float]]:

@@ -15,12 +15,12 @@ from mckibben.control import RandomSteps, Samples, Step
 from mckibben.errors import ParameterError
 from mckibben.numerics.batching import cores
 from mckibben.scenario import (
-    Known,
+    ModelFollows,
     Scenario,
     batched,
     find_parameters,
+    followed_names,
     initial_state,
-    known_names,
     run_many,
     valid_rows,
 )
@@ -47,7 +47,7 @@ class TuningProblem:
     scenarios: tuple[Scenario, ...]
     space: SearchSpace
     cost: Cost
-    known: Known = ()  # plant parameters that the controllers' models follow
+    model_follows: ModelFollows = ()  # plant parameters that the controllers' models follow
     conditions: Table = field(default_factory=dict)  # other parameters; each set of values runs under every row of them
     engine: str = "auto"
     _stepped: dict[int, Scenario] = field(default_factory=dict, repr=False, compare=False)
@@ -55,7 +55,7 @@ class TuningProblem:
     def __post_init__(self) -> None:
         for scenario in self.scenarios:
             try:
-                self._known(scenario)
+                self._followed(scenario)
             except ParameterError as error:
                 if len(self.scenarios) == 1:
                     raise
@@ -76,7 +76,7 @@ class TuningProblem:
         scenarios: Sequence[Scenario],
         swept: Sequence[SweptParameter],
         cost: Cost,
-        known: Known = (),
+        model_follows: ModelFollows = (),
         conditions: Table | None = None,
     ) -> TuningProblem:
         """Problem with the nominal values of the first scenario."""
@@ -88,16 +88,18 @@ class TuningProblem:
         parameters = find_parameters(scenarios[0], names)
         pairs = zip(swept, parameters, strict=True)
         space = SearchSpace(tuple(replace(tuned, parameter=parameter) for tuned, parameter in pairs))
-        return cls(tuple(scenarios), space, cost, known, conditions or {})
+        return cls(tuple(scenarios), space, cost, model_follows, conditions or {})
 
-    def _known(self, scenario: Scenario) -> tuple[str, ...]:
+    def _followed(self, scenario: Scenario) -> tuple[str, ...]:
         """Parameters that the controller's model follows; it does not know a delay that is longer by the margin."""
-        names = known_names(scenario, self.known, [*self.space.names, *self.conditions])
+        names = followed_names(scenario, self.model_follows, [*self.space.names, *self.conditions])
         if not self.cost.delay_margin or _DELAY not in names:
             return names
-        if self.known != "all":
-            message = f"{_DELAY} is known, but no controller knows the delay margin"
-            raise ParameterError(message, value=_DELAY, remedy=f"leave {_DELAY} out of known, or the delay margin at 0")
+        if self.model_follows != "all":
+            message = f"the model follows {_DELAY}, but no controller knows the delay margin"
+            raise ParameterError(
+                message, value=_DELAY, remedy=f"leave {_DELAY} out of model_follows, or the delay margin at 0"
+            )
         return tuple(name for name in names if name != _DELAY)
 
     @property
@@ -135,7 +137,7 @@ class TuningProblem:
         good = valid_rows(scenario, table)
         if not good.any():
             return np.zeros(len(values))
-        many = batched(scenario, with_valid(table, good), known=self._known(scenario))
+        many = batched(scenario, with_valid(table, good), model_follows=self._followed(scenario))
         margins = disk_margins(
             many.plant(),
             many.control(),
@@ -216,7 +218,9 @@ class TuningProblem:
         return good, self._table(scenario, rows)
 
     def _run(self, scenario: Scenario, table: Table, **options: Any) -> Batch:
-        return run_many(scenario, table, **{"known": self._known(scenario), "metrics": self.cost.metrics} | options)
+        return run_many(
+            scenario, table, **{"model_follows": self._followed(scenario), "metrics": self.cost.metrics} | options
+        )
 
     def _metrics(self, scenario: Scenario, rows: Vector, workers: int) -> dict[str, Vector]:
         good, table = self._valid(scenario, rows)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mckibben.result import Column, Listing, Remark, Result, column
-from mckibben.scenario import Known, Scenario, find_parameter
+from mckibben.scenario import ModelFollows, Scenario, find_parameter
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.parameters import Table
 from mckibben.study.tune.margin import (
@@ -50,7 +50,7 @@ class TuneResult(Result):
     trials: tuple[Trial, ...] = ()
     """In the order of the search."""
     conditions: Table = field(default_factory=dict)
-    known: Known = ()
+    model_follows: ModelFollows = ()
     percentile: float = 90.0
 
     def verdict(self) -> str:
@@ -71,7 +71,10 @@ class TuneResult(Result):
         """Errors and stability of each tuned scenario under the conditions; empty without conditions."""
         gains = [name for name, value in self.values.items() if is_gain(name) and value]
         scenarios = self.scenarios if self.conditions else ()
-        return [in_conditions(s, gains, self.conditions, largest=_LARGEST, known=self.known) for s in scenarios]
+        return [
+            in_conditions(s, gains, self.conditions, largest=_LARGEST, model_follows=self.model_follows)
+            for s in scenarios
+        ]
 
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks on the margins, the ranges, and what to try next."""

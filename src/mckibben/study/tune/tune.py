@@ -15,7 +15,7 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.errors import ParameterError
 from mckibben.notebook import Progress, notebook_progress, silent
-from mckibben.scenario import Known, Scenario, with_values
+from mckibben.scenario import ModelFollows, Scenario, with_values
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.store import STUDY, Store, open_store
 from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
@@ -46,7 +46,7 @@ def tune(
     seed: int = 0,
     out: str | os.PathLike[str] | None = None,
     resume: bool = False,
-    known: Known = (),
+    model_follows: ModelFollows = (),
     conditions: Table | None = None,
     engine: str = "auto",
     progress: Progress | None = None,
@@ -73,7 +73,7 @@ def tune(
     out, resume
         Folder of the study, whose file study.sqlite keeps every trial, and whether to continue its search. Default:
         nothing is kept.
-    known
+    model_follows
         Tuned plant parameters that the controllers' models follow, "all" for all of them. Default: none.
     conditions
         Values [SI] of other parameters by name, such as a `sample` of them: every trial is simulated under all rows,
@@ -96,7 +96,7 @@ def tune(
         check_count(name, count, 1, 10**9)
     check_count("seed", seed, 0, _MAX_SEED)
     search = Method(method) if isinstance(method, str) or not callable(method) else method
-    problem = _problem(scenarios, over, cost, known, conditions)
+    problem = _problem(scenarios, over, cost, model_follows, conditions)
     if problem.cost.disk_margin is None:
         margin = problem.kept_margin(KEPT_MARGIN)
         problem = replace(problem, cost=replace(problem.cost, disk_margin=margin))
@@ -123,7 +123,11 @@ def tune(
 
 
 def _problem(
-    scenarios: Sequence[Scenario] | Scenario, over: Any, cost: Cost | str | None, known: Known, conditions: Table | None
+    scenarios: Sequence[Scenario] | Scenario,
+    over: Any,
+    cost: Cost | str | None,
+    model_follows: ModelFollows,
+    conditions: Table | None,
 ) -> TuningProblem:
     """Return the problem of the arguments of `tune`."""
     several = [scenarios] if isinstance(scenarios, Scenario) else list(scenarios)
@@ -135,7 +139,7 @@ def _problem(
     if not isinstance(cost, Cost):
         margins: Any = {"gain_margin": DEFAULT_MARGIN, "disk_margin": None} if cost is None else {}
         cost = parse_cost(DEFAULT_COST if cost is None else cost, **margins)
-    problem = TuningProblem.of(several, swept, cost, known, conditions)
+    problem = TuningProblem.of(several, swept, cost, model_follows, conditions)
     if all(name.startswith("controller.") for name in problem.space.names):
         for scenario in several:
             scenario.initial(scenario.plant())  # raises what no gains can mend
@@ -152,14 +156,14 @@ def _engine(problem: TuningProblem, engine: str, store: Store) -> str:
 
 def _about(problem: TuningProblem, search: Method | Search, seed: int, population: int, folder: Path) -> dict[str, Any]:
     """Return all that determines the trials, for JSON."""
-    cost, known = problem.cost, problem.known
+    cost, model_follows = problem.cost, problem.model_follows
     return {
         "format": FORMAT,
         "software": software(problem.engine),
         "scenarios": [scenario.dumps(folder=folder) for scenario in problem.scenarios],
         "digest of models": [_digest(scenario) for scenario in problem.scenarios],
         "parameters": [tuned.text for tuned in problem.space.swept],
-        "known": known if known == "all" else sorted(known),
+        "model_follows": model_follows if model_follows == "all" else sorted(model_follows),
         "cost": cost.text,
         "gain_margin": cost.gain_margin,
         "delay_margin": cost.delay_margin,
@@ -189,7 +193,9 @@ def _result(problem: TuningProblem, trials: Trials) -> TuneResult:
     return TuneResult(
         values=named,
         before=problem.scenarios,
-        scenarios=tuple(with_values(scenario, named, known=problem.known) for scenario in problem.scenarios),
+        scenarios=tuple(
+            with_values(scenario, named, model_follows=problem.model_follows) for scenario in problem.scenarios
+        ),
         cost=cost,
         cost_before=before if before < FAILED_COST else float("nan"),
         evaluated=count,
@@ -197,7 +203,7 @@ def _result(problem: TuningProblem, trials: Trials) -> TuneResult:
         trials=tuple(trials.all),
         disk_margin=problem.cost.disk_margin or 0.0,
         conditions=problem.conditions,
-        known=problem.known,
+        model_follows=problem.model_follows,
         percentile=problem.cost.percentile or 90.0,
     )
 

@@ -1,0 +1,136 @@
+"""Points of a fit: their summary, domain, outliers, and the slopes that a force over them should have."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import printable
+from mckibben.identification.estimator import Bools, Floats
+from mckibben.muscle import Domain, ForceLaw, forces
+from mckibben.result import Remark
+from mckibben.units import bar, percent, show
+
+
+@dataclass(frozen=True)
+class LeaveOnePressureOut:
+    """Leave-one-pressure-out cross-validation: each pressure is predicted by the fit to all others.
+
+    Errors [N] over all points, and RMSE [N] by pressure [Pa].
+    """
+
+    rmse: float
+    max_error: float
+    by_pressure: Mapping[float, float] = field(repr=False)
+
+
+@dataclass(frozen=True)
+class DatasetSummary:
+    """Dataset of a fit: its attributes, and the ascending levels [Pa] of the points used."""
+
+    specimen: str
+    source: str
+    pressures: tuple[float, ...]
+
+    @classmethod
+    def of(cls, points: IsobaricDataset) -> DatasetSummary:
+        """Summary of the points used."""
+        attrs = points.table.attrs
+        return cls(printable(str(attrs["specimen"])), printable(str(attrs["source"])), tuple(points.pressures.tolist()))
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """Point that an identification leaves out.
+
+    Attributes
+    ----------
+    row
+        Number of the point in the dataset, from 1; of the plateaus, if it has samples.
+    pressure, contraction, force
+        Measured pressure [Pa], contraction [-] and force [N].
+    expected
+        Force [N] from the surface through all other points.
+    place
+        Its line in the file from which it was read, as text; its row in a dataset of arrays.
+    """
+
+    row: int
+    pressure: float
+    contraction: float
+    force: float
+    expected: float
+    place: str = ""
+
+    def __str__(self) -> str:
+        where = f"{show(self.pressure, 'bar', 4)} and {self.contraction / percent:.4g} %"
+        place = self.place or f"row {self.row}"
+        return f"{place}: {show(self.force, 'N', 4)} at {where}, where {show(self.expected, 'N', 4)} is expected"
+
+
+_LISTED, _LISTED_ROWS = 3, 12  # outliers in full, and rows of others, in warnings
+KEEP_OUTLIERS = "to keep such points, give robust=False (command line: --keep-outliers)"
+
+
+def left_out(outliers: Sequence[Outlier]) -> list[Remark]:
+    """Remarks on points that an identification leaves out: the first few, and the rows of the others."""
+    shown, more = outliers[:_LISTED], [outlier.place or f"row {outlier.row}" for outlier in outliers[_LISTED:]]
+    text = "left out: off the smooth surface through the other points; check it"
+    found = [Remark.warning("force", f"{text}: {outlier}", KEEP_OUTLIERS) for outlier in shown[:1]]
+    found += [Remark.warning("force", f"{text}: {outlier}") for outlier in shown[1:]]
+    if more:
+        rows = ", ".join(more[:_LISTED_ROWS]) + (", ..." if len(more) > _LISTED_ROWS else "")
+        found.append(Remark.warning("force", f"left out, off that surface too: {len(more)} more points: {rows}"))
+    return found
+
+
+def domain_of(points: IsobaricDataset) -> Domain:
+    """Range of contractions and pressure levels of the points; measured pressures replace levels that they miss."""
+    contraction, pressure = points.contraction, points.pressure if off_levels(points) else points.levels
+    return Domain(float(contraction.min()), float(contraction.max()), float(pressure.min()), float(pressure.max()))
+
+
+_OFF_LEVEL = 0.05  # of the range of levels
+
+
+def off_levels(points: IsobaricDataset) -> float:
+    """Largest distance [Pa] of a measured pressure from its level; 0 if small compared to their range."""
+    farthest = float(np.abs(points.levels - points.pressure).max())
+    return farthest if farthest > _OFF_LEVEL * float(np.ptp(points.levels)) else 0.0
+
+
+_CONTRACTIONS, _PRESSURES = 57, 33
+_FIRST_STEP = 0.02  # of the others
+_ROUNDING = 1e-9  # of the largest force
+
+
+def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
+    """First violation on a grid of a force that exists, falls with contraction and rises with pressure."""
+    contraction, pressure = slope_grid(law.domain if domain is None else domain)
+    force = forces(law, contraction, pressure)
+    texts = ("it has no force", "its force rises with contraction", "its force falls with pressure")
+    for violation, wrong in zip(texts, (~np.isfinite(force), *wrong_slopes(force)), strict=True):
+        if wrong.any():
+            i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
+            return f"{violation} at {contraction[i, 0] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
+    return ""
+
+
+def slope_grid(box: Domain) -> tuple[Floats, Floats]:
+    """Contraction, a column, and pressure [Pa], a row, at which slopes are checked.
+
+    The first step of the contraction is short: an exponential term is steepest there.
+    """
+    contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
+    contraction = np.insert(contraction, 1, contraction[0] + _FIRST_STEP * np.diff(contraction[:2]))
+    return contraction[:, None], np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
+
+
+def wrong_slopes(force: Floats) -> tuple[Bools, Bools]:
+    """Masks of intervals of the grid in which a force rises with contraction, and in which it falls with pressure."""
+    rounding = _ROUNDING * float(np.nanmax(np.abs(force), initial=0.0))
+    rises = (force[:-1] > 0) & (np.diff(force, axis=0) > rounding)
+    return rises, (force[:, :-1] > 0) & (-np.diff(force, axis=1) > rounding)

@@ -1,0 +1,158 @@
+"""Figures and report of a comparison of controllers."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from mckibben.report.figures import ReportFigure, described
+from mckibben.report.page import Section, write_document
+from mckibben.report.style import DOUBLE, blank, legend_above, letter, looks_of, plain_numbers, styled
+from mckibben.report.tables import Table, number, table_of
+from mckibben.report.tracking import tracking
+from mckibben.units import deg
+
+if TYPE_CHECKING:
+    from mckibben.study.compare import CompareResult
+
+_ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
+_PAGE = "comparison.html"
+_TRACED = 2  # controllers with time traces in addition to the first
+_NARROW = 3.0  # a smaller ratio gets a linear axis
+
+
+@styled
+def comparison_errors(result: CompareResult) -> Figure:
+    """Cumulative distribution of the angle and stiffness errors over the unseen runs, by controller."""
+    figure = blank(DOUBLE, 3.0)
+    axes = figure.subplots(1, 2, sharey=True)
+    looks = looks_of(result.batches)
+    for i, (panel, (metric, label, unit)) in enumerate(zip(axes, _ERRORS, strict=True)):
+        for name, look in looks.items():
+            _distribution(panel, result.metric(name, metric) / unit, label=name, **look)
+        panel.set_xscale("log")
+        plain_numbers(panel.xaxis)
+        panel.set(xlabel=label, ylim=(0, 1.02))
+        for share in (0.5, 0.95):
+            panel.axhline(share, color="0.6", linewidth=0.6, zorder=0)
+        letter(panel, i, label.split(" [")[0])
+    axes[0].set_ylabel("share of runs below")
+    axes[0].set_yticks([0, 0.25, 0.5, 0.75, 0.95], ["0", "0.25", "0.5", "0.75", "0.95"])
+    legend_above(figure, axes[0], columns=min(len(looks), 4))
+    return figure
+
+
+def _marker(look: Mapping[str, Any]) -> str:
+    """Marker of a controller, different if its colour is reused."""
+    return "D" if "alpha" in look else "o"
+
+
+@styled
+def comparison_air(result: CompareResult) -> Figure:
+    """Angle error over air consumption: median and 90 % range of the runs."""
+    figure = blank(DOUBLE, 3.0)
+    axes = figure.subplots()
+    for name, look in looks_of(result.batches).items():
+        air, angle = result.metric(name, "air") * 1e3, result.metric(name, "angle_rmse") / deg
+        if not (np.isfinite(angle) & np.isfinite(air)).any():
+            continue  # all runs diverged, or the volume of a muscle unknown
+        (x0, x, x1), (y0, y, y1) = (np.nanpercentile(each, [5, 50, 95]) for each in (air, angle))
+        axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
+        axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
+        axes.plot(x, y, marker=_marker(look), markersize=4.5, linestyle="", color=look["color"], label=name)
+    scale = "log" if axes.lines else "linear"
+    axes.set(xscale=scale, yscale=scale, xlabel="air consumption [L]", ylabel="angle rmse [deg]")
+    if axes.lines:
+        plain_numbers(axes.xaxis)
+        plain_numbers(axes.yaxis)
+        legend_above(figure, axes, columns=4)
+    return figure
+
+
+@styled
+def comparison_front(result: CompareResult) -> Figure:
+    """Pareto front of median angle error and air consumption among the tuning trials, by controller."""
+    figure = blank(DOUBLE, 3.0)
+    axes = figure.subplots()
+    for name, look in looks_of(result.batches).items():
+        front = result.numbers["controllers"][name]["front"]
+        if front:
+            air, angle = ([at[key] for at in front] for key in ("air_L", "angle_rmse_deg"))
+            axes.plot(air, angle, drawstyle="steps-post", marker=_marker(look), markersize=2.5, label=name, **look)
+    axes.set(xscale="log", yscale="log", xlabel="air consumption [L]", ylabel="angle rmse [deg]")
+    plain_numbers(axes.xaxis)
+    plain_numbers(axes.yaxis)
+    legend_above(figure, axes, columns=4)
+    return figure
+
+
+def write_comparison(result: CompareResult, folder: str | os.PathLike[str]) -> Path:
+    """Write `comparison.html`, self-contained, and its figures in `figures/`; return its path.
+
+    Tables are those of the result; the lead says how the controllers were tuned.
+    """
+    folder, suite, first = Path(folder), result.suite, next(iter(result.batches))
+    tuning, runs = suite.tuning, int(result.started.sum())
+    untuned = f" except {', '.join(tuning.untuned)}" if tuning.untuned else ""
+    lead = (
+        f"{len(result.batches)} controllers on {runs} unseen runs. Each{untuned} was tuned with the same budget: "
+        f"{tuning.starts} {'search' if tuning.starts == 1 else 'searches'} of {tuning.generations} generations of "
+        f"{tuning.population} points on {tuning.runs} other runs, minimising the mean of {tuning.cost}. No controller "
+        "has access to the plant beyond its measurements."
+    )
+    return write_document(
+        folder / _PAGE,
+        title=suite.name,
+        lead=" ".join([f"{result.verdict()}.", lead, *(f"{remark}." for remark in result.remarks())]),
+        sections=[
+            Section("Ranking", [table_of(listing) for listing in result.listings()], _figures(result, runs)),
+            Section("Tuning", [_tuned(result)], words=True),
+        ],
+        source_title="The suite",
+        source=suite.dumps(folder=folder),
+        again=f"mckibben compare SUITE.yaml --out DIR --repeat '{first} {min(17, result.runs.count - 1)}' > run.yaml\n"
+        "mckibben simulate run.yaml",
+    )
+
+
+def _figures(result: CompareResult, runs: int) -> list[ReportFigure]:
+    first, *others = result.batches
+    run, results = result.median_run([first, *[name for name in result.numbers["order"] if name in others][:_TRACED]])
+    drawn = {
+        "errors": comparison_errors(result),
+        "air": comparison_air(result),
+        "front": comparison_front(result),
+        "traces": tracking(results),
+    }
+    return [
+        described(f"comparison/{name}", figure, runs=runs, run=run, first=first)
+        for name, figure in drawn.items()
+        if any(axes.lines for axes in figure.axes)  # no front without tuning, no air without volumes
+    ]
+
+
+def _tuned(result: CompareResult) -> Table:
+    rows = []
+    for name, values in result.tuned.items():
+        costs = result.training_cost.get(name)
+        change = "not tuned" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
+        written = [
+            f"{gain.name.removeprefix('controller.')} {gain.parameter.show(values[gain.name]).replace('*', '·')}"
+            for gain in result.suite.tuned_over(name)
+        ]
+        rows.append((name, change, "; ".join(written)))
+    return Table("Tuned parameters.", ("controller", "cost of the training runs", "parameters"), rows)
+
+
+def _distribution(axes: Axes, values: NDArray[np.float64], **look: Any) -> None:
+    """Empirical distribution function; runs without a value count as infinite."""
+    ordered = np.sort(values[np.isfinite(values)])
+    below = np.arange(ordered.size + 1) / max(values.size, 1)
+    axes.plot([*ordered[:1], *ordered], below[: ordered.size + bool(ordered.size)], drawstyle="steps-post", **look)
