@@ -28,6 +28,7 @@ Arguments = tuple[tuple[Any, ...], Mapping[str, Any]]
 
 _CERTAIN = NoneType, str, Mapping, os.PathLike  # classes for which nothing else stands in
 _NAMES = {Sequence: "list", Mapping: "mapping", str: "string"}
+_OPTIONS = {"keep_outliers": "robust=False"}  # of the command line, under another name in Python
 _BY_POSITION = inspect.Parameter.POSITIONAL_OR_KEYWORD
 _BY_NAME = _BY_POSITION, inspect.Parameter.KEYWORD_ONLY
 
@@ -118,6 +119,8 @@ def _unbound(
         return CallError(f"{of}: {reason}", value=args[0], remedy=f"to read a file, write {reading}")
     if unknown := next((name for name in named if name not in known.names), ""):
         remedy = suggest(unknown, [name for name in known.names if name not in named]) if known.names else write
+        if (option := _OPTIONS.get(unknown, "")) and option.partition("=")[0] in known.names:
+            remedy = f"write {option}"
         return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=remedy)
     if len(args) > len(known.places):
         others = ", ".join(f"{name}=..." for name in known.names if name not in known.places)

@@ -20,7 +20,7 @@ from mckibben.dataset.schema import (
     write_csv,
 )
 from mckibben.errors import DatasetError, Problem, RangeError
-from mckibben.notebook import draw
+from mckibben.result import draw
 from mckibben.units import bar, percent
 
 _LOWEST = 0.08 * bar  # highest pressure of a muscle test
@@ -229,7 +229,7 @@ class IsobaricDataset(MeasuredTable):
             parts.append(f"{samples} samples per point")
         return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
-    def plot(self) -> Any:
+    def plot(self) -> Figure:
         """Return a figure of the points, see `mckibben.report.isobaric`."""
         return draw("isobaric", self)
 

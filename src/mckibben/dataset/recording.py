@@ -27,7 +27,7 @@ from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments, strokes
 from mckibben.errors import DatasetError, RangeError
-from mckibben.notebook import draw
+from mckibben.result import draw
 from mckibben.units import bar, kPa, percent, show
 
 _FEW_USED = 0.1  # of the samples
@@ -113,7 +113,7 @@ class Recording(MeasuredTable):
         """Contraction [-], read-only; None where it was not recorded."""
         return self.table["contraction"].to_numpy() if "contraction" in self.table else None
 
-    def plot(self) -> Any:
+    def plot(self) -> Figure:
         """Return a figure of the samples over time, see `mckibben.report.recording`."""
         return draw("recording", self)
 

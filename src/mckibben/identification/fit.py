@@ -29,8 +29,7 @@ from mckibben.identification.storage import read_fields, write_fit
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
 from mckibben.muscle import ForceLaw, forces
 from mckibben.muscle.base import check_point
-from mckibben.notebook import draw
-from mckibben.result import Column, Listing, Remark, Result, Severity, column
+from mckibben.result import Column, Listing, Remark, Result, Severity, column, draw
 from mckibben.units import factor
 
 
@@ -127,7 +126,7 @@ class Fit(Result, metaclass=CheckedCalls):
             warnings.warn(f"{text}; the law is extrapolated there", DomainWarning, stacklevel=user_level())
         return np.maximum(forces(self.law, contraction, pressure), 0.0)
 
-    def plot(self, data: IsobaricDataset | None = None) -> Any:  # pyrefly: ignore[bad-override]
+    def plot(self, data: IsobaricDataset | None = None) -> Figure:  # pyrefly: ignore[bad-override]
         """Return a figure of points, fitted curves and residuals, see `mckibben.report.isobaric`.
 
         Default: the points of the fit; `IdentificationError` if it was read from a file, which has none.
