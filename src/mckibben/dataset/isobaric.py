@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,9 @@ from mckibben.dataset.schema import (
 from mckibben.errors import DatasetError, Problem, RangeError
 from mckibben.result import draw
 from mckibben.units import bar, percent
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LOWEST = 0.08 * bar  # highest pressure of a muscle test
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,6 +29,9 @@ from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dw
 from mckibben.errors import DatasetError, RangeError
 from mckibben.result import draw
 from mckibben.units import bar, kPa, percent, show
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _FEW_USED = 0.1  # of the samples
 _LEAST = 20  # samples of a constant pressure

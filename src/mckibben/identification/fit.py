@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +31,9 @@ from mckibben.muscle import ForceLaw, forces
 from mckibben.muscle.base import check_point
 from mckibben.result import Column, Listing, Remark, Result, Severity, column, draw
 from mckibben.units import factor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def warning_texts(notes: Iterable[Remark]) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,9 @@ from mckibben.identification.summary import DatasetSummary
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
 from mckibben.result import Column, Listing, Remark, Result, column, draw
 from mckibben.units import factor, mm, show
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
