@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.errors import FileError, McKibbenError, ScenarioError, closest
+from mckibben.errors import CallError, FileError, McKibbenError, ScenarioError, closest
 from mckibben.units import bar, deg
 
 SCENARIO = mk.Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
@@ -26,12 +26,13 @@ LAW = mk.catalog.law("lei-mas-10-180n")
         (lambda: mk.PID("2 bar/rad", 0.0, 0.0), "200000 or 2 * bar/rad"),  # type: ignore[arg-type]
         (lambda: mk.Specimen("mine", "300 mm"), "0.3 or 300 * mm"),  # type: ignore[arg-type]
         (lambda: mk.Specimen("mine", "3 bar"), "3 * mm"),  # type: ignore[arg-type]
-        (lambda: mk.identify(DATA, mk.SmoothLaw), "identify(ExponentialLaw, read_dataset"),  # type: ignore[arg-type]
+        (lambda: mk.identify(DATA, mk.SmoothLaw), "identify(SmoothLaw, data)"),  # type: ignore[arg-type]
         (lambda: mk.identify(mk.SmoothLaw(), DATA), "identify(SmoothLaw, data)"),  # type: ignore[call-arg, arg-type]
-        (lambda: mk.identify(LAW, DATA), "identify(ExponentialLaw, read_dataset"),  # type: ignore[arg-type]
+        (lambda: mk.identify(LAW, DATA), "identify(ExponentialLaw, data)"),  # type: ignore[arg-type]
         (lambda: mk.rank(mk.ExponentialLaw, DATA), "rank(read_dataset"),  # type: ignore[arg-type]
         (lambda: mk.identify(mk.ExponentialLaw, DATA, robust="no"), "True or False"),  # type: ignore[arg-type]
         (lambda: mk.read_dataset(3), "path"),  # type: ignore[arg-type]
+        (lambda: mk.report.tracking(SCENARIO), "result.plot()"),  # type: ignore[arg-type]
         (lambda: mk.report.isobaric(LAW), "fit.plot()"),  # type: ignore[arg-type]
         (lambda: LAW.force("10 %", 3 * bar), "0.1 or 10 * percent"),  # type: ignore[arg-type]
         (lambda: LAW.force(0.1, "3 bar"), "SI units"),  # type: ignore[arg-type]
@@ -117,10 +118,26 @@ def test_an_unknown_name_has_a_suggestion(of, name, meant):
     assert not hasattr(SCENARIO, "nothing_like_it") and not hasattr(mk, "nothing_like_it")
 
 
-def test_an_option_of_a_reader_that_is_mistyped_has_a_suggestion():
+@pytest.mark.parametrize(("key", "meant"), [(0, "table.isel(point=0)"), ("force", "table['force']")])
+def test_an_item_of_a_dataset_is_in_its_table(key, meant):
+    with pytest.raises(TypeError, match=re.escape(meant)):
+        DATA[key]
+
+
+@pytest.mark.parametrize("function", [mk.identify, mk.rank, mk.identify_with_friction])
+def test_an_option_of_the_command_line_is_given_its_name_in_python(function):
+    with pytest.raises(CallError) as caught:
+        function(keep_outliers=True)
+    assert caught.value.field == "keep_outliers" and "robust=False" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("options", "meant"), [({"inital_length": 0.3}, "'initial_length'"), ({"columns": ["Druck"]}, "pressure_bar")]
+)
+def test_a_wrong_option_of_a_reader_has_a_suggestion(options, meant):
     with pytest.raises(ScenarioError) as caught:
-        mk.read_dataset("rig.csv", inital_length=0.3)  # type: ignore[call-arg]
-    assert "'initial_length'" in caught.value.problems[0].remedy
+        mk.read_dataset("rig.csv", **options)
+    assert meant in caught.value.problems[0].remedy
 
 
 def test_a_property_that_fails_raises_its_own_error():

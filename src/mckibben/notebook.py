@@ -1,11 +1,10 @@
-"""Notebook display: HTML tables of results and components, progress bar, and interruption of long jobs."""
+"""Progress bar of notebooks, and interruption of long jobs."""
 
 from __future__ import annotations
 
-import importlib
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable
 from contextvars import ContextVar
 from html import escape
 from typing import Any, TypeAlias
@@ -20,21 +19,6 @@ stop_check: ContextVar[Callable[[], None]] = ContextVar("stop_check", default=la
 
 _PERIOD = 0.2  # s between updates of the bar
 _LONGEST = 120  # characters of a value
-
-
-def html_table(title: str, header: Sequence[str], rows: Iterable[Sequence[object]], notes: Iterable[str] = ()) -> str:
-    """Table for a notebook: a title, a header, rows, and notes below."""
-
-    def row(cells: Sequence[object], tag: str) -> str:
-        return "<tr>" + "".join(f"<{tag}>{escape(str(cell))}</{tag}>" for cell in cells) + "</tr>"
-
-    table = row(header, "th") + "".join(row(cells, "td") for cells in rows)
-    return f"<p>{escape(title)}</p><table>{table}</table>" + "".join(f"<p>{escape(note)}</p>" for note in notes)
-
-
-def draw(figure: str, *shown: Any) -> Any:
-    """Return a figure of `mckibben.report`, which is above all objects that it draws and is imported here only."""
-    return getattr(importlib.import_module("mckibben.report"), figure)(*shown)
 
 
 def silent(step: str, part: float) -> None:

@@ -298,6 +298,11 @@ def _plain(values: object) -> object:
     return json_ready(values) if isinstance(values, str | int | float | None) else str(values)
 
 
+def draw(figure: str, *shown: object) -> Figure:
+    """Return a figure of `mckibben.report`, which is above all objects that it draws."""
+    return getattr(importlib.import_module("mckibben.report"), figure)(*shown)
+
+
 @dataclass_transform(frozen_default=True, field_specifiers=(column, field))
 class Result(Suggesting):
     """Base of results: a frozen dataclass whose fields with a `column` are its numbers.
@@ -349,7 +354,7 @@ class Result(Suggesting):
         """Return the first of the `figures`."""
         if not self.figures:
             raise ParameterError(f"a {type(self).__name__} has no figure", remedy="use its columns")
-        return getattr(importlib.import_module("mckibben.report"), self.figures[0])(self)
+        return draw(self.figures[0], self)
 
     def write(self, folder: Path) -> None:
         """Write further files, named in `files`, to a folder."""
@@ -427,8 +432,7 @@ class Result(Suggesting):
         self.write(folder)
         write_json(folder / "results.json", self.to_dict())
         for name in self.figures:  # last: they need the most time
-            report = importlib.import_module("mckibben.report")
-            report.save(getattr(report, name)(self), folder, name)
+            importlib.import_module("mckibben.report").save(draw(name, self), folder, name)
         return [name for name in names if (folder / name).exists()]
 
     @classmethod

@@ -42,8 +42,7 @@ def loops(kind, *, drift=0.0, noise=0.05, lowest=0.0, clipped=True):
                 speed = mm * (1 + 3 * np.sin(np.pi * (contraction + 0.03) / (top + 0.03)) ** 2)
                 steps = np.abs(np.diff(contraction)) * LENGTH / (0.5 * (speed[1:] + speed[:-1]))
                 time = start + np.concatenate([[0.0], np.cumsum(steps)])
-                half = np.maximum(tension / 2, 1e-9)
-                friction = half * np.tanh(5e3 * side * speed / half)
+                friction = np.clip(5e3 * side * speed, -tension, tension)
             else:
                 friction = side * np.minimum(HALF_WIDTHS[kind](contraction, pressure, tension), tension / 2)
             force = tension + friction + noise * rng.standard_normal(len(time)) + drift / 3600 * time

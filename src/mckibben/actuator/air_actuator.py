@@ -23,6 +23,7 @@ from mckibben.muscle.air import (
     pressure_rate,
     temperature_rate,
 )
+from mckibben.numerics.elementary import Number
 
 
 class Exchange(NamedTuple):
@@ -165,14 +166,14 @@ class AirActuator(Actuator):
         """
 
     @abc.abstractmethod
-    def time_constant_at(self, pressure: Any, volume: Any) -> Any:
+    def time_constant_at(self, pressure: Number, volume: Number) -> Number:
         """Return the first-order time constant [s] of a small change of the command at a pressure [Pa].
 
         It is the area between a step of the command and the response of the pressure in a fixed volume [m^3] around a
         gauge pressure [Pa], over the step; the mean of filling and venting. For the valve model of a controller.
         """
 
-    def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Any:
+    def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Number:
         """Return `time_constant_at` the middle of a muscle's pressures and contractions; default: of the first one."""
         index = int(joint.springs[0]) if index is None else index
         muscle = (joint.muscle1, joint.muscle2)[index]

@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import Scalar, State
 from mckibben.actuator.valve import Valve
-from mckibben.numerics.elementary import floating
+from mckibben.numerics.elementary import Number, floating
 from mckibben.units import Bandwidth, Quantity, SupplyPressure
 
 DampingRatio = Annotated[float, Quantity("1", "1", 0, 100, open_lower=True)]
@@ -63,7 +63,7 @@ class SecondOrderValve(Valve):
         return jnp.asarray(pressure) + self.lag * jnp.asarray(rate)
 
     @property
-    def lag(self) -> Any:
+    def lag(self) -> Number:
         return 2 * self.damping / self.bandwidth
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import abc
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.actuator.base import Actuator, AirVolume, Attainable, CommandRange, Scalar, State
+from mckibben.numerics.elementary import Number
 from mckibben.units import PressureRate, SupplyPressure, ValveTime
 
 
@@ -50,7 +50,7 @@ class IdealValve(Valve):
         return True
 
     @property
-    def lag(self) -> Any:
+    def lag(self) -> Number:
         return 0.0
 
     def after_command(self, pressure: ArrayLike, command: ArrayLike) -> Float[Array, "..."]:
@@ -87,7 +87,7 @@ class FirstOrderValve(Valve):
         return self.rate is None
 
     @property
-    def lag(self) -> Any:
+    def lag(self) -> Number:
         return self.time_constant
 
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:

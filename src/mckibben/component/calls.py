@@ -28,6 +28,7 @@ Arguments = tuple[tuple[Any, ...], Mapping[str, Any]]
 
 _CERTAIN = NoneType, str, Mapping, os.PathLike  # classes for which nothing else stands in
 _NAMES = {Sequence: "list", Mapping: "mapping", str: "string"}
+_OPTIONS = {"keep_outliers": "robust=False"}  # of the command line, under another name in Python
 _BY_POSITION = inspect.Parameter.POSITIONAL_OR_KEYWORD
 _BY_NAME = _BY_POSITION, inspect.Parameter.KEYWORD_ONLY
 
@@ -102,6 +103,12 @@ class _Parameters(NamedTuple):
         needed = [parameter.name for parameter in named if parameter.default is parameter.empty]
         return cls([parameter.name for parameter in named], places, needed)
 
+    def suggest(self, unknown: str, named: Mapping[str, Any]) -> str:
+        """Return the remedy for an unknown name: the one in Python of an option, or the closest that is not given."""
+        if (option := _OPTIONS.get(unknown, "")) and option.partition("=")[0] in self.names:
+            return f"write {option}"
+        return suggest(unknown, [name for name in self.names if name not in named])
+
     def call(self, function: str) -> str:
         """Return the call with the arguments that it needs."""
         shown = [name if name in self.places else f"{name}=..." for name in self.needed]
@@ -117,7 +124,7 @@ def _unbound(
     if args and (reading := _reading(function, args[0])):
         return CallError(f"{of}: {reason}", value=args[0], remedy=f"to read a file, write {reading}")
     if unknown := next((name for name in named if name not in known.names), ""):
-        remedy = suggest(unknown, [name for name in known.names if name not in named]) if known.names else write
+        remedy = known.suggest(unknown, named) if known.names else write
         return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=remedy)
     if len(args) > len(known.places):
         others = ", ".join(f"{name}=..." for name in known.names if name not in known.places)

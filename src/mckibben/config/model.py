@@ -317,6 +317,7 @@ def _problem(detail: ErrorDetails, document: Document, model: type[BaseModel]) -
     elif kind in _MESSAGES:
         shown = {**context, "value": described(value, of_file=True)}
         message, remedy = (text.format(**shown) for text in _MESSAGES[kind])
+        remedy += _example(place, document, model) if kind == "dict_type" else ""
     return Problem(message, document.line(place), dotted(place), remedy, value)
 
 

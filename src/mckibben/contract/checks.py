@@ -133,7 +133,9 @@ def _own_classes(module: ModuleType) -> Iterator[type]:
             yield kind
 
 
-def check_class(kind: type, fields: Mapping[str, str] | None = None, instances: Sequence[Any] = ()) -> list[Finding]:
+def check_class(
+    kind: type, fields: Mapping[str, str] | None = None, instances: Sequence[Component] = ()
+) -> list[Finding]:
     """Check the contract of a component class; failures of the class are findings, not exceptions.
 
     Parameters
@@ -146,7 +148,7 @@ def check_class(kind: type, fields: Mapping[str, str] | None = None, instances: 
     """
     findings = [_finding(kind, "units", lambda: _check_units(kind))]
     if not instances:
-        made: list[Any] = []
+        made: list[Component] = []
         findings.append(_finding(kind, "instance", lambda: made.append(_made(kind, fields or {}))))
         instances = made
     for instance in instances:
@@ -159,7 +161,7 @@ def check_class(kind: type, fields: Mapping[str, str] | None = None, instances: 
     return list(worst.values())
 
 
-def _check_instance(component: Any) -> Iterator[Finding]:
+def _check_instance(component: Component) -> Iterator[Finding]:
     """Findings of a component."""
     kind, probes = type(component), probes_of(component)
     if probes.in_files and probes.functions:
@@ -218,7 +220,7 @@ def _base_of(kind: type) -> type:
     return next((base for base in kind.__mro__ if Component in base.__bases__), kind)
 
 
-def _made(kind: type, fields: Mapping[str, str]) -> Any:
+def _made(kind: type, fields: Mapping[str, str]) -> Component:
     """Component from a file with some of its fields."""
     if inspect.isabstract(kind):
         missing = ", ".join(sorted(getattr(kind, "__abstractmethods__", ())))
@@ -233,7 +235,7 @@ def _made(kind: type, fields: Mapping[str, str]) -> Any:
         raise _BrokenError(text, remedy) from error
 
 
-def _read(kind: type, text: str) -> Any:
+def _read(kind: type, text: str) -> Component:
     """Component under the key `it` of a file, in the plant of `plant_scope`."""
     context = {"scope": (plant_scope(),)}
     return parse_component(_base_of(kind), text, source=kind.__name__, key="it", context=context, units=UNITS)
@@ -260,7 +262,7 @@ def _has_bare_float(hint: Any) -> bool:
     return hint is float or any(_has_bare_float(part) for part in get_args(hint))
 
 
-def _check_file(component: Any) -> None:
+def _check_file(component: Component) -> None:
     """A component that is written to a file and read again is the same."""
     kind = type(component)
     back = _read(kind, to_text({"it": write(component, ComponentField(_base_of(kind), UNITS))}))
@@ -275,11 +277,11 @@ def _check_file(component: Any) -> None:
             raise _BrokenError(f"{name} is {_short(before)} in Python and {_short(after)} after a file", remedy)
 
 
-def _short(value: Any) -> str:
+def _short(value: object) -> str:
     return printable(" ".join(repr(value).split()), 60)
 
 
-def _is_same(before: Any, after: Any) -> bool:
+def _is_same(before: object, after: object) -> bool:
     """Whether two values of a field are equal, number by number."""
     (leaves, structure), (others, other) = (jax.tree.flatten(numeric(value)) for value in (before, after))
     return structure == other and all(np.array_equal(*pair) for pair in zip(leaves, others, strict=True))
@@ -295,7 +297,7 @@ def _samples(ranges: Ranges) -> NDArray[np.float64]:
 class _Sampled:
     """A function of a component as one of a vector, of its arguments and then of its parameters, and its values."""
 
-    def __init__(self, component: Any, probes: Probes, function: Callable[..., Any]) -> None:
+    def __init__(self, component: Component, probes: Probes, function: Callable[..., Any]) -> None:
         self.component, self.probes, self.function = component, probes, function
         self.ranges = probes.ranges(function, component)
         parameters, self._rest = eqx.partition(numeric(component), _is_parameter)
@@ -457,7 +459,7 @@ def _apply(shared: Any, _: Any) -> Any:
 _NATIVE = NativeFunction(_apply)
 
 
-def _is_parameter(leaf: Any) -> bool:
+def _is_parameter(leaf: object) -> bool:
     """Whether a leaf has finite real numbers, by which to differentiate."""
     return isinstance(leaf, np.ndarray | jax.Array) and leaf.dtype.kind == "f" and bool(np.all(np.isfinite(leaf)))
 
@@ -476,7 +478,7 @@ def _difference(results: Any, others: Any, values: NDArray[np.float64]) -> tuple
     return (float(results[wrong][0]), float(others[wrong][0])) if wrong.any() else None
 
 
-def _check_identity(component: Any, identity: Identity, ranges: Ranges) -> None:
+def _check_identity(component: Component, identity: Identity, ranges: Ranges) -> None:
     """Both results of an identity are equal."""
     rows = _samples(ranges)
     pairs = [identity.function(component, *map(jnp.asarray, row)) for row in rows]
@@ -487,5 +489,5 @@ def _check_identity(component: Any, identity: Identity, ranges: Ranges) -> None:
             raise _BrokenError(f"{pair[0]:.6g} instead of {pair[1]:.6g} at {where}", identity.remedy)
 
 
-def _flat(tree: Any) -> NDArray[np.float64]:
+def _flat(tree: object) -> NDArray[np.float64]:
     return np.concatenate([np.empty(0), *(np.ravel(np.asarray(leaf, float)) for leaf in jax.tree.leaves(tree))])

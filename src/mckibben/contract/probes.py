@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Array, PyTree
 
 from mckibben import catalog
 from mckibben.actuator import Actuator, FirstOrderValve, Valve
@@ -30,10 +31,10 @@ from mckibben.units import bar, mm, ms, percent
 Ranges = Mapping[str, tuple[float, float]]
 """Lowest and highest value of each argument in SI, in order."""
 
-Num: TypeAlias = Any
+Num: TypeAlias = Array
 """A number of a component's function: a float, an array or a tracer."""
 
-Tree: TypeAlias = Any
+Tree: TypeAlias = PyTree
 """Tree of a component: a tree of numbers."""
 
 PERIOD = 1 * ms

@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,8 +20,11 @@ from mckibben.dataset.schema import (
     write_csv,
 )
 from mckibben.errors import DatasetError, Problem, RangeError
-from mckibben.notebook import draw
+from mckibben.result import draw
 from mckibben.units import bar, percent
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _LOWEST = 0.08 * bar  # highest pressure of a muscle test
 
@@ -229,7 +232,7 @@ class IsobaricDataset(MeasuredTable):
             parts.append(f"{samples} samples per point")
         return f"<IsobaricDataset{f' {name!r}' if name else ''}: {', '.join(parts)}>"
 
-    def plot(self) -> Any:
+    def plot(self) -> Figure:
         """Return a figure of the points, see `mckibben.report.isobaric`."""
         return draw("isobaric", self)
 

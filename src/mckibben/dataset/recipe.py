@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, BeforeValidator
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from mckibben.config.fields import OneOf
 from mckibben.config.model import DocumentModel, fail_validation
@@ -80,7 +80,7 @@ class Recipe(DocumentModel):
     kind = "recipe"
     examples = "docs/files.md"
 
-    columns: dict[str, str] | None = None
+    columns: dict[str, str] | None = Field(None, examples=["{Druck: pressure_bar}"])
     part: str | None = None
     initial_length: Length | None = None
     displacement: Annotated[str, OneOf(("shortening", "lengthening"))] | None = None

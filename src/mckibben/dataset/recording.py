@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,8 +13,11 @@ from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_po
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
 from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
 from mckibben.errors import DatasetError, RangeError
-from mckibben.notebook import draw
+from mckibben.result import draw
 from mckibben.units import bar, kPa, percent
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _FEW_USED = 0.1  # of the samples
 _CONTINUOUS = (
@@ -98,7 +101,7 @@ class Recording(MeasuredTable):
         """Contraction [-], read-only; None where it was not recorded."""
         return self.table["contraction"].to_numpy() if "contraction" in self.table else None
 
-    def plot(self) -> Any:
+    def plot(self) -> Figure:
         """Return a figure of the samples over time, see `mckibben.report.recording`."""
         return draw("recording", self)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -374,6 +374,10 @@ class MeasuredTable(Suggesting):
 
     def __len__(self) -> int:
         return self.pressure.size
+
+    def __getitem__(self, key: object) -> NoReturn:
+        item = f"['{key}']" if isinstance(key, str) else f".isel({next(iter(self.table.sizes))}={key})"
+        raise TypeError(f"a dataset has no items; its table has: table{item}")
 
     def place(self, row: int) -> str:
         """Line of a point in its file, or its row from 1, as text; `row` is counted from 0."""

@@ -6,7 +6,7 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,9 +29,11 @@ from mckibben.identification.storage import read_fields, write_fit
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
 from mckibben.muscle import ForceLaw, forces
 from mckibben.muscle.base import check_point
-from mckibben.notebook import draw
-from mckibben.result import Column, Listing, Remark, Result, Severity, column
+from mckibben.result import Column, Listing, Remark, Result, Severity, column, draw
 from mckibben.units import factor
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def warning_texts(notes: Iterable[Remark]) -> list[str]:
@@ -127,7 +129,7 @@ class Fit(Result, metaclass=CheckedCalls):
             warnings.warn(f"{text}; the law is extrapolated there", DomainWarning, stacklevel=user_level())
         return np.maximum(forces(self.law, contraction, pressure), 0.0)
 
-    def plot(self, data: IsobaricDataset | None = None) -> Any:  # pyrefly: ignore[bad-override]
+    def plot(self, data: IsobaricDataset | None = None) -> Figure:  # pyrefly: ignore[bad-override]
         """Return a figure of points, fitted curves and residuals, see `mckibben.report.isobaric`.
 
         Default: the points of the fit; `IdentificationError` if it was read from a file, which has none.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,9 +17,11 @@ from mckibben.identification.fit import warning_texts
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.summary import DatasetSummary
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
-from mckibben.notebook import draw
-from mckibben.result import Column, Listing, Remark, Result, column
+from mckibben.result import Column, Listing, Remark, Result, column, draw
 from mckibben.units import factor, mm, show
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +175,7 @@ class HysteresisFit(Result):
         """Parameters of the friction that a simulation needs and the data do not determine."""
         return ("presliding_length",) if np.isnan(self.standard_errors["presliding_length"]) else ()
 
-    def plot(self, data: IsobaricDataset) -> Any:  # pyrefly: ignore[bad-override]
+    def plot(self, data: IsobaricDataset) -> Figure:  # pyrefly: ignore[bad-override]
         """Return a figure of the loops of the identified points, see `mckibben.report.loops`."""
         return draw("loops", data, self)
 

@@ -7,12 +7,15 @@ Compared with XLA's own in jaxlib 0.10.2: `exp` takes 17 instead of 25 ns in a c
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
+
+Number: TypeAlias = float | Array
+"""A float, an array or a tracer."""
 
 
 def floating(x: ArrayLike) -> Float[Array, "..."]:

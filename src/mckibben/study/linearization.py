@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.calls import checked_call
 from mckibben.errors import ParameterError
-from mckibben.notebook import html_table
+from mckibben.result import Column, Listing
 from mckibben.scenario import Scenario, with_run
 from mckibben.simulation import linear_loop
 
@@ -41,8 +41,9 @@ class LinearSystem:
         return f"<LinearSystem: {kind} loop at {self.time:g} s, {len(self.states)} states, period {self.period:g} s>"
 
     def _repr_html_(self) -> str:
-        poles = [(f"{pole:.4g}", f"{abs(pole):.4g}") for pole in self.poles()]
-        return html_table(repr(self), ("pole", "modulus"), poles)
+        poles = self.poles()
+        columns = {"pole": (Column(), [f"{pole:.4g}" for pole in poles]), "modulus": (Column(), np.abs(poles))}
+        return Listing(repr(self), columns).to_html()
 
     def poles(self) -> NDArray[np.complex128]:
         """Return the poles in discrete time, the largest first."""
