@@ -98,15 +98,25 @@ def test_python_that_needs_other_data_calls_what_exists_with_arguments_that_it_t
         (signature.bind_partial if left_out else signature.bind)(*call.args, **given)
 
 
-def test_every_page_is_in_the_site_and_in_the_list_for_readers_of_the_repository():
+def test_every_page_is_in_the_index_and_in_the_site_once():
     docs = ROOT / "docs"
-    pages = {str(page.relative_to(docs).with_suffix("")) for page in docs.rglob("*.md")} - {"README", "index"}
-    toctrees = re.findall(r"```\{toctree\}\n(.*?)```", (ROOT / "docs" / "index.md").read_text("utf-8"), re.DOTALL)
+    pages = {str(page.relative_to(docs).with_suffix("")) for page in docs.rglob("*.md")} - {"index"}
+    index = (docs / "index.md").read_text("utf-8")
+    toctrees = re.findall(r"```\{toctree\}\n(.*?)```", index, re.DOTALL)
     listed = [line for block in toctrees for line in block.splitlines() if line and not line.startswith(":")]
     assert sorted(listed) == sorted([*pages, "gallery/index"])
-    assert set(re.findall(r"\]\(([\w-]+)\.md", (ROOT / "docs" / "README.md").read_text("utf-8"))) == {
-        page for page in pages if "/" not in page
-    }
+    assert pages <= set(re.findall(r"\]\(([\w/-]+)\.md", index))
+
+
+def test_pages_are_few_and_short_and_each_names_the_next():
+    pages = sorted((ROOT / "docs").glob("*.md"))
+    words = {page.stem: len(page.read_text("utf-8").split()) for page in pages}
+    assert len(words) <= 30 and sum(words.values()) <= 40_000
+    long = {name: number for name, number in words.items() if number > 1_200}
+    assert long.keys() <= {"extending"}  # code of one class of each common kind
+    for page in pages:
+        steps = re.findall(r"^Next: .*\]\([\w./#-]+\)", page.read_text("utf-8"), re.MULTILINE)
+        assert len(steps) == 1, page.name
 
 
 def test_the_reference_has_every_public_name():
