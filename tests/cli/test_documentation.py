@@ -30,6 +30,9 @@ def test_the_readme_is_short_and_its_python_gives_a_figure(monkeypatch, tmp_path
     assert (tmp_path / "force.png").stat().st_size > 10_000
 
 
+OTHER_OPTIONS = {"--extension", "--from", "--only"}  # of mckibben itself, uvx, and benchmarks/run.py
+
+
 @pytest.mark.slow
 def test_the_commands_and_options_that_the_documentation_names_exist(cli):
     text = README + "".join(p.read_text(encoding="utf-8") for p in sorted((ROOT / "docs").glob("*.md")))
@@ -44,10 +47,13 @@ def test_the_commands_and_options_that_the_documentation_names_exist(cli):
     }
     for name in groups:
         assert {f"{name} {word}" for word in re.findall(rf"\bmckibben {name} ([a-z]+)", text)} <= nested
+    options: set[str] = set()
     for command in sorted(single | nested):
         help_text = cli(*command.split(), "--help").out
         for option in re.findall(rf"mckibben {command} [^`\n]*?(--[a-z-]+)", text):
             assert option in help_text, (command, option)
+        options |= set(re.findall(r"--[a-z-]+", help_text))
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= options | OTHER_OPTIONS
 
 
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"]
