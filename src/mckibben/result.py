@@ -3,6 +3,7 @@
 A result declares its numbers as fields with a `column` (unit and title), its verdict, its remarks, and the figures that
 show it. The table on the terminal, JSON, the view of a notebook, the page, NetCDF and the files of `--out` follow:
 
+>>> import numpy as np
 >>> class Resonance(Result):
 ...     "Resonance of a joint over its stiffness."
 ...     stiffness: np.ndarray = column("N*m/rad", "stiffness")
@@ -31,6 +32,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import itertools
+import math
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -40,22 +42,21 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, dataclass_transform
 
-import numpy as np
-
 from mckibben.errors import ParameterError, Suggesting, printable
 from mckibben.storage.files import check_free, json_ready, make_folder, write_json
 from mckibben.units import factor
 
 if TYPE_CHECKING:
+    import numpy as np
     import xarray
     from matplotlib.figure import Figure
 
-Values: TypeAlias = np.ndarray | Sequence[object]
+Values: TypeAlias = "np.ndarray | Sequence[object]"
 """Values of a column, numbers in SI or texts."""
 
 _LONGEST_CELL = 500  # characters
 _NARROWEST_TEXT = 12  # characters of a column of sentences
-_MOST_ROWS = 30  # of a table in a text
+_MOST_ROWS = 30  # of samples in a text
 
 
 @dataclass(frozen=True)
@@ -89,11 +90,12 @@ class Column:
 
     def cell(self, value: object) -> str:
         """Return a value [SI] as text in the shown unit, without the unit."""
-        if isinstance(value, bool | np.bool_):
+        value = value.item() if hasattr(value, "item") else value  # a NumPy scalar
+        if isinstance(value, bool):
             return "yes" if value else "no"
-        if isinstance(value, float | np.floating):
+        if isinstance(value, float):
             size = factor(self.shown_unit, self.unit) if self.shown_unit else 1.0
-            return "-" if np.isnan(value) else f"{value / size + 0.0:.{self.digits}g}"
+            return "-" if math.isnan(value) else f"{value / size + 0.0:.{self.digits}g}"
         return "-" if value is None else str(value)
 
 
@@ -197,7 +199,8 @@ class Listing:
         rows = self.rows()
         if self.vertical:
             return "\n".join(lines + _pairs(self.header(), [cell for row in rows for cell in row], width))
-        omitted = max(len(rows) - _MOST_ROWS, 0)
+        samples = bool(rows) and _NUMBER.fullmatch(rows[0][0])
+        omitted = max(len(rows) - _MOST_ROWS, 0) if samples else 0  # a list of names is shown whole
         shown = rows[: _MOST_ROWS // 2] + rows[-(_MOST_ROWS // 2) :] if omitted else rows
         cells = list(zip(*shown, strict=True)) if shown else [()] * len(self.columns)
         columns = [_TextColumn(*title, column) for title, column in zip(self.header(), cells, strict=True)]
@@ -279,9 +282,14 @@ def _html_row(cells: Iterable[str], tag: str) -> str:
     return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
 
 
+def _dimensions(value: object) -> int:
+    """Axes of a value, 0 of a number or a text."""
+    return getattr(value, "ndim", int(isinstance(value, list | tuple)))
+
+
 def _plain(values: object) -> object:
     """Arrays as lists, numbers as numbers, all else as text."""
-    if isinstance(values, np.ndarray | np.generic):
+    if hasattr(values, "tolist"):
         values = values.tolist()
     if isinstance(values, complex):
         return [values.real, values.imag]
@@ -325,7 +333,7 @@ class Result(Suggesting):
         """Return the tables: first the declared scalars, then the declared columns."""
         scalars, columns = {}, {}
         for name, (column, value) in self.declared().items():
-            if np.ndim(value) == 0:  # type: ignore[arg-type]
+            if _dimensions(value) == 0:
                 scalars[name] = column, [value]
             elif not column.dims:
                 columns[name] = column, value
@@ -376,7 +384,7 @@ class Result(Suggesting):
         scalars, columns = {}, {}
         for name, (column, value) in self.declared().items():
             entry = {"title": column.title or name.replace("_", " "), "unit": column.unit}
-            if np.ndim(value) == 0:  # type: ignore[arg-type]
+            if _dimensions(value) == 0:
                 scalars[name] = {**entry, "value": json_ready(_plain(value))}
             else:
                 columns[name] = {**entry, "values": json_ready(_plain(value))}
@@ -396,6 +404,7 @@ class Result(Suggesting):
 
     def to_dataset(self) -> xarray.Dataset:
         """Return the declared scalars and arrays as an xarray dataset in SI, with units and titles as attributes."""
+        import numpy as np
         import xarray as xr
 
         variables = {}

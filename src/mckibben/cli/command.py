@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import shutil
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -13,13 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Option
 
-from mckibben.cli.options import Force, Json, Out, echo, keeping, long_job, notify, results_folder
+from mckibben.cli.options import Force, Json, Out, echo, keeping, long_job, notify, results_folder, text_width
 from mckibben.storage.files import to_json
 
 if TYPE_CHECKING:
     from mckibben.result import Result
 
-_WIDTH_OF_A_PIPE = 100  # characters of a line where there is no terminal
 DETAILS = Annotated[bool, Option("--details", help="Print notes and further tables, too.")]
 _ADDED = {"details": (DETAILS, False), "json": (Json, False), "out": (Out, None), "force": (Force, False)}
 
@@ -73,8 +70,7 @@ def present(result: Result, *, details: bool = False, json: bool = False, out: P
             with keeping(out):
                 names = result.save(out, force=force)
     finally:
-        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDTH_OF_A_PIPE
-        echo(to_json(result.to_dict()) if json else result.to_text(width=width, details=details))
+        echo(to_json(result.to_dict()) if json else result.to_text(width=text_width(), details=details))
     if out:
         notify(f"wrote {', '.join(names)} to {out}", json)
     if not result.ok:

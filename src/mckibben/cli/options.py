@@ -6,6 +6,7 @@ import functools
 import inspect
 import math
 import re
+import shutil
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -314,31 +315,24 @@ def check_choice(name: str, choices: Iterable[str], what: str) -> None:
         raise ParameterError(f"{name!r} is not {what}", value=name, remedy=f"choose one of {', '.join(choices)}")
 
 
-_LONGEST_CELL = 500  # characters
-_PIPED_WIDTH = 240  # columns of a table written to a file or a pipe
+_WIDTH_OF_A_PIPE = 100  # characters of a line where there is no terminal
+
+
+def text_width() -> int:
+    """Characters of a line: those of the terminal, or 100 in a file or a pipe."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDTH_OF_A_PIPE
 
 
 def table(title: str, headers: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
     """Print a titled table, if it has rows; cells are plain text."""
-    if not rows:
-        return
-    from rich import box
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-    from rich.text import Text
+    from mckibben.result import Column, Listing
 
-    table = Table(*(escape(printable(header, _LONGEST_CELL)) for header in headers), box=box.SIMPLE_HEAD)
-    for row in rows:
-        table.add_row(*(Text(printable(cell, _LONGEST_CELL)) for cell in row))
-
-    class Printed(Console):
-        def on_broken_pipe(self) -> None:
-            raise
-
-    console = Printed(highlight=False, width=None if sys.stdout.isatty() else _PIPED_WIDTH)
-    console.print(Text(printable(title)))
-    console.print(table)
+    if rows:
+        columns = {
+            header: (Column(title=header), cells)
+            for header, cells in zip(headers, zip(*rows, strict=True), strict=True)
+        }
+        echo(Listing(title, columns).to_text(text_width()) + "\n")
 
 
 _LOG_INTERVAL, _LOG_SHARE = 10.0, 0.25  # s, and of the elapsed time: between lines of progress in a log
