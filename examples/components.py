@@ -48,7 +48,7 @@ class SofteningLaw(ForceLaw):
     domain: Domain = Domain(0.0, 0.2, 0.1 * bar, 6 * bar)
 
     equation = "F = a p^1.2 (1 - eps/eps0)"
-    source = "this page"
+    source = "docs/extending.md"
     linear_parameters = (Parameter("a", "N/Pa^1.2", "N/Pa^1.2", "force per pressure"),)
     shape_parameters = (Parameter("eps0", "1", "%", "contraction without force", 0.2, 0.5),)
 
@@ -82,7 +82,7 @@ class Slider(Friction):
         return jnp.zeros_like(jnp.asarray(rate, float))
 
     def path_response(self, length, tension, pressure, *, side=0.0):
-        columns = (np.asarray(each, float) for each in (length, tension, pressure))
+        columns = (np.asarray(column, float) for column in (length, tension, pressure))
         length, tension, pressure = np.broadcast_arrays(*columns)
         limit = np.asarray(self.half_width_at(tension, pressure))
         force = np.full(len(length), side * limit[0])
