@@ -1,4 +1,4 @@
-"""What single parts of controllers are for: the tables of docs/control.md that `mckibben compare` does not make.
+"""What parts of controllers are for: the tables of docs/results/controllers.md.
 
     python benchmarks/decoupling.py
 

@@ -11,8 +11,8 @@ SLOW = {
     "leg.md",
     "size.md",
     "stiffness.md",
-    "sweeps.md",
     "tuning.md",
+    "uncertainty.md",
     "your-muscle.md",
 }
 

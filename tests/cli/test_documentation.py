@@ -30,6 +30,9 @@ def test_the_readme_is_short_and_its_python_gives_a_figure(monkeypatch, tmp_path
     assert (tmp_path / "force.png").stat().st_size > 10_000
 
 
+OTHER_OPTIONS = {"--extension", "--from", "--only"}  # of mckibben itself, uvx, and benchmarks/run.py
+
+
 @pytest.mark.slow
 def test_the_commands_and_options_that_the_documentation_names_exist(cli):
     text = README + "".join(p.read_text(encoding="utf-8") for p in sorted((ROOT / "docs").glob("*.md")))
@@ -44,10 +47,13 @@ def test_the_commands_and_options_that_the_documentation_names_exist(cli):
     }
     for name in groups:
         assert {f"{name} {word}" for word in re.findall(rf"\bmckibben {name} ([a-z]+)", text)} <= nested
+    options: set[str] = set()
     for command in sorted(single | nested):
         help_text = cli(*command.split(), "--help").out
         for option in re.findall(rf"mckibben {command} [^`\n]*?(--[a-z-]+)", text):
             assert option in help_text, (command, option)
+        options |= set(re.findall(r"--[a-z-]+", help_text))
+    assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= options | OTHER_OPTIONS
 
 
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md"]
@@ -64,7 +70,8 @@ def anchors(page):
 @pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
 def test_the_files_and_links_that_it_names_exist(page):
     text = page.read_text(encoding="utf-8")
-    for link in re.findall(r"\]\(([^):]+)\)", text):
+    prose = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    for link in re.findall(r"\]\(([^):]+)\)", prose):
         path, _, anchor = link.partition("#")
         target = page.parent / path if path else page
         assert target.exists(), link
@@ -98,15 +105,25 @@ def test_python_that_needs_other_data_calls_what_exists_with_arguments_that_it_t
         (signature.bind_partial if left_out else signature.bind)(*call.args, **given)
 
 
-def test_every_page_is_in_the_site_and_in_the_list_for_readers_of_the_repository():
+def test_every_page_is_in_the_index_and_in_the_site_once():
     docs = ROOT / "docs"
-    pages = {str(page.relative_to(docs).with_suffix("")) for page in docs.rglob("*.md")} - {"README", "index"}
-    toctrees = re.findall(r"```\{toctree\}\n(.*?)```", (ROOT / "docs" / "index.md").read_text("utf-8"), re.DOTALL)
+    pages = {str(page.relative_to(docs).with_suffix("")) for page in docs.rglob("*.md")} - {"index"}
+    index = (docs / "index.md").read_text("utf-8")
+    toctrees = re.findall(r"```\{toctree\}\n(.*?)```", index, re.DOTALL)
     listed = [line for block in toctrees for line in block.splitlines() if line and not line.startswith(":")]
     assert sorted(listed) == sorted([*pages, "gallery/index"])
-    assert set(re.findall(r"\]\(([\w-]+)\.md", (ROOT / "docs" / "README.md").read_text("utf-8"))) == {
-        page for page in pages if "/" not in page
-    }
+    assert pages <= set(re.findall(r"\]\(([\w/-]+)\.md", index))
+
+
+def test_pages_are_few_and_short_and_each_names_the_next():
+    pages = sorted((ROOT / "docs").glob("*.md"))
+    words = {page.stem: len(page.read_text("utf-8").split()) for page in pages}
+    assert len(words) <= 30 and sum(words.values()) <= 40_000
+    long = {name: number for name, number in words.items() if number > 1_200}
+    assert long.keys() <= {"extending"}  # code of one class of each common kind
+    for page in pages:
+        steps = re.findall(r"^Next: .*\]\([\w./#-]+\)", page.read_text("utf-8"), re.MULTILINE)
+        assert len(steps) == 1, page.name
 
 
 def test_the_reference_has_every_public_name():

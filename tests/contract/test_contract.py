@@ -426,40 +426,35 @@ def test_a_module_without_components_or_with_a_mistake_is_bad_input(tmp_path):
         check_extension(tmp_path / "contract_broken.py")
 
 
-HARDWARE = ("MyRig", "MyJoint")  # without a contract to run
+HARDWARE = {"MyRig", "MyJoint"}  # without a contract to run
+ROOT = Path(__file__).parents[2]
 
-INSTANCES_OF_THE_PAGE = """
-linear = LinearLaw(a=1e-3, b=-2e-3, k=500.0)
-slider = Slider(half_width=10.0, stiffness=20e3)
-creep = SlowCreep(stiffness=500.0, time_constant=5.0, arms=2)
-spool = Spool(5e-9, 7 * bar)
-load = SpringLoad(0.5, 200 * mm, spring=2.0)
-sway = Sway(0.1)
-chirp = Chirp(5 * deg)
-eased = Eased(Proportional(mk.catalog.joint("knee-table-2")))
-integral = Integral(60 * bar)
-twisting = SuperTwisting(k1=2.0)
-"""
+
+def module_of_the_page() -> str:
+    """The classes of docs/extending.md, and the instances that it makes."""
+    page = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+    nodes = [node for example in doctest.DocTestParser().get_examples(page) for node in ast.parse(example.source).body]
+    sources = [ast.unparse(node) for node in nodes if isinstance(node, ast.ClassDef | ast.Import | ast.ImportFrom)]
+    instances = ["linear = LinearLaw(a=1e-3, b=-2e-3, k=500.0)", "pulley = PulleyGeometry(25 * mm, 165 * mm)"]
+    return "\n".join([*sources, *instances])
 
 
 @pytest.mark.slow
-def test_the_classes_of_the_documentation_keep_it(tmp_path):
-    page = (Path(__file__).parents[2] / "docs" / "extending.md").read_text(encoding="utf-8")
-    nodes = [node for one in doctest.DocTestParser().get_examples(page) for node in ast.parse(one.source).body]
-    sources = [ast.unparse(one) for one in nodes if isinstance(one, ast.ClassDef | ast.Import | ast.ImportFrom)]
-    made = [
-        ast.unparse(one)
-        for one in nodes
-        if isinstance(one, ast.Assign) and isinstance(one.value, ast.Call) and ast.unparse(one.value.func)[0].isupper()
-    ]
-    path = tmp_path / "extending_page.py"
-    path.write_text("\n".join([*sources, *made, INSTANCES_OF_THE_PAGE]), encoding="utf-8")
+@pytest.mark.parametrize(
+    ("text", "failures", "classes"),
+    [
+        pytest.param(module_of_the_page(), [("Overshooting", "composition")], 5, id="page"),
+        pytest.param((ROOT / "examples" / "components.py").read_text(encoding="utf-8"), [], 15, id="examples"),
+    ],
+)
+def test_the_classes_of_the_documentation_keep_it(text, failures, classes, tmp_path):
+    path = tmp_path / "user_defined_classes.py"
+    path.write_text(text, encoding="utf-8")
     code = "from mckibben.cli import main; main()"  # in a process of its own: the page is run as a doctest, too
     run = subprocess.run([sys.executable, "-c", code, "check", path, "--json"], capture_output=True, text=True)
     answer = json.loads(run.stdout)
     columns = answer["tables"][0]["columns"]
     findings = list(zip(*(columns[name]["values"] for name in ("class", "check", "result")), strict=True))
-    failed = [row[:2] for row in findings if row[2] != "passed"]
-    assert failed == [("Overshooting", "composition")], answer["remarks"]
-    defined = [node.name for node in nodes if isinstance(node, ast.ClassDef) and node.name not in HARDWARE]
-    assert {row[0] for row in findings} == set(defined) and len(defined) == len(set(defined)) > 18
+    assert [row[:2] for row in findings if row[2] != "passed"] == failures, answer["remarks"]
+    defined = {node.name for node in ast.parse(text).body if isinstance(node, ast.ClassDef)} - HARDWARE
+    assert {row[0] for row in findings} == defined and len(defined) == classes

@@ -84,7 +84,9 @@ def test_two_laws_of_a_type_are_numbered_and_names_are_kept(campaign):
 def test_a_direction_that_is_not_recorded_makes_no_groups():
     validation = validate([EQ_3], catalog.dataset("dmsp-10-250-martens2017"))
     assert {e.direction for e in validation.errors} == {None}
-    assert validation.of("ExponentialLaw").bias == pytest.approx(64, abs=1)  # another specimen: docs/decisions.md 14
+    assert validation.of("ExponentialLaw").bias == pytest.approx(
+        64, abs=1
+    )  # another specimen: docs/paper.md, decision 14
 
 
 def test_errors_at_held_out_pressures_and_repeats(campaign):

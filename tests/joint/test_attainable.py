@@ -1,4 +1,4 @@
-"""docs/decisions.md 3 and 4: what pressures within limits can hold."""
+"""docs/paper.md, decisions 3 and 4: what pressures within limits can hold."""
 
 import dataclasses
 import math

@@ -1,4 +1,4 @@
-"""docs/decisions.md 1, 2 and 9: Eqs. 1 and 3 in numbers worked out by hand."""
+"""docs/paper.md, decisions 1, 2 and 9: Eqs. 1 and 3 in numbers worked out by hand."""
 
 import math
 

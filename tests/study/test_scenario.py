@@ -224,7 +224,7 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("load: knee-table-2 ", "load: [] ", "load", "a list"),
         (
             "{from: knee-table-2, connector_length: 208 mm}",
-            "{arm_slope: 8 mm}",  # no class of docs/extending.md has it, which other tests of this process may run
+            "{arm_slope: 8 mm}",  # no class of examples/components.py has it, which other tests of this process may run
             "joint.geometry",
             "paired_paths`, with arm_slope",
         ),
