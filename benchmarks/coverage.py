@@ -26,6 +26,7 @@ from mckibben import catalog, identify, identify_hysteresis, read_dataset
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import McKibbenWarning
 from mckibben.identification import DatasetSummary, Fit, Grouping
+from mckibben.identification.estimator import standard_errors
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.regression import Regression
 from mckibben.muscle import ExponentialLaw, forces

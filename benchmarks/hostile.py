@@ -888,51 +888,6 @@ def mat5_sparse(rng):
 
 
 @kind
-def mat4_negative_dimensions(rng):
-    start = struct.pack(
-        "<5i", 0, pick(rng, -1, 2**31 - 1, 3), pick(rng, -3, 2**31 - 1, 0), 0, pick(rng, 2, -1, 2**31 - 1)
-    )
-    return File("rig.mat", start + b"x\0" + bytes(100))
-
-
-@kind
-def mat4_bytes_as_doubles(rng):
-    size = near(rng, 5e7)
-    return File("rig.mat", struct.pack("<5i", 50, size, 1, 0, 2) + b"x\0" + bytes(size))
-
-
-META, NEW, RAW, INTERLEAVED, BIG, DAQMX = 2, 4, 8, 32, 64, 128
-
-
-def worded(name: str) -> bytes:
-    return struct.pack("<I", len(name)) + name.encode()
-
-
-def channel(name: str, index: bytes | None, properties: Sequence[tuple[str, int, bytes]] = ()) -> bytes:
-    """Object of a segment: path, raw index (None: no data), properties of a name, type and value."""
-    path = f"/'rig'/'{name}'"
-    raw = struct.pack("<I", 2**32 - 1) if index is None else index
-    each = (worded(key) + struct.pack("<I", of) + value for key, of, value in properties)
-    return worded(path) + raw + struct.pack("<I", len(properties)) + b"".join(each)
-
-
-def plain_index(count: int, number_type: int = 10, dimension: int = 1) -> bytes:
-    return struct.pack("<3IQ", 20, number_type, dimension, count % 2**64)
-
-
-def segment(
-    objects: Sequence[bytes], raw: bytes = b"", flags: int = META | NEW | RAW, after: int | None = None
-) -> bytes:
-    meta = struct.pack("<I", len(objects)) + b"".join(objects) if flags & META else b""
-    sizes = (len(meta) + len(raw) if after is None else after, len(meta))
-    return b"TDSm" + struct.pack("<2I2Q", flags, 4712, *sizes) + meta + raw
-
-
-def tdms(*segments: bytes) -> File:
-    return File("rig.tdms", b"".join([sound_tdms(20), *segments]))
-
-
-@kind
 def tdms_endless_samples(rng):
     index = plain_index(pick(rng, 2**60, 2**63, 2**64 - 1, 2**40, 2**31), pick(rng, 1, 2, 10, 0, 0x44, 0x20, 0x08000C))
     return tdms(segment([channel("force_N", index)], bytes(80), after=pick(rng, None, 2**64 - 1, 2**62, 0, 10)))

@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.dataset import Recording
 from mckibben.errors import CallError, FileError, McKibbenError, ScenarioError, closest
 from mckibben.units import bar, deg
 
 SCENARIO = mk.Scenario.read("examples/pre-contracted-step-pid.yaml").model_copy(update={"duration": 0.2})
 DATA = mk.catalog.dataset("dmsp-10-250-martens2017")
 LAW = mk.catalog.law("lei-mas-10-180n")
-SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": np.linspace(0, 90, 9)}
 
 
 @pytest.mark.parametrize(
@@ -43,7 +41,6 @@ SAMPLES = {"time": np.arange(9.0), "pressure": np.linspace(0, 3e5, 9), "force": 
         (lambda: mk.catalog.law("Lei"), "lei-mas-10-180n"),
         (lambda: mk.catalog.law("x"), "sarosi-dmsp-10"),
         (lambda: mk.linearize("joint.yaml"), "Scenario.read"),  # type: ignore[arg-type]
-        (lambda: Recording.of(**SAMPLES).isometric(contraction="10 %"), "SI units"),  # type: ignore[arg-type]
         (lambda: mk.PID(1.0, 2.0, 3.0, 4.0), "filter_time="),  # type: ignore[call-arg]
         (lambda: mk.PID(kp=1.0), "PID(kp, ki, kd"),  # type: ignore[call-arg]
         (lambda: mk.PID(Kp=1.0, ki=2.0, kd=3.0), "'kp'"),  # type: ignore[call-arg]

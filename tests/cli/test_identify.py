@@ -373,9 +373,3 @@ def test_specimens_of_one_make_are_pooled_and_another_length_is_predicted(cli, t
     assert float(read_component(Muscle, tmp_path / "fit" / "muscle.yaml").specimen.initial_length) == 250 * mm
     assert cli("identify", *files, "--pool", "--law", "all").code == 2
     assert cli("identify", *files, "--for-length", "250 mm").code == 2
-
-
-def test_points_of_two_kinds_of_test_are_refused(cli, tmp_path):
-    (tmp_path / "raw.csv").write_text("time_s,pressure_bar,contraction_percent,force_N\n0,1,0,10\n", encoding="utf-8")
-    refused = cli("points", "raw.csv", "--isometric", "--strokes")
-    assert refused.code == 2 and all(option in refused.err for option in ("--isometric", "--strokes"))

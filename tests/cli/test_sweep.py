@@ -92,8 +92,6 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
         ),
         (["s.yaml", "--out", "x", *MASS, "--design", "girdle"], "choose sobol, random or grid"),
         (["s.yaml", "--out", "x", *MASS, "--design", "grid", "--samples", "3"], "leave the number of samples out"),
-        (["s.yaml", "--out", "x", *MASS, "--metrics", "angel_rmse"], "did you mean 'angle_rmse'?"),
-        (["s.yaml", "--out", "x", *MASS, "--precision", "16"], "choose 64 or 32"),
         (["s.yaml", "--out", "x", *MASS, "--dask", "localhost"], "give local, or an address like tcp://host:8786"),
         (["s.yaml", "--out", "x", "--resume"], "there is no sweep to continue"),
         (["s.yaml", "--out", "s.yaml", *MASS], "it is a file; give a folder"),
@@ -125,7 +123,7 @@ def test_ctrl_c_in_the_middle_says_how_to_go_on(cli, scenario, monkeypatch):
 
 @pytest.mark.slow
 def test_an_interrupted_and_then_killed_sweep_ends_with_the_same_bytes(cli, stopped, scenario, tmp_path):
-    asked = (*MASS, "--samples", "512", "--metrics", "angle_rmse")
+    asked = (*MASS, "--samples", "512")
 
     def blocks() -> int:
         connection = sqlite3.connect(tmp_path / "kept" / "study.sqlite")

@@ -364,43 +364,50 @@ def test_samples_farther_apart_than_a_plateau_are_points_already():
     assert (refused.value.field, refused.value.lower) == ("dwell", 4.0)
 
 
-def moving(rate):
-    """Time, contraction and pressure of two sines at each of two pressures, with rests between."""
-    sine = 0.08 - 0.05 * np.cos(2 * np.pi * rate * np.arange(0, 2 / rate, 0.02))
-    once = np.concatenate([np.full(100, 0.03), sine, np.full(100, 0.03)])
-    contraction = np.tile(once, 2)
-    pressure = np.repeat([2 * bar, 3 * bar], len(once))
-    return 0.02 * np.arange(len(contraction)), contraction, pressure
+def regulated(levels, overshoot, hold=12.0, period=0.01, start=0.08):
+    """Pressure [Pa] of an underdamped regulator along a staircase [bar], and a force that follows it."""
+    damping = -np.log(overshoot) / np.hypot(np.pi, np.log(overshoot))
+    frequency, samples = 12.0, round(hold / period)
+    time = period * np.arange(samples)
+    fast = frequency * np.sqrt(1 - damping**2)
+    ringing = np.exp(-damping * frequency * time)
+    response = 1 - ringing * (np.cos(fast * time) + damping * frequency / fast * np.sin(fast * time))
+    before = np.array([start, *levels[:-1]])
+    pressure = np.concatenate([a + (b - a) * response for a, b in zip(before, levels, strict=True)]) * bar
+    return Recording.of(
+        time=period * np.arange(pressure.size), pressure=pressure, force=pressure / 2e3, contraction=0.1
+    )
 
 
-@pytest.mark.filterwarnings("ignore::mckibben.errors.McKibbenWarning")  # forces of no muscle
-def test_strokes_are_split_into_parts_of_equal_travel_and_their_ends():
-    time, contraction, pressure = moving(0.25)
-    force = 100 + 50 * np.sign(np.gradient(contraction))
-    found = Recording.of(time=time, pressure=pressure, contraction=contraction, force=force).strokes()
-    data = found.dataset
-    stroke = data.table["repeat"].to_numpy()
-    assert sorted(set(data.levels)) == [2 * bar, 3 * bar] and len(data.repeats) == 8
-    for number in data.repeats:
-        one = data.contraction[stroke == number]
-        assert one.min() == pytest.approx(0.03, abs=1e-4) and one.max() == pytest.approx(0.13, abs=1e-4)
-        assert len(one) >= 45 and (np.diff(one) != 0).all()
-    inside = (data.contraction > 0.04) & (data.contraction < 0.12)
-    assert set(data.force[inside & (data.table.direction == "loading").to_numpy()]) == {50.0}
-    assert sum(found.counts.values()) == len(time) and found.counts["at rest"] > 100
+@pytest.mark.parametrize("overshoot", [0.05, 0.4, 0.8])
+def test_filling_in_steps_is_filling_whatever_the_overshoot(overshoot):
+    levels = [1.6, 2.2, 3.0, 3.3, 4.1, 5.0, 5.9]
+    data = regulated(levels, overshoot).plateaus(dwell=0.5).dataset
+    assert data.table["phase"].values.tolist() == ["filling"] * len(levels)
+    down = regulated(levels[::-1], overshoot, start=6.5).plateaus(dwell=0.5).dataset
+    assert down.table["phase"].values.tolist() == ["venting"] * len(levels)
 
 
-def test_a_recording_without_strokes_is_refused():
-    time = np.arange(0, 10, 0.02)
-    for contraction, pressure in (
-        (0.1, 2 * bar),
-        (0.1 + 0.01 * time, 2 * bar),
-        (0.1 + 0.05 * np.sin(time), time * bar),
-    ):
-        with pytest.raises(RangeError) as refused:
-            Recording.of(
-                time=time, pressure=pressure + 0 * time, force=50 + 0 * time, contraction=contraction
-            ).strokes()
-        assert "strokes" in str(refused.value)
-    with pytest.raises(RangeError):
-        Recording.of(time=time, pressure=0 * time, force=0 * time, contraction=0.1).strokes(step=0.0)
+def test_a_large_excursion_before_a_plateau_is_venting():
+    """From 1 to 3 bar by way of 6 bar: the friction has the sign of venting."""
+    pressure = np.concatenate([np.full(300, 1.0), np.linspace(1, 6, 200), np.linspace(6, 3, 200), np.full(300, 3.0)])
+    record = Recording.of(time=0.01 * np.arange(1000), pressure=pressure * bar, force=50.0 * pressure, contraction=0.1)
+    assert record.plateaus().dataset.table["phase"].values.tolist() == ["", "venting"]
+
+
+def test_small_steps_are_several_pressures():
+    """Plateaus of 601 to 623 kPa that follow each other by steps are not one level; equal ones are."""
+    levels = [3.0, 6.01, 6.06, 6.12, 6.18, 6.23, 3.002]
+    data = regulated(levels, 0.1).plateaus(dwell=0.5).dataset
+    assert np.unique(data.levels).size == 6
+    np.testing.assert_allclose(data.levels / bar, [3.0, *levels[1:-1], 3.0], atol=0.006)
+
+
+def test_the_scatter_of_a_regulator_over_lengths_is_one_pressure():
+    """The length changes between the plateaus, so that 601 to 607 kPa are one level."""
+    pressure = np.repeat([6.01, 6.04, 6.07, 6.02], 300) * bar
+    contraction = np.repeat([0.0, 0.05, 0.10, 0.15], 300)
+    record = Recording.of(
+        time=0.01 * np.arange(1200), pressure=pressure, force=400 - 2e3 * contraction, contraction=contraction
+    )
+    assert np.unique(record.plateaus().dataset.levels).size == 1

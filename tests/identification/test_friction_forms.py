@@ -3,15 +3,15 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from mckibben import ExponentialLaw, IsobaricDataset, catalog, identify, identify_hysteresis
-from mckibben.dataset import Recording
 from mckibben.errors import IdentificationError
 from mckibben.identification import FrictionForm
 from mckibben.identification.loading_path import LoadingPaths
 from mckibben.muscle import MaxwellSlip, forces
-from mckibben.units import bar, mm
+from mckibben.units import bar, mm, percent
 
 LAW = catalog.law("lei-mas-10-180n")
 LENGTH = 180 * mm
@@ -158,12 +158,29 @@ def strokes(friction, more=None):
         force = tension + friction.path_response(length, tension, pressure, side=1.0)
         force += np.asarray(friction.viscous_force(length, tension, pressure, rate))
         force += 0.0 if more is None else more(rate)
-        gauge = np.full(len(time), pressure)
-        parts.append((number * (time[-1] + 5) + time, gauge, force + 0.3 * rng.standard_normal(len(time)), contraction))
-    columns = dict(
-        zip(("time", "pressure", "force", "contraction"), map(np.concatenate, zip(*parts, strict=True)), strict=True)
+        force += 0.3 * rng.standard_normal(len(time))
+        loading = np.gradient(contraction) < 0
+        repeat = np.cumsum(np.diff(loading, prepend=loading[0]))
+        travel = np.floor((contraction - contraction.min()) / (0.2 * percent))
+        turns = np.flatnonzero(np.diff(repeat))
+        travel[[0, *(turns + 1)]], travel[[*turns, -1]] = -1, -2  # where the friction reverses: not averaged
+        clock = number * (time[-1] + 5) + time
+        parts.append(
+            np.column_stack([clock, np.full(len(time), pressure), force, contraction, loading, repeat, travel])
+        )
+    samples = pd.DataFrame(
+        np.concatenate(parts), columns=["time", "pressure", "force", "contraction", "loading", "repeat", "travel"]
     )
-    return Recording.of(**columns, initial_length=LENGTH, slack_force=1.0).strokes().dataset
+    means = samples.groupby(["pressure", "repeat", "loading", "travel"]).mean().reset_index().sort_values("time")
+    columns = {name: means[name].to_numpy() for name in ("time", "pressure", "force", "contraction")}
+    return IsobaricDataset.of(
+        **columns,
+        set_pressure=columns["pressure"],
+        repeat=means["repeat"].to_numpy(int),
+        direction=np.where(means["loading"] > 0, "loading", "unloading"),
+        initial_length=LENGTH,
+        slack_force=1.0,
+    )
 
 
 @pytest.mark.filterwarnings("ignore::mckibben.errors.McKibbenWarning")  # fast strokes contradict slow ones

@@ -10,8 +10,8 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import identify, rank
-from mckibben.identification.fitting import residual_correlation
-from mckibben.identification.regression import NotIdentifiableError, cross_validate
+from mckibben.identification.least_squares import solve
+from mckibben.identification.regression import NotIdentifiableError, contraction_blocks, cross_validate
 from mckibben.identification.summary import unphysical
 from mckibben.muscle import (
     LAWS,
@@ -130,7 +130,6 @@ def test_directions_and_repeats_are_left_out_where_they_are_recorded():
     assert entry.cross_validation["repeat"].rmse < 4
     errors = [found.rmse for kind, found in entry.cross_validation.items() if kind != "highest pressure"]
     assert entry.error == pytest.approx(np.prod(errors) ** (1 / 4))
-    assert not entry.residual_correlation.pattern
     assert rank(made.select(made.pressure < 1.5 * bar), [ChouLaw]).missing["direction"] == "no direction is recorded"
 
 
@@ -145,14 +144,21 @@ def test_what_is_left_has_to_determine_the_law():
     assert not entry.flags
 
 
-@pytest.mark.slow
-def test_noise_leaves_no_pattern_and_a_wrong_law_does():
-    law = catalog.law("lei-mas-10-180n")
-    patterns = [identify(ExponentialLaw, made_by(law, noise=1.0, seed=seed)) for seed in range(20)]
-    found = [residual_correlation(fit.regression.points, fit.residuals).pattern for fit in patterns]
-    assert sum(bool(text) for text in found) <= 3  # two tests at 2.3 % each
-    wrong = identify(ReynoldsLaw, made_by(law, noise=1.0))
-    assert residual_correlation(wrong.regression.points, wrong.residuals).pattern == "contraction and pressure"
+def test_a_block_that_alone_determines_the_decay_is_predicted_with_the_decay_at_its_bound():
+    """Three of the map's four contractions do not determine an exponential, but the map determines Eq. 2."""
+    ranking = rank(catalog.dataset(MAP), [ReynoldsLaw, ExponentialLaw, HuntLaw])
+    assert [entry.law for entry in ranking.entries] == ["HuntLaw", "ExponentialLaw", "ReynoldsLaw"]
+    errors = ranking.of("ExponentialLaw").cross_validation["contraction"].by_block
+    assert errors["12.4 %"] > 30  # three contractions say little about the fourth
+    regression = ranking.of("ExponentialLaw").fit.regression
+    kept = contraction_blocks(regression.points) != "12.4 %"
+    costs = []
+    for start in (0.1, 0.5, 0.9):  # whatever the start
+        solution = solve(regression.problem.subset(kept), np.array([start]))
+        assert solution.position == 0.0
+        costs.append(solution.cost)
+    assert costs == pytest.approx([costs[0]] * 3, rel=1e-9)
+    assert regression.solution.position[0] == pytest.approx(0.647, abs=1e-3)
 
 
 @pytest.mark.slow

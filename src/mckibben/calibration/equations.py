@@ -383,23 +383,23 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
         (states, creep, before), (angle, velocity, acceleration, pressures, tensions) = carry, row
         angle = angle - zero
         states = joint.update_state(states, angle, pressures)
-        found = joint.forces(angle, velocity, pressures, states)
+        modelled = joint.forces(angle, velocity, pressures, states)
         paths, (arm1, arm2) = joint.geometry.paths_and_arms(angle)
         if joint.has_creep:
             rates = joint.state_rate(states, angle, velocity, pressures)
             states = tuple(
-                one._replace(creep=tuple(x + rate / RATE for x, rate in zip(one.creep, each.creep, strict=True)))
-                for one, each in zip(states, rates, strict=True)
+                state._replace(creep=tuple(x + rate / RATE for x, rate in zip(state.creep, rate_of.creep, strict=True)))
+                for state, rate_of in zip(states, rates, strict=True)
             )
         path = jnp.stack(paths)
         creep = decay * creep + np.sqrt(decay) * stiffness * (path - before)[:, None]  # Maxwell arms, along the path
         more, required = creep.sum(axis=1), loaded.required_torque(angle, velocity, acceleration)
         if not tensions:
-            errors = [required - (found.torque + arm2 * more[1] - arm1 * more[0])]
+            errors = [required - (modelled.torque + arm2 * more[1] - arm1 * more[0])]
         else:
             # Measured tensions in the equation of motion: law errors affect only the errors of the tensions.
             true1, true2 = (measured / gain for measured, gain in zip(tensions, cells, strict=True))
-            columns = zip(tensions, cells, found.tensions, more, strict=True)
+            columns = zip(tensions, cells, modelled.tensions, more, strict=True)
             errors = [measured - gain * (law + rest) for measured, gain, law, rest in columns]
             errors = [required - (arm2 * true2 - arm1 * true1), *errors]
         return (states, creep, path), jnp.stack(errors)

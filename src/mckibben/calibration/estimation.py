@@ -295,8 +295,8 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
 
     def raw(z: Floats) -> list[list[tuple[Floats, Floats]]]:
         """Errors, shape (samples, groups), and their Jacobians, of each recording, for both halves."""
-        found = [[linearised(problem, z, one[half]) for one in recordings] for half in (0, 1)]
-        return [[(filtered(r, n), filtered(j, n)) for (r, j), n in zip(one, starts, strict=True)] for one in found]
+        halves = [[linearised(problem, z, recording[half]) for recording in recordings] for half in (0, 1)]
+        return [[(filtered(r, n), filtered(j, n)) for (r, j), n in zip(half, starts, strict=True)] for half in halves]
 
     def data(z: Floats) -> tuple[float, list[Floats], Floats]:
         """Objective without the prior, its gradients at each sample, and its Gauss-Newton Hessian."""
@@ -323,7 +323,7 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         z, _ = _minimised(terms, z)
         even, odd = raw(z)
         means, apart = ([(a + sign * b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)] for sign in (1, -1))
-        variances = np.array([max(variance_of([one[:, i] for one in means]), _LEAST_VARIANCE) for i in range(groups)])
+        variances = np.array([max(variance_of([mean[:, i] for mean in means]), _LEAST_VARIANCE) for i in range(groups)])
     residual, noise = (float(np.sqrt(np.mean(np.concatenate(errors)[:, 0] ** 2))) for errors in (means, apart))
     bands = friction_places(problem)  # at the bound there is no derivative; the covariance is taken at its edge
     z[bands] = np.maximum(z[bands], (LEAST_FRICTION - 1) / problem.prior["friction"] + _INSIDE)

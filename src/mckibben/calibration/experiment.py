@@ -190,7 +190,7 @@ def _general(load: Load) -> GeneralLoad:
 def field_of(controller: Controller, name: str) -> Any:
     """Field of a controller, or of the one that it wraps; None without."""
     own = getattr(controller, name, None)
-    return own if own is not None else next((field_of(one, name) for one in _inner(controller).values()), None)
+    return own if own is not None else next((field_of(inner, name) for inner in _inner(controller).values()), None)
 
 
 def holds(controller: Controller, name: str) -> bool:
@@ -281,8 +281,8 @@ def read_joint_recording(
     def wanted(header: list[str]) -> dict[str, str]:
         begins = {title.partition("_")[0] for title in header}
         kinds = {"pressure": "Pa", "command": "Pa", "tension": "N"}
-        found = {f"{kind}{i}": unit for kind, unit in kinds.items() if f"{kind}1" in begins for i in (1, 2)}
-        return {"angle": "rad", **(found if {"pressure1", "command1"} & begins else dict.fromkeys(_PRESSURES, "Pa"))}
+        measured = {f"{kind}{i}": unit for kind, unit in kinds.items() if f"{kind}1" in begins for i in (1, 2)}
+        return {"angle": "rad", **(measured if {"pressure1", "command1"} & begins else dict.fromkeys(_PRESSURES, "Pa"))}
 
     times, columns = read_columns(file, wanted)
 

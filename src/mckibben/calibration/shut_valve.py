@@ -366,7 +366,7 @@ def _simulated(z: Array, volumes: Array, areas: Array, periods: Array, blocks: i
         return rate, temperature_rate(temperature, absolute, rate, leaking, room, 0.0)
 
     def follow(state: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], Array]:
-        return lax.fori_loop(0, _SUBSTEPS, lambda _, one: rk4(rates, one, step), state), state[0] + _ZERO * z[3]
+        return lax.fori_loop(0, _SUBSTEPS, lambda _, state: rk4(rates, state, step), state), state[0] + _ZERO * z[3]
 
     own = z[_SHARED:]
     begin = own[::2] * bar, TEMPERATURE * jnp.exp(own[1::2])

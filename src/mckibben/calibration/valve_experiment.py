@@ -118,10 +118,10 @@ class ValveExperiment:
             states = [plant.equilibrium(angle) for angle in (self.lowest, self.highest)]
         else:
             torque = -plant.load.gravity_torque(middle)
-            low, high = (float(one) for one in plant.supplied_joint.attainable_stiffness(middle, torque))
+            low, high = (float(bound) for bound in plant.supplied_joint.attainable_stiffness(middle, torque))
             inside = _INSIDE * (high - low)
-            states = [plant.equilibrium(middle, stiffness=one) for one in (low + inside, high - inside)]
-        return np.array([[float(one) for one in state.pressures] for state in states])
+            states = [plant.equilibrium(middle, stiffness=stiffness) for stiffness in (low + inside, high - inside)]
+        return np.array([[float(pressure) for pressure in state.pressures] for state in states])
 
     def _joints(self, model: AntagonisticJoint) -> list[AntagonisticJoint]:
         """The model, and those in which one muscle is stronger and the other weaker."""

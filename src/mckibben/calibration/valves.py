@@ -160,15 +160,15 @@ class ValveCalibration(Calibration):
     @property
     def differing(self) -> tuple[str, ...]:
         """Names of the quantities of valve and delay in which the two valves differ significantly."""
-        found = []
-        for name in (one.name for one in next(iter(self._problems.values())).parameters):
-            one, two = (self.quantities.get(f"valve{number}.{name}") for number in (1, 2))
-            if one is None or two is None or not (one.determined and two.determined):
+        names = []
+        for name in (parameter.name for parameter in next(iter(self._problems.values())).parameters):
+            first, second = (self.quantities.get(f"valve{number}.{name}") for number in (1, 2))
+            if first is None or second is None or not (first.determined and second.determined):
                 continue
-            low, high = sorted((one.value, two.value))
-            if high - low > _APART * math.hypot(one.deviation, two.deviation) and high > _DIFFERENT * low:
-                found.append(name)
-        return tuple(found)
+            low, high = sorted((first.value, second.value))
+            if high - low > _APART * math.hypot(first.deviation, second.deviation) and high > _DIFFERENT * low:
+                names.append(name)
+        return tuple(names)
 
     @property
     def muscles(self) -> tuple[int, ...]:
@@ -338,7 +338,7 @@ def _with(valve: Any, values: dict[str, Any]) -> Any:
     """The valve with other numbers, named as by `_numbers`."""
     own = {name: value for name, value in values.items() if "." not in name}
     for name in {name.partition(".")[0] for name in values if "." in name}:
-        inner = {each.partition(".")[2]: value for each, value in values.items() if each.startswith(f"{name}.")}
+        inner = {path.partition(".")[2]: value for path, value in values.items() if path.startswith(f"{name}.")}
         own[name] = _with(getattr(valve, name), inner)
     return dataclasses.replace(valve, **own)
 

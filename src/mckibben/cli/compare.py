@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Argument, Option
 
 from mckibben.cli.command import DETAILS, present
-from mckibben.cli.options import Accuracy, Json, echo, long_job, required_folder, with_accuracy
+from mckibben.cli.options import Json, echo, long_job, required_folder
 from mckibben.cli.sweep import Resume, StudyFolder, check_results, show_study
 from mckibben.errors import ParameterError
 from mckibben.storage.files import make_folder
@@ -36,13 +36,12 @@ def compare(
             help="Print one run of the comparison in DIR as a scenario for `mckibben simulate`, such as 'PID 17'.",
         ),
     ] = None,
-    accuracy: Accuracy = "",
     details: DETAILS = False,
     json: Json = False,
 ) -> None:
     """Tune controllers with the same budget, and compare them on the same unseen runs."""
     out = required_folder(out, "comparison")
-    read = _smaller(with_accuracy(_read(suite), accuracy), runs, quick)
+    read = _smaller(_read(suite), runs, quick)
     if repeat is not None:
         echo(_repeated(out, repeat), nl=False)
         return

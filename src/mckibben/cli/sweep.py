@@ -10,7 +10,6 @@ from typer import Argument, Option
 
 from mckibben.cli.command import DETAILS, present
 from mckibben.cli.options import (
-    Accuracy,
     Json,
     ModelFollows,
     keeping,
@@ -18,7 +17,6 @@ from mckibben.cli.options import (
     notify,
     parse_quantity,
     required_folder,
-    with_accuracy,
 )
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free
@@ -55,13 +53,6 @@ def sweep(
     design: Annotated[str | None, Option(metavar="KIND", help="Design: sobol (default), random or grid.")] = None,
     samples: Annotated[int | None, Option(metavar="N", help="Number of runs (default 1024), not for a grid.")] = None,
     seed: Annotated[int | None, Option(metavar="N", help="Seed of the design (default 0).")] = None,
-    metrics: Annotated[
-        list[str] | None,
-        Option(metavar="NAME,NAME", help="Metrics to compute, such as angle_rmse,coupling (default: all)."),
-    ] = None,
-    precision: Annotated[
-        int | None, Option(metavar="BITS", help="64 (default), or 32: half the time, 5 digits, fewer with an encoder.")
-    ] = None,
     engine: Engine = "auto",
     out: StudyFolder = None,
     resume: Resume = False,
@@ -69,7 +60,6 @@ def sweep(
         str | None,
         Option(metavar="CLUSTER", help="local (processes of this machine), or tcp://HOST:PORT of a dask scheduler."),
     ] = None,
-    accuracy: Accuracy = "",
     details: DETAILS = False,
     json: Json = False,
 ) -> None:
@@ -86,17 +76,14 @@ def sweep(
         from mckibben.study.sweep import SweepResult
         from mckibben.study.sweep import sweep as run
 
-        read = with_accuracy(Scenario.read(scenario), accuracy)
         check_results(out, SweepResult, resume)
         swept = run(
-            read,
+            Scenario.read(scenario),
             over or None,
             out=out,
             design=design,
             samples=samples,
             seed=seed,
-            metrics=None if metrics is None else [name.strip() for names in metrics for name in names.split(",")],
-            precision=precision,
             model_follows="all" if model_follows == ["all"] else model_follows or None,
             engine=engine,
             resume=resume,
@@ -163,10 +150,8 @@ def tune(
     iterations: Annotated[int, Option(metavar="N", help="Generations, or steps of the refinement.")] = 30,
     population: Annotated[int, Option(metavar="N", help="Points per generation.")] = 32,
     seed: Annotated[int, Option(metavar="N", help="Seed of the search.")] = 0,
-    engine: Engine = "auto",
     out: StudyFolder = None,
     resume: Resume = False,
-    accuracy: Accuracy = "",
     details: DETAILS = False,
     json: Json = False,
 ) -> None:
@@ -176,7 +161,7 @@ def tune(
     from mckibben.study.tune import TuneResult, parse_cost, parse_ranges
     from mckibben.study.tune import tune as run
 
-    read = [with_accuracy(Scenario.read(path), accuracy) for path in scenarios]
+    read = [Scenario.read(path) for path in scenarios]
     ranges = parse_ranges(parameters or [], read[0])
     late = parse_quantity("--delay-margin", delay_margin, "s")
     wanted = parse_cost(cost, gain_margin=margin, percentile=percentile, delay_margin=late, disk_margin=disk_margin)
@@ -199,7 +184,6 @@ def tune(
             resume=resume,
             model_follows="all" if model_follows == ["all"] else model_follows or (),
             conditions=drawn,
-            engine=engine,
             progress=bar,
         )
         with keeping(out, "make room, and continue with --resume"):

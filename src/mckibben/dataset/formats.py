@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -38,6 +38,7 @@ _OTHER_FORMATS = {
     **dict.fromkeys((b"{", b"[{", b"[["), ("JSON", "write a table: pandas.DataFrame(...).to_csv(...)")),
 }
 _UNITS = ("units", "unit", "unit_string")
+_LARGEST_ATTRIBUTE = 8  # numbers or texts
 _PACKING = ("scale_factor", "add_offset", "_fillvalue", "missing_value", "valid_range", "valid_min", "valid_max")
 _SAYS_NOTHING = re.compile(
     r"class|title|version|name|reference_list|dimension_\w*|flavor|byteorder|field_\d+_\w*|nrows|index|matlab\w*|_nc\w*|"
@@ -127,10 +128,15 @@ def _attributes(node: h5py.Group | h5py.Dataset) -> list[tuple[None, str]]:
             _SAYS_NOTHING.fullmatch(key) and not key.lower().endswith("long_name")
         ):
             continue
-        value = node.attrs[key]
-        if np.size(value) <= 8:
+        if (value := _attribute(node, key)) is not None:
             texts.append((None, f"{key}: {_decoded(value)}"))
     return texts
+
+
+def _attribute(node: h5py.Group | h5py.Dataset, key: str) -> object:
+    """Value of an attribute of at most 8 numbers or texts; None for a larger one, which is not read."""
+    shape = node.attrs.get_id(key).shape
+    return node.attrs[key] if shape is not None and np.prod(shape, dtype=np.float64) <= _LARGEST_ATTRIBUTE else None
 
 
 def _decoded(value: object) -> str:
@@ -144,30 +150,39 @@ def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budg
     if node.shape is None or node.is_virtual or node.external or node.ndim > 2:
         return
     budget.spend(size=node.nbytes)
-    kind = _decoded(node.attrs.get("MATLAB_class", ""))
+    kind = _decoded(_attribute(node, "MATLAB_class")) if "MATLAB_class" in node.attrs else ""
     if kind in ("table", "timetable", "string", "datetime", "duration"):
         table.problems.append(replace(_TABLE, field=name))
     elif node.dtype.names and node.ndim == 1:
-        records = node[()]
-        numbers = [key for key in records.dtype.names if records[key].dtype.kind in "iuf"]
-        table.columns += [RawColumn(f"{name}/{key}", records[key].astype(np.float64), label=key) for key in numbers]
+        table.columns += _record_columns(name, node[()])
     elif kind == "char":
         table.words.append((None, f"{name}: {''.join(map(chr, np.ravel(node[()]).tolist()))[:1000]}"))
     elif node.dtype.kind in "OS" and not kind:
-        texts = [_decoded(text) for text in np.ravel(node[()]).tolist()]
-        if len(texts) == 1:
-            table.words.append((None, f"{name}: {texts[0]}"))
-        elif node.ndim == 1:
-            table.columns.append(RawColumn(name, texts))
+        _add_texts(table, name, [_decoded(text) for text in np.ravel(node[()]).tolist()], node.ndim)
     elif node.dtype.kind in "biuf":
         values = node[()].T if matlab else _unpacked(node)
-        unit = next((_decoded(node.attrs[key]) for key in node.attrs if key.lower() in _UNITS), "")
+        unit = next((_decoded(_attribute(node, key) or "") for key in node.attrs if key.lower() in _UNITS), "")
         _add_matrix(table, name, values, unit)
+
+
+def _record_columns(name: str, records: np.ndarray) -> list[RawColumn]:
+    """Columns of numbers of a compound dataset."""
+    numbers = [key for key in records.dtype.names or () if records[key].dtype.kind in "iuf"]
+    return [RawColumn(f"{name}/{key}", records[key].astype(np.float64), label=key) for key in numbers]
+
+
+def _add_texts(table: RawTable, name: str, texts: Sequence[str], dimensions: int) -> None:
+    """Add a column of texts; a single text as words."""
+    if len(texts) == 1:
+        table.words.append((None, f"{name}: {texts[0]}"))
+    elif dimensions == 1:
+        table.columns.append(RawColumn(name, texts))
 
 
 def _unpacked(node: h5py.Dataset) -> np.ndarray:
     """Values by the conventions of NetCDF: scale and offset applied, missing and invalid ones NaN."""
-    attributes = {key.lower(): np.ravel(np.asarray(node.attrs[key])) for key in node.attrs if key.lower() in _PACKING}
+    packing = {key.lower(): _attribute(node, key) for key in node.attrs if key.lower() in _PACKING}
+    attributes = {key: np.ravel(np.asarray(value)) for key, value in packing.items() if value is not None}
     raw = np.asarray(node[()])
     values = raw.astype(np.float64)
     for key in ("_fillvalue", "missing_value"):
@@ -195,15 +210,13 @@ def _add_matrix(table: RawTable, name: str, array: np.ndarray, unit: str = "") -
 
 
 def _read_matlab(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
-    """Columns of versions 4 to 7: vectors, fields (``rig.p``), columns of matrices (``rig(:,2)``)."""
+    """Columns of versions 5 to 7: vectors, fields (``rig.p``), columns of matrices (``rig(:,2)``)."""
+    if not data.startswith(b"MATLAB 5.0"):
+        older = Problem("is no MATLAB file of version 5 to 7.3", remedy="save it in MATLAB with -v7")
+        raise DatasetError(str(path), [older])
     table = RawTable()
     try:
-        if data.startswith(b"MATLAB 5.0"):
-            variables = dict(MatlabReader(data, budget).variables())
-        else:
-            from scipy.io import loadmat
-
-            variables = {key: value for key, value in loadmat(io.BytesIO(data)).items() if not key.startswith("__")}
+        variables = dict(MatlabReader(data, budget).variables())
     except DatasetError:
         raise
     except Exception as error:  # a damaged file raises nearly any exception
@@ -298,21 +311,26 @@ def _one_group(path: Path, table: RawTable, part: str, mapping: Mapping[str, str
     if not table.columns:
         none = Problem(f"has no column in {part!r}" if part else "has no column of numbers", remedy="give another file")
         raise DatasetError(str(path), table.problems or [none])
-    read = [column for column in table.columns if _is_understood(column, mapping)]
-    lengths = {len(column.cells) for column in read} or {max(len(column.cells) for column in table.columns)}
-    if len(lengths) > 1:
-        grouped = [column.name for column in read if re.search(r"[/.(]", column.name)]
-        names = sorted({re.split(r"[/.(][^/.(]*$", name)[0] for name in grouped})
-        sizes = ", ".join(f"{column.name} ({len(column.cells)})" for column in read[:12])
-        unequal = Problem(f"has columns of unequal length: {sizes}", remedy="ignore the columns of another length")
-        raise DatasetError(str(path), [several("groups", names) if len(names) > 1 else unequal])
-    (length,) = lengths
+    length = _common_length(path, table.columns, mapping)
     table.words += [
         (None, f"{column.name}: {column.cells[:8]}") for column in table.columns if len(column.cells) != length
     ]
     table.columns = [column for column in table.columns if len(column.cells) == length]
     table.lines = range(1, length + 1)
     return table
+
+
+def _common_length(path: Path, columns: Sequence[RawColumn], mapping: Mapping[str, str]) -> int:
+    """Length of all columns that are understood, or of the longest one if there are none."""
+    read = [column for column in columns if _is_understood(column, mapping)]
+    lengths = {len(column.cells) for column in read} or {max(len(column.cells) for column in columns)}
+    if len(lengths) > 1:
+        grouped = [column.name for column in read if re.search(r"[/.(]", column.name)]
+        names = sorted({re.split(r"[/.(][^/.(]*$", name)[0] for name in grouped})
+        sizes = ", ".join(f"{column.name} ({len(column.cells)})" for column in read[:12])
+        unequal = Problem(f"has columns of unequal length: {sizes}", remedy="ignore the columns of another length")
+        raise DatasetError(str(path), [several("groups", names) if len(names) > 1 else unequal])
+    return lengths.pop()
 
 
 def _is_understood(column: RawColumn, mapping: Mapping[str, str]) -> bool:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.checks import Points, questions_of_labels, questions_of_points
 from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import OF_FILE
 from mckibben.errors import DatasetError, Problem, RangeError
+from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.units import show
 
 if TYPE_CHECKING:
     import xarray as xr
+
+    from mckibben.dataset.recipe import Recipe
+    from mckibben.dataset.table import Question
 
 _SMALL = 0.05  # of the largest force: smaller ones may be noise
 _LEAST = 10  # samples in a row
@@ -34,7 +39,7 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
     starts = np.concatenate([[0], np.flatnonzero(values[1:] != values[:-1]) + 1])
     lengths = np.diff(starts, append=count)
     heights = values[starts]
-    found: dict[str, NDArray[np.bool_]] = {}
+    masks: dict[str, NDArray[np.bool_]] = {}
     low, high = heights.min(), heights.max()
     if low == high:
         return {}
@@ -45,8 +50,8 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
     for end, value in (("floor", low), ("ceiling", high)):
         longest = int(lengths[heights == value].max())
         if longest >= max(_LEAST, _LONGER * usual):
-            found[end] = _stretches(values == value)
-    return found
+            masks[end] = _stretches(values == value)
+    return masks
 
 
 def _noisy(heights: NDArray[np.float64], inside: NDArray[np.bool_]) -> bool:
@@ -87,61 +92,117 @@ def _listed(places: list[str]) -> str:
     return f"{', '.join(places[:_NAMED])}{more}"
 
 
-@dataclass(frozen=True, eq=False)
-class ExtractedPoints:
+class ExtractedPoints(Result):
     """Points extracted from a recording (for `identify`), with an account of all samples.
 
     Attributes
     ----------
+    time, pressure, contraction, force, force_spread
+        Mean of each point, shape (points,): [s], gauge [Pa], [-], [N], and standard deviation of the force [N].
     samples
         Number of samples of each point, shape (points,).
+    approach
+        Direction of the last motion before each point, or filling or venting where the length did not change.
+    dataset
+        The points as they are fitted.
     counts
         Number of samples by use or reason for exclusion; they sum to the length of the recording.
     notes
-        Findings: gaps, sensor saturation, levels not reached.
+        Gaps, sensor saturation, the zero of the load cell, and what no muscle does.
+    recipe
+        How the recording was read, written to recipe.yaml.
     """
 
+    files: ClassVar = ("points.csv", "points.nc", "recipe.yaml")
+
+    time: NDArray[np.float64] = column("s", "time", digits=5)
+    pressure: NDArray[np.float64] = column("Pa", "pressure", "bar", digits=5)
+    contraction: NDArray[np.float64] = column("1", "contraction", "percent")
+    force: NDArray[np.float64] = column("N", "force", digits=5)
+    force_spread: NDArray[np.float64] = column("N", "spread", digits=2)
+    samples: NDArray[np.int64] = column("", "samples")
+    approach: list[str] = column("", "direction")
     dataset: IsobaricDataset
-    samples: NDArray[np.int64] = field(repr=False)
     counts: Mapping[str, int]
     notes: tuple[str, ...]
+    recipe: Recipe | None = None
 
-    def describe(self) -> str:
-        """Counts of samples by use, and the notes, as text."""
-        return format_counts(self.counts, self.notes)
+    def verdict(self) -> str:
+        """Return the numbers of points and samples."""
+        return f"{len(self.samples)} points from {format_counts(self.counts)}"
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return the notes."""
+        return [Remark.warning("samples", note) for note in self.notes]
+
+    def listings(self) -> Iterable[Listing]:
+        """Return the points, and the use of the samples."""
+        yield from super().listings()
+        use = {"use": (Column(), [*self.counts]), "count": (Column("", "samples"), [*self.counts.values()])}
+        yield Listing("use of the samples", use, detail=True)
+
+    def write(self, folder: Path) -> None:
+        """Write the points as CSV and, with spread and attributes, as NetCDF; and the recipe."""
+        self.dataset.to_csv(folder / "points.csv")
+        self.dataset.to_netcdf(folder / "points.nc")
+        if self.recipe is not None:
+            self.recipe.to_yaml(folder / "recipe.yaml")
 
 
 def extracted_points(
     table: xr.Dataset, account: SampleAccount, rest: str, samples: NDArray[np.int64], **columns: ArrayLike | None
 ) -> ExtractedPoints:
-    """Points of a recording's table; `columns` are the dataset columns and ``force_spread``."""
-    spread = ("point", columns.pop("force_spread"))
-    attrs = {name: value for name, value in table.attrs.items() if name not in OF_FILE}
-    dataset = IsobaricDataset.of(**columns, **attrs)  # type: ignore[arg-type]
-    dataset = IsobaricDataset(dataset.table.assign(force_spread=spread).assign_attrs(table.attrs))
-    return ExtractedPoints(dataset, samples, account.counts(rest), tuple(account.notes))
+    """Points of a recording's table; `columns` are the dataset columns and ``force_spread``.
 
-
-def checked(points: ExtractedPoints) -> ExtractedPoints:
-    """The points, with notes of what no muscle does.
-
-    Raises a `DatasetError` if most forces are negative, and do not rise with the pressure.
+    The offset of the load cell is subtracted, unless the slack force is known. Raises a `DatasetError` if most forces
+    are negative, and do not rise with the pressure.
     """
-    pressure, force = points.dataset.pressure, points.dataset.force
+    spread = np.asarray(columns.pop("force_spread"), np.float64)
+    attrs = {name: value for name, value in table.attrs.items() if name not in OF_FILE}
+    points = IsobaricDataset.of(**columns, **attrs).table  # type: ignore[arg-type]
+    points = points.assign(force_spread=("point", spread)).assign_attrs(table.attrs)
+    notes = [*account.notes]
+    if not points.attrs["slack_force"]:
+        points, more = without_offset(points)
+        points, notes = with_notes(points, more), notes + more
+    dataset = IsobaricDataset(points)
+    _check_sign(dataset)
+    notes += [question.problem.message for question in _questions(dataset)]
+    words = [
+        points[name].to_numpy() if name in points else np.full(len(dataset), "") for name in ("direction", "phase")
+    ]
+    return ExtractedPoints(
+        points["time"].to_numpy(),
+        dataset.pressure,
+        dataset.contraction,
+        dataset.force,
+        spread,
+        samples,
+        [str(direction or phase or "-") for direction, phase in zip(*words, strict=True)],
+        dataset,
+        account.counts(rest),
+        tuple(notes),
+    )
+
+
+def _check_sign(dataset: IsobaricDataset) -> None:
+    """Raise a `DatasetError` if most forces are negative, and do not rise with the pressure."""
+    pressure, force = dataset.pressure, dataset.force
     limit = _SMALL * np.abs(force).max(initial=0.0)
     falls = (pressure - pressure.mean()) @ force <= 0  # otherwise it is a pull with an offset
     if falls and np.count_nonzero(force < -limit) > np.count_nonzero(force > limit):
         text = f"most forces are negative, down to {force.min():.4g} N, but a muscle only pulls"
         remedy = "turn the sign: force_sign=-1 (command line: --column 'HEADER=-force_N')"
-        raise DatasetError(
-            points.dataset.table.attrs["source"] or "recording", [Problem(text, field="force", remedy=remedy)]
-        )
-    contraction, slack = points.dataset.contraction, points.dataset.table.attrs["slack_force"]
-    rows = np.arange(1, len(force) + 1)
-    asked = questions_of_points(Points(pressure, contraction, force, rows, force, slack))
-    asked += questions_of_labels(points.dataset)
-    notes = (question.problem.message for question in asked)
-    return replace(points, notes=(*points.notes, *notes))
+        source = dataset.table.attrs["source"] or "recording"
+        raise DatasetError(source, [Problem(text, field="force", remedy=remedy)])
+
+
+def _questions(dataset: IsobaricDataset) -> list[Question]:
+    """Questions that the numbers of points raise."""
+    force, rows = dataset.force, np.arange(1, len(dataset) + 1)
+    slack = dataset.table.attrs["slack_force"]
+    points = Points(dataset.pressure, dataset.contraction, force, rows, force, slack)
+    return [*questions_of_points(points), *questions_of_labels(dataset)]
 
 
 class SampleAccount:
@@ -166,12 +227,12 @@ class SampleAccount:
     def counts(self, rest: str) -> dict[str, int]:
         """Number of samples by reason; samples without one count as `rest`."""
         self.assign_reason(self.of < 0, rest)
-        found = np.bincount(self.of, minlength=len(self.reasons))
-        return {reason: int(n) for reason, n in zip(self.reasons, found, strict=True) if n or reason == "used"}
+        sizes = np.bincount(self.of, minlength=len(self.reasons))
+        return {reason: int(n) for reason, n in zip(self.reasons, sizes, strict=True) if n or reason == "used"}
 
     def describe(self, rest: str) -> str:
         """`counts` and notes as indented text."""
-        return format_counts(self.counts(rest), self.notes).replace("\n", "\n  ")
+        return "\n  ".join([format_counts(self.counts(rest)), *self.notes])
 
     def _breaks(self, gap: float | None) -> NDArray[np.bool_]:
         """Samples after a gap or a backward clock step."""
@@ -209,7 +270,6 @@ class SampleAccount:
             self.assign_reason(where, f"at the {end} of {name}")
 
 
-def format_counts(counts: Mapping[str, int], notes: tuple[str, ...] | list[str]) -> str:
-    """Counts and notes as text."""
-    parts = ", ".join(f"{count} {reason}" for reason, count in counts.items())
-    return "\n".join([f"{sum(counts.values())} samples: {parts}", *notes])
+def format_counts(counts: Mapping[str, int]) -> str:
+    """Counts as text."""
+    return f"{sum(counts.values())} samples: {', '.join(f'{count} {reason}' for reason, count in counts.items())}"

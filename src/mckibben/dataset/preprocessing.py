@@ -274,40 +274,50 @@ def slack_force(force: Floats, contraction: Floats, pressure: Floats, passes: In
     if len(lowest) < _FEWEST_SLACK or not np.ptp(force):
         return None
     *below_gap, number = _below_gap(force) or (0,)
-    for found in (_clipped(force, contraction, passes) or _mode(lowest), below_gap):
-        if not found:
+    for estimate in (_clipped(force, contraction, passes) or _mode(lowest), below_gap):
+        if not estimate:
             continue
-        offset, noise = found
+        offset, noise = estimate
         slack = np.abs(force - offset) <= _OUTSIDE * noise
-        by_gap = found is below_gap or np.count_nonzero(slack) == number
-        if np.count_nonzero(slack) < _FEWEST_SLACK:
+        points = np.count_nonzero(slack)
+        by_gap = estimate is below_gap or points == number
+        if points < _FEWEST_SLACK:
             continue
         if offset == noise == 0:  # of a model, or as a program has set them
             return None
-        if _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force):  # scatter of taut points, not noise
-            continue
         behind = contraction[slack] >= _largest_taut(force > offset + _OUTSIDE * noise, contraction, pressure)[slack]
-        if behind.mean() < _TAIL:
+        scatter = _OUTSIDE * noise > _LOWEST_FORCES * np.ptp(force)  # of taut points, not noise
+        if scatter or behind.mean() < _TAIL:
             continue
-        dependent = _SURELY if by_gap else _DEPENDENT
-        if _explained(force[slack], contraction[slack], pressure[slack]) > dependent:
+        if _explained(force[slack], contraction[slack], pressure[slack]) > (_SURELY if by_gap else _DEPENDENT):
             continue
         above_taut = _above_taut(force, contraction, pressure, slack, _OUTSIDE * noise)
-        if np.ptp(contraction[slack]) <= _SAME_LENGTH:
-            taut = not above_taut
-        elif by_gap:  # strokes that end at one force are there at one length each
-            groups = (contraction[slack & (passes == one)] for one in np.unique(passes[slack]))
-            taut = all(np.ptp(group) <= _SAME_LENGTH for group in groups)
-        else:
-            taut = _pulls(force[slack], contraction[slack], pressure[slack], passes[slack])
-        if taut:
+        if _are_taut(force, contraction, pressure, passes, slack, above_taut=above_taut, by_gap=by_gap):
             continue
         above = (force - offset)[_beyond(slack, contraction, passes)]
         limit = max(_OUTSIDE * noise, float(above[above <= _FAR * noise].max(initial=0.0)))
-        points = np.count_nonzero(slack)
         no_pull = abs(offset) <= _OUTSIDE * noise / points**0.5 or pressure[slack].max() <= _NO_PRESSURE
         return Slack(offset, noise, int(points), limit, sure=bool(no_pull or above_taut is not False))
     return None
+
+
+def _are_taut(
+    force: Floats,
+    contraction: Floats,
+    pressure: Floats,
+    passes: Ints,
+    slack: Bools,
+    *,
+    above_taut: bool | None,
+    by_gap: bool,
+) -> bool:
+    """Whether the lowest forces, `slack`, are those of a taut muscle."""
+    if np.ptp(contraction[slack]) <= _SAME_LENGTH:
+        return not above_taut
+    if by_gap:  # strokes that end at one force are there at one length each
+        groups = (contraction[slack & (passes == stroke)] for stroke in np.unique(passes[slack]))
+        return all(np.ptp(group) <= _SAME_LENGTH for group in groups)
+    return _pulls(force[slack], contraction[slack], pressure[slack], passes[slack])
 
 
 def _mode(lowest: Floats) -> tuple[float, float]:

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 LARGEST = 2**27
 """Bytes of a file, and of its numbers."""
-_ROWS = 2**22
+_ROWS = 1_500_000
 _COLUMNS = 1024
 _SECONDS = 10.0
 LIMIT_REMEDY = "split the file, or save fewer rows and columns"

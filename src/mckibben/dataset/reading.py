@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from mckibben.dataset.preprocessing import preprocess
 from mckibben.dataset.raw import LIMIT_REMEDY
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
-from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, FileLines, holds_own_table
+from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, FileLines, holds_own_table, load_validated
 from mckibben.dataset.table import Question, Table
 from mckibben.dataset.understanding import understand
 from mckibben.errors import DatasetError, Problem, RangeError, described
@@ -35,6 +36,7 @@ FilePaths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
 _POINTS = ("pressure", "contraction", "force")
 _SAMPLES = ("time", "pressure", "force", "contraction", "set_pressure")
 _PAUSE = 20  # intervals between two files
+_NAMED = re.compile(r"(HEADER(?:': '|=)-?)(?:force_N|pressure_bar)(_abs)?")  # in a remedy
 _RATE = (
     "name the column of the time: columns={'HEADER': 'time_s'} (command line: --column 'HEADER=time_s'), or give "
     "sample_rate (command line: --sample-rate '1000 Hz')"
@@ -131,7 +133,16 @@ def check_points(
     )
     asked = [*questions_of_points(points, specimen), *questions_of_labels(dataset)]
     if problems := [question.problem for question in asked if question.topic not in accept or not question.topic]:
-        raise DatasetError(source, problems)
+        raise DatasetError(source, [_with_header(problem, dataset) for problem in problems])
+
+
+def _with_header(problem: Problem, dataset: IsobaricDataset) -> Problem:
+    """Problem whose remedy names the column of the file and its unit, if they are known."""
+    lines = dataset.lines[0] if dataset.lines else None
+    if lines is None or not (unit := lines.units.get(problem.field)) or not problem.remedy:
+        return problem
+    remedy = _NAMED.sub(lambda match: f"{match[1]}{problem.field}_{unit}{match[2] or ''}", problem.remedy)
+    return replace(problem, remedy=remedy.replace("HEADER", lines.headers.get(problem.field, "HEADER")))
 
 
 def _paths(path: FilePaths) -> list[Path]:
@@ -190,13 +201,16 @@ def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, o
     if own:
         attrs = {name: text for name, text in attrs.items() if name == "repairs"}
         attrs |= {"preprocessing": table.preprocessing} if table.preprocessing != "none" else {}
-    return replace(kind(made.table.assign_attrs(attrs)), lines=(FileLines(table.place, table.lines.tolist(), units),))
+    headers = {name: column.header for name, column in table.columns.items()}
+    lines = FileLines(table.place, table.lines.tolist(), units, headers=headers)
+    return replace(kind(made.table.assign_attrs(attrs)), lines=(lines,))
 
 
 def _read_points(path: Path, recipe: Recipe) -> tuple[IsobaricDataset, bool]:
     """Points of a file as they are, and whether this program wrote it."""
     if holds_own_table(path):
-        return _own(IsobaricDataset, path, recipe), True
+        dataset = _own(IsobaricDataset, path, recipe)
+        return dataset, dataset.table.attrs.pop("samples", "") == ""
     table, own = _understood(path, recipe, _POINTS)
     if own:
         table.questions = [asked for asked in table.questions if asked.topic in ("", "corrupt")]
@@ -247,7 +261,7 @@ def _own(kind: type[Kind], path: Path, recipe: Recipe) -> Kind:
             "was written by this program: its columns cannot be renamed", remedy="leave columns and from_name out"
         )
         raise DatasetError(str(path), [problem])
-    data = kind.from_netcdf(path)
+    data = load_validated(path, lambda table: kind(_samples_as_points(table) if kind is IsobaricDataset else table))
     options = {name: getattr(recipe, name) for name in ("initial_length", "specimen", "slack_force")}
     changes = {name: value for name, value in options.items() if value not in (None, "")}
     table = data.table.assign(force=(recipe.force_sign or 1) * data.table["force"])
@@ -256,6 +270,12 @@ def _own(kind: type[Kind], path: Path, recipe: Recipe) -> Kind:
     return (
         kind(table.assign_attrs(changes)) if changes or recipe.force_sign or recipe.largest_force is not None else data
     )
+
+
+def _samples_as_points(table: xr.Dataset) -> xr.Dataset:
+    """Table of a recording as that of points, marked by an attribute; any other table as it is."""
+    is_recording = "sample" in table.dims and "point" not in table.dims
+    return table.rename(sample="point").assign_attrs(samples="yes") if is_recording else table
 
 
 def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
@@ -268,11 +288,7 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     common = [name for name in columns if all(name in table for table in tables)]
     if problems := _differences(tables, columns, common):
         raise DatasetError(source, problems)
-    attrs = dict(tables[0].attrs)
-    attrs["source"] = ", ".join(dict.fromkeys(str(table.attrs["source"]) for table in tables))
-    for name in (*OF_FILE, "preprocessing"):
-        said = [(file, table.attrs[name]) for file, table in zip(names, tables, strict=True) if name in table.attrs]
-        attrs |= {name: "\n".join(f"{file}:\n{text}" for file, text in said)} if said else {}
+    attrs = _joined_attributes(names, tables)
     tables = [table[common] for table in tables]
     tables = _distinct_repeats(tables) if "repeat" in common else tables
     tables = _one_after_another(tables, apart=isinstance(parts[0], Recording)) if "time" in common else tables
@@ -282,6 +298,16 @@ def _joined(parts: Sequence[Kind], path: FilePaths) -> tuple[Kind, str]:
     lines = [part.lines[0] if part.lines else FileLines("row", range(1, len(part) + 1), {}) for part in parts]
     named = tuple(part._replace(file=name) for name, part in zip(names, lines, strict=True))
     return type(parts[0])(joined.assign_attrs(attrs), named), source
+
+
+def _joined_attributes(names: Sequence[str], tables: Sequence[xr.Dataset]) -> dict[Hashable, Any]:
+    """Attributes of the first table, with all sources, and what is said of each file."""
+    attrs = dict(tables[0].attrs)
+    attrs["source"] = ", ".join(dict.fromkeys(str(table.attrs["source"]) for table in tables))
+    for name in (*OF_FILE, "preprocessing"):
+        said = [(file, table.attrs[name]) for file, table in zip(names, tables, strict=True) if name in table.attrs]
+        attrs |= {name: "\n".join(f"{file}:\n{text}" for file, text in said)} if said else {}
+    return attrs
 
 
 def _differences(tables: Sequence[xr.Dataset], columns: Sequence[str], common: Sequence[str]) -> list[Problem]:

@@ -2,42 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.component.checks import check_number, check_positive
-from mckibben.dataset.isobaric import IsobaricDataset
-from mckibben.dataset.isometric import (
-    BAND,
-    FASTEST,
-    LEAST,
-    REVERSAL,
-    held_contraction,
-    lines_through,
-    named_cells,
-    pressure_levels,
-    refuse_staircase,
-    split_phases,
-)
-from mckibben.dataset.points import ExtractedPoints, SampleAccount, checked, extracted_points
-from mckibben.dataset.preprocessing import with_notes, without_offset
+from mckibben.component.checks import check_positive
+from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
-from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments, strokes
+from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
 from mckibben.errors import DatasetError, RangeError
 from mckibben.result import draw
-from mckibben.units import bar, kPa, percent, show
+from mckibben.units import bar, kPa, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FEW_USED = 0.1  # of the samples
-_LEAST = 20  # samples of a constant pressure
 _CONTINUOUS = (
-    "if the length changes slowly all the time, fit the samples themselves: mk.read_dataset(path) (command line: "
-    "mckibben identify FILE)"
+    "if length or pressure change slowly all the time, fit the samples: mk.read_dataset(path) (command line: mckibben "
+    "identify FILE)"
 )
 
 
@@ -45,8 +30,8 @@ _CONTINUOUS = (
 class Recording(MeasuredTable):
     """Samples of a test in the order of time, made by `of` or `read_recording`.
 
-    `plateaus` extracts points where pressure and contraction were constant, `isometric` where a muscle of fixed length
-    was filled and vented. A `DatasetError` lists variables that are missing, or of the wrong shape, unit or range.
+    `plateaus` extracts points where pressure and contraction were constant. A `DatasetError` lists variables that are
+    missing, or of the wrong shape, unit or range.
 
     Attributes
     ----------
@@ -205,12 +190,12 @@ class Recording(MeasuredTable):
             signals.append((force, force_tolerance))
         least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
         unusable = account.broken | (account.of >= 0)
-        found = steady_segments(signals, unusable, least)
-        account.assign_reason(found.drifting, "drifting")
-        first, last = found.first, found.last
+        segments = steady_segments(signals, unusable, least)
+        account.assign_reason(segments.drifting, "drifting")
+        first, last = segments.first, segments.last
         firsts = zip(first, last, strict=True)
         begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
-        begins, ends = np.maximum(begins, first + found.edge), last - found.edge
+        begins, ends = np.maximum(begins, first + segments.edge), last - segments.edge
         # first to last sample plus one interval: each sample stands for one
         whole = (time[last - 1] - time[first] + interval >= dwell * (1 - 1e-6)) & (ends > begins)
         for a, b in zip(first[~whole], last[~whole], strict=True):
@@ -221,15 +206,13 @@ class Recording(MeasuredTable):
         first, begins, ends, last = first[whole], begins[whole], ends[whole], last[whole]
         shorter = "" if len(first) >= FEW else shorter_dwell(signals, unusable, least, interval, len(first))
         if not len(first):
-            fixed = np.ptp(contraction) <= 2 * contraction_tolerance
             raise RangeError(
                 f"nothing in the recording is steady for {dwell:g} s\n  {account.describe('not steady')}",
                 value=dwell,
                 unit="s",
                 remedy=shorter
                 or "allow a larger pressure_tolerance (command line: --pressure-tolerance) or contraction_tolerance "
-                "(command line: --contraction-tolerance); "
-                + ("for a ramp of the pressure use isometric() (command line: --isometric)" if fixed else _CONTINUOUS),
+                f"(command line: --contraction-tolerance); {_CONTINUOUS}",
             )
         if shorter:
             account.notes.append(f"{len(first)} plateaus are steady for {dwell:g} s: {shorter}")
@@ -258,7 +241,7 @@ class Recording(MeasuredTable):
                 account.notes.append(
                     f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
                 )
-        points = extracted_points(
+        return extracted_points(
             self.table,
             account,
             "not steady",
@@ -272,217 +255,3 @@ class Recording(MeasuredTable):
             set_pressure=set_pressure,
             force_spread=spread,
         )
-        return _without_offset(points)
-
-    def strokes(
-        self,
-        *,
-        step: float = 0.2 * percent,
-        pressure_tolerance: float = 10 * kPa,
-        level_tolerance: float = 10 * kPa,
-        gap: float | None = None,
-    ) -> ExtractedPoints:
-        """Points along the strokes at constant pressures, also fast ones: means over equal parts of the travel.
-
-        `identify_hysteresis` finds from strokes at several speeds how the friction depends on the rate.
-
-        Parameters
-        ----------
-        step
-            Travel of a part, as a contraction [-].
-        pressure_tolerance
-            The pressure is constant while it stays within this [Pa] of its middle.
-        level_tolerance, gap
-            As in `plateaus`.
-
-        Raises
-        ------
-        RangeError
-            If an argument is invalid, the contraction is unknown, or there are no strokes in both directions.
-        """
-        check_positive("strokes", step=step)
-        check_positive("strokes", "Pa", pressure_tolerance=pressure_tolerance, level_tolerance=level_tolerance)
-        if self.contraction is None:
-            raise RangeError(
-                "the recording has no contraction",
-                remedy="give columns of lengths and initial_length when reading it",
-            )
-        account = SampleAccount(self.table, gap)
-        constant = steady_segments([(self.pressure, pressure_tolerance)], account.broken | (account.of >= 0), _LEAST)
-        blocks, level = np.full(len(self), -1), np.zeros(len(self))
-        for number, (a, b) in enumerate(zip(constant.first, constant.last, strict=True)):
-            blocks[a:b] = number
-        account.assign_reason(blocks < 0, "at varying pressure")
-        at, means = np.flatnonzero(blocks >= 0), np.empty(0)
-        if len(at):
-            count = np.bincount(blocks[at])
-            means = np.bincount(blocks[at], self.pressure[at]) / count
-            never = np.zeros(len(means), bool)
-            level[at] = levels_of(means, level_tolerance, never, level_tolerance)[0][blocks[at]]
-        if "set_pressure" in self.table:
-            level = self.table["set_pressure"].to_numpy()
-        found = strokes(self.contraction, blocks, step)
-        if 2 * np.count_nonzero(blocks < 0) > len(blocks):
-            account.notes.append(
-                f"the pressure varies by more than {show(pressure_tolerance, 'kPa')} in most samples: allow more by "
-                "pressure_tolerance (command line: --pressure-tolerance)"
-            )
-        if not (found.loading.any() and not found.loading.all()):
-            raise RangeError(
-                f"no strokes in both directions at constant pressure\n  {account.describe('at rest')}",
-                remedy="allow a larger pressure_tolerance (command line: --pressure-tolerance), or a shorter step",
-            )
-        used = np.flatnonzero(found.of >= 0)
-        account.assign_reason(used, "used")
-        owner = found.of[used]
-        samples = np.bincount(owner, minlength=len(found.stroke))
-
-        def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            return np.bincount(owner, values[used], len(samples)) / samples
-
-        force, at_level = mean(self.force), mean(level)
-        spread = np.sqrt(np.bincount(owner, (self.force[used] - force[owner]) ** 2, len(samples)) / samples)
-        return checked(
-            extracted_points(
-                self.table,
-                account,
-                "at rest",
-                samples,
-                pressure=mean(self.pressure),
-                contraction=mean(self.contraction),
-                force=force,
-                direction=np.where(found.loading, "loading", "unloading"),
-                repeat=found.stroke,
-                time=mean(self.time),
-                set_pressure=np.round(at_level, 3),
-                force_spread=spread,
-            )
-        )
-
-    def isometric(
-        self,
-        levels: ArrayLike | None = None,
-        *,
-        count: int = 12,
-        contraction: float | None = None,
-        contraction_tolerance: float = 0.5 * percent,
-        band: float | None = None,
-        reversal: float | None = None,
-        gap: float | None = None,
-    ) -> ExtractedPoints:
-        """Points at given pressures of a recording at a fixed length, separately for each filling and venting.
-
-        At each level the force is given by a least-squares line through the samples near that pressure; nothing needs
-        to be steady. A level passed faster than the range of the pressure in 2 s is a valve transient, not a point.
-
-        Parameters
-        ----------
-        levels, count
-            Pressures [Pa]. Default: `count` evenly spaced pressures inside the range of the recording.
-        contraction
-            Contraction of the test [-]. Default: the recorded one; between gaps, as in several files, it may differ.
-        contraction_tolerance
-            Largest deviation of a recorded contraction from its median [-]; samples beyond are left out.
-        band
-            Largest deviation of a sample's pressure from its level [Pa]. Default: half the smallest distance between
-            levels, and at most a fortieth of their range.
-        reversal
-            Distance from its last extreme [Pa] at which the pressure has reversed. Default: 5 % of its range, at least
-            10 kPa. Samples in between belong to neither phase: the muscle rests, or friction has not reversed yet.
-        gap
-            As for `plateaus`.
-
-        Returns
-        -------
-        ExtractedPoints
-            The dataset has ``phase`` ("filling" or "venting"), ``repeat`` (the filling or venting's number, from 0),
-            ``set_pressure`` (the level) and ``force_spread`` (about the line); no direction.
-
-        Raises
-        ------
-        RangeError
-            If an argument is invalid, the contraction is unknown, no level was passed, or the pressure was changed in
-            steps, for which `plateaus` is intended.
-        DatasetError
-            If most forces are negative, and do not rise with the pressure: the sign is wrong.
-        """
-        if reversal is not None:
-            check_positive("isometric", "Pa", reversal=reversal)
-        check_positive("isometric", contraction_tolerance=contraction_tolerance)
-        check_number("isometric", contraction=contraction)
-        time, pressure, force = self.time, self.pressure, self.force
-        if not len(time):
-            raise RangeError("the recording has no samples")
-        account = SampleAccount(self.table, gap)
-        of_sample = held_contraction(self.table, contraction, contraction_tolerance, account)
-        usable = account.of < 0
-        wanted = pressure_levels(pressure[usable], levels, count)
-        spacing = np.diff(wanted).min() if len(wanted) > 1 else np.inf
-        if band is None:
-            band = float(min(spacing / 2, np.ptp(wanted) / BAND)) if len(wanted) > 1 else 10 * kPa
-        check_positive("isometric", "Pa", band=band)
-        if 2 * band > spacing * (1 + 1e-9):
-            raise RangeError(
-                f"bands of {band:g} Pa around levels {spacing:g} Pa apart overlap",
-                value=band,
-                upper=spacing / 2,
-                unit="Pa",
-            )
-        span = float(np.ptp(pressure[usable])) if usable.any() else 0.0
-        if reversal is None:
-            reversal = max(10 * kPa, span / REVERSAL)
-        phases, held = split_phases(pressure, account.broken, reversal).at_contraction(of_sample)
-        interval = float(np.median(np.abs(np.diff(time)))) if len(time) > 1 else np.inf
-        refuse_staircase(pressure, phases, interval)
-        account.assign_reason(phases.of < 0, "at rest or turning")
-        usable = account.of < 0
-
-        nearest = np.clip(np.searchsorted(wanted, pressure), 1, len(wanted) - 1) if len(wanted) > 1 else 0
-        if len(wanted) > 1:
-            nearest = np.where(pressure - wanted[nearest - 1] < wanted[nearest] - pressure, nearest - 1, nearest)
-        offset = pressure - wanted[nearest]
-        near = usable & (np.abs(offset) <= band)
-        account.assign_reason(usable & ~near, "between levels")
-        cell = (phases.of * len(wanted) + nearest)[near]
-        sums = lines_through(cell, offset[near], force[near], time[near], len(phases.rising) * len(wanted))
-        account.assign_reason(near, "used")
-
-        passed = (sums.samples >= LEAST) & (sums.below < 0) & (sums.above > 0)
-        fast = passed & (sums.rate(interval) > span / FASTEST)
-        for out, reason in ((fast, "of a transient"), (~passed, "too few at a level")):
-            account.of[np.flatnonzero(near)[out[cell]]] = -1
-            account.assign_reason(near, reason)
-        index = np.flatnonzero(passed & ~fast)
-        for out, what in ((~passed, "not passed"), (fast, f"passed faster than {span / FASTEST / bar:.2g} bar/s")):
-            if out.any():
-                account.notes.append(f"{what}: {named_cells(out.reshape(-1, len(wanted)), wanted, phases)}")
-        if not len(index):
-            raise RangeError(
-                f"no level is passed\n  {account.describe('between levels')}",
-                remedy="give levels inside the range of the pressure, a wider band, or a smaller reversal",
-            )
-        phase_of, level_of = index // len(wanted), wanted[index % len(wanted)]
-        found = extracted_points(
-            self.table,
-            account,
-            "between levels",
-            sums.samples[index],
-            pressure=level_of,
-            contraction=held[phase_of],
-            force=sums.force[index],
-            phase=np.where(phases.rising, "filling", "venting")[phase_of],
-            repeat=phases.repeat[phase_of],
-            time=sums.time[index],
-            set_pressure=level_of,
-            force_spread=sums.spread[index],
-        )
-        return _without_offset(found) if len(np.unique(held)) > 1 else checked(found)  # one may not show it
-
-
-def _without_offset(points: ExtractedPoints) -> ExtractedPoints:
-    """Points without the offset of the load cell, unless the slack force is known."""
-    if points.dataset.table.attrs["slack_force"]:
-        return checked(points)
-    table, notes = without_offset(points.dataset.table)
-    found = replace(points, dataset=IsobaricDataset(with_notes(table, notes)), notes=(*points.notes, *notes))
-    return checked(found)

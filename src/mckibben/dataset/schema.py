@@ -9,6 +9,7 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Seq
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Self, TypeVar
 
 import numpy as np
@@ -319,13 +320,14 @@ def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
 class FileLines(NamedTuple):
     """Lines, or rows of a table, from which the points of a file were read; `file` is empty for a single file.
 
-    `units` are those of its columns, by quantity.
+    `units` and `headers` are those of its columns, by quantity.
     """
 
     unit: str
     numbers: Sequence[int]
     units: Mapping[str, str]
     file: str = ""
+    headers: Mapping[str, str] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False, repr=False)

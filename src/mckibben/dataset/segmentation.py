@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.preprocessing import one_way_parts
 from mckibben.units import kPa
 
 if TYPE_CHECKING:
@@ -193,43 +192,3 @@ def approaches(
         if moved[i] == pressed[i] == 0 and not anew[i]:  # the same plateau, interrupted by a disturbance
             direction[i], phase[i] = direction[i - 1], phase[i - 1]
     return direction, phase.astype("<U9")
-
-
-class Strokes(NamedTuple):
-    """Equal parts of the travel of strokes, and their ends: part of each sample, -1 at rest; stroke and direction."""
-
-    of: NDArray[np.int64]
-    stroke: NDArray[np.int64]
-    loading: NDArray[np.bool_]
-
-
-_REST = 0.05  # of a part: less travel from the end of a stroke is rest
-_FEWEST_PARTS = 4  # parts of a stroke
-
-
-def strokes(contraction: NDArray[np.float64], blocks: NDArray[np.int64], step: float) -> Strokes:
-    """Split strokes between reversals into parts with a travel of `step` [-]; samples of a block -1 do not count."""
-    of, stroke, loading = np.full(len(contraction), -1), [], []
-    ends = np.flatnonzero(np.diff(blocks)) + 1
-    count = 0
-    for rows in np.split(np.arange(len(blocks)), ends):
-        if not len(rows) or blocks[rows[0]] < 0:
-            continue
-        for part, word in one_way_parts(contraction[rows]):
-            places = rows[part]
-            values = contraction[places] * (-1.0 if word == "loading" else 1.0)
-            if values[-1] - values[0] < _FEWEST_PARTS * step:
-                continue
-            moving = np.arange(
-                np.flatnonzero(values <= values[0] + _REST * step)[-1],
-                np.flatnonzero(values >= values[-1] - _REST * step)[0] + 1,
-            )
-            travel = np.maximum.accumulate(values[moving] - values[moving[0]])
-            bins = np.unique((travel / step).astype(int), return_inverse=True)[1] + 1
-            bins[0], bins[-1] = 0, bins.max() + 1  # the turning points, where the friction reverses
-            bins = np.unique(bins, return_inverse=True)[1]
-            of[places[moving]] = len(stroke) + bins
-            stroke += [count] * (bins.max() + 1)
-            loading += [word == "loading"] * (bins.max() + 1)
-            count += 1
-    return Strokes(of, np.array(stroke, np.int64), np.array(loading, bool))

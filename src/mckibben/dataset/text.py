@@ -258,19 +258,23 @@ def _aligned(
     counts = np.array([_count(line, separator) for _, line in rows])
     if len(counts) and counts.min() > len(header):
         begin = [_split(line, separator) for _, line in rows[:1000]]
-        numbered = [cells[0] for cells in begin] in ([str(at + first) for at in range(len(begin))] for first in (0, 1))
-        certain = separator != "," or any("." in line for _, line in rows)  # decimal commas look like row numbers
         if all(not any(cells[len(header) :]) for cells in begin):
             rows = [(number, separator.join(_split(line, separator)[: len(header)])) for number, line in rows]
             counts[:] = len(header)
-        elif (counts == len(header) + 1).all() and numbered and certain:
-            header = ["row number", *header]
+        elif (counts == len(header) + 1).all() and _are_numbered(begin):
+            certain = separator != "," or any("." in line for _, line in rows)  # decimal commas look like row numbers
+            header = ["row number", *header] if certain else header
     for at in np.flatnonzero(counts != len(header))[:_LISTED].tolist():
         text = f"has {counts[at]} cell{'s' if counts[at] != 1 else ''}, the header {len(header)}"
         if rows[at][0] == len(lines):
             text += ", and no line end: the file was truncated here"
         table.corrupt.append(Problem(text, line=rows[at][0]))
     return [row for row, count in zip(rows, counts, strict=True) if count == len(header)], header
+
+
+def _are_numbered(rows: Sequence[Sequence[str]]) -> bool:
+    """Whether the first cells count the rows from 0 or 1."""
+    return [cells[0] for cells in rows] in ([str(at + first) for at in range(len(rows))] for first in (0, 1))
 
 
 def _count(line: str, separator: str) -> int:
@@ -319,7 +323,6 @@ def _parse_numbers(
             dtype=np.float64,
             decimal=sign,
             na_filter=False,
-            float_precision="round_trip",
         )
     except ValueError:
         return False

@@ -55,6 +55,7 @@ _ENDS = (127.0, 255.0, 511.0, 1023.0, 2047.0, 4095.0, 8191.0, 16383.0)
 _ROUNDING = 0.5e-3, 0.002  # m and relative: precision of lengths
 _LISTED = 1000  # corrupt cells of a column that are named
 _LONGEST = 20.0  # m
+_WITH_UNIT = re.compile(r"(.+?)\s*[\[(]([^\[\]()]+)[\])]\s*")
 _UNNAMED = re.compile(r"column \d+")
 _MEASURED = re.compile("force|kraft|press|druck|length|länge|contract|kontrak", re.IGNORECASE)
 _ELECTRICAL = frozenset(("v", "mv", "a", "ma", "mv/v", "counts", "digits", "raw", "lsb", "adc"))
@@ -111,9 +112,7 @@ class _Reader:
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
             names = ", ".join(column.name for column in raw.columns[:20])
             kinds = " and ".join(missing)
-            remedy = "name them: " + " ".join(
-                f"--column 'HEADER={name}_{QUANTITIES[name][0]}'" for name in missing if QUANTITIES[name]
-            )
+            remedy = "name them: " + " ".join(self._meant(name) for name in missing if QUANTITIES[name])
             self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"{remedy} (in Python columns={{...}})")
         units = {column.unit for column in table.columns.values()}
         for line, text in doubtful_words(raw.words, units):
@@ -127,6 +126,15 @@ class _Reader:
             )
         self._leave_out()
         return table
+
+    def _meant(self, quantity: str) -> str:
+        """Option that names a column of a quantity: the one whose header has its name and an unknown unit, if any."""
+        for column in self.raw.columns:
+            match = _WITH_UNIT.fullmatch(column.label or column.name)
+            if match and column.name in self.table.ignored and parse_header(match[1]).quantity == quantity:
+                unit = closest(match[2], QUANTITIES[quantity]) or QUANTITIES[quantity][0]
+                return f"--column '{column.name}={quantity}_{unit}'"
+        return f"--column 'HEADER={quantity}_{QUANTITIES[quantity][0]}'"
 
     def ask(self, text: str, *, field: str = "", line: int | None = None, remedy: str = "") -> None:
         self.asked.append(Question(Problem(text, field=field, line=line, remedy=remedy)))

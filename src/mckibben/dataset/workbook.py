@@ -5,9 +5,9 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from mckibben.errors import DatasetError, Problem
 if TYPE_CHECKING:
     from openpyxl.worksheet.worksheet import Worksheet
 
-_SHEET_BYTES = 2**25  # of XML of a workbook
+_SHEET_BYTES = 2**24  # of XML of a workbook
 
 
 def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str, budget: Budget) -> RawTable:
@@ -74,29 +74,40 @@ def _sheet(sheet: Worksheet, mapping: Mapping[str, str], budget: Budget) -> RawT
     """Columns of a sheet; None without a header."""
     budget.spend(rows=sheet.max_row, columns=sheet.max_column, size=8 * sheet.max_row * sheet.max_column)
     grid: list[list[object]] = [list(row) for row in sheet.iter_rows(values_only=True)]
-    texts = [["" if cell is None else str(cell).strip() for cell in row] for row in grid[:100]]
+    texts = [[_trimmed(cell) for cell in row] for row in grid[:100]]
     scores = [score_of(row, mapping) for row in texts]
     if not scores or max(scores) < 1:
         return None
     at = int(np.argmax(scores))
-    header, first, units = texts[at], at + 1, [""] * len(texts[at])
-    if first < len(texts) and any(map(dimension_of, texts[first])) and not any(map(_is_number, grid[first])):
-        units, first = [cell.strip("[]()") for cell in texts[first]], first + 1
-    table = RawTable(words=[(number, text) for number, row in enumerate(grid[:at], 1) if (text := _text_of(row))])
+    header, first = texts[at], at + 1
+    units = _units_below(header, texts[first : first + 1])
+    first += any(units)
+    table = RawTable(
+        words=[(number, _text_of(row)) for number, row in enumerate(grid[:at], 1) if any(texts[number - 1])]
+    )
     places = [column for column, name in enumerate(header) if name]
     rows = _rows_of_sheet(table, grid, first, header)
     table.lines = [number for number, _ in rows]
     written = [[str(row[column]) for _, row in rows if isinstance(row[column], str)] for column in places]
     table.decimal, table.ambiguous = decimal_sign(written, ";")
-    for column in range(len(header)):
+    for column in places:
         cells = [row[column] for _, row in rows]
-        if column in places:
-            table.columns.append(_column_of_cells(header[column], cells, units[column], sheet, table.lines, column))
-        else:
-            beside = zip(table.lines, cells, strict=True)
-            table.words += [(number, str(cell)) for number, cell in beside if cell is not None]
+        table.columns.append(_column_of_cells(header[column], cells, units[column], sheet, table.lines, column))
+    for column in {*range(len(header))} - {*places}:
+        table.words += [(number, str(row[column])) for number, row in rows if row[column] is not None]
     _ask_of_layout(table, sheet, {*places}, at)
     return table
+
+
+def _trimmed(cell: object) -> str:
+    return "" if cell is None else str(cell).strip()
+
+
+def _units_below(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Units in the row below a header; empty texts if it has numbers or no units."""
+    if not rows or any(map(NUMBER.fullmatch, rows[0])) or not any(map(dimension_of, rows[0])):
+        return [""] * len(header)
+    return [cell.strip("[]()") for cell in rows[0]]
 
 
 def _is_number(cell: object) -> bool:
@@ -135,25 +146,41 @@ def _column_of_cells(
         name = re.sub(r"\s*[\[(]\s*%\s*[\])]", "", name)
     if all(isinstance(cell, int | float) and not isinstance(cell, bool) for cell in cells):
         return RawColumn(name, np.array(cells, np.float64), unit=unit)
-    texts = ["" if cell is None else str(cell).strip() for cell in cells]
-    return RawColumn(name, texts, unit=unit)
+    return RawColumn(name, [_trimmed(cell) for cell in cells], unit=unit)
 
 
 def _ask_of_layout(table: RawTable, sheet: Worksheet, places: set[int], header: int) -> None:
     """Questions about hidden, merged, struck-out or noted cells, which a table of numbers cannot show."""
-    hidden = [str(row) for row in table.lines if sheet.row_dimensions[row].hidden]
-    hidden += [letter for letter, column in sheet.column_dimensions.items() if column.hidden]
-    hidden += ["the sheet"] * (sheet.sheet_state != "visible")
-    most = max(len(places), 2)
-    merged = [area for area in sheet.merged_cells.ranges if area.max_row >= header and area.size["columns"] < most]
+    texts = [
+        f"{what}: {', '.join(names[:5])}"
+        for what, names in (
+            ("rows or columns are hidden", _hidden(table, sheet)),
+            ("cells are merged", _merged(sheet, max(len(places), 2), header)),
+        )
+        if names
+    ]
     cells = [sheet.cell(line, column + 1) for line in table.lines[:5000] for column in places]
-    marked = {
-        "struck out": [cell for cell in cells if cell.font and cell.font.strike],
-        "noted": [cell for cell in cells if cell.comment is not None],
-        "coloured": [cell for cell in cells if cell.fill and cell.fill.fill_type == "solid"],
-    }
-    texts = [f"rows or columns are hidden: {', '.join(hidden[:5])}"] * bool(hidden)
-    texts += [f"cells are merged: {', '.join(map(str, merged[:5]))}"] * bool(merged)
-    texts += [f"{len(some)} cells are {word}" for word, some in marked.items() if 0 < len(some) < len(cells)]
+    for word, is_marked in _MARKS.items():
+        if 0 < (count := sum(map(is_marked, cells))) < len(cells):
+            texts.append(f"{count} cells are {word}")
     remedy = "accept=['layout'] reads these cells as they are (command line: --accept layout)"
     table.problems += [Problem(text, field="layout", remedy=remedy) for text in texts]
+
+
+_MARKS: Mapping[str, Callable[[Any], bool]] = {
+    "struck out": lambda cell: bool(cell.font and cell.font.strike),
+    "noted": lambda cell: cell.comment is not None,
+    "coloured": lambda cell: bool(cell.fill and cell.fill.fill_type == "solid"),
+}
+
+
+def _hidden(table: RawTable, sheet: Worksheet) -> list[str]:
+    rows = [str(row) for row in table.lines if sheet.row_dimensions[row].hidden]
+    columns = [letter for letter, column in sheet.column_dimensions.items() if column.hidden]
+    return [*rows, *columns, *["the sheet"] * (sheet.sheet_state != "visible")]
+
+
+def _merged(sheet: Worksheet, most: int, header: int) -> list[str]:
+    """Merged areas below the header of less than all columns."""
+    areas = sheet.merged_cells.ranges
+    return [str(area) for area in areas if area.max_row >= header and area.size["columns"] < most]

@@ -1,9 +1,9 @@
 """Identification of force laws and friction from measured points: least squares, uncertainty, cross-validation."""
 
-from mckibben.identification.creep import CreepFit, identify_creep, identify_pressure_creep
+from mckibben.identification.creep import CreepFit, identify_pressure_creep
 from mckibben.identification.estimator import Interval, IntervalEstimate
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import ResidualCorrelation, identify
+from mckibben.identification.fitting import identify
 from mckibben.identification.friction import identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import Grouping
@@ -40,14 +40,12 @@ __all__ = [
     "PooledFit",
     "RankedLaw",
     "Ranking",
-    "ResidualCorrelation",
     "SensorDrift",
     "ThresholdFit",
     "Validation",
     "design_matrix",
     "find_outliers",
     "identify",
-    "identify_creep",
     "identify_hysteresis",
     "identify_pooled",
     "identify_pressure_creep",

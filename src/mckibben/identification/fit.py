@@ -209,13 +209,13 @@ class Fit(Result, metaclass=CheckedCalls):
         if by in (None, Grouping.POINT):
             free = sum(not np.isnan(error) for error in self.standard_errors.values())
             return self.standard_errors, dict.fromkeys(self.standard_errors, float(self.points_used - free))
-        found = self.require_regression().robust_errors(by)
-        return found.standard_errors, found.degrees_of_freedom
+        robust = self.require_regression().robust_errors(by)
+        return robust.standard_errors, robust.degrees_of_freedom
 
     def strongest_correlations(self, count: int = 3) -> list[tuple[str, str, float]]:
         """Pairs of parameters with the largest absolute correlation, in descending order; penalised ones excluded."""
         free = [not p.penalised for p in type(self.law).parameters()]
-        names = [name for name, one in zip(self.estimates, free, strict=True) if one]
+        names = [name for name, shown in zip(self.estimates, free, strict=True) if shown]
         return correlated_pairs(names, self.correlations[np.ix_(free, free)])[:count]
 
     def verdict(self) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,14 +14,13 @@ from mckibben.identification.estimator import (
     CONDITION_LIMIT,
     Bools,
     Floats,
-    Ints,
     condition_number,
     correlated_pairs,
     standard_errors,
     unidentifiable,
 )
 from mckibben.identification.fit import Fit
-from mckibben.identification.grouping import Grouping, row_numbers
+from mckibben.identification.grouping import Grouping
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
@@ -276,45 +274,11 @@ def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut
     if levels is None:
         return None, f"{_NO_CROSS_VALIDATION}: {reason}"
     try:
-        found = regression.cross_validated("pressure", levels)
+        cross = regression.cross_validated("pressure", levels)
     except NotIdentifiableError as error:
         return None, f"without the points at {show(float(error.block), 'bar')} {error.reason}: {_NO_CROSS_VALIDATION}"
-    by_pressure = {float(level): error for level, error in found.by_block.items()}
-    return LeaveOnePressureOut(found.rmse, found.max_error, by_pressure), ""
-
-
-_FEWEST_PAIRS = 10
-_SIGNIFICANT = 2.0  # standard deviations of the correlation of independent residuals
-_SAME_CONTRACTION = 0.1 * percent
-
-
-@dataclass(frozen=True)
-class ResidualCorrelation:
-    """Correlation of the residuals of neighbouring points; None for fewer than ten pairs.
-
-    Neighbours are on the same curve (along contraction), or at the same contraction on the next (along pressure).
-    """
-
-    along_contraction: float | None
-    along_pressure: float | None
-    pairs_contraction: int
-    pairs_pressure: int
-
-    @property
-    def pattern(self) -> str:
-        r"""Directions of significant correlation as text; empty if none.
-
-        Significant is twice the standard deviation for independent residuals, :math:`1/\sqrt{pairs}`.
-        """
-        found = [
-            name
-            for name, correlation, pairs in (
-                ("contraction", self.along_contraction, self.pairs_contraction),
-                ("pressure", self.along_pressure, self.pairs_pressure),
-            )
-            if correlation is not None and correlation > _SIGNIFICANT / np.sqrt(pairs)
-        ]
-        return " and ".join(found)
+    by_pressure = {float(level): error for level, error in cross.by_block.items()}
+    return LeaveOnePressureOut(cross.rmse, cross.max_error, by_pressure), ""
 
 
 def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:
@@ -326,26 +290,3 @@ def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Float
             for label in filter(None, np.unique(labels).tolist()):
                 rest[labels == label] -= np.nanmean(rest[labels == label])
     return rest
-
-
-def residual_correlation(points: IsobaricDataset, residuals: Floats) -> ResidualCorrelation:
-    """Correlation of neighbouring residuals [N], shape (points,)."""
-    residuals = without_direction_means(residuals, points)
-    passes = [points.table[name].to_numpy() for name in ("direction", "phase", "repeat") if name in points.table]
-    curves = row_numbers([*passes, points.levels])
-    places = row_numbers([*passes, np.round(points.contraction / _SAME_CONTRACTION)])
-    curve, curve_pairs = _lag_one(residuals, curves, points.contraction)
-    place, place_pairs = _lag_one(residuals, places, points.levels)
-    return ResidualCorrelation(curve, place, curve_pairs, place_pairs)
-
-
-def _lag_one(residuals: Floats, group: Ints, along: Floats) -> tuple[float | None, int]:
-    """Correlation of consecutive points within groups, and the number of pairs."""
-    order = np.lexsort((along, group))
-    same = np.diff(group[order]) == 0
-    pairs = int(np.count_nonzero(same))
-    if pairs < _FEWEST_PAIRS:
-        return None, pairs
-    first, second = residuals[order][:-1][same], residuals[order][1:][same]
-    scale = float(np.sqrt((first @ first) * (second @ second)))
-    return (float(first @ second) / scale if scale > 0 else 0.0), pairs

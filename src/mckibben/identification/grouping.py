@@ -64,9 +64,9 @@ def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
     preceding = np.maximum.accumulate(np.where(own != "", place, 0))
     source = np.where(cell[following] == cell, following, place)
     source = np.where(own[source] == "", preceding, source)
-    found = np.empty_like(own)
-    found[order] = np.where(cell[source] == cell, own[source], "")
-    return found
+    neighbours = np.empty_like(own)
+    neighbours[order] = np.where(cell[source] == cell, own[source], "")
+    return neighbours
 
 
 def finest_grouping(points: IsobaricDataset) -> Grouping:

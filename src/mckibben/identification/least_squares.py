@@ -27,7 +27,14 @@ from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
-from mckibben.identification.estimator import Bools, Floats, least_squares, tsqr_r
+from mckibben.identification.estimator import (
+    CONDITION_LIMIT,
+    Bools,
+    Floats,
+    condition_number,
+    least_squares,
+    tsqr_r,
+)
 from mckibben.muscle import Domain, ForceLaw, Parameter
 from mckibben.notebook import stop_check
 from mckibben.numerics.compiled import jit
@@ -75,7 +82,10 @@ def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, 
 def _columns(
     law: ForceLaw, values: ArrayLike, contraction: ArrayLike, pressure: ArrayLike, *, names: tuple[str, ...]
 ) -> Array:
-    return _force_and_columns(lambda given: dataclasses.replace(law, **given), names, values, contraction, pressure)[1]
+    def replaced(fields: dict[str, Any]) -> ForceLaw:
+        return dataclasses.replace(law, **fields)
+
+    return _force_and_columns(replaced, names, values, contraction, pressure)[1]
 
 
 @jit
@@ -91,7 +101,7 @@ def _columns_and_residuals(
     """Weighted columns of the design matrix, then weighted residuals [N]: shape (parameters + 1, n)."""
     names = tuple(p.name for p in law_type.parameters())
     modelled, columns = _force_and_columns(
-        lambda given: law_type(**given, **constants), names, values, contraction, pressure
+        lambda fields: law_type(**fields, **constants), names, values, contraction, pressure
     )
     return jnp.concatenate([columns, (jnp.asarray(force) - modelled)[None]]) * jnp.asarray(weights)
 
@@ -99,7 +109,7 @@ def _columns_and_residuals(
 @jit
 def _grid_of_columns_and_residuals(law_type: type[ForceLaw], values: ArrayLike, *others: Any) -> Array:
     """`_columns_and_residuals` of many values, shape (count, parameters)."""
-    return jax.vmap(lambda one: _columns_and_residuals(law_type, one, *others))(jnp.asarray(values))
+    return jax.vmap(lambda row: _columns_and_residuals(law_type, row, *others))(jnp.asarray(values))
 
 
 def _force_and_columns(
@@ -163,7 +173,7 @@ class UnitCube:
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """Weighted least-squares problem of a law; subsets (`kept`) of one dataset share compiled code.
+    """Weighted least-squares problem of a law; subsets (`selected`) of one dataset share compiled code.
 
     A `prior` of shape (rows, parameters) adds the residuals ``-prior @ values`` [N], each as uncertain as a point: a
     Gaussian prior about zero. `constants` are fields of the law that are not estimated.
@@ -173,7 +183,7 @@ class FitProblem:
     contraction: Floats = field(repr=False)
     pressure: Floats = field(repr=False)
     force: Floats = field(repr=False)
-    kept: Bools = field(repr=False)
+    selected: Bools = field(repr=False)
     weights: Floats | None = field(default=None, repr=False)
     constants: Mapping[str, Any] = field(default_factory=dict)
     prior: Floats | None = field(default=None, repr=False)
@@ -189,13 +199,13 @@ class FitProblem:
         )
         return cls(law_type, contraction, pressure, force, np.arange(count + pad[1]) < count)
 
-    def subset(self, kept: Bools) -> FitProblem:
+    def subset(self, selected: Bools) -> FitProblem:
         """Problem of the selected points; shape (m,) with m <= n, in the order of the points."""
-        return replace(self, kept=np.pad(kept, (0, len(self.kept) - len(kept))))
+        return replace(self, selected=np.pad(selected, (0, len(self.selected) - len(selected))))
 
     def weighted(self, weights: Floats) -> FitProblem:
         """Problem with other weights; shape (m,) with m <= n, in the order of the points."""
-        return replace(self, weights=np.pad(weights, (0, len(self.kept) - len(weights))))
+        return replace(self, weights=np.pad(weights, (0, len(self.selected) - len(weights))))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -236,8 +246,8 @@ class FitProblem:
         return np.concatenate([rows, np.vstack([self.prior.T, -self.prior @ values])], axis=1)
 
     def response(self, values: Floats) -> tuple[Floats, Floats]:
-        """Weighted residuals [N], shape (kept + prior,), and Jacobian of the force, (kept + prior, parameters)."""
-        rows = self.with_prior(self.columns_and_residuals(values)[:, self.kept], values)
+        """Weighted residuals [N], shape (rows,), and Jacobian of the force, (rows, parameters), the prior last."""
+        rows = self.with_prior(self.columns_and_residuals(values)[:, self.selected], values)
         return rows[-1], rows[:-1].T
 
     def at_bound(self, position: Floats) -> Bools:
@@ -247,8 +257,8 @@ class FitProblem:
 
     @cached_property
     def _factors(self) -> Floats:
-        kept = self.kept.astype(np.float64)
-        return kept if self.weights is None else kept * np.sqrt(self.weights)
+        factors = self.selected.astype(np.float64)
+        return factors if self.weights is None else factors * np.sqrt(self.weights)
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,13 +274,13 @@ class Solution:
 
     @property
     def residuals(self) -> Floats:
-        """Measured minus fitted force [N], shape (kept,)."""
-        return self.augmented[0][: np.count_nonzero(self.problem.kept)]
+        """Measured minus fitted force [N], shape (selected,)."""
+        return self.augmented[0][: np.count_nonzero(self.problem.selected)]
 
     @property
     def jacobian(self) -> Floats:
-        """Derivative of the force with respect to all parameters, shape (kept, parameters)."""
-        return self.augmented[1][: np.count_nonzero(self.problem.kept)]
+        """Derivative of the force with respect to all parameters, shape (selected, parameters)."""
+        return self.augmented[1][: np.count_nonzero(self.problem.selected)]
 
     @property
     def effective_parameters(self) -> float:
@@ -278,7 +288,7 @@ class Solution:
         if self.problem.prior is None:
             return float(len(self.values))
         q = np.linalg.qr(self.augmented[1])[0]
-        return len(self.values) - float(np.sum(q[np.count_nonzero(self.problem.kept) :] ** 2))
+        return len(self.values) - float(np.sum(q[np.count_nonzero(self.problem.selected) :] ** 2))
 
     @property
     def aicc(self) -> float:
@@ -346,7 +356,7 @@ def grid_costs(problem: FitProblem, positions: Floats) -> Floats:
     for start in range(0, len(positions), _TOGETHER):
         some = positions[start : start + _TOGETHER]
         short = (0, min(_TOGETHER, len(positions)) - len(some))  # one program for all
-        shapes = np.array([problem.cube.values(one) for one in some]).reshape(some.shape)
+        shapes = np.array([problem.cube.values(position) for position in some]).reshape(some.shape)
         values = np.pad(np.hstack([np.zeros((len(some), linear)), shapes]), (short, (0, 0)), mode="edge")
         for i, rows in enumerate(problem.columns_and_residuals(values)[: len(some)], start):
             rows = problem.with_prior(rows, values[i - start])
@@ -358,12 +368,14 @@ def grid_costs(problem: FitProblem, positions: Floats) -> Floats:
 
 _INSIDE = 1e-9  # a search starts off the faces of the cube
 _FACE = 1e-4  # it stays inside the cube: this close to a face counts as on the face
+_EQUAL = 1e-9  # relative difference of costs that is rounding
 
 
 def solve(problem: FitProblem, start: Floats) -> Solution:
     """Least squares over the shape, from a start in the unit cube.
 
-    The projected Jacobian is Kaufman's approximation (BIT 15, 1975, 49-57).
+    The projected Jacobian is Kaufman's approximation (BIT 15, 1975, 49-57). A shape parameter that the points do not
+    determine is at a bound of its range, the lower one where the cost is equal at both.
     """
 
     def projection(position: Floats) -> Projection:
@@ -385,6 +397,21 @@ def solve(problem: FitProblem, start: Floats) -> Solution:
         )
         faces = np.where(search.values < _FACE, 0.0, np.where(search.values > 1 - _FACE, 1.0, search.values))
         inside, on_face = projection(search.values), projection(faces)
-        best = on_face if on_face.cost * (1 - 1e-9) <= inside.cost else inside
+        best = on_face if on_face.cost * (1 - _EQUAL) <= inside.cost else inside
+        best = _undetermined_at_bound(problem, best)
         converged = search.converged
     return Solution(problem, best.values, best.position, best.cost, best.triangle, converged and np.isfinite(best.cost))
+
+
+def _undetermined_at_bound(problem: FitProblem, best: Projection) -> Projection:
+    """Projection of equal cost with an undetermined shape parameter at its bound, if there is one."""
+    for i, end in itertools.product(range(len(best.position)), (0.0, 1.0)):
+        if condition_number(best.triangle) < CONDITION_LIMIT:
+            return best
+        position = best.position.copy()
+        position[i] = end
+        at_bound = project(problem, position, project(problem, position).values[: problem.linear])
+        free = ~problem.at_bound(position)
+        if at_bound.cost * (1 - _EQUAL) <= best.cost and condition_number(at_bound.triangle[:, free]) < CONDITION_LIMIT:
+            return at_bound
+    return best

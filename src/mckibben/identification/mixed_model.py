@@ -46,8 +46,8 @@ class MixedModel:
         from scipy.optimize import minimize
 
         options: dict[str, Any] = {"jac": True, "bounds": bounds, "method": "TNC"}  # no BLAS, no threads
-        found = min((minimize(self.cost, start, **options) for start in starts), key=lambda one: one.fun)
-        return found.x, float(found.fun)
+        best = min((minimize(self.cost, start, **options) for start in starts), key=lambda answer: answer.fun)
+        return best.x, float(best.fun)
 
     def cost(self, hyperparameters: Floats) -> tuple[float, Floats]:
         """Minus the logarithm of the restricted likelihood, and its gradient."""
@@ -80,8 +80,8 @@ class MixedModel:
         least, own = np.finfo(float).eps, max(float(rest[point]), float(np.finfo(float).eps))
         others = max(float(errors @ errors) - errors[point] ** 2 / own, float(np.finfo(float).tiny))
         moved = errors[:count] + shared * errors[point] / own
-        found = moved / np.sqrt(np.maximum(rest - shared**2 / own, least) * others / (self.freedom - 1))
-        return np.where(np.arange(count) == point, 0.0, found)
+        statistic = moved / np.sqrt(np.maximum(rest - shared**2 / own, least) * others / (self.freedom - 1))
+        return np.where(np.arange(count) == point, 0.0, statistic)
 
     def _orthonormal(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
         """Orthonormal basis of all columns, and the residuals; both with the rows of the prior."""

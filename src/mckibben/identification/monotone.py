@@ -38,16 +38,16 @@ def monotone(solution: Solution, domain: Domain) -> Solution | None:
     q, triangle = np.linalg.qr(columns / lengths)
     if not np.isfinite(grid).all() or np.abs(np.diag(triangle)).min() < _ROUNDING:
         return None
-    target, margin = q.T @ residuals, _MARGIN * float(problem.force[problem.kept].max())
-    wrong = [np.zeros(np.subtract(contraction.shape, one), bool) for one in ((1, 0), (0, 1))]
+    target, margin = q.T @ residuals, _MARGIN * float(problem.force[problem.selected].max())
+    wrong = [np.zeros(np.subtract(contraction.shape, less), bool) for less in ((1, 0), (0, 1))]
     step = np.zeros(linear)
     for _ in range(_ROUNDS):
-        found = wrong_slopes(grid @ (first + step))
-        if not any(one.any() for one in found):
+        slopes = wrong_slopes(grid @ (first + step))
+        if not any(rises.any() for rises in slopes):
             values = np.concatenate([first + step, solution.values[linear:]])
             errors = residuals - columns @ step
             return replace(solution, values=values, cost=float(errors @ errors))
-        wrong = [old | new for old, new in zip(wrong, found, strict=True)]
+        wrong = [old | new for old, new in zip(wrong, slopes, strict=True)]
         rising = np.concatenate([-np.diff(grid, axis=0)[wrong[0]], np.diff(grid, axis=1)[wrong[1]]])
         # Least distance: with u = R s - Q^T r, minimise |u| such that the force rises by the margin.
         rows = np.linalg.solve(triangle.T, (rising / lengths).T)

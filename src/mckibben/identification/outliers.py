@@ -44,12 +44,12 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     points = means.taut
     rows = np.flatnonzero(~means.slack)
     measured = points.force
-    kept, found, pending, first, masked = np.ones(len(points), bool), [], [], [], False
+    remaining, outlying, pending, first, masked = np.ones(len(points), bool), [], [], [], False
     most, together = max(1, int(_MOST * len(points))), max(1, len(points) // _TOGETHER)
     starts: Sequence[Floats] = ()
     smallest = np.maximum(_SMALLEST * float(measured.max(initial=0.0)), _loop_widths(points))
-    while np.count_nonzero(kept) >= _FEWEST and len(found) + len(pending) < most + _AHEAD:
-        tested = _test(points, kept, smallest[kept], starts)
+    while np.count_nonzero(remaining) >= _FEWEST and len(outlying) + len(pending) < most + _AHEAD:
+        tested = _test(points, remaining, smallest[remaining], starts)
         if tested is None:
             break
         errors, sizes = tested.errors, tested.sizes
@@ -59,19 +59,19 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
             break
         significant = order[[tested.stands_out(i) for i in order.tolist()]]
         worst = significant if significant.size else order[:1]
-        at = np.flatnonzero(kept)[worst]
+        at = np.flatnonzero(remaining)[worst]
         pending += zip(at.tolist(), errors[worst].tolist(), strict=True)
-        kept[at] = False
+        remaining[at] = False
         if significant.size:
-            found, pending = [*found, *pending], []
-            first = first if masked else found
+            outlying, pending = [*outlying, *pending], []
+            first = first if masked else outlying
         elif len(pending) == _AHEAD:
             break
         else:
             masked = True
-    if len(found) > most:  # those found after a point that is not an outlier are not isolated errors
-        found = first
-    if len(found) > most:
+    if len(outlying) > most:  # those found after a point that is not an outlier are not isolated errors
+        outlying = first
+    if len(outlying) > most:
         return ()
     return tuple(
         Outlier(
@@ -82,13 +82,14 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
             float(measured[i]) - error,
             means.place(int(rows[i])),
         )
-        for i, error in sorted(found)
+        for i, error in sorted(outlying)
     )
 
 
 def without_outliers(means: IsobaricDataset, outliers: Sequence[Outlier]) -> IsobaricDataset:
     """Dataset without the rows of the outliers."""
-    return means.select(~np.isin(np.arange(len(means)) + 1, [one.row for one in outliers])) if outliers else means
+    rows = [outlier.row for outlier in outliers]
+    return means.select(~np.isin(np.arange(len(means)) + 1, rows)) if rows else means
 
 
 def _limit(count: int, freedom: int) -> float:
@@ -119,10 +120,10 @@ class _Tested(NamedTuple):
         return bool(self.sizes[at] > _ISOLATED * np.abs(residuals[around]).max())
 
 
-def _test(points: IsobaricDataset, kept: Bools, smallest: Floats, starts: Sequence[Floats]) -> _Tested | None:
-    """Test of the kept points; None with small errors of Eq. 2 or few points."""
-    eq2 = FitProblem.of(ExponentialLaw, points).subset(kept)
-    base, used = solve(eq2, grid_search(eq2)), points.select(kept)
+def _test(points: IsobaricDataset, remaining: Bools, smallest: Floats, starts: Sequence[Floats]) -> _Tested | None:
+    """Test of the remaining points; None with small errors of Eq. 2 or few points."""
+    eq2 = FitProblem.of(ExponentialLaw, points).subset(remaining)
+    base, used = solve(eq2, grid_search(eq2)), points.select(remaining)
     moved = replace(eq2, contraction=eq2.contraction + _CONTRACTION).response(base.values)[0]
     smallest = np.maximum(smallest, np.abs(moved - base.residuals))
     if not np.any(np.abs(base.residuals) > smallest):
@@ -132,20 +133,20 @@ def _test(points: IsobaricDataset, kept: Bools, smallest: Floats, starts: Sequen
         deviations = Deviations.of(GaussianProcessLaw, points, base)
         model = deviations.prior.model(*deviations.columns(base))
         model = MixedModel(np.hstack([model.fixed, _passes(used)]), model.random, model.residuals, model.scales)
-        found = model.estimate(starts or deviations.prior.starts, deviations.prior.bounds)[0]
+        hyperparameters = model.estimate(starts or deviations.prior.starts, deviations.prior.bounds)[0]
     else:
         residuals, columns = base.augmented
         none = np.empty((0, 0))
         model = MixedModel(columns, np.empty((len(used), 0)), residuals, lambda _: (np.empty(0), none))
-        found = np.empty(0)
+        hyperparameters = np.empty(0)
     if model.freedom < 3:
         return None
-    errors, statistics = model.deleted_residuals(found)
+    errors, statistics = model.deleted_residuals(hyperparameters)
     growth = scatter_growth(used.force - model.residuals, errors)
     variance = 1 + growth * used.force**2
     weights = np.sqrt(np.mean(variance) / variance)
     sizes = np.where(np.abs(errors) > smallest, np.abs(statistics) * weights, 0.0)
-    return _Tested(used, model, found, errors, sizes, weights)
+    return _Tested(used, model, hyperparameters, errors, sizes, weights)
 
 
 def _loop_widths(points: IsobaricDataset) -> Floats:
@@ -157,8 +158,8 @@ def _loop_widths(points: IsobaricDataset) -> Floats:
     loading = _passes(points)[:, :1] * np.column_stack([np.ones(len(points)), points.force])
     columns = np.hstack([base.jacobian, loading])
     lengths = np.linalg.norm(columns, axis=0)
-    found = np.linalg.lstsq(columns / lengths, base.residuals, rcond=None)[0] / lengths
-    return np.abs(found[-2] + found[-1] * points.force)
+    coefficients = np.linalg.lstsq(columns / lengths, base.residuals, rcond=None)[0] / lengths
+    return np.abs(coefficients[-2] + coefficients[-1] * points.force)
 
 
 def _passes(points: IsobaricDataset) -> Floats:

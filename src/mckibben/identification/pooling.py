@@ -300,34 +300,34 @@ class _Pool:
         """Contraction [-] of the active length."""
         return _active(self.whole, self.lengths[self.specimen], dead)
 
-    def dataset(self, dead: float, strengths: Floats, kept: np.ndarray) -> IsobaricDataset:
+    def dataset(self, dead: float, strengths: Floats, selected: np.ndarray) -> IsobaricDataset:
         """Points of one law: over the active contraction, forces divided by the strengths."""
         return IsobaricDataset.of(
-            pressure=self.pressure[kept],
-            contraction=self.contraction(dead)[kept],
-            force=(self.force / strengths[self.specimen])[kept],
+            pressure=self.pressure[selected],
+            contraction=self.contraction(dead)[selected],
+            force=(self.force / strengths[self.specimen])[selected],
             slack_force=-1e9,
         )
 
-    def fit(self, dead: float, strengths: Floats, kept: np.ndarray) -> Fit:
-        """Fit of the law to the kept points."""
-        return identify(self.law, self.dataset(dead, strengths, kept), robust=False)
+    def fit(self, dead: float, strengths: Floats, selected: np.ndarray) -> Fit:
+        """Fit of the law to the selected points."""
+        return identify(self.law, self.dataset(dead, strengths, selected), robust=False)
 
-    def corrections(self, form: PoolForm, kept: np.ndarray | None = None) -> tuple[float, Floats]:
-        """Dead length [m] and strengths of a form, from the kept points."""
+    def corrections(self, form: PoolForm, selected: np.ndarray | None = None) -> tuple[float, Floats]:
+        """Dead length [m] and strengths of a form, from the selected points."""
         from scipy.optimize import minimize_scalar
 
-        kept = np.ones(len(self.force), bool) if kept is None else kept
+        selected = np.ones(len(self.force), bool) if selected is None else selected
         if not form.dead_length:
-            return 0.0, self._solved(form, 0.0, kept)[1]
+            return 0.0, self._solved(form, 0.0, selected)[1]
         shortest = float(self.lengths.min())
-        found: Any = minimize_scalar(
-            lambda dead: self._solved(form, dead, kept)[0],
+        search: Any = minimize_scalar(
+            lambda dead: self._solved(form, dead, selected)[0],
             bounds=(_SHORTEST * shortest, _LONGEST * shortest),
             method="bounded",
             options={"xatol": 1e-3 * shortest},
         )
-        return float(found.x), self._solved(form, float(found.x), kept)[1]
+        return float(search.x), self._solved(form, float(search.x), selected)[1]
 
     def left_out_lengths(self, form: PoolForm, dead: float) -> Floats:
         """Errors [N] at each point as all other lengths predict it, for the dead length of all; shape (points,)."""
@@ -340,20 +340,20 @@ class _Pool:
             errors[~rest] = (self.force - strengths[self.specimen] * tension)[~rest]
         return errors
 
-    def _solved(self, form: PoolForm, dead: float, kept: np.ndarray) -> tuple[float, Floats, Floats]:
-        """Sum of squares [N^2] at the kept points, strengths with a mean of 1, and the law's force [N] everywhere."""
+    def _solved(self, form: PoolForm, dead: float, selected: np.ndarray) -> tuple[float, Floats, Floats]:
+        """Sum of squares [N^2] at the selected points, strengths with a mean of 1, and the law's force [N]."""
         kind = ExponentialLaw if self.law in SMOOTH_LAWS else self.law
-        strengths, present = np.ones(len(self.parts)), np.unique(self.specimen[kept])
+        strengths, present = np.ones(len(self.parts)), np.unique(self.specimen[selected])
         contraction, tension = self.contraction(dead), self.force
         for _ in range(_ROUNDS if form.strength else 1):
-            problem = FitProblem.of(kind, self.dataset(dead, strengths, kept))
-            found = solve(problem, grid_search(problem))
-            tension = forces(problem.law(found.values), contraction, self.pressure)
+            problem = FitProblem.of(kind, self.dataset(dead, strengths, selected))
+            solution = solve(problem, grid_search(problem))
+            tension = forces(problem.law(solution.values), contraction, self.pressure)
             if form.strength:
-                own = [kept & (self.specimen == number) for number in present]
+                own = [selected & (self.specimen == number) for number in present]
                 ratios = np.array([self.force[k] @ tension[k] / (tension[k] @ tension[k]) for k in own])
                 strengths[present] = ratios / ratios.mean()
-        rest = (self.force - strengths[self.specimen] * tension)[kept]
+        rest = (self.force - strengths[self.specimen] * tension)[selected]
         return float(rest @ rest), strengths, tension
 
 

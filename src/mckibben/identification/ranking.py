@@ -14,7 +14,7 @@ from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, described
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import ResidualCorrelation, identify, residual_correlation, without_direction_means
+from mckibben.identification.fitting import identify, without_direction_means
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
     MOST_BLOCKS,
@@ -65,20 +65,19 @@ class RankedLaw:
     refused: str = ""
     cross_validation: dict[str, CrossValidation] = field(default_factory=dict, repr=False)
     aicc: float = math.nan
-    residual_correlation: ResidualCorrelation | None = None
     flags: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
 
     @property
     def error(self) -> float:
         """Geometric mean of the cross-validation RMSE of `interpolation` [N]; infinite without any."""
-        errors = [found.rmse for found in self.interpolation.values()]
+        errors = [cross.rmse for cross in self.interpolation.values()]
         return math.prod(errors) ** (1 / len(errors)) if errors else math.inf
 
     @property
     def interpolation(self) -> dict[str, CrossValidation]:
         """Cross-validation errors that count for the order: all but those at the highest pressure."""
-        return {name: found for name, found in self.cross_validation.items() if name != EXTRAPOLATION}
+        return {name: cross for name, cross in self.cross_validation.items() if name != EXTRAPOLATION}
 
     @property
     def parameters(self) -> int:
@@ -177,7 +176,6 @@ class Ranking(Result):
         fitted = [entry for entry in self.entries if entry.fit]
         least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
         newtons = [Column("N", f"held-out {name}s", digits=3) for name in self.blocks]
-        patterns = [entry.residual_correlation for entry in fitted]
         columns: dict[str, tuple[Column, list[object]]] = {
             "law": (Column(), [entry.law.removesuffix("Law") for entry in fitted]),
             "parameters": (Column(), [entry.parameters for entry in fitted]),
@@ -187,7 +185,6 @@ class Ranking(Result):
             crosses = [entry.cross_validation.get(name) for entry in fitted]
             columns[name] = mark, [cross.rmse if cross else math.nan for cross in crosses]
         columns["aicc"] = Column("", "AICc difference"), [entry.aicc - least for entry in fitted]
-        columns["pattern"] = Column("", "residual pattern"), [(p.pattern if p else "") or "-" for p in patterns]
         yield Listing("laws", columns)
 
     @property
@@ -244,13 +241,13 @@ def rank(
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
     blocks, missing = _blocks(points)
     progress, entries = progress or notebook_progress(), []
-    found: dict[type[ForceLaw], RankedLaw] = {}
+    ranked: dict[type[ForceLaw], RankedLaw] = {}
     for i, kind in enumerate(kinds):
         if progress:
             progress(kind.__name__, i / len(kinds))
         same = GaussianProcessLaw if kind is SmoothLaw else kind  # `identify` chooses among the same laws for both
-        found[same] = found.get(same) or _ranked(same, means, blocks)
-        entries.append(dataclasses.replace(found[same], law=kind.__name__))
+        ranked[same] = ranked.get(same) or _ranked(same, means, blocks)
+        entries.append(dataclasses.replace(ranked[same], law=kind.__name__))
     if progress:
         progress("ranked", 1.0)
     entries.sort(key=_order)
@@ -302,19 +299,19 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
     ]
     for name, labels in blocks.items():
         try:
-            found = regression.cross_validated(name, labels)
+            cross = regression.cross_validated(name, labels)
         except NotIdentifiableError as error:
             block = show(float(error.block), "bar") if name == "pressure" else f"{name} {error.block}"
             remarks.append(f"without {block} {error.reason}")
         else:
-            residuals = without_direction_means(found.residuals, regression.points)
-            cross_validation[name] = dataclasses.replace(found, residuals=residuals)
+            residuals = without_direction_means(cross.residuals, regression.points)
+            cross_validation[name] = dataclasses.replace(cross, residuals=residuals)
     bounds = [name for name, out in zip(fit.estimates, regression.at_bound, strict=True) if out]
     misspecified = bounds and regression.problem.prior is None  # deviations make a bound harmless
     flags = [f"{' and '.join(bounds)} at a bound: the law is probably misspecified"] if misspecified else []
     if reason := unphysical(fit.law):
         flags.append(reason)
-    residuals, effective = regression.solution.residuals, regression.solution.effective_parameters
+    effective = regression.solution.effective_parameters
     if effective < len(fit.estimates):
         remarks.append(f"its prior leaves {effective:.1f} effective parameters")
     return RankedLaw(
@@ -322,7 +319,6 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
         fit,
         cross_validation=cross_validation,
         aicc=regression.solution.aicc,
-        residual_correlation=residual_correlation(regression.points, residuals),
         flags=tuple(flags),
         remarks=tuple(remarks),
     )

@@ -95,8 +95,8 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
         return None, f"the {len(points)} points have {count} different pressures; record the set pressure of each point"
     edges = np.linspace(levels.min(), levels.max(), blocks + 1)[1:-1]
     part = np.searchsorted(edges, levels, side="right")
-    medians = {each: np.median(levels[part == each]) for each in np.unique(part).tolist()}
-    return np.array([medians[each] for each in part.tolist()]), ""
+    medians = {number: np.median(levels[part == number]) for number in np.unique(part).tolist()}
+    return np.array([medians[number] for number in part.tolist()]), ""
 
 
 _CONTRACTION_BLOCKS = 8
@@ -123,7 +123,7 @@ def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
 
 
 Refit = Callable[[Bools], Solution]
-"""Identification method: solution for the kept points."""
+"""Identification method: solution for the selected points."""
 
 
 def cross_validate(

@@ -2,7 +2,7 @@ r"""Fit of one Maxwell element to the course of the force within plateaus.
 
 The blocks of all plateaus, less the mean of their plateau, are :math:`y = \beta\, c(\tau) + v t` with an amplitude
 beta, the column c of one time constant, and a common rate v such as that of sensor drift. Errors are correlated within
-plateaus. Both kinds of creep are such a fit: they differ in the column.
+plateaus.
 """
 
 from __future__ import annotations

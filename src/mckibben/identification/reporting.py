@@ -30,7 +30,7 @@ def fit_numbers(fit: Fit) -> dict[str, Any]:
             }
             for name, value in fit.estimates.items()
         },
-        "outliers": [dataclasses.asdict(one) for one in fit.outliers],
+        "outliers": [dataclasses.asdict(outlier) for outlier in fit.outliers],
         "warnings": list(fit.warnings),
     }
 

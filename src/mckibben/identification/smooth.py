@@ -71,7 +71,7 @@ class Prior(abc.ABC):
         """Logarithm of the scale of each row of the root, relative to the noise, and its derivative."""
 
     @abc.abstractmethod
-    def supported(self, model: MixedModel, found: Floats, cost: float) -> Floats | None:
+    def supported(self, model: MixedModel, best: Floats, cost: float) -> Floats | None:
         """Hyperparameters without those that the points do not support; None if the law has no support."""
 
     def model(self, fixed: Floats, deviations: Floats, residuals: Floats) -> MixedModel:
@@ -94,16 +94,16 @@ class OrderPrior(Prior):
         derivative = np.repeat(np.eye(len(hyperparameters)), DEGREE + 1, axis=0)
         return derivative @ hyperparameters, derivative
 
-    def supported(self, model: MixedModel, found: Floats, cost: float) -> Floats | None:
+    def supported(self, model: MixedModel, best: Floats, cost: float) -> Floats | None:
         """None if the highest order is, or all are, unsupported."""
-        kept = np.zeros(len(found), bool)
-        for order in reversed(range(len(found))):
-            without = np.where(np.arange(len(found)) == order, self.bounds[order][0], found)
+        needed = np.zeros(len(best), bool)
+        for order in reversed(range(len(best))):
+            without = np.where(np.arange(len(best)) == order, self.bounds[order][0], best)
             higher = model.cost(without)[0]
-            kept[order] = higher - cost >= _GAIN
-            if not kept[order]:
-                found, cost = without, higher
-        return found if kept[2:].all() and kept.any() else None
+            needed[order] = higher - cost >= _GAIN
+            if not needed[order]:
+                best, cost = without, higher
+        return best if needed[2:].all() and needed.any() else None
 
 
 class SurfacePrior(Prior):
@@ -127,10 +127,10 @@ class SurfacePrior(Prior):
         negligible = logarithms < _NEGLIGIBLE
         return np.where(negligible, _NEGLIGIBLE, logarithms), np.where(negligible[:, None], 0.0, derivative)
 
-    def supported(self, model: MixedModel, found: Floats, cost: float) -> Floats | None:
+    def supported(self, model: MixedModel, best: Floats, cost: float) -> Floats | None:
         """None without a gain in the likelihood."""
         gain = model.cost(np.array([self.bounds[0][0], 0.0, 0.0]))[0] - cost
-        return found if gain >= _GAIN * len(found) else None
+        return best if gain >= _GAIN * len(best) else None
 
 
 @cache
@@ -165,7 +165,7 @@ def prior_scales(prior: Prior, rows: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Deviations:
-    """Columns of the deviations of a law, around a fit of Eq. 2 to the kept points."""
+    """Columns of the deviations of a law, around a fit of Eq. 2 to the selected points."""
 
     problem: FitProblem = field(repr=False)
     base: Solution = field(repr=False)
@@ -174,8 +174,8 @@ class Deviations:
 
     @classmethod
     def of(cls, kind: type[ForceLaw], points: IsobaricDataset, base: Solution) -> Deviations:
-        """Deviations in a window of twice the range of the kept points."""
-        used = points.select(base.problem.kept[: len(points)])
+        """Deviations in a window of twice the range of the selected points."""
+        used = points.select(base.problem.selected[: len(points)])
         constants = dict(zip(("centre", "half_width"), _window(used.contraction), strict=True))
         if kind is GaussianProcessLaw:
             centre, half_width = _window(used.pressure)
@@ -194,32 +194,33 @@ class Deviations:
         values = np.concatenate(
             [base.values[: inside.start], np.zeros(len(self.prior.root)), base.values[inside.start :]]
         )
-        residuals, columns = replace(self.problem, kept=base.problem.kept).response(values)
+        residuals, columns = replace(self.problem, selected=base.problem.selected).response(values)
         return np.delete(columns, np.s_[inside], axis=1), columns[:, inside], residuals
 
     def fit(self, hyperparameters: Floats | None = None) -> tuple[Solution, Floats] | None:
         """Solution and hyperparameters (from a guess, if there is one); None if the points do not support the law."""
         model = self.prior.model(*self.columns(self.base))
         starts = self.prior.starts if hyperparameters is None else (hyperparameters,)
-        found, cost = model.estimate(starts, self.prior.bounds)
+        best, cost = model.estimate(starts, self.prior.bounds)
         if hyperparameters is None:
-            supported = self.prior.supported(model, found, cost)
+            supported = self.prior.supported(model, best, cost)
             if supported is None:
                 return None
-            found = supported
-        rows = prior_rows(self.prior, np.exp(self.prior.scales(found)[0]))
+            best = supported
+        rows = prior_rows(self.prior, np.exp(self.prior.scales(best)[0]))
         solution = solve(replace(self.problem, prior=rows), self.base.position)
         try:
             sloped = monotone(solution, self.domain) if solution.converged else None
         except IdentificationError:  # coefficients that cancel are outside the range of the law
             return None
-        return (sloped if sloped and sloped.aicc < self.base.aicc else solution), found  # else the points contradict it
+        return (sloped if sloped and sloped.aicc < self.base.aicc else solution), best  # else the points contradict it
 
     def left_out(self, folds: Sequence[tuple[Bools, Solution]], hyperparameters: Floats) -> Floats:
-        """Errors [N] at blocks left out of the kept points, each predicted by a fit to all others."""
+        """Errors [N] at blocks left out of the selected points, each predicted by a fit to all others."""
         errors = np.full(len(self.base.residuals), np.nan)
         for out, base in folds:
-            refit = replace(self, problem=replace(self.problem, kept=base.problem.kept), base=base).fit(hyperparameters)
+            problem = replace(self.problem, selected=base.problem.selected)
+            refit = replace(self, problem=problem, base=base).fit(hyperparameters)
             if refit is not None and refit[0].converged:
                 errors[out] = replace(refit[0], problem=self.problem).residuals[out]
         return errors
@@ -231,10 +232,10 @@ def _window(values: Floats) -> tuple[float, float]:
 
 
 def fit_smooth(
-    kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, kept: Bools, start: Floats, *, compare: bool = True
+    kinds: Sequence[type[ForceLaw]], points: IsobaricDataset, selected: Bools, start: Floats, *, compare: bool = True
 ) -> tuple[Solution, str]:
-    """Best law for the kept points, or Eq. 2 and the reason; without comparison the first law that they support."""
-    base, used = solve(FitProblem.of(ExponentialLaw, points).subset(kept), start), points.select(kept)
+    """Best law for the selected points, or Eq. 2 and the reason; without comparison the first law that they support."""
+    base, used = solve(FitProblem.of(ExponentialLaw, points).subset(selected), start), points.select(selected)
     if not _may_deviate(base, used):
         return base, "Eq. 2 is exact, or the points are too few"
     folds = _folds(base, points, used) if kinds and compare else {}
@@ -246,10 +247,10 @@ def fit_smooth(
         fitted = deviations.fit()
         if fitted is None:
             continue
-        found, hyperparameters = fitted
-        objection = _objection(found, base, used)
+        solution, hyperparameters = fitted
+        objection = _objection(solution, base, used)
         if not objection and not compare:
-            return found, ""
+            return solution, ""
         if not objection:
             ratios = {
                 block: _ratio(deviations.left_out(fits, hyperparameters), theirs[block])
@@ -258,13 +259,14 @@ def fit_smooth(
             worse = [block for block, ratio in ratios.items() if ratio > _WORSE[block]]
             score = _geometric_mean(list(ratios.values()))
             if not worse and score < _BETTER:
-                accepted.append((found, score))
+                accepted.append((solution, score))
             objection = f"with deviations the errors at left-out {' and '.join(worse or folds)}s are hardly smaller"
         reason = objection
     if not accepted:
         return base, reason
     least = min(score for _, score in accepted)
-    return min((found for found, score in accepted if _BETTER * score <= least), key=lambda found: found.aicc), ""
+    alike = [solution for solution, score in accepted if _BETTER * score <= least]
+    return min(alike, key=lambda solution: solution.aicc), ""
 
 
 def _possible(kinds: Sequence[type[ForceLaw]], used: IsobaricDataset) -> list[type[ForceLaw]]:
@@ -283,35 +285,35 @@ def _geometric_mean(ratios: Sequence[float]) -> float:
     return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
 
 
-def _objection(found: Solution, base: Solution, used: IsobaricDataset) -> str:
+def _objection(solution: Solution, base: Solution, used: IsobaricDataset) -> str:
     """Reason to prefer Eq. 2 without any refit; empty if there is none."""
-    if not found.converged:
+    if not solution.converged:
         return "the fit with deviations did not converge"
-    if not found.aicc < base.aicc:
+    if not solution.aicc < base.aicc:
         return "Akaike's criterion is lower without deviations"
     domain = domain_of(used)
-    wrong, before = (unphysical(one.problem.law(one.values), domain) for one in (found, base))
+    wrong, before = (unphysical(fit.problem.law(fit.values), domain) for fit in (solution, base))
     return f"with deviations {wrong}" if wrong and not before else ""
 
 
 def _folds(base: Solution, points: IsobaricDataset, used: IsobaricDataset) -> dict[str, list[tuple[Bools, Solution]]]:
-    """Blocks of pressure and of inner contraction among the kept points, each with Eq. 2 fitted to all others."""
-    kept = np.flatnonzero(base.problem.kept)
-    found: dict[str, list[tuple[Bools, Solution]]] = {}
+    """Blocks of pressure and of inner contraction among the selected points, each with Eq. 2 fitted to all others."""
+    rows = np.flatnonzero(base.problem.selected)
+    folds: dict[str, list[tuple[Bools, Solution]]] = {}
     levels, contractions = pressure_blocks(used)[0], contraction_blocks(used)
     for kind, labels in (("pressure", np.empty(0) if levels is None else levels), ("contraction", contractions)):
-        blocks = [one for one in np.unique(labels).tolist() if one != ""]
+        blocks = [label for label in np.unique(labels).tolist() if label != ""]
         fewest = _CONTRACTIONS + (kind == "contraction")
         for first in range(min(len(blocks), _FOLDS)):
             out = np.isin(labels, blocks[first::_FOLDS])
-            rest = np.array(base.problem.kept)
-            rest[kept[out]] = False
+            rest = np.array(base.problem.selected)
+            rest[rows[out]] = False
             if len(np.unique(np.round(used.contraction[~out] / RESOLUTION))) < fewest:
                 continue
-            refit = solve(replace(base.problem, kept=rest), base.position)
+            refit = solve(replace(base.problem, selected=rest), base.position)
             if refit.converged and condition_number(refit.triangle[:, ~refit.at_bound]) < CONDITION_LIMIT:
-                found.setdefault(kind, []).append((out, refit))
-    return found
+                folds.setdefault(kind, []).append((out, refit))
+    return folds
 
 
 def _left_out(base: Solution, folds: Sequence[tuple[Bools, Solution]]) -> Floats:
@@ -335,7 +337,7 @@ def laws_from(law_type: type[ForceLaw]) -> tuple[type[ForceLaw], ...]:
 
 def smooth_refit(laws: tuple[type[ForceLaw], ...], points: IsobaricDataset, start: Floats) -> Refit:
     """Identification method of cross-validation: the first of the laws that the points left support."""
-    return lambda kept: fit_smooth(laws, points, kept, start, compare=False)[0]
+    return lambda selected: fit_smooth(laws, points, selected, start, compare=False)[0]
 
 
 def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools, scales: Floats | None) -> Regression:
@@ -349,6 +351,6 @@ def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools,
         prior = prior_of(kind, points.levels)
         problem = replace(problem, prior=prior_rows(prior, scales))
         refit = smooth_refit(laws_from(kind), points, position)
-    found = project(problem, position, values[: problem.linear])
-    solution = Solution(problem, values, position, found.cost, found.triangle, converged=True)
+    projection = project(problem, position, values[: problem.linear])
+    solution = Solution(problem, values, position, projection.cost, projection.triangle, converged=True)
     return Regression(points, problem, solution, at_bound, refit)

@@ -79,12 +79,12 @@ def left_out(outliers: Sequence[Outlier]) -> list[Remark]:
     """Remarks on points that an identification leaves out: the first few, and the rows of the others."""
     shown, more = outliers[:_LISTED], [outlier.place or f"row {outlier.row}" for outlier in outliers[_LISTED:]]
     text = "left out: off the smooth surface through the other points; check it"
-    found = [Remark.warning("force", f"{text}: {outlier}", KEEP_OUTLIERS) for outlier in shown[:1]]
-    found += [Remark.warning("force", f"{text}: {outlier}") for outlier in shown[1:]]
+    remarks = [Remark.warning("force", f"{text}: {outlier}", KEEP_OUTLIERS) for outlier in shown[:1]]
+    remarks += [Remark.warning("force", f"{text}: {outlier}") for outlier in shown[1:]]
     if more:
         rows = ", ".join(more[:_LISTED_ROWS]) + (", ..." if len(more) > _LISTED_ROWS else "")
-        found.append(Remark.warning("force", f"left out, off that surface too: {len(more)} more points: {rows}"))
-    return found
+        remarks.append(Remark.warning("force", f"left out, off that surface too: {len(more)} more points: {rows}"))
+    return remarks
 
 
 def domain_of(points: IsobaricDataset) -> Domain:

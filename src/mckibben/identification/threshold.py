@@ -13,7 +13,7 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import ClusterRobustErrors, Floats, minimum_near, profile_interval, t_quantile
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import identify, residual_correlation
+from mckibben.identification.fitting import identify
 from mckibben.identification.grouping import finest_grouping, group_labels
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
@@ -138,10 +138,6 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, ro
     if inflation > _ONE_GROUP:
         text = "the points of one pressure determine the threshold"
         notes.append(Remark.warning("threshold", text, "measure at several low pressures"))
-    pattern = residual_correlation(points, (best if significant else without).residuals).pattern
-    if pattern:
-        text = f"the residuals are structured along {pattern}: the form of the law is not that of the muscle"
-        notes.append(Remark.warning("law", text))
     return ThresholdFit(
         fit=fit,
         law=law,
@@ -188,10 +184,10 @@ class _Profile:
         labels = group_labels(self.points, finest_grouping(self.points))
         direction = np.zeros((1, columns.shape[1]))
         direction[0, -1] = 1.0
-        found, freedom = ClusterRobustErrors.of(scaled, best.residuals, labels).variance(direction)
+        variance, freedom = ClusterRobustErrors.of(scaled, best.residuals, labels).variance(direction)
         squares = best.cost / max(len(self.points) - columns.shape[1], 1)
         independent = squares * float(np.linalg.pinv(scaled.T @ scaled)[-1, -1])
-        return float(np.clip(freedom[0], 1.0, _MOST_FREEDOM)), max(float(found[0]) / independent, 1.0)
+        return float(np.clip(freedom[0], 1.0, _MOST_FREEDOM)), max(float(variance[0]) / independent, 1.0)
 
     def _points(self, threshold: float) -> IsobaricDataset:
         return _shifted(self.points, threshold) if threshold > 0 else self.points

@@ -119,8 +119,6 @@ def _residuals(axes: Axes, entry: RankedLaw, found: Ranking, scale: Normalize) -
     )
     largest = float(np.abs(residuals).max())
     axes.set_ylim(-1.15 * largest, 1.6 * largest)
-    pattern = entry.residual_correlation.pattern if entry.residual_correlation else ""
-    beside(axes, f"pattern: {pattern}" if pattern else "no pattern", fontsize=6.5)
 
 
 def _short(law: str) -> str:

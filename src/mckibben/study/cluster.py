@@ -7,11 +7,16 @@ import signal
 import uuid
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from typing import TYPE_CHECKING
 
 from mckibben.component.extensions import load_missing, loaded_extensions
 from mckibben.errors import ParameterError, SimulationError
 from mckibben.numerics.batching import cores
+
+if TYPE_CHECKING:
+    from distributed import Client, Future, Worker
+
+    from mckibben.study.study import Table
 
 LOCAL = "local"
 _DEATHS = 8  # workers that may die on one block before the scheduler gives up
@@ -32,9 +37,9 @@ def check_cluster(address: str) -> None:
 
 
 def compute_on_cluster(
-    compute: Callable[[Any], Any],
-    blocks: Mapping[int, Any],
-    keep: Callable[[int, Any], None],
+    compute: Callable[[Table], Table],
+    blocks: Mapping[int, Table],
+    keep: Callable[[int, Table], None],
     address: str,
     workers: int | None = None,
 ) -> Iterator[int]:
@@ -45,9 +50,9 @@ def compute_on_cluster(
 
     waiting = iter(blocks)
     with _client(address, min(workers or cores(), len(blocks))) as client:
-        pending: dict[Any, int] = {}
+        pending: dict[Future, int] = {}
 
-        def submit() -> list[Any]:
+        def submit() -> list[Future]:
             """Submit enough to keep all workers busy while results travel."""
             futures = []
             limit = 2 * max(sum(client.nthreads().values()), 1)
@@ -57,7 +62,7 @@ def compute_on_cluster(
                 pending[futures[-1]] = number
             return futures
 
-        def collect(future: Any) -> int:
+        def collect(future: Future) -> int:
             keep(pending[future], future.result())
             return pending.pop(future)
 
@@ -79,7 +84,7 @@ def compute_on_cluster(
 
 
 @contextmanager
-def _client(address: str, workers: int) -> Iterator[Any]:
+def _client(address: str, workers: int) -> Iterator[Client]:
     """Client of a scheduler, or of a temporary cluster on this machine; its workers have our extensions."""
     loggers = [logging.getLogger(name) for name in ("distributed", "tornado.application", "asyncio")]
     levels = [logger.level for logger in loggers]
@@ -97,7 +102,7 @@ def _client(address: str, workers: int) -> Iterator[Any]:
         yield client
 
 
-def _connected(stack: ExitStack, address: str, workers: int) -> Any:
+def _connected(stack: ExitStack, address: str, workers: int) -> Client:
     """Client of a scheduler, or of a new cluster of local processes."""
     from dask import config
     from distributed import Client, LocalCluster
@@ -116,14 +121,14 @@ def _connected(stack: ExitStack, address: str, workers: int) -> Any:
     return Client(stack.enter_context(cluster), set_as_default=False)
 
 
-def _prepare_workers(client: Any, *, local: bool) -> None:
+def _prepare_workers(client: Client, *, local: bool) -> None:
     """Load the extensions of this process in all workers; local ones ignore Ctrl-C, which the client handles."""
     from distributed import WorkerPlugin
 
     extensions = loaded_extensions()
 
     class Prepare(WorkerPlugin):
-        def setup(self, worker: Any) -> None:
+        def setup(self, worker: Worker) -> None:
             load_missing(extensions)
             if local:
                 try:

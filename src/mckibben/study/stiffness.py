@@ -8,15 +8,16 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.actuator import IdealValve
 from mckibben.control import Setpoint
+from mckibben.joint import AntagonisticJoint
 from mckibben.muscle.air import HEAT_CAPACITY_RATIO
 from mckibben.notebook import Progress, silent
 from mckibben.numerics.compiled import jit, numeric
-from mckibben.plant import JointPlant
+from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Column, Listing, Result, column
 from mckibben.scenario import Scenario
 from mckibben.simulation import DynamicStiffness, closed_valves, compiled_episode, dynamic_stiffness
@@ -136,7 +137,14 @@ def stiffness_tests(
 
 
 @jit
-def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index: Any, dead_volume: Any) -> tuple:
+def _closed_forms(
+    joint: AntagonisticJoint,
+    angle: ArrayLike,
+    pressures: tuple[ArrayLike, ArrayLike],
+    amplitudes: ArrayLike,
+    index: ArrayLike,
+    dead_volume: float,
+) -> tuple:
     air = {"polytropic_index": index, "dead_volume": dead_volume}
     return (
         joint.stiffness(angle, pressures),
@@ -147,7 +155,7 @@ def _closed_forms(joint: Any, angle: Any, pressures: Any, amplitudes: Any, index
 
 
 @jit
-def _closed_dynamic(plant: JointPlant, state: Any, rates: Any) -> Any:
+def _closed_dynamic(plant: JointPlant, state: PlantState, rates: Array) -> Array:
     """Complex stiffness [N*m/rad] of small motions at rates [Hz] with closed valves, without friction."""
     volumes = [air.volume for air in plant.air_volumes(state)]
     valve: Any = plant.valve

@@ -17,7 +17,7 @@ from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import map_chunks
 from mckibben.storage.store import STUDY, Job, open_store
 
-Table = Mapping[str, NDArray[Any]]
+Table = Mapping[str, NDArray]
 """Columns by name, one value per row."""
 
 

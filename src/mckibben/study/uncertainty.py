@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -105,11 +104,11 @@ def joint_bands(
 
 @jit
 def torque_and_stiffness_gradients(
-    joint: AntagonisticJoint, values: tuple[Any, ...], angle: Any, pressure1: Any, pressure2: Any
+    joint: AntagonisticJoint, values: tuple[NDArray, ...], angle: NDArray, pressure1: NDArray, pressure2: NDArray
 ) -> tuple[Array, list[Array], tuple[Array, Array]]:
     """Torque and stiffness, shape (2, ...); gradients per fit, shape (2, parameters, ...); contractions."""
 
-    def answer(parameters: tuple[Any, ...]) -> Array:
+    def answer(parameters: tuple[NDArray, ...]) -> Array:
         laws = _with(joint.muscle1.law, parameters[0]), _with(joint.muscle2.law, parameters[-1])
         changed = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), joint, laws)
         return jnp.stack(changed.torque_and_stiffness(angle, (pressure1, pressure2)))
@@ -125,6 +124,6 @@ def torque_and_stiffness_gradients(
     return answer(values), gradients, joint.contractions(angle, (pressure1, pressure2))
 
 
-def _with(law: ForceLaw, values: Array) -> ForceLaw:
+def _with(law: ForceLaw, values: Array | NDArray) -> ForceLaw:
     names = [p.name for p in type(law).parameters()]
     return dataclasses.replace(law, **dict(zip(names, values, strict=True)))

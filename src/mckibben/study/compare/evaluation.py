@@ -16,6 +16,7 @@ from mckibben.scenario import batched
 from mckibben.simulation import Batch, Metrics, simulate_many
 from mckibben.study.compare.runs import Group, Runs, merged
 from mckibben.study.compare.suite import Suite
+from mckibben.study.study import Table
 
 
 def evaluate(
@@ -26,7 +27,7 @@ def evaluate(
     return simulate_runs(runs, controller, table, max(map(len, table.values()), default=1), tuple(metrics))
 
 
-def engines_used(runs: Runs, controller: str, table: dict[str, Any], metrics: tuple[str, ...]) -> set[str]:
+def engines_used(runs: Runs, controller: str, table: Table, metrics: tuple[str, ...]) -> set[str]:
     """Return the engines of the runs with one set of values [SI]."""
     used = set()
     for group in runs.groups:
@@ -35,7 +36,7 @@ def engines_used(runs: Runs, controller: str, table: dict[str, Any], metrics: tu
     return used
 
 
-def _controller_of(runs: Runs, group: Group, controller: str, table: dict[str, Any], sets: int) -> Controller:
+def _controller_of(runs: Runs, group: Group, controller: str, table: Table, sets: int) -> Controller:
     """A controller with sets of values, each used in all runs of a group: arrays of shape (sets * runs,)."""
     suite, reference = runs.suite, next(iter(runs.suite.references))
     columns = {name: np.repeat(np.asarray(column), group.count) for name, column in table.items()}
@@ -68,7 +69,7 @@ def _tiled(tree: Any, sets: int) -> Any:
 
 
 def simulate_runs(
-    runs: Runs, controller: str, table: dict[str, Any], sets: int, metrics: tuple[str, ...], engine: str = "auto"
+    runs: Runs, controller: str, table: Table, sets: int, metrics: tuple[str, ...], engine: str = "auto"
 ) -> Batch:
     """Simulate all runs with sets of values [SI], one group of runs after the other."""
     batches, lanes = [], []

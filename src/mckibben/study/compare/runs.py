@@ -21,7 +21,7 @@ from mckibben.simulation.problem import check_frequencies, sample_reference, sam
 from mckibben.study.compare.suite import Suite, start_of
 from mckibben.study.parameters import sample
 
-Column = NDArray[Any]
+Column = NDArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +78,7 @@ def _least_failing(trials: Sequence[Trial]) -> list[Trial]:
     return [trial for trial in trials if trial.metrics and trial.metrics.get(FAILED_RUNS, 0.0) == fewest]
 
 
-def percentiles(values: NDArray[np.float64], unit: float) -> dict[str, Any] | None:
+def percentiles(values: NDArray[np.float64], unit: float) -> dict[str, float] | None:
     """Return median, 95th percentile and number of finite values in a unit; None without any."""
     values = values[np.isfinite(values)] / unit
     if not values.size:
@@ -103,7 +102,7 @@ def ratio_of_medians(values: NDArray[np.float64], first: NDArray[np.float64]) ->
     return {"ratio": float(ratio), "low": float(low), "high": float(high)}
 
 
-def by_group(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> dict[str, dict[str, Any]]:
+def by_group(groups: NDArray, errors: dict[str, NDArray[np.float64]]) -> dict[str, dict[str, dict[str, float] | None]]:
     """Median and 95th percentile of errors in each group of runs."""
     return {
         group: {SHOWN[metric]: percentiles(values[groups == group], UNIT[metric]) for metric, values in errors.items()}
@@ -111,7 +110,7 @@ def by_group(groups: NDArray[Any], errors: dict[str, NDArray[np.float64]]) -> di
     }
 
 
-def correlation(condition: NDArray[Any], error: NDArray[np.float64]) -> float | None:
+def correlation(condition: NDArray, error: NDArray[np.float64]) -> float | None:
     """Rank correlation, with infinite errors in failed runs."""
     coefficient = spearman(condition, np.where(np.isfinite(error), error, np.inf))
     return coefficient if np.isfinite(coefficient) else None

@@ -85,8 +85,8 @@ class SimulatedRigSettings(Checked, MuscleRig):
             Stretcher,
         )
 
-        given = {name: one for name in ("law", "friction", "creep") if (one := getattr(self, name)) is not None}
-        muscle = self.muscle.muscle(**given, **({"strength": None} if self.law else {}))
+        laws = {name: law for name in ("law", "friction", "creep") if (law := getattr(self, name)) is not None}
+        muscle = self.muscle.muscle(**laws, **({"strength": None} if self.law else {}))
         regulator = self.regulator or Regulator()
         parts: dict[str, Any] = {"regulator": regulator}
         if self.parts == "ideal":

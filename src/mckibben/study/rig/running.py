@@ -49,9 +49,9 @@ def readings(protocol: Path | None) -> Iterator[tuple[str, bool]]:
     yield "no violations", True
 
 
-def _status_line(found: ChannelStatus) -> tuple[str, bool]:
-    where = f" at {found.where}" if found.where else ""
-    return f"{found.name}{where}: {found.problem or found.reading}", not found.problem
+def _status_line(channel: ChannelStatus) -> tuple[str, bool]:
+    where = f" at {channel.where}" if channel.where else ""
+    return f"{channel.name}{where}: {channel.problem or channel.reading}", not channel.problem
 
 
 @dataclass(frozen=True)
@@ -66,17 +66,17 @@ class CheckedTest:
 
     def describe(self) -> str:
         """Text of the dry run."""
-        found, about = self.dry_run, "about " if self.dry_run.estimated else ""
+        run, about = self.dry_run, "about " if self.dry_run.estimated else ""
         limits = self.setup.bench.limits
-        law = f"{found.force:.0f} N by the law, " if found.force else ""
+        law = f"{run.force:.0f} N by the law, " if run.force else ""
         return "\n".join(
             [
                 f"{self.test.name}: {self.setup.bench.specimen.name} on the {self.rig} rig",
                 *describe_steps(self.steps, 1),
-                f"{about}{_time(found.duration)}, {found.plateaus} points, {found.samples} samples, "
-                f"{found.pulses} pulses, {self.disk_space / 1e6:.0f} MB on disk",
-                f"contraction {found.contraction[0] / percent:.4g}..{found.contraction[1] / percent:.4g} %, pressure "
-                f"{found.pressure[0] / bar:g}..{found.pressure[1] / bar:g} bar; {law}limits: {limits.force:g} N, "
+                f"{about}{_time(run.duration)}, {run.plateaus} points, {run.samples} samples, "
+                f"{run.pulses} pulses, {self.disk_space / 1e6:.0f} MB on disk",
+                f"contraction {run.contraction[0] / percent:.4g}..{run.contraction[1] / percent:.4g} %, pressure "
+                f"{run.pressure[0] / bar:g}..{run.pressure[1] / bar:g} bar; {law}limits: {limits.force:g} N, "
                 f"{limits.pressure / bar:g} bar, {limits.stretch / mm:g} mm to stretch, {limits.shorten / mm:g} mm to "
                 "shorten",
             ]
@@ -100,11 +100,11 @@ def check(
         raise ScenarioError(
             source, _parse_problems(str(error), ("protocol", test.protocol.short_name), lines)
         ) from None
-    found = dry_run(steps, setup.bench, setup.backend.inputs, patience=setup.backend.patience)
-    if found.problems:
-        raise ScenarioError(source, [_with_line(problem, test, lines) for problem in found.problems])
-    row = sum(column.stored.itemsize for column in columns_of([one.name for one in setup.backend.inputs]))
-    return CheckedTest(test, setup, steps, found, found.bytes(row) + 2 * 4 * found.samples)
+    run = dry_run(steps, setup.bench, setup.backend.inputs, patience=setup.backend.patience)
+    if run.problems:
+        raise ScenarioError(source, [_with_line(problem, test, lines) for problem in run.problems])
+    row = sum(column.stored.itemsize for column in columns_of([channel.name for channel in setup.backend.inputs]))
+    return CheckedTest(test, setup, steps, run, run.bytes(row) + 2 * 4 * run.samples)
 
 
 def check_disk_space(folder: Path, needed: int) -> None:
@@ -240,8 +240,10 @@ def _kept_test(folder: Path) -> RigTest:
 
 def _warn_of_calibration(checked: CheckedTest, folder: Path) -> None:
     for path in segments(folder):
-        kept = read_header(path)[0]["header"]["calibration"]
-        if {name: Calibration.from_json(form) for name, form in kept.items()} != dict(checked.setup.bench.calibrations):
+        stored = read_header(path)[0]["header"]["calibration"]
+        if {name: Calibration.from_json(form) for name, form in stored.items()} != dict(
+            checked.setup.bench.calibrations
+        ):
             message = f"{path} was recorded with another calibration; the dataset is made with the present one"
             warnings.warn(message, McKibbenWarning, stacklevel=3)
 
@@ -270,8 +272,8 @@ def _run_session(
         backend.host_watchdog(),
         stop_on_signals() as stop_flag,
     ):
-        given = {"origin": origin, "since": past.since, "report": report, "stop_flag": stop_flag}
-        Runner(RigSession(backend, bench, recorder, **given), done=past.done).run(checked.steps)
+        settings = {"origin": origin, "since": past.since, "report": report, "stop_flag": stop_flag}
+        Runner(RigSession(backend, bench, recorder, **settings), done=past.done).run(checked.steps)
 
 
 def _origin(checked: CheckedTest, folder: Path, past: _PastSessions, standing_at: float | None) -> int:
@@ -292,13 +294,13 @@ def _past(folder: Path) -> _PastSessions:
     events: list[Event] = []
     since, position = 0.0, 0
     step = 1 / header_of(folder)[0]["rate_Hz"] if segments(folder) else 0.0
-    for one in entries(folder):
-        if isinstance(one, Event):
-            events.append(one)
-        elif len(one.columns["time"]):
-            since, position = float(one.columns["time"][-1]) + step, int(one.columns["pulses"][-1])
-    found = points(events)
-    done = tuple(point for number, point in enumerate(found) if point.number == number)
+    for entry in entries(folder):
+        if isinstance(entry, Event):
+            events.append(entry)
+        elif len(entry.columns["time"]):
+            since, position = float(entry.columns["time"][-1]) + step, int(entry.columns["pulses"][-1])
+    recorded = points(events)
+    done = tuple(point for number, point in enumerate(recorded) if point.number == number)
     finished = any(event.kind == DONE for event in events)
     at_rest = events[-1].data.get("pulses") if events and events[-1].kind in (VENTED, DONE) else None
     return _PastSessions(
@@ -308,8 +310,8 @@ def _past(folder: Path) -> _PastSessions:
 
 def _check_same(checked: CheckedTest, folder: Path) -> None:
     """Check that the test in the folder is this one, with the same steps; warn of another calibration."""
-    kept = _kept_test(folder)
-    if not checked.test.is_same(kept):
+    recorded = _kept_test(folder)
+    if not checked.test.is_same(recorded):
         remedy = f"resume it with its own protocol ({folder / PROTOCOL}), or choose another folder"
         raise ScenarioError(str(folder), [Problem("contains another test", remedy=remedy)])
     if segments(folder) and header_of(folder)[0]["steps"] != describe_steps(checked.steps):
@@ -331,7 +333,7 @@ def _header(checked: CheckedTest, folder: Path) -> dict[str, Any]:
             "rated_force_N": specimen.rated_force,
             "mounted_at": bench.mounted_at,
         },
-        "calibration": {name: one.to_json() for name, one in bench.calibrations.items()},
+        "calibration": {name: calibration.to_json() for name, calibration in bench.calibrations.items()},
         "drive": {"pulses_per_metre": bench.drive.pulses_per_metre},
         "rig": dict(checked.setup.backend.description),
         "rate_Hz": bench.rate,

@@ -1,7 +1,6 @@
 """Tuning: minimisation of a cost over scenario parameters, by CMA-ES or along the gradient."""
 
 from mckibben.study.tune.cost import Cost, Term, parse_cost
-from mckibben.study.tune.margin import on_small_step, stability_margin
 from mckibben.study.tune.result import TuneResult
 from mckibben.study.tune.search import Method, Search
 from mckibben.study.tune.space import SearchSpace, gain_ranges, parse_ranges
@@ -17,10 +16,8 @@ __all__ = [
     "Trial",
     "TuneResult",
     "gain_ranges",
-    "on_small_step",
     "parse_cost",
     "parse_ranges",
     "read_trials",
-    "stability_margin",
     "tune",
 ]

@@ -10,22 +10,12 @@ from typing import Any
 import numpy as np
 
 from mckibben.result import Column, Listing, Remark, Result, column
-from mckibben.scenario import ModelFollows, Scenario, find_parameter
+from mckibben.scenario import Scenario, find_parameter
 from mckibben.simulation.metrics import METRICS
 from mckibben.study.parameters import Table
-from mckibben.study.tune.margin import (
-    DISK_MARGIN,
-    UNSTABLE,
-    Robustness,
-    in_conditions,
-    lost_margin,
-    metrics_and_margins,
-)
-from mckibben.study.tune.space import is_gain
+from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins
 from mckibben.study.tune.trials import Trial
-from mckibben.units import deg
 
-_LARGEST = 10.0  # factor on gains
 _MARGIN_UNITS = {"gain": "", "phase_deg": "deg", "delay_ms": "ms", "disk": ""}
 
 
@@ -50,8 +40,6 @@ class TuneResult(Result):
     trials: tuple[Trial, ...] = ()
     """In the order of the search."""
     conditions: Table = field(default_factory=dict)
-    model_follows: ModelFollows = ()
-    percentile: float = 90.0
 
     def verdict(self) -> str:
         """Return the costs before and after."""
@@ -65,16 +53,6 @@ class TuneResult(Result):
         pairs = zip(self.before, self.scenarios, strict=True)
         runs = [[metrics_and_margins(scenario) for scenario in pair] for pair in pairs]
         return [(old[0] | old[1], new[0] | new[1]) for old, new in runs]
-
-    @functools.cached_property
-    def robustness(self) -> list[Robustness]:
-        """Errors and stability of each tuned scenario under the conditions; empty without conditions."""
-        gains = [name for name, value in self.values.items() if is_gain(name) and value]
-        scenarios = self.scenarios if self.conditions else ()
-        return [
-            in_conditions(s, gains, self.conditions, largest=_LARGEST, model_follows=self.model_follows)
-            for s in scenarios
-        ]
 
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks on the margins, the ranges, and what to try next."""
@@ -96,7 +74,7 @@ class TuneResult(Result):
             yield Remark.note("joint", text)
 
     def listings(self) -> Iterator[Listing]:
-        """Yield the scalars, the parameters, the effect on each scenario, and errors under the conditions."""
+        """Yield the scalars, the parameters and the effect on each scenario."""
         yield from super().listings()
         parameters = [find_parameter(self.before[0], name) for name in self.values]
         nominal = ["-" if p.nominal is None else p.show(p.nominal) for p in parameters]
@@ -108,20 +86,6 @@ class TuneResult(Result):
             title = f"{scenario.name}{', without the conditions' if self.conditions else ''}"
             rows = {"metric": list(units), "before": list(old.values()), "tuned": list(new.values())}
             yield _table(title, **rows, unit=list(units.values()))
-        if self.robustness:
-            yield self._in_conditions()
-
-    def _in_conditions(self) -> Listing:
-        shares = {"median": 50.0, f"{self.percentile:g} %": self.percentile, "worst": 100.0}
-        runs = self.robustness
-        columns: dict[str, Any] = {"scenario": [scenario.name for scenario in self.scenarios]}
-        for name, share in shares.items():
-            columns[name] = [np.percentile(run.angle_rmse, share, method="inverted_cdf") / deg for run in runs]
-        columns["diverged"] = [int(np.isinf(run.angle_rmse).sum()) for run in runs]
-        columns["unstable"] = [run.unstable for run in runs]
-        columns["gain margin, at most 10"] = [run.gain_margin for run in runs]
-        count = len(runs[0].angle_rmse)
-        return _table(f"Angle RMSE [deg] in the {count} conditions, and gain margin in all of them", **columns)
 
 
 def _table(title: str, **columns: Any) -> Listing:

@@ -74,7 +74,7 @@ class SearchSpace:
         return tuple(swept.name for swept, at in zip(self.swept, point, strict=True) if min(at, 1 - at) < AT_BOUND)
 
 
-_GAINS = ("kp", "ki", "kd", "bandwidth", "stiffness_bandwidth", "slope", "rswept")
+_GAINS = ("kp", "ki", "kd", "bandwidth", "stiffness_bandwidth", "slope", "reach")
 
 
 def is_gain(name: str) -> bool:

@@ -38,7 +38,7 @@ class Trials:
 
     def __init__(self, job: Job, space: SearchSpace, batch: int, compute: Callable[[Vector], Evaluated]) -> None:
         self._job, self._space, self._batch, self._compute = job, space, batch, compute
-        self._known = {trial.point: (number, trial) for number, trial in _kept(job)}
+        self._known = {trial.point: (number, trial) for number, trial in _read_job(job)}
         self.first = len(self._known)
 
     @property
@@ -86,10 +86,10 @@ class Trials:
 def read_trials(path: str | os.PathLike[str], job: str = "") -> list[Trial]:
     """Return the trials in a study.sqlite of `tune`, or of a controller of `compare`; `FileError` if it has none."""
     with read_store(Path(path)) as store:
-        return [trial for _, trial in _kept(store.job(store.about(job) or {}, job))]
+        return [trial for _, trial in _read_job(store.job(store.about(job) or {}, job))]
 
 
-def _kept(job: Job) -> list[tuple[int, Trial]]:
+def _read_job(job: Job) -> list[tuple[int, Trial]]:
     """Numbers and trials of a job."""
     trials = []
     for number in sorted(job.numbers):

@@ -203,8 +203,6 @@ def _result(problem: TuningProblem, trials: Trials) -> TuneResult:
         trials=tuple(trials.all),
         disk_margin=problem.cost.disk_margin or 0.0,
         conditions=problem.conditions,
-        model_follows=problem.model_follows,
-        percentile=problem.cost.percentile or 90.0,
     )
 
 
