@@ -103,7 +103,7 @@ def test_a_search_over_conditions_costs_their_percentile(cli, scenario, tmp_path
             *("--iterations", "1", "--json", "--out", f"kept{percentile}"),
         )
         assert done.code == 0, done.err
-        costs.append(json.loads(done.out)["cost"])
+        costs.append(json.loads(done.out)["scalars"]["cost"]["value"])
     assert 0 < costs[0] < costs[1]
 
 
