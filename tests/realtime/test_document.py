@@ -54,11 +54,3 @@ def test_a_card_is_wired_as_it_is_said(tmp_path, stiff):
         "valve1": "Dev2/ao0",
         "valve2": "Dev2/ao1",
     }
-
-
-@pytest.mark.parametrize("key", ["virtual", "simulated", "nidaqmx"])
-def test_a_former_key_of_the_hardware_names_the_present_one(key):
-    with pytest.raises(ScenarioError) as error:
-        JointRig.parse(f"name: knee\n{key}: {{}}\n")
-    (problem,) = error.value.problems
-    assert (problem.line, problem.field) == (2, key) and "rig: {" in problem.remedy

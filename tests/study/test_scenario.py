@@ -226,9 +226,9 @@ def test_three_mistakes_are_three_problems_with_lines():
             "{from: knee-table-2, connector_length: 208 mm}",
             "{arm_slope: 8 mm}",  # no class of examples/components.py has it, which other tests of this process may run
             "joint.geometry",
-            "paired_paths`, with arm_slope",
+            "lacks the key `class`",
         ),
-        ("start: {angle", "disturbance: {amplitude: 1 N*m}\nstart: {angle", "disturbance", "other classes are none"),
+        ("start: {angle", "disturbance: {amplitude: 1 N*m}\nstart: {angle", "disturbance", "give one of none, pulses"),
         (VALVE, "valve: perfect", "valve", "known are"),
         (VALVE, "valve: {}", "valve.time_constant", "is missing"),
         (VALVE, "valve: {time_constant: 0 ms}", "valve.time_constant", "outside above 0"),
@@ -257,9 +257,9 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("accuracy: 1e-6 rad ", "substeps: 0 ", "substeps", "outside 1 to 1000"),
         ("name: pre-contracted knee, stiffness step, PID", 'name: "a\\0b"', "name", "not one line"),
         ("name: pre-contracted knee, stiffness step, PID", "name:", "name", "not a name"),
-        ("duration: 10 s", "duration: &d 10 s", None, ""),
+        ("duration: 10 s", "duration: &d 10 s", "duration", "is an anchor"),
         ("duration: 10 s", "duration: !!python/object:os.system 10 s", "duration", "is a tag"),
-        ("duration: 10 s", "duration: *ten", "duration", "is an alias"),
+        ("duration: 10 s", "duration: *ten", "", "undefined alias"),
         ("duration: 10 s", "duration: 10 s\nduration: 5 s", "duration", "is given twice"),
         ("duration: 10 s", "duration: 10 s\n[a, b]: 3", "?", "a key is not text"),
         ("duration: 10 s", "duration: 10 s\n<<: {a: 1}", "<<", "is not a known key"),
@@ -267,7 +267,7 @@ def test_three_mistakes_are_three_problems_with_lines():
         ("duration: 10 s", "duration: 10 s: 5", "", "not YAML"),
         ("duration: 10 s", "duration: [10 s", "", "not YAML"),
         ("duration: 10 s", 'duration: "10 s', "", "not YAML"),
-        ("duration: 10 s", "duration: 10 s\n---\nname: other", "", "a second document starts here"),
+        ("duration: 10 s", "duration: 10 s\n---\nname: other", "", "found another document"),
         ("duration: 10 s", "duration: " + "[" * 100_000, "", "nested more than 12 deep"),
         ("duration: 10 s", "duration: " + "{a: " * 50_000, "", "nested more than 12 deep"),
         ("duration: 10 s", "duration: \x07", "", "not YAML"),
@@ -275,9 +275,6 @@ def test_three_mistakes_are_three_problems_with_lines():
 )
 def test_one_mistake_is_told_with_its_place(old, new, field, words):
     text = changed(old, new)
-    if field is None:
-        Scenario.parse(text)
-        return
     found = problems(text)
     problem = next(p for p in found if p.field.startswith(field) and words in f"{p.message}; {p.remedy}")
     assert problem.line is not None
@@ -285,6 +282,8 @@ def test_one_mistake_is_told_with_its_place(old, new, field, words):
     expected = BASE.split("\n").index("control_period: 1 ms") + 1 if field == "control_period" else line
     if field == "duration" and not new:  # the line of what it is missing from
         expected = next(i for i, text in enumerate(BASE.split("\n"), 1) if not text.startswith("#"))
+    if "nested" in words:  # far too deep for the parser, which then knows no line
+        expected = 1
     assert expected <= problem.line <= expected + 2
     if "comma" not in str(problem) and "point" not in words:
         assert len(found) == 1, [str(p) for p in found]
@@ -339,7 +338,7 @@ def test_bad_loops(change, words):
         ("{geometry: {joint_length: 1 m, joint_radius: 0.1 m}, muscle: M}", "connector_length: is missing"),
         ("{geometry: {from: knee-table-2, joint_radius: 2 m, joint_length: 1.5 m}, muscle: M}", "outside"),
         ("{geometry: {from: knee-table-2, joint_length: 1 m, connector_length: 2 m}, muscle: M}", "outside"),
-        ("{geometry: knee-table-2, connector_length: 2 mm, muscle: M}", "write `geometry: {from"),
+        ("{geometry: knee-table-2, connector_length: 2 mm, muscle: M}", "it is a key of geometry"),
     ],
 )
 def test_bad_joints(joint, words):
@@ -381,7 +380,7 @@ def test_a_bomb_is_refused_at_once():
     for previous, name in zip("abcdefgh", "bcdefghi", strict=True):
         bomb += f"{name}: &{name} [{', '.join(['*' + previous] * 9)}]\n"
     found = problems(bomb)
-    assert any("is an alias" in p.message for p in found)
+    assert any("is an anchor" in p.message for p in found)
 
 
 def test_windows_line_ends_and_byte_order_marks_are_fine(tmp_path):

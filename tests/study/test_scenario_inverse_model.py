@@ -98,10 +98,6 @@ def test_only_the_loops_have_gains():
 
 
 def test_what_does_not_go_together_is_said():
-    former = problem("  alone: true\n")
-    assert former.field == "controller.alone" and "load: none" in former.remedy
-    former = problem("  valve_time_constant: 15 ms\n")
-    assert former.field == "controller.valve_time_constant" and "valve: {time_constant" in former.remedy
     assert "outside" in problem("", "    minimum_tension: 0 N\n").message
     found = Scenario.parse(f"{BEFORE.rstrip()}\n  minimum_tension: 5 N\nreference:{AFTER}")
     assert isinstance(found.control(), PositionStiffnessControl)

@@ -177,7 +177,7 @@ def identify_air(
     >>> pressure = 4e5 + 1e5 * np.exp(-(time - 0.5) / 0.5)  # filled within 0.1 s, shut at 0.5 s
     >>> pressure = np.interp(time, [0.0, 0.4, 0.5], [0.0, 0.0, 5e5]) * (time < 0.5) + pressure * (time >= 0.5)
     >>> found = identify_air([Recording.of(time=time, pressure=pressure, force=0 * time, contraction=0.1)], specimen)
-    >>> round(found.time_constants[0], 2)
+    >>> round(float(found.time_constants[0]), 2)
     0.5
     """
     check_positive("identify_air", "m^3", zero=True, dead_volume=dead_volume)
