@@ -66,7 +66,7 @@ def test_controllers_are_compared_on_the_same_runs(tmp_path):
 
 
 def test_a_study_that_nobody_can_wait_for_is_refused(tmp_path):
-    long = workbench.START.replace("duration: 6 s", "duration: 600 s")
+    long = workbench.START.replace("duration: 6 s", "duration: 6000 s")
     with pytest.raises(ParameterError) as found:
         studies.tuned(long, studies.TuningRequest(method="cma", iterations=60), tmp_path, silent)
     assert found.value.upper == studies.MOST_STEPS
