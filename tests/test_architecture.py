@@ -6,7 +6,10 @@ import pkgutil
 import re
 import subprocess
 import sys
+from collections import Counter
+from graphlib import TopologicalSorter
 from pathlib import Path
+from typing import NamedTuple
 
 import pytest
 
@@ -89,9 +92,147 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
         getattr(mckibben, name)
 
 
-def test_modules_stay_short():
-    lengths = {name: len(Path(path).read_text().splitlines()) for name, path in SOURCES.items()}
-    assert {name: n for name, n in lengths.items() if n > 500} == {}
+# Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
+# raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
+BUDGET = {
+    "top": 890,
+    "actuator": 1050,
+    "calibration": 2080,
+    "catalog": 230,
+    "cli": 2080,
+    "codegen": 2640,
+    "component": 1060,
+    "config": 640,
+    "contract": 670,
+    "control": 2420,
+    "dataset": 3790,
+    "experiment_design": 870,
+    "export": 2620,
+    "identification": 4170,
+    "joint": 1200,
+    "leg": 3660,
+    "muscle": 1550,
+    "numerics": 840,
+    "paper": 790,
+    "plant": 660,
+    "reachability": 1300,
+    "realtime": 1460,
+    "report": 2660,
+    "rig": 4480,
+    "scenario": 770,
+    "simulation": 2940,
+    "storage": 540,
+    "study": 3870,
+    "web": 2480,
+}
+
+MOST_ANY = 1440  # uses of `Any`, to come to 800
+MOST_CONSTANTS = 1010  # numbers at module level, to come to 500
+MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
+LONG = {"mckibben.leg.landing.study_landing", "mckibben.leg.jumping.study_jump", "mckibben.rig.record.assemble"}
+"""Functions of grade D that remain until the leg and the recorder are made anew."""
+PLACEHOLDERS = {"one", "ones", "found", "given", "each", "kept"}
+
+
+class Shape(NamedTuple):
+    """Size and names of a module."""
+
+    code: int
+    docstrings: int
+    lines: int
+    any: int
+    constants: int
+    placeholders: int
+    identifiers: int
+
+
+def shape(path: str) -> Shape:
+    text = Path(path).read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    docstrings: set[int] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node, clean=False):
+            docstrings |= set(range(node.body[0].lineno, node.body[0].end_lineno + 1))
+    lines = text.splitlines()
+    code = [n for n, line in enumerate(lines, 1) if n not in docstrings and line.strip() and line.strip()[0] != "#"]
+    names = [
+        getattr(node, "id", getattr(node, "arg", getattr(node, "name", getattr(node, "attr", None))))
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Name | ast.arg | ast.FunctionDef | ast.ClassDef | ast.Attribute)
+    ]
+    constants = sum(map(numbers, (node.value for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign))))
+    empty = sum(name.strip("_") in PLACEHOLDERS for name in names)
+    return Shape(len(code), len(docstrings), len(lines), names.count("Any"), constants, empty, len(names))
+
+
+def numbers(value: ast.expr | None) -> int:
+    """How many numbers are written in a constant: 1 in ``2 * deg``, one for each entry of a tuple."""
+    if isinstance(value, ast.Tuple):
+        return sum(map(numbers, value.elts))
+    if isinstance(value, ast.BinOp):
+        return int(numbers(value.left) + numbers(value.right) > 0)
+    if isinstance(value, ast.UnaryOp):
+        return numbers(value.operand)
+    return isinstance(value, ast.Constant) and type(value.value) in (int, float)
+
+
+SHAPES = {name: shape(path) for name, path in SOURCES.items()}
+
+
+def package_of(module: str) -> str:
+    """Name of the package below mckibben, "top" for its modules."""
+    parts = module.split(".")
+    is_package = Path(SOURCES[module]).name == "__init__.py"
+    return parts[1] if len(parts) > 2 or is_package else "top"
+
+
+def test_every_package_keeps_its_budget():
+    sizes: Counter[str] = Counter(top=shape(mckibben.__file__).code)
+    for name, found in SHAPES.items():
+        sizes[package_of(name)] += found.code
+    assert {name: size for name, size in sizes.items() if size > BUDGET[name]} == {}
+    assert sizes.keys() == BUDGET.keys()
+
+
+def test_types_constants_and_names_stay_few():
+    total = Shape(*map(sum, zip(*SHAPES.values(), strict=True)))
+    assert total.any <= MOST_ANY
+    assert total.constants <= MOST_CONSTANTS
+    assert total.placeholders <= MOST_PLACEHOLDERS * total.identifiers
+
+
+def test_no_new_function_is_of_grade_d():
+    """At most 20 independent paths, as radon counts them."""
+    complexity = pytest.importorskip("radon.complexity", reason="radon is not installed (make does it)")
+    found = {}
+    for name, path in SOURCES.items():
+        for block in complexity.cc_visit(Path(path).read_text(encoding="utf-8")):
+            for function in (block, *getattr(block, "methods", ())):
+                if type(function).__name__ == "Function" and function.complexity > 20:
+                    found[f"{name}.{function.name}"] = function.complexity
+    assert found.keys() <= LONG
+
+
+def imported(module: str) -> set[str]:
+    """Modules of its package that a module imports, also within functions, but not for types alone."""
+    names: set[str] = set()
+
+    def visit(node: ast.AST) -> None:
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test):
+            return
+        if isinstance(node, ast.ImportFrom):
+            names.update({node.module or "", *(f"{node.module}.{alias.name}" for alias in node.names)})
+        for child in ast.iter_child_nodes(node):
+            visit(child)
+
+    visit(ast.parse(Path(SOURCES[module]).read_text(encoding="utf-8")))
+    return {name for name in names & SOURCES.keys() if package_of(name) == package_of(module)} - {module}
+
+
+def test_no_circle_of_imports_within_a_package():
+    packages = {module for module in SOURCES if Path(SOURCES[module]).name == "__init__.py"}  # they re-export
+    packages |= {module for module in SOURCES if module.startswith("mckibben.rig.")}  # until its recorder is made anew
+    TopologicalSorter({module: imported(module) - packages for module in SOURCES.keys() - packages}).prepare()
 
 
 @pytest.mark.slow

@@ -58,7 +58,9 @@ def test_help_names_every_command_and_the_exit_codes(cli):
 def test_a_process_that_is_done_ends_with_0(tmp_path):
     found = run("identify", "festo-tool-10mm", "--json", cwd=tmp_path, XDG_CACHE_HOME=str(tmp_path))
     assert (found.returncode, found.stderr) == (0, "")
-    assert json.loads(found.stdout)["decay_per_percent"] == pytest.approx(0.340, abs=5e-4)
+    columns = next(t for t in json.loads(found.stdout)["tables"] if t["title"] == "parameters")["columns"]
+    estimates = dict(zip(columns["parameter"]["values"], columns["estimate"]["values"], strict=True))
+    assert float(estimates["decay"]) == pytest.approx(0.340, abs=5e-4)
 
 
 def test_bad_input_ends_with_2_and_nothing_but_the_message(cli):

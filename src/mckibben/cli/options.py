@@ -243,7 +243,7 @@ def on_command_line(text: str) -> str:
 
 def echo(text: str, *, err: bool = False, nl: bool = True) -> None:
     """Print text; control characters, such as escape sequences in names, are escaped."""
-    typer.echo(printable(text), err=err, nl=nl)
+    print(printable(text), file=sys.stderr if err else sys.stdout, end="\n" * nl, flush=True)
 
 
 def notify(text: str, json: bool) -> None:
