@@ -28,7 +28,7 @@ def test_share_and_time_constant_are_found_and_kept(cli, recording, tmp_path):
     assert found.code == 0, found.err
     assert "intervals" in found.out
     numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
-    assert numbers["scalars"]["amplitude"]["value"] == pytest.approx(0.08, rel=0.03)
+    assert numbers["scalars"]["share"]["value"] == pytest.approx(0.08, rel=0.03)
     assert numbers["scalars"]["time_constant"]["value"] == pytest.approx(2.0, rel=0.05)
     assert not numbers["remarks"]
     assert json.loads(cli(*given, "--json").out) == numbers

@@ -140,7 +140,9 @@ def write_fit(fit: Any, path: Path) -> None:
     )
     kind = type(fit.law)
     file = _FitFile(law=fit.law, equation=kind.equation, version=package_version(kind.__module__) or "", fit=numbers)
-    text = _HEAD + to_text(file.model_dump(mode="json", exclude_none=True, context={"folder": path.parent}), width=200)
+    content = file.model_dump(mode="json", exclude_none=True, context={"folder": path.parent})
+    content["law"].pop("equation", None)  # stands at the top, with the version
+    text = _HEAD + to_text(content, width=200)
     with atomic_write(path, overwrite=True) as sibling:
         sibling.write_bytes(sealed(text.encode()))
 
