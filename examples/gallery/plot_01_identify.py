@@ -17,7 +17,7 @@ data
 # Eq. 2 of the paper has seven parameters. The leave-one-pressure-out errors are more informative than those of the fit.
 
 fit = mk.identify(mk.ExponentialLaw, data)
-print(fit.report())
+print(fit.to_text())
 
 # %%
 # The points lie on both sides of the curves: loading above, unloading below. The difference is friction, which has
