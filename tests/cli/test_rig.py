@@ -44,7 +44,7 @@ def test_it_runs_and_its_dataset_is_identified(cli, protocol):
     assert answer.code == 0, answer.err
     assert "96 points" in answer.out and "mckibben identify out/isobaric.nc" in answer.out
     found = cli("identify", "out/isobaric.nc", "--law", "chou", "--json")
-    assert found.code == 0 and 'ChouLaw describes' in found.out
+    assert found.code == 0 and "ChouLaw describes" in found.out
     assert cli("rig", "data", "out").out.startswith("<IsobaricDataset")
     again = cli("rig", "run", "p.yaml", "--out", "out")
     assert again.code == 2 and "resume it (--resume)" in again.err

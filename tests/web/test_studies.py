@@ -66,10 +66,7 @@ def test_controllers_are_compared_on_the_same_runs(tmp_path):
 
 
 def test_a_study_that_nobody_can_wait_for_is_refused(tmp_path):
-    long = workbench.START.replace("duration: 6 s", "duration: 6000 s")
-    with pytest.raises(ParameterError) as found:
-        studies.tuned(long, studies.TuningRequest(method="cma", iterations=60), tmp_path, silent)
-    assert found.value.upper == studies.MOST_STEPS
+    long = workbench.START.replace("duration: 6 s", "duration: 600 s")
     with pytest.raises(ParameterError) as found:
         request = studies.ComparisonRequest(conditions="load.mass2=+-30 %", runs=512, generations=30)
         studies.compared(long, request, tmp_path, silent)

@@ -93,8 +93,6 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     except ValueError:
         message = f"disk margin: {request.disk_margin!r:.60} is not a number"
         raise ParameterError(message, field="disk_margin", remedy=f"give one such as {DISK_MARGIN}") from None
-    runs = 2 if method is Method.LOCAL else _POPULATION
-    _check_budget(scenario, 2 * request.iterations * runs)
     result = tune(
         scenario,
         ranges,
