@@ -20,6 +20,7 @@ from mckibben import (
     simulate,
     simulate_many,
 )
+from mckibben.actuator import IdealValve
 from mckibben.errors import SimulationError
 from mckibben.muscle import MaxwellCreep, MaxwellSlip
 from mckibben.plant import JointFriction
