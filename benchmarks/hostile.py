@@ -887,6 +887,37 @@ def mat5_sparse(rng):
     return mat(rng, array(SPARSE, (3, 3), pick(rng, "x", "force_N2"), content, flags=pick(rng, 0, 0x0800)))
 
 
+META, NEW, RAW = 2, 4, 8
+
+
+def worded(name: str) -> bytes:
+    return struct.pack("<I", len(name)) + name.encode()
+
+
+def channel(name: str, index: bytes | None, properties: Sequence[tuple[str, int, bytes]] = ()) -> bytes:
+    """Object of a segment: path, raw index (None: no data), properties of a name, type and value."""
+    path = f"/'rig'/'{name}'"
+    raw = struct.pack("<I", 2**32 - 1) if index is None else index
+    values = (worded(key) + struct.pack("<I", of) + value for key, of, value in properties)
+    return worded(path) + raw + struct.pack("<I", len(properties)) + b"".join(values)
+
+
+def plain_index(count: int, number_type: int = 10, dimension: int = 1) -> bytes:
+    return struct.pack("<3IQ", 20, number_type, dimension, count % 2**64)
+
+
+def segment(
+    objects: Sequence[bytes], raw: bytes = b"", flags: int = META | NEW | RAW, after: int | None = None
+) -> bytes:
+    meta = struct.pack("<I", len(objects)) + b"".join(objects) if flags & META else b""
+    sizes = (len(meta) + len(raw) if after is None else after, len(meta))
+    return b"TDSm" + struct.pack("<2I2Q", flags, 4712, *sizes) + meta + raw
+
+
+def tdms(*segments: bytes) -> File:
+    return File("rig.tdms", b"".join([sound_tdms(20), *segments]))
+
+
 @kind
 def tdms_endless_samples(rng):
     index = plain_index(pick(rng, 2**60, 2**63, 2**64 - 1, 2**40, 2**31), pick(rng, 1, 2, 10, 0, 0x44, 0x20, 0x08000C))

@@ -83,11 +83,6 @@ def kind(make: Callable[[Points, np.random.Generator], File]) -> Callable[[Point
     return make
 
 
-def limit(make: Callable[[Points, np.random.Generator], File]) -> Callable[[Points, np.random.Generator], File]:
-    LIMITS[make.__name__] = make
-    return make
-
-
 HEADER = ("Pressure [bar]", "Contraction [%]", "Force [N]")
 
 
