@@ -75,7 +75,9 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
             kept.append(moved(now[i], before[i], tension, pressure, pending[i]))
             stuck = sum(k * x for k, x in zip(stiffnesses, kept[i], strict=True))
             rate = -sign * arms[i] * velocity
-            viscous = tension / 2 * math.tanh(2 * SLIP.viscous * rate / tension) if tension else 0.0
+            width = 12 + 0.5 * (pressure - 3e5) / 1e5
+            most = tension - width * math.tanh(tension / (2 * width))  # the muscle never pushes
+            viscous = max(-most, min(most, SLIP.viscous * rate))
             torque += sign * arms[i] * (tension + stuck + viscous)
         return (torque + paper.G * math.sin(math.pi / 6 - angle) - damping * velocity) / paper.inertia, kept
 

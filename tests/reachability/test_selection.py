@@ -241,7 +241,8 @@ def test_friction_is_that_of_the_highest_pressure_and_speed():
     highest = 7.0 + 60 * (5.4 - 3.5)
     assert 0.8 * highest < lost[0] < highest
     damping = 100.0 * second.lengths["radius"] * np.pi / 6 * np.pi
-    opposing = 12.0 * np.tanh(5.0 / 24.0) + 2.5 * np.tanh(damping / 2.5)
+    band = 12.0 * np.tanh(5.0 / 24.0)
+    opposing = band + min(damping, 5.0 - band)  # a muscle under 5 N never pushes
     assert lost[1] == pytest.approx(12.0 + damping + opposing, rel=1e-2)
 
 
@@ -291,7 +292,7 @@ def test_the_measured_map_of_20_mm_agrees_with_its_rating():
 
 def test_the_uncertainties_of_the_page():
     ten, twenty, forty = catalog_makes()
-    assert [round(make.uncertainty, 2) for make in (ten, twenty, forty)] == [0.10, 0.13, 0.22]
+    assert [round(make.uncertainty, 2) for make in (ten, twenty, forty)] == [0.10, 0.10, 0.20]
     contraction, pressure = np.meshgrid(np.linspace(0, 0.15, 7), np.linspace(2 * bar, 6 * bar, 5))
     chart = np.asarray(ten.muscle.law.force(contraction, pressure)).ravel()
     paper = np.asarray(catalog.law("lei-mas-10-180n").force(contraction, pressure)).ravel()
