@@ -88,6 +88,7 @@ _VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
     "rad": (1.0, _ANGLE),
     "mrad": (mrad, _ANGLE),
     "deg": (deg, _ANGLE),
+    "J": (1.0, (2, 1, -2, 0, 0)),
     "W": (1.0, (2, 1, -3, 0, 0)),
     "K": (1.0, _TEMPERATURE),
     "percent": (percent, _NOTHING),
