@@ -398,8 +398,7 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
     assert done.exit_code == 0
     numbers = json.loads(done.stdout)
     assert numbers == json.loads((out / "results.json").read_text())
-    page = (out / "landing.html").read_text()
-    assert "<table" in page and "http" not in page.replace("http://www.w3.org", "")
+    assert any(path.suffix == ".png" for path in out.iterdir())
     assert LegScenario.read(out / "leg.yaml") == scenario
     rot = bytearray((out / "landing.nc").read_bytes())
     rot[len(rot) // 2] ^= 1
