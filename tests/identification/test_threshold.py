@@ -51,13 +51,6 @@ def test_without_a_threshold_none_is_found(seed):
     assert found.interval[0] == 0 and found.p_value > 0.01 and found.fit.law == found.law
 
 
-@pytest.mark.slow
-def test_another_dead_band_leaves_structured_residuals():
-    """Pressure that acts gradually, by p^2/(p + 0.3 bar)."""
-    found = identify_threshold(ExponentialLaw, points(lambda c, p: LAW.force(c, p * p / (p + 0.3 * bar))))
-    assert any("structured" in note.text for note in found.notes)
-
-
 def test_deviations_that_absorb_a_threshold_are_refused():
     with pytest.raises(IdentificationError) as refused:
         identify_threshold(SmoothLaw, points(LAW.force))

@@ -50,7 +50,7 @@ class ThresholdFit(Result):
     residual, residual_without
         Root mean square error [N] with the threshold and without one.
     notes
-        Structure of the residuals, and other reasons not to rely on the result.
+        Reasons not to rely on the result.
     """
 
     fit: Fit
