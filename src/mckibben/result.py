@@ -113,7 +113,7 @@ def column(
 
 
 class Severity(Enum):
-    """How much a remark matters, the value is its word in texts."""
+    """Severity of a remark; its value is the word in texts."""
 
     SEVERE = "severe"  # the result must not be used as it is
     WARNING = "warning"  # may change what the user does

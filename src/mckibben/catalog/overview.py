@@ -11,7 +11,7 @@ from mckibben.result import Column, Listing, Result
 
 
 class Overview(Result):
-    """What the catalog has; `mckibben.catalog.cite` gives the source of an entry."""
+    """Laws and entries of the catalog; `mckibben.catalog.cite` gives the source of an entry."""
 
     def verdict(self) -> str:
         kinds = ((kind, len(catalog.names(kind))) for kind in catalog.KINDS)

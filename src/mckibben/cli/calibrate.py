@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from typer import Argument, Option
 
-from mckibben.cli.command import present
+from mckibben.cli.command import DETAILS, present
 from mckibben.cli.options import (
     Force,
     Json,
@@ -59,7 +59,7 @@ def calibrate(
     prior: Annotated[
         Path | None, Option(metavar="PRIOR.yaml", help="Standard deviations before, such as `mass: 5 %`.")
     ] = None,
-    details: Annotated[bool, Option("--details", help="Print notes and further tables, too.")] = False,
+    details: DETAILS = False,
     out: Annotated[Path | None, Option(metavar="DIR", help="Folder of records, model and figure.")] = None,
     force: Force = False,
     json: Json = False,

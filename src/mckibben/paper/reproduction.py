@@ -45,7 +45,7 @@ class Reproduction:
 
     @property
     def verdict(self) -> str:
-        """How many of the paper's own claims that can be tested here hold, and how many need the paper's muscle."""
+        """Number of the paper's testable claims that hold, and number of those that need the paper's muscle."""
         testable = [claim for claim in self.paper_claims if not claim.needs_muscle]
         hold, others = sum(claim.holds for claim in testable), len(self.paper_claims) - len(testable)
         counted = f"{hold} of {len(testable)} that can be tested here hold"
