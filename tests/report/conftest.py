@@ -1,6 +1,7 @@
 """A small reproduction: real parts, few of them. Tuned gains are moderate ones doubled, the seeds' spread invented."""
 
 import dataclasses
+from html.parser import HTMLParser
 
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +36,43 @@ def _spread(run):
     spread = {name: jnp.asarray(value * np.array([1.0, 1.1, 1.3])) for name, value in measured.items()}
     spread["stiffness_settling"] = spread["stiffness_settling"].at[-1].set(jnp.nan)
     return Metrics(**spread)
+
+
+class Page(HTMLParser):
+    """Tags with their attributes, those that are open, and the cells of all tables of a page."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.open, self.cells = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "br", "link", "input"):
+            self.open.append(tag)
+        if tag in ("td", "th"):
+            self.cells.append("")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if {"td", "th"} & set(self.open):
+            self.cells[-1] = " ".join((self.cells[-1] + data).split())
+
+    @property
+    def is_self_contained(self):
+        """No part comes from elsewhere."""
+        starts = {"src": "data:image/", "href": "#"}
+        links = [(value, starts[name]) for _, a in self.tags for name, value in a.items() if name in starts]
+        active = {"script", "link", "iframe", "object"} & {tag for tag, _ in self.tags}
+        return not active and all(value.startswith(start) for value, start in links)
+
+
+@pytest.fixture(scope="session")
+def page_of():
+    """Parser of pages."""
+    return Page
 
 
 @pytest.fixture(scope="session")

@@ -2,9 +2,7 @@
 
 import html
 import re
-from html.parser import HTMLParser
 
-import numpy as np
 import pytest
 
 from mckibben.report.page import SOURCES, typeset
@@ -13,40 +11,14 @@ from mckibben.report.tables import NAMES, number, with_error
 pytestmark = pytest.mark.slow  # they need the whole reproduction
 
 
-class Page(HTMLParser):
-    """Tags with their attributes, and the cells of every table."""
-
-    def __init__(self, text):
-        super().__init__()
-        self.tags, self.open, self.cells, self._cell = [], [], [], None
-        self.feed(text)
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.append((tag, dict(attrs)))
-        if tag not in ("meta", "img", "br", "link", "input"):
-            self.open.append(tag)
-        if tag in ("td", "th"):
-            self._cell = ""
-
-    def handle_endtag(self, tag):
-        assert self.open.pop() == tag
-        if tag in ("td", "th"):
-            self.cells.append(" ".join(self._cell.split()))
-            self._cell = None
-
-    def handle_data(self, data):
-        if self._cell is not None:
-            self._cell += data
-
-
 @pytest.fixture(scope="module")
 def text(page):
     return (page / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
-def parsed(text):
-    return Page(text)
+def parsed(text, page_of):
+    return page_of(text)
 
 
 def plain(text):
@@ -58,27 +30,16 @@ def test_the_page_is_whole_and_needs_nothing_else(parsed, text):
     found = [attributes["id"] for _, attributes in parsed.tags if "id" in attributes]
     assert len(found) == len(set(found))
     assert {a["href"][1:] for tag, a in parsed.tags if tag == "a"} <= set(found)
-    for tag, attributes in parsed.tags:
-        assert tag not in ("link", "iframe", "object", "script")
-        for name in ("src", "href"):
-            if name in attributes:
-                assert attributes[name].startswith("data:image/" if name == "src" else "#")
-    assert "@import" not in text
-    assert "url(" not in text
+    assert parsed.is_self_contained and "@import" not in text and "url(" not in text
     assert len(text.encode()) < 8e6
 
 
-def test_pictures_have_a_text_and_tables_a_caption_and_heads(parsed, drawn):
+def test_pictures_have_a_text_and_a_file_and_tables_a_caption_and_heads(parsed, drawn, page, reproduction):
     pictures = [attributes for tag, attributes in parsed.tags if tag == "img"]
-    assert len(pictures) == len(drawn)
-    assert all(len(picture["alt"]) > 30 for picture in pictures)
     count = [tag for tag, _ in parsed.tags].count
+    assert len(pictures) == count("figcaption") == len(drawn)
+    assert all(len(picture["alt"]) > 30 for picture in pictures)
     assert count("table") == count("caption") == count("thead") > 8
-    assert all("scope" in attributes for tag, attributes in parsed.tags if tag == "th")
-    assert count("figcaption") == len(drawn)
-
-
-def test_figures_lie_beside_the_page(page, drawn, reproduction):
     assert reproduction.quick  # then there is no SVG; `save` has a test of its own
     for name in drawn:
         assert (page / "figures" / f"{name}.png").stat().st_size > 5000
@@ -95,14 +56,6 @@ def test_every_claim_dataset_source_and_decision_is_there(text, reproduction):
     assert words.count("✗ does not hold") == sum(not claim.holds for claim in reproduction.claims)
     for name in reproduction.identification.fits:
         assert NAMES[name] in words
-    muscle, friction = reproduction.identification.rig.muscle, reproduction.identification.rig.rig.hysteresis
-    first, last = np.degrees(reproduction.joint["as_printed"].static_range)
-    for answer in (
-        f"N, below the rating of {muscle.specimen.rated_force:g} N",
-        f"static equilibrium exists from {first:.1f}° to {last:.1f}° only".replace("-", "−"),
-        f"friction of ±{friction:g} N",
-    ):
-        assert answer in words
     assert text.count("<div><dt>") - text.count('<dl class="facts">') * 4 == 12
     assert len(SOURCES) == 3
 
@@ -125,13 +78,6 @@ def test_the_numbers_are_those_of_the_results(parsed, reproduction):
                 assert number(run["angle_rmse_deg"]) + worst in cells
     for tuned in results["tuning"].values():
         assert number(tuned["position"]["ki"] / 1e5) in cells
-
-
-def test_the_page_is_the_same_every_time(reproduction, page, tmp_path):
-    from mckibben.report import write_report
-
-    again = write_report(reproduction, tmp_path)
-    assert again.read_bytes() == (page / "report.html").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from mckibben.report import save, tuning
+from mckibben.report import tuning
 from mckibben.study.tune import Trial, TuneResult
 from mckibben.study.tune.objective import FAILED_COST
 
@@ -30,7 +30,7 @@ def line(axes, label):
     return next(each for each in axes.lines if each.get_label() == label)
 
 
-@pytest.mark.parametrize("numbers", [1, 2, 12, 13, 60])
+@pytest.mark.parametrize("numbers", [1, 12, 60])
 def test_one_row_a_number_with_its_best_place(numbers):
     tuned = searched(numbers)
     _, _, places = drawn(tuned)
@@ -42,7 +42,7 @@ def test_one_row_a_number_with_its_best_place(numbers):
     assert names == ([f"position.gain{i}" for i in range(numbers)] if numbers <= 12 else [""] * numbers)
 
 
-@pytest.mark.parametrize("lost", [0, 1, 39])
+@pytest.mark.parametrize("lost", [0, 39])
 def test_what_was_lost_is_counted_and_not_drawn(lost):
     tuned = searched(3, lost=lost)
     _, costs, _ = drawn(tuned)
@@ -64,22 +64,12 @@ def test_the_cost_before_is_drawn_if_there_was_one():
     assert "before" not in [each.get_label() for each in costs.lines]
 
 
-def test_a_single_trial_is_a_search_too():
-    drawn(searched(1, trials=1))
-
-
-@pytest.mark.parametrize("named", ["controller.position.gain", "joint.geometry.connector_length"])
 @pytest.mark.slow
-def test_panels_have_their_names_and_nothing_hides_beyond_the_edge(tmp_path, named):
-    figure, costs, places = drawn(searched(5, trials=300, lost=4, named=named))
-    assert (costs.get_ylabel(), costs.get_yscale()) == ("cost", "log")
-    assert places.get_xlim()[0] < 0
-    assert places.get_xlim()[1] > 1
+def test_nothing_hides_beyond_the_edge():
+    figure, _, _ = drawn(searched(5, trials=300, lost=4, named="joint.geometry.connector_length"))
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     for axes in figure.axes:
         box = axes.get_tightbbox(canvas.get_renderer())
         assert figure.bbox.x0 <= box.x0 < box.x1 <= figure.bbox.x1
         assert figure.bbox.y0 <= box.y0 < box.y1 <= figure.bbox.y1
-    save(figure, tmp_path, "tuning")
-    assert {path.name for path in tmp_path.iterdir()} == {"tuning.png", "tuning.svg"}

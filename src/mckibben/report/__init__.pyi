@@ -35,7 +35,6 @@ from .style import save as save
 from .tracking import control_results as control_results
 from .tracking import controller_comparison as controller_comparison
 from .tracking import error_curves as error_curves
-from .tracking import feasibility as feasibility
 from .tracking import gain_histories as gain_histories
 from .tracking import margins as margins
 from .tracking import tracking as tracking

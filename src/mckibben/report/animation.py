@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -31,7 +30,6 @@ if TYPE_CHECKING:
 FORMATS = {".webp": "WEBP", ".gif": "GIF"}
 """Format by the end of a file's name."""
 
-_CLEAR = 127  # index of the transparent colour of a GIF
 _SIZE = (6.4, 4.0)  # inches
 _DPI = 100
 _RATE = 12  # frames per second
@@ -80,24 +78,11 @@ def animate(
         raise SimulationError("the run diverged: there is nothing to draw", remedy="animate a run that is finite")
     frames = _frames(result, _plant_of(result) if plant is None else plant)
     milliseconds = round(1000 * min(result.times[-1] / len(frames), _MOST_FRAMES / _RATE / len(frames)))
-    options: Look = {"lossless": True, "quality": 30, "method": 2}
-    if kind == "GIF":
-        frames, options = _differences(frames), {"optimize": False, "transparency": _CLEAR, "disposal": 1}
+    options: Look = {"lossless": True, "quality": 30, "method": 2} if kind == "WEBP" else {}
     options |= {"save_all": True, "append_images": frames[1:], "loop": 0, "duration": max(milliseconds, 20)}
     with atomic_write(path, overwrite=overwrite) as part:
         frames[0].save(part, format=kind, **options)
     return Path(path)
-
-
-def _differences(frames: list[Image.Image]) -> list[Image.Image]:
-    """Images with one palette, transparent where they equal the previous one, which compresses well."""
-    palette = frames[len(frames) // 3].quantize(_CLEAR, dither=Image.Dither.NONE)
-    indices = [np.asarray(frame.quantize(palette=palette, dither=Image.Dither.NONE)) for frame in frames]
-    changes = [np.where(now == before, _CLEAR, now) for before, now in itertools.pairwise(indices)]
-    images = [Image.fromarray(index.astype(np.uint8)) for index in (indices[0], *changes)]
-    for image in images:
-        image.putpalette(palette.getpalette() or [])
-    return images
 
 
 def _plant_of(result: SimulationResult) -> JointPlant:

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from mckibben.report.figures import ReportFigure, described
 from mckibben.report.page import Section, write_document
@@ -23,8 +21,6 @@ if TYPE_CHECKING:
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
 _PAGE = "comparison.html"
-_TRACED = 2  # controllers with time traces in addition to the first
-_NARROW = 3.0  # a smaller ratio gets a linear axis
 
 
 @styled
@@ -35,7 +31,8 @@ def comparison_errors(result: CompareResult) -> Figure:
     looks = looks_of(result.batches)
     for i, (panel, (metric, label, unit)) in enumerate(zip(axes, _ERRORS, strict=True)):
         for name, look in looks.items():
-            _distribution(panel, result.metric(name, metric) / unit, label=name, **look)
+            values = result.metric(name, metric) / unit  # failed runs are below no error
+            panel.ecdf(np.where(np.isfinite(values), values, np.inf), label=name, **look)
         panel.set_xscale("log")
         plain_numbers(panel.xaxis)
         panel.set(xlabel=label, ylim=(0, 1.02))
@@ -49,8 +46,8 @@ def comparison_errors(result: CompareResult) -> Figure:
 
 
 def _marker(look: Look) -> str:
-    """Marker of a controller, different if its colour is reused."""
-    return "D" if "alpha" in look else "o"
+    """Marker of a controller, which differs if its colour is reused."""
+    return "o" if look["linestyle"] == "-" else "D"
 
 
 @styled
@@ -123,7 +120,8 @@ def write_comparison(result: CompareResult, folder: str | os.PathLike[str]) -> P
 
 def _figures(result: CompareResult, runs: int) -> list[ReportFigure]:
     first, *others = result.batches
-    run, results = result.median_run([first, *[name for name in result.numbers["order"] if name in others][:_TRACED]])
+    best = [name for name in result.numbers["order"] if name in others][:2]
+    run, results = result.median_run([first, *best])
     drawn = {
         "errors": comparison_errors(result),
         "air": comparison_air(result),
@@ -148,10 +146,3 @@ def _tuned(result: CompareResult) -> Table:
         ]
         rows.append((name, change, "; ".join(written)))
     return Table("Tuned parameters.", ("controller", "cost of the training runs", "parameters"), rows)
-
-
-def _distribution(axes: Axes, values: NDArray[np.float64], **look: Any) -> None:
-    """Empirical distribution function; runs without a value count as infinite."""
-    ordered = np.sort(values[np.isfinite(values)])
-    below = np.arange(ordered.size + 1) / max(values.size, 1)
-    axes.plot([*ordered[:1], *ordered], below[: ordered.size + bool(ordered.size)], drawstyle="steps-post", **look)

@@ -9,25 +9,22 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.identification.ranking import EXTRAPOLATION
-from mckibben.report.palette import BAND, BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION
+from mckibben.report.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION
 from mckibben.report.style import (
-    DIRECTIONS,
     DOUBLE,
-    LOADING,
-    UNLOADING,
     Look,
     beside,
     blank,
-    by_direction,
+    draw_band,
+    draw_points,
+    legend_above,
     letter,
-    log_ticks,
     panels,
+    plain_numbers,
     pressure_colours,
     styled,
 )
@@ -92,7 +89,7 @@ def _errors(axes: Axes, fitted: list[RankedLaw], ranked: Ranking) -> None:
     axes.set_yticks(places, [f"{_short(entry.law)} ({entry.parameters})" for entry in fitted])
     axes.invert_yaxis()
     axes.set_xscale("log")
-    log_ticks(axes.xaxis, 1.0, 2.0, 5.0)
+    plain_numbers(axes.xaxis)
     axes.set_xlabel("RMSE [N]")
     axes.grid(axis="x", which="both", alpha=0.3)
     order = "by cross-validation error" if ranked.blocks else "by AICc (no block could be held out)"
@@ -127,8 +124,7 @@ def _short(law: str) -> str:
 
 
 _MOST = 6  # pressures with their own panel
-_CURVE: Look = {"color": "#222222", "linewidth": 0.9, "zorder": 3}
-_MEAN: Look = {"color": BLUE, "alpha": 0.45, "linewidth": 0, "zorder": 2}
+_MEAN: Look = {"color": BLUE, "alpha": 0.45, "zorder": 2}
 
 
 @styled
@@ -150,36 +146,22 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
         band = fit.force_intervals(along, float(pressure), level=level, by=by)
         for axes, offset in ((grid[0, i], 0.0), (grid[1, i], band.confidence.value)):
             outer, inner = band.prediction, band.confidence
-            axes.fill_between(along / percent, outer.lower - offset, outer.upper - offset, color=BAND, zorder=1)
-            axes.fill_between(along / percent, inner.lower - offset, inner.upper - offset, **_MEAN)
-            axes.plot(along / percent, band.confidence.value - offset, **_CURVE)
+            x, width = along / percent, f"{100 * level:g} %"
+            draw_band(axes, x, outer.lower - offset, outer.upper - offset, label=f"{width} prediction band")
+            draw_band(axes, x, inner.lower - offset, inner.upper - offset, label=f"{width} confidence band", **_MEAN)
+            axes.plot(x, band.confidence.value - offset, label="fitted law", **_MODEL)
         there = fit.force_intervals(points.contraction, points.pressure, level=level, by=by)
-        _points(grid[0, i], points, points.force)
-        _points(grid[1, i], points, points.force - there.confidence.value)
+        look: Look = {"markersize": _size(points), "zorder": 4}
+        draw_points(grid[0, i], points, points.force, **look)
+        draw_points(grid[1, i], points, points.force - there.confidence.value, **look)
         outside = np.mean((points.force < there.prediction.lower) | (points.force > there.prediction.upper))
         beside(grid[1, i], f"{100 * outside:.0f} % outside")
         letter(grid[0, i], i, f"{pressure / bar:.3g} bar")
         grid[1, i].set(xlabel="contraction [%]")
     grid[0, 0].set(ylabel="force [N]", ylim=(min(0.0, float(taut.force.min())), 1.06 * float(taut.force.max())))
     grid[1, 0].set(ylabel="measured − fitted [N]")
-    share = f"{100 * level:g} %"
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], label="fitted law", **{k: v for k, v in _CURVE.items() if k != "zorder"}),
-        Patch(label=f"{share} confidence band", **{k: v for k, v in _MEAN.items() if k != "zorder"}),
-        Patch(label=f"{share} prediction band", color=BAND),
-    ]
-    handles += [
-        Line2D([], [], linestyle="", markersize=3.5, label=str(d), **DIRECTIONS[str(d)]) for d in taut.directions
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    legend_above(figure, *grid.ravel())
     return figure
-
-
-def _points(axes: Axes, points: IsobaricDataset, value: NDArray[np.float64]) -> None:
-    for direction, mask in by_direction(points):
-        look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"})
-        x = points.contraction[mask] / percent
-        axes.plot(x, value[mask], linestyle="", markersize=_size(points), zorder=4, **look)
 
 
 def _size(points: IsobaricDataset) -> float:
@@ -229,31 +211,22 @@ def _spread(levels: NDArray[np.float64]) -> NDArray[np.float64]:
 def _forces(axes: Axes, means: IsobaricDataset, fit: HysteresisFit) -> None:
     """Draw all points, and the modelled force of each pass."""
     force, model = means.force - fit.offset, fit.tension + fit.friction_force
-    loading = means.table["direction"].to_numpy() == "loading"
-    for side, look in ((loading, LOADING), (~loading, UNLOADING)):
-        axes.plot(means.contraction[side] / percent, force[side], linestyle="none", markersize=_size(means), **look)
+    draw_points(axes, means, force, markersize=_size(means))
     for rows in _passes(means):
-        axes.plot(means.contraction[rows] / percent, model[rows], **_MODEL)
-    handles = [
-        Line2D([], [], linestyle="none", markersize=4, label="loading (being stretched)", **LOADING),
-        Line2D([], [], linestyle="none", markersize=4, label="unloading (shortening)", **UNLOADING),
-        Line2D([], [], label="law and friction", **_MODEL),
-    ]
+        axes.plot(means.contraction[rows] / percent, model[rows], label="law and friction", **_MODEL)
     friction = fit.friction
     title = f"half width {friction.half_width:.3g} N at {friction.reference_pressure / bar:.3g} bar"
     if friction.growth:
         title += f", {friction.growth * bar:+.2g} N/bar"
-    axes.legend(handles=handles, loc="upper right", title=title, title_fontsize=7.5, alignment="left")
+    labels = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    axes.legend(labels.values(), labels, loc="upper right", title=title, title_fontsize=7.5, alignment="left")
     axes.set(xlabel=_CONTRACTION, ylabel="force [N]")
 
 
 def _loop(axes: Axes, means: IsobaricDataset, fit: HysteresisFit, level: float) -> float:
     """Draw the friction force at a pressure, measured and modelled; return the RMSE [N]."""
     here = np.isclose(means.levels, level, rtol=0, atol=1.0) & (fit.tension > 0)
-    loading = means.table["direction"].to_numpy() == "loading"
-    measured = fit.residuals + fit.friction_force
-    for side, look in ((here & loading, LOADING), (here & ~loading, UNLOADING)):
-        axes.plot(means.contraction[side] / percent, measured[side], linestyle="none", markersize=_size(means), **look)
+    draw_points(axes, means.select(here), (fit.residuals + fit.friction_force)[here], markersize=_size(means))
     for rows in _passes(means):
         if here[rows].any():
             rows = rows[here[rows]]

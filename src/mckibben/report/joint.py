@@ -7,13 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
-from matplotlib.patches import Polygon, Rectangle
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from mckibben.control import Constant, Sine
 from mckibben.reachability import (
     Envelope,
     Selection,
@@ -30,7 +28,6 @@ from mckibben.report.style import (
     draw_band,
     legend_above,
     letter,
-    log_ticks,
     minus,
     plain_numbers,
     pressure_colours,
@@ -50,11 +47,6 @@ _ANGLE, _STIFFNESS, _TORQUE = "joint angle [deg]", "stiffness [N·m/rad]", "musc
 _SAMPLES_APART = 100
 _SHOWN_RANGE = 1.3  # of the required angles
 _FROM, _LENGTH, _ERRORS_APART = 5.0, 8.0, 20  # s and samples, of the figure of valves
-_REFERENCES = (
-    {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.1},
-    {"color": BLACK, "linestyle": (0, (1, 1.2)), "linewidth": 1.5},
-    {"color": BLACK, "linestyle": "-", "linewidth": 0.8},
-)
 
 
 @styled
@@ -74,9 +66,10 @@ def attainable_stiffness(
         )
         for edge in (joint_map.lowest, joint_map.highest):
             axes.plot(angles, edge, color=BLUE, linewidth=0.9)
-        for (reference, result), look in zip(((references or {}).get(name) or {}).items(), _REFERENCES, strict=False):
-            for label, x, y in _path(result, reference):
-                axes.plot(x, y, label=label, zorder=4, **look)
+        own = (references or {}).get(name, {})
+        for (reference, result), color in zip(own.items(), (BLACK, ORANGE, VERMILLION), strict=False):
+            desired = result["desired_angle"] / deg, result["desired_stiffness"]
+            axes.plot(*desired, ".", markersize=1.0, color=color, label=f"desired stiffness, {reference}", zorder=4)
         first, last = (limit / deg for limit in joint_map.static_range)
         for limit in (first, last):
             axes.axvline(limit, color="#888888", linewidth=0.7, linestyle="-.")
@@ -99,12 +92,12 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
     titles = ("K_min", "K_max", "K_max − K_min")
     for i, (name, joint_map) in enumerate(maps.items()):
         values = (joint_map.lowest_at, joint_map.highest_at, joint_map.highest_at - joint_map.lowest_at)
-        span = _levels(joint_map.lowest_at, joint_map.highest_at)
+        span = _levels(*values[:2])
         for j, (axes, value) in enumerate(zip(grid[i], values, strict=True)):
-            levels = span if j < 2 else _levels(np.zeros(1), value)
+            levels = span if j < 2 else _levels(value)
             cmap = "viridis" if j < 2 else "cividis"
-            _filled(axes, joint_map, value, levels, cmap)
-            filled = ScalarMappable(BoundaryNorm(levels, 256), cmap)
+            filled = axes.contourf(joint_map.angles / deg, joint_map.torques, value, levels, cmap=cmap)
+            filled.set_rasterized(True)
             axes.plot(joint_map.angles / deg, joint_map.gravity_torque, color="white", linewidth=2.6, zorder=4)
             look = {**DESIRED, "linewidth": 1.2, "zorder": 5}
             axes.plot(joint_map.angles / deg, joint_map.gravity_torque, label="static torque of the load", **look)
@@ -122,47 +115,9 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
     return figure
 
 
-def _filled(
-    axes: Axes, joint_map: JointMap, value: NDArray[np.float64], levels: NDArray[np.float64], cmap: str
-) -> None:
-    """Filled contours clipped to the smooth outline of the attainable set."""
-    held = ~np.isnan(value)
-    columns = np.flatnonzero(held.any(axis=0))
-    rows = np.arange(len(joint_map.torques))
-    whole = np.stack([np.interp(rows, rows[held[:, j]], value[held[:, j], j]) for j in columns], axis=1)
-    angles = joint_map.angles[columns] / deg
-    filled = axes.contourf(angles, joint_map.torques, whole, levels, cmap=cmap)
-    lines = axes.contour(filled, levels=levels[::2], colors="white", linewidths=0.4, alpha=0.7)
-    low = [joint_map.torques[held[:, j]].min() for j in columns]
-    high = [joint_map.torques[held[:, j]].max() for j in columns]
-    outline = np.column_stack([np.append(angles, angles[::-1]), np.append(low, high[::-1])])
-    edge = Polygon(outline, closed=True, transform=axes.transData)
-    for drawn in (filled, lines):
-        drawn.set_clip_path(edge)
-    filled.set_rasterized(True)
-
-
-def _levels(low: NDArray[np.float64], high: NDArray[np.float64]) -> NDArray[np.float64]:
+def _levels(*values: NDArray[np.float64]) -> NDArray[np.float64]:
     """About twelve round contour levels that cover all values."""
-    first, last = float(np.nanmin(low)), float(np.nanmax(high))
-    rough = max(last - first, 1e-6) / 11
-    power = 10 ** np.floor(np.log10(rough))
-    step = float(next(m * power for m in (1, 2, 2.5, 5, 10) if m * power >= rough * 0.999))
-    return np.arange(np.floor(first / step), np.ceil(last / step) + 1) * step
-
-
-def _path(result: SimulationResult, reference: str) -> Sequence[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
-    """Reference stiffness over the range of reference angles, one horizontal line per level."""
-    angle = result["desired_angle"] / deg
-    stiffness = result["desired_stiffness"]
-    levels = np.unique(stiffness)
-    if len(levels) > 4:
-        return [(f"desired stiffness, {reference}", angle, stiffness)]
-    parts = ((level, angle[stiffness == level]) for level in levels)
-    return [
-        (f"desired stiffness, {reference}", np.array([there.min(), there.max()]), np.array([level, level]))
-        for level, there in parts
-    ]
+    return MaxNLocator(12).tick_values(float(np.nanmin(values)), float(np.nanmax(values)))
 
 
 _STATIC, _DYNAMIC = "#DCE9F2", "#9CC3E0"
@@ -190,9 +145,8 @@ def envelope(envelope: Envelope) -> Figure:
 def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
     static, trackability = envelope.static, envelope.trackability
     torque = trackability.bands.torque
-    seen = torque
     if static.map_angles.size:
-        width, seen = np.nan_to_num(static.map_stiffness.width), static.map_torques
+        width = np.nan_to_num(static.map_stiffness.width)
         drawn = axes.contourf(static.map_angles / deg, static.map_torques, width, 10, cmap="cividis")
         drawn.set_rasterized(True)
         figure.colorbar(drawn, ax=axes, label="K_max − K_min [N·m/rad]", pad=0.02)
@@ -201,9 +155,6 @@ def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
     axes.plot(angles, torque, color=VERMILLION, linewidth=1.1, zorder=5, label="torque of the reference motion")
     axes.grid(False)
     axes.set(xlabel=_ANGLE, ylabel=_TORQUE)
-    most = 0.6 * np.ptp(seen)
-    low, high = seen.min(), seen.max()
-    axes.set_ylim(max(min(low, torque.min()), low - most) - 0.3, min(max(high, torque.max()), high + most) + 0.3)
 
 
 def _over_angle(axes: Axes, envelope: Envelope) -> None:
@@ -219,7 +170,7 @@ def _over_angle(axes: Axes, envelope: Envelope) -> None:
         _limits(axes, *(edge[inside] for edge in static.stiffness), motion.stiffness)
     else:  # often many times the isobaric stiffness
         axes.set_yscale("log")
-        log_ticks(axes.yaxis, 1, 2, 5)
+        plain_numbers(axes.yaxis)
 
 
 def _band(axes: Axes, static: StaticEnvelope, *, color: str, label: str) -> None:
@@ -234,33 +185,21 @@ def _band(axes: Axes, static: StaticEnvelope, *, color: str, label: str) -> None
 
 def _over_time(axes: Axes, envelope: Envelope) -> None:
     motion, bands = envelope.trackability.trajectory, envelope.trackability.bands
-    shown = _shown(envelope)
-    times = motion.times[shown]
-    edges = [edge[shown] for edge in (*bands.static, *bands.rate_limited)]
-    draw_band(axes, times, *edges[:2], color=_STATIC, label="attainable, static")
-    draw_band(axes, times, *edges[2:], color=_DYNAMIC, label="attainable, reference motion", zorder=1)
-    axes.plot(times, motion.stiffness[shown], label="reference", **DESIRED)
+    times = motion.times
+    draw_band(axes, times, *bands.static, color=_STATIC, label="attainable, static")
+    draw_band(axes, times, *bands.rate_limited, color=_DYNAMIC, label="attainable, reference motion", zorder=1)
+    axes.plot(times, motion.stiffness, label="reference", **DESIRED)
     axes.set(xlabel="time [s]", ylabel=_STIFFNESS, xlim=(times[0], times[-1]))
-    _limits(axes, *edges, motion.stiffness[shown])
+    _limits(axes, *bands.static, *bands.rate_limited, motion.stiffness)
 
 
 def _angle(axes: Axes, envelope: Envelope) -> None:
     motion, static = envelope.trackability.trajectory, envelope.static
-    shown = _shown(envelope)
-    times = motion.times[shown]
+    times = motion.times
     if static.angle_min <= static.angle_max:
         axes.axhspan(static.angle_min / deg, static.angle_max / deg, color=_STATIC, linewidth=0, zorder=0)
-    axes.plot(times, motion.angle[shown] / deg, label="reference", **DESIRED)
+    axes.plot(times, motion.angle / deg, label="reference", **DESIRED)
     axes.set(xlabel="time [s]", ylabel=_ANGLE, xlim=(times[0], times[-1]))
-
-
-def _shown(envelope: Envelope) -> slice:
-    """Samples to draw: two periods of a sine, else all."""
-    times, signals = envelope.trackability.trajectory.times, envelope.scenario.signals
-    sine = signals.angle
-    if not (isinstance(sine, Sine) and sine.frequency and isinstance(signals.stiffness, Constant)):
-        return slice(None)
-    return slice(0, max(int(np.searchsorted(times, times[0] + 2 / sine.frequency)), 2))
 
 
 def _limits(axes: Axes, *curves: np.ndarray) -> None:

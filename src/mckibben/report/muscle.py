@@ -10,7 +10,6 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
@@ -23,6 +22,7 @@ from mckibben.report.style import (
     beside,
     blank,
     by_direction,
+    draw_points,
     legend_above,
     letter,
     panels,
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from mckibben.identification import Fit, FitWithFriction, Validation
 
 _CONTRACTION, _FORCE = "contraction [%]", "force [N]"
-_MOST_CURVES = 20
 
 
 @styled
@@ -52,29 +51,15 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
         )
     figure = blank(DOUBLE, 4.6)
     axes = figure.subplots()
-    colours, levels = pressure_colours(), dataset.pressures
-    top = float(dataset.force.max())
-    left, right = float(dataset.contraction.min()) / percent, float(dataset.contraction.max()) / percent
-    for level in levels:
-        colour = colours((level - levels[0]) / max(float(np.ptp(levels)), 1.0))
-        curves = {d: _mean_curve(dataset.at(level), d) for d in ("loading", "unloading")}
-        (up, force_up), (down, force_down) = curves["loading"], curves["unloading"]
-        axes.plot(up, force_up, color=colour, label="loading (being stretched)")
-        axes.plot(down, force_down, color=colour, linestyle=(0, (3, 1.5)), label="unloading (shortening)")
-        # Labels on the diagonal of the panel, where neighbouring curves are apart.
-        along = np.linspace(max(up[0], down[0]), min(up[-1], down[-1]), 400)
-        middle = (np.interp(along, up, force_up) + np.interp(along, down, force_down)) / 2
-        place = int(np.argmin(np.abs(middle / top - 0.05 - 0.6 * (along - left) / (right - left))))
-        look = {"color": colour, "fontsize": 7, "fontweight": "bold", "ha": "center", "va": "center"}
-        box = {"facecolor": "white", "edgecolor": "none", "pad": 0.6}
-        axes.text(along[place], middle[place], f"{level / bar:g}", bbox=box, **look)
-    axes.set(xlabel=_CONTRACTION, ylabel=_FORCE, ylim=(-0.015 * top, 1.04 * top))
-    handles = [
-        Line2D([], [], color="#444444", label="loading (being stretched)"),
-        Line2D([], [], color="#444444", linestyle=(0, (3, 1.5)), label="unloading (shortening)"),
-    ]
-    title = f"labels: pressure [bar]; mean of {max(len(dataset.repeats), 1)} repeats"
-    axes.legend(handles=handles, loc="upper right", title=title, title_fontsize=7.5, alignment="left")
+    scale = Normalize(dataset.pressures.min() / bar, dataset.pressures.max() / bar)
+    for level in dataset.pressures:
+        for direction, style, text in (("loading", "-", "being stretched"), ("unloading", "--", "shortening")):
+            colour, label = pressure_colours()(scale(level / bar)), f"{direction} ({text})"
+            axes.plot(*_mean_curve(dataset.at(level), direction), color=colour, linestyle=style, label=label)
+    axes.set(xlabel=_CONTRACTION, ylabel=_FORCE, title=f"mean of {max(len(dataset.repeats), 1)} repeats")
+    shades = ScalarMappable(scale, pressure_colours())
+    figure.colorbar(shades, ax=axes, label="pressure [bar]", fraction=0.04, aspect=40)
+    legend_above(figure, axes)
     return figure
 
 
@@ -95,7 +80,7 @@ def law_comparison(
     top = float(dataset.force.max())
     for i, (axes, level) in enumerate(zip(grid, levels, strict=True)):
         points = dataset.at(level)
-        _points(axes, points)
+        draw_points(axes, points, points.force, "data", markersize=3.2)
         for (name, law), look in zip(laws.items(), (EXPERIMENTAL, THEORETICAL), strict=False):
             axes.plot(contraction / percent, forces(law, contraction, level), label=name, zorder=4, **look)
         letter(axes, i, f"{level / bar:g} bar")
@@ -155,7 +140,8 @@ def measured_muscles(muscles: Mapping[str, tuple[IsobaricDataset, Fit | None]]) 
         _coloured(axes, taut, taut.force, scale)
         slack = data.select(data.slack)
         if len(slack):
-            axes.plot(slack.contraction / percent, slack.force, "x", color="#999999", markersize=3)
+            look = {"color": "#999999", "markersize": 3, "label": "slack (excluded)"}
+            axes.plot(slack.contraction / percent, slack.force, "x", **look)
         if fit:
             _curves(axes, data, fit.law, scale)
             difference = taut.force - forces(fit.law, taut.contraction, taut.pressure)
@@ -171,29 +157,14 @@ def measured_muscles(muscles: Mapping[str, tuple[IsobaricDataset, Fit | None]]) 
             axes.set_title(name)
         axes.set(ylabel=_FORCE if i == 0 else "")
         axes.set_ylim(bottom=-0.03 * float(data.force.max()))
-        axes.legend(handles=_handles(data, fit), loc="upper right")
+        axes.legend(loc="upper right")
     shades = ScalarMappable(scale, pressure_colours())
     figure.colorbar(shades, ax=list(grid.ravel()), label="pressure [bar]", fraction=0.04, aspect=40)
     return figure
 
 
-def _handles(data: IsobaricDataset, fit: Fit | None) -> list[Line2D]:
-    def marks(shape: str, label: str, colour: str = "#444444") -> Line2D:
-        return Line2D([], [], linestyle="", marker=shape, color=colour, label=label)
-
-    known = [str(d) for d in data.directions]
-    handles = [marks(DIRECTIONS[d]["marker"], d) for d in known] or [marks("o", "taut")]
-    if data.slack.any():
-        handles.append(marks("x", "slack (excluded)", "#999999"))
-    if fit:
-        law = type(fit.law).source.split(" of the paper")[0]
-        handles.append(Line2D([], [], color="#444444", linewidth=1.0, label=f"fitted {law}"))
-    return handles
-
-
 def _coloured(axes: Axes, data: IsobaricDataset, value: NDArray[np.float64], scale: Normalize) -> None:
     """Points coloured by pressure, with markers by direction."""
-    size = 14 if len(data) < 300 else 6
     for direction, mask in by_direction(data):
         axes.scatter(
             data.contraction[mask] / percent,
@@ -202,7 +173,8 @@ def _coloured(axes: Axes, data: IsobaricDataset, value: NDArray[np.float64], sca
             norm=scale,
             cmap=pressure_colours(),
             marker=DIRECTIONS.get(direction, {"marker": "o"})["marker"],
-            s=size,
+            label=direction or "taut",
+            s=14 if len(data) < 300 else 6,
             edgecolors="white",
             linewidths=0.3,
             zorder=3,
@@ -211,31 +183,18 @@ def _coloured(axes: Axes, data: IsobaricDataset, value: NDArray[np.float64], sca
 
 def _curves(axes: Axes, data: IsobaricDataset, law: ForceLaw, scale: Normalize) -> None:
     levels = data.taut.pressures
-    if len(levels) > _MOST_CURVES:
-        levels = np.linspace(levels[0], levels[-1], _MOST_CURVES // 2)
+    if len(levels) > 20:  # measured pressures
+        levels = np.linspace(levels[0], levels[-1], 10)
     first, last = float(data.contraction.min()), float(data.contraction.max())
-    for level in levels:
+    name = f"fitted {type(law).source.split(' of the paper')[0]}"
+    for number, level in enumerate(levels):
         there = data.contraction[data.levels == level]
         contraction = np.linspace(float(there.min()) if there.size else first, last, 300)
         force = forces(law, contraction, level)
         # the curve ends where the muscle is slack
         taut = np.where(force > 0, force, np.nan)
-        axes.plot(contraction / percent, taut, color=pressure_colours()(scale(level / bar)), linewidth=0.9, zorder=2)
-
-
-def _points(axes: Axes, data: IsobaricDataset) -> None:
-    for direction, mask in by_direction(data):
-        look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"})
-        axes.plot(
-            data.contraction[mask] / percent,
-            data.force[mask],
-            linestyle="",
-            markersize=3.2,
-            markerfacecolor="white" if direction == "unloading" else look["color"],
-            markeredgewidth=0.7,
-            label=f"{direction} data" if direction else "data",
-            **look,
-        )
+        look = {"color": pressure_colours()(scale(level / bar)), "linewidth": 0.9, "zorder": 2}
+        axes.plot(contraction / percent, taut, label="_nolegend_" if number else name, **look)
 
 
 def _mean_curve(data: IsobaricDataset, direction: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -75,7 +75,7 @@ _PAGE = "report.html"
 
 
 def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> Path:
-    """Write `report.html`, self-contained, and its figures as PNG, SVG and PDF in `figures/`; return its path."""
+    """Write `report.html`, self-contained, and its figures as PNG and SVG in `figures/`; return its path."""
     folder = Path(folder)
     drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
     for figure in figures(reproduction):
@@ -85,7 +85,7 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
 
 def embedded(figure: ReportFigure, folder: Path, *, preview: bool = False) -> EmbeddedFigure:
     """A figure, saved in `figures/`."""
-    return figure, address_of(*save(figure.figure, folder / "figures", figure.name, preview=preview, pdf=True))
+    return figure, address_of(*save(figure.figure, folder / "figures", figure.name, preview=preview))
 
 
 def write_page(path: Path, text: str) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -22,9 +23,8 @@ from mckibben.report.style import (
     Look,
     beside,
     blank,
-    by_direction,
+    draw_points,
     letter,
-    log_ticks,
     minus,
     part_of,
     plain_numbers,
@@ -40,9 +40,6 @@ if TYPE_CHECKING:
     from mckibben.experiment_design import ExperimentPlan
     from mckibben.study.sweep import SweepResult
     from mckibben.study.tune import TuneResult
-
-_FEW = 12  # labelled parameters
-_LONGEST_NAME = 26  # on one line
 
 
 @styled
@@ -77,7 +74,7 @@ def tuning(tuned: TuneResult) -> Figure:
     for row, column in zip(rows, points[good].T, strict=True):
         places_axes.plot(column, np.full(column.size, row), "|", color=BLUE, markersize=7, alpha=0.25)
     places_axes.plot(points[np.argmin(costs)], rows, "D", color=VERMILLION, markersize=4)
-    shown = [name.removeprefix("controller.") for name in names] if len(names) <= _FEW else [""] * len(names)
+    shown = [name.removeprefix("controller.") if len(names) <= 12 else "" for name in names]
     places_axes.set(xlim=(-0.03, 1.03), ylim=(-0.7, len(names) - 0.3), yticks=rows, yticklabels=shown)
     places_axes.set_xticks([0, 0.5, 1], ["lower end", "middle", "upper end"])
     places_axes.set_xlabel("blue: within 10 % of the lowest cost", fontsize=7)
@@ -85,17 +82,8 @@ def tuning(tuned: TuneResult) -> Figure:
     return figure
 
 
-_COLUMNS = 4
-_DRAWN = 4000  # runs of a panel; bands and medians are of all
-_BINS = 16
-_FEWEST = 8  # runs in a bin with a median
-_FEW_TICKS = 4
-_FEW_VALUES = 12  # an input with at most this many values is not binned
-_SPREAD_OF_LOG = 30.0
-
-
 class _Input(NamedTuple):
-    """Values of a swept parameter, in its shown unit."""
+    """Values of a swept parameter, in its shown unit, and the bin of each for medians."""
 
     name: str
     unit: str
@@ -104,23 +92,18 @@ class _Input(NamedTuple):
 
     @property
     def label(self) -> str:
-        """Label of its axis; a long name is broken into two lines."""
-        head, _, tail = self.name.rpartition(".") if len(self.name) > _LONGEST_NAME else ("", "", self.name)
-        name = f"{head}.\n{tail}" if head else tail
-        return f"{name}\n[{self.unit.replace('*', '·')}]"
+        """Label of its axis; a long address is broken into two lines."""
+        head, _, tail = self.name.rpartition(".")
+        return f"{head}.\n{tail} [{self.unit.replace('*', '·')}]" if head else f"{tail} [{self.unit.replace('*', '·')}]"
 
-    @property
-    def bins(self) -> list[tuple[float, NDArray[np.bool_]]]:
-        """Centre and members of each bin that has any."""
-        distinct = np.unique(self.values)
-        if distinct.size <= _FEW_VALUES:
-            return [(float(value), self.values == value) for value in distinct]
-        even = np.log(np.abs(self.values)) if self.log else self.values
-        edges = np.linspace(even.min(), even.max(), _BINS + 1)
-        place = np.clip(np.searchsorted(edges, even, side="right") - 1, 0, _BINS - 1)
-        middles = (edges[1:] + edges[:-1]) / 2
-        middles = np.sign(distinct[0]) * np.exp(middles) if self.log else middles
-        return [(float(middle), place == i) for i, middle in enumerate(middles) if (place == i).any()]
+    def bins(self) -> Iterator[tuple[float, NDArray[np.bool_]]]:
+        """Median and members of each bin: of each value, or of as many parts with equally many runs."""
+        edges, most = np.unique(self.values), int(np.clip(self.values.size // 8, 4, 12))
+        if edges.size > most:
+            edges = np.quantile(self.values, np.linspace(0, 1, most, endpoint=False))
+        place = np.searchsorted(edges, self.values, side="right")
+        for number in np.unique(place):
+            yield float(np.median(self.values[place == number])), place == number
 
 
 @styled
@@ -140,8 +123,9 @@ def sweep(swept: SweepResult) -> Figure:
             _metric(axes, swept_input, swept, metric)
         if len(heights) > len(metrics):
             _lost(column[-1], swept_input, lost)
-        for axes in column:
-            _scale_of_input(axes, swept_input)
+        if swept_input.log and swept_input.values[0] > 0:
+            column[0].set_xscale("log")
+            plain_numbers(column[0].xaxis)
         column[-1].set_xlabel(swept_input.label)
     for axes, metric in zip(grid[:, 0], metrics, strict=False):
         axes.set_ylabel(_label(metric))
@@ -165,16 +149,6 @@ def _title(swept: SweepResult, shown: int) -> str:
     return f"{swept.count} runs{unstable}{others}"
 
 
-def _scale_of_input(axes: Axes, swept_input: _Input) -> None:
-    """Ticks at few values, or a logarithmic axis."""
-    distinct = np.unique(swept_input.values)
-    if 1 < distinct.size <= _FEW_TICKS:
-        axes.set_xticks(distinct)
-    elif swept_input.log and distinct[0] > 0:
-        axes.set_xscale("log")
-        log_ticks(axes.xaxis, 1.0, 3.0)
-
-
 def _strongest(swept: SweepResult, metrics: tuple[str, ...]) -> list[_Input]:
     """Parameters with the largest rank correlations, in their original order."""
     lost = swept.failed
@@ -187,7 +161,7 @@ def _strongest(swept: SweepResult, metrics: tuple[str, ...]) -> list[_Input]:
             valid = ~lost & np.isfinite(values)
             correlations.append(spearman(column[valid], values[valid]))
         strengths[name] = np.abs(np.nan_to_num(correlations)).max()
-    chosen = sorted(strengths, key=lambda name: -strengths[name])[:_COLUMNS]
+    chosen = sorted(strengths, key=lambda name: -strengths[name])[:4]
     return [_input(swept, name) for name in swept.inputs if name in chosen]
 
 
@@ -204,16 +178,13 @@ def _metric(axes: Axes, swept_input: _Input, swept: SweepResult, metric: str) ->
     valid = ~swept.failed & np.isfinite(values)
     x, y = swept_input.values[valid], values[valid]
     low, high = np.percentile(y, [5, 95])
-    log = bool(low > 0 and high > _SPREAD_OF_LOG * low)
-    if log:
+    limits = robust_limits([y], margin=0.06, floor=1e-9 + 0.02 * abs(float(np.median(y))))
+    if low > 0 and high > 30 * low:
         axes.set_yscale("log")
         limits = tuple(10**end for end in robust_limits([np.log10(y[y > 0])], margin=0.06))
-        log_ticks(axes.yaxis, 1.0, 3.0)
-    else:
-        limits = robust_limits([y], margin=0.06, floor=1e-9 + 0.02 * abs(float(np.median(y))))
+        plain_numbers(axes.yaxis)
     axes.set_ylim(*limits)
-    drawn = evenly_spaced(y.size, _DRAWN)
-    drawn = drawn[(y[drawn] >= limits[0]) & (y[drawn] <= limits[1])]
+    drawn = evenly_spaced(y.size, 4000)
     size = float(np.clip(900 / max(y.size, 1), 1.5, 9.0))
     axes.scatter(x[drawn], y[drawn], s=size, color=BLUE, alpha=0.35, linewidths=0, rasterized=True, label="run")
     _median(axes, swept_input._replace(values=x), y)
@@ -223,19 +194,18 @@ def _metric(axes: Axes, swept_input: _Input, swept: SweepResult, metric: str) ->
 
 
 def _median(axes: Axes, swept_input: _Input, y: NDArray[np.float64]) -> None:
-    few = np.unique(swept_input.values).size <= _FEW_VALUES
-    least = 1 if few else min(_FEWEST, y.size // _BINS + 1)
-    bins = [(middle, members) for middle, members in swept_input.bins if members.sum() >= least]
-    middles = [middle for middle, _ in bins]
-    low, median, high = np.array([np.percentile(y[members], [5, 50, 95]) for _, members in bins]).T
+    middles, members = zip(*swept_input.bins(), strict=True)
+    low, median, high = np.array([np.percentile(y[part], [5, 50, 95]) for part in members]).T
     label = "90 % of nearby runs"
     axes.fill_between(middles, low, high, facecolor="#1111111A", edgecolor="#111111", linewidth=0.5, label=label)
     halo = [Stroke(linewidth=2.8, foreground="white"), Normal()]
-    axes.plot(middles, median, color=BLACK, marker="o" if few else "", zorder=4, label="median", path_effects=halo)
+    axes.plot(middles, median, color=BLACK, marker=".", zorder=4, label="median", path_effects=halo)
 
 
 def _lost(axes: Axes, swept_input: _Input, lost: NDArray[np.bool_]) -> None:
-    middles, shares = np.array([(middle, 100 * float(lost[members].mean())) for middle, members in swept_input.bins]).T
+    middles, shares = np.array(
+        [(middle, 100 * float(lost[members].mean())) for middle, members in swept_input.bins()]
+    ).T
     axes.fill_between(middles, 0, shares, color=VERMILLION, alpha=0.25, linewidth=0)
     axes.plot(middles, shares, color=VERMILLION, marker="o", markersize=2.2, linewidth=1.0)
 
@@ -250,9 +220,6 @@ def _label(metric: str) -> str:
 
 
 _UNKNOWN, _OUT = "#C9C9C9", "#FFFFFF"
-_MOST_STATES = 60  # more states are drawn as a region
-_LABEL_GAP = 2.5 * percent, 0.35 * bar  # closer points share a label
-_WIDEST = 300.0  # ratio of the colour scale
 
 
 @styled
@@ -271,7 +238,8 @@ def planned(plan: ExperimentPlan) -> Figure:
     left.set_ylabel("pressure [bar]")
     letter(left, 0, "now, measured points")
     letter(right, 1, f"after {len(plan.points)} planned points")
-    _measured_points(left, plan)
+    taut = plan.measured.taut
+    draw_points(left, taut, taut.levels / bar, "measured", markersize=3.0, markeredgecolor="white", markeredgewidth=0.3)
     _planned_points(right, plan)
     _quantity_states((left, right), plan)
     handles = {
@@ -287,7 +255,7 @@ def planned(plan: ExperimentPlan) -> Figure:
         fraction=0.04,
         pad=0.01,
     )
-    log_ticks(bar_of_colours.ax.yaxis, 1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
+    plain_numbers(bar_of_colours.ax.yaxis)
     figure.suptitle(plan.verdict().replace("; ", ";\n", 1), fontsize=8, fontweight="normal")
     return figure
 
@@ -295,9 +263,8 @@ def planned(plan: ExperimentPlan) -> Figure:
 def _scale(plan: ExperimentPlan) -> LogNorm:
     both = np.concatenate([plan.map.now.ravel(), plan.map.after.ravel()])
     both = both[np.isfinite(both)]
-    low = float(both.min()) if both.size else 1.0
-    high = min(float(both.max()), _WIDEST * low) if both.size else 10.0
-    return LogNorm(low, max(high, 1.5 * low))
+    low, high = (float(both.min()), float(both.max())) if both.size else (1.0, 10.0)
+    return LogNorm(low, min(max(high, 1.5 * low), 300 * low))
 
 
 def _shade(axes: Axes, plan: ExperimentPlan, errors: NDArray[np.float64], scale: LogNorm, colours: Colormap) -> None:
@@ -315,52 +282,20 @@ def _marks(direction: str, size: float) -> Look:
     return look | {"linestyle": "", "markersize": size, "markeredgewidth": size / 9, "markeredgecolor": "white"}
 
 
-def _measured_points(axes: Axes, plan: ExperimentPlan) -> None:
-    points = plan.measured.taut
-    for direction, where in by_direction(points):
-        name = f"measured, {direction}" if direction else "measured"
-        x, y = points.contraction[where] / percent, points.levels[where] / bar
-        axes.plot(x, y, label=name, **_marks(direction, 3.0))
-
-
 def _planned_points(axes: Axes, plan: ExperimentPlan) -> None:
-    """Draw the planned points; close ones share a label."""
-    clusters: dict[tuple[int, int], list[int]] = {}
-    for number, point in enumerate(plan.points):
+    """Draw the planned points with their numbers."""
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6}
+    label: Look = {"textcoords": "offset points", "va": "center", "fontsize": 7, "fontweight": "bold", "bbox": box}
+    for number, point in enumerate(plan.points, 1):
         name = f"planned, {point.direction}" if point.direction else "planned"
         look = _marks(point.direction, 6.5)
         axes.plot(point.contraction / percent, point.pressure / bar, zorder=4, clip_on=False, label=name, **look)
-        cell = round(point.contraction / _LABEL_GAP[0]), round(point.pressure / _LABEL_GAP[1])
-        clusters.setdefault(cell, []).append(number)
-    middle = sum(axes.get_xlim()) / 2
-    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.6}
-    for cluster in clusters.values():
-        x, y = np.array([(plan.points[i].contraction / percent, plan.points[i].pressure / bar) for i in cluster]).T
-        right = x.max() < middle
-        axes.annotate(
-            ", ".join(str(number + 1) for number in cluster),
-            (x.max() if right else x.min(), y.mean()),
-            (6 if right else -6, 0),
-            textcoords="offset points",
-            ha="left" if right else "right",
-            va="center",
-            fontsize=7,
-            fontweight="bold",
-            zorder=5,
-            bbox=box,
-        )
+        axes.annotate(str(number), (point.contraction / percent, point.pressure / bar), (6, 0), zorder=5, **label)
 
 
 def _quantity_states(panels: tuple[Axes, Axes], plan: ExperimentPlan) -> None:
-    """Draw the states of the quantity of interest; of many, the outline of their range."""
+    """Draw the states of the quantity of interest."""
     states = plan.target_states
-    if not len(states):
-        return
-    x, y = states[:, 0] / percent, states[:, 1] / bar
     look: Look = {"color": BLUE, "linestyle": "", "marker": "+", "markersize": 8, "markeredgewidth": 1.6}
-    if len(states) > _MOST_STATES:
-        look = {"color": BLUE, "linewidth": 1.0}
-        x = np.where([0, 1, 1, 0, 0], x.max(), x.min())
-        y = np.where([0, 0, 1, 1, 0], y.max(), y.min())
-    for axes in panels:
-        axes.plot(x, y, zorder=3, label="quantity of interest", **look)
+    for axes in panels if len(states) else ():
+        axes.plot(states[:, 0] / percent, states[:, 1] / bar, zorder=3, label="quantity of interest", **look)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import io
+import itertools
 import math
 import os
 import re
@@ -26,12 +27,13 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.text import Text
-from matplotlib.ticker import FixedFormatter, LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import FixedFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.errors import printable
 from mckibben.report.palette import BAND, BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 from mckibben.storage.files import atomic_write
+from mckibben.units import percent
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
@@ -46,28 +48,17 @@ DESIRED: Look = {"color": BLACK, "linestyle": (0, (4, 2)), "linewidth": 1.0, "zo
 CONTROLLERS: dict[str, Look] = {
     "PID": {"color": VERMILLION, "linestyle": "-", "marker": "o"},
     "BP": {"color": BLUE, "linestyle": "-", "marker": "s"},
-    "PID, position gains doubled": {"color": GREEN, "linestyle": (0, (5, 1, 1, 1)), "marker": "P"},
-    "PID tuned": {"color": ORANGE, "linestyle": (0, (6, 1.2)), "marker": "D"},
-    "BP on tuned gains": {"color": SKY, "linestyle": (0, (3, 1, 1, 1)), "marker": "^"},
-    "BP on tuned gains, free": {"color": PURPLE, "linestyle": (0, (1, 1)), "marker": "v"},
+    "PID, position gains doubled": {"color": GREEN, "linestyle": "-.", "marker": "P"},
+    "PID tuned": {"color": ORANGE, "linestyle": "--", "marker": "D"},
+    "BP on tuned gains": {"color": SKY, "linestyle": "-.", "marker": "^"},
+    "BP on tuned gains, free": {"color": PURPLE, "linestyle": ":", "marker": "v"},
 }
 """Fixed styles of the controllers of the paper; `looks_of` assigns styles to others."""
-_SPARE: tuple[Look, ...] = (
-    {"color": VERMILLION, "linestyle": "-"},
-    {"color": BLUE, "linestyle": "-"},
-    {"color": GREEN, "linestyle": (0, (6, 1.2))},
-    {"color": PURPLE, "linestyle": (0, (3, 1, 1, 1))},
-    {"color": ORANGE, "linestyle": (0, (1, 1))},
-    {"color": SKY, "linestyle": (0, (5, 1, 1, 1, 1, 1))},
-    {"color": BLACK, "linestyle": (0, (2, 1))},
-    {"color": "#7F7F7F", "linestyle": "-"},
+_SPARE = tuple(
+    {"color": color, "linestyle": style}
+    for style in ("-", "--", ":", "-.")
+    for color in (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY, BLACK)
 )
-
-_AGAIN: tuple[Look, ...] = (
-    {"linestyle": (0, (8, 1.5)), "linewidth": 2.2, "alpha": 0.55},
-    {"linestyle": (0, (1, 2)), "linewidth": 2.2, "alpha": 0.55},
-)
-"""Variations that distinguish a reused colour from its first use."""
 
 LOADING: Look = {"color": BLUE, "marker": "^"}
 UNLOADING: Look = {"color": VERMILLION, "marker": "v"}
@@ -144,20 +135,13 @@ def blank(width: float, height: float) -> Figure:
 
 
 def looks_of(names: Iterable[str]) -> dict[str, Look]:
-    """Colour and line style by name: those of `CONTROLLERS`, and unused ones for other names."""
+    """Colour and line style by name: those of `CONTROLLERS`, and unused ones for other names, up to 28."""
     names = list(names)
-    taken = {CONTROLLERS[name]["color"] for name in names if name in CONTROLLERS}
-    spare = [look for look in _SPARE if look["color"] not in taken] or list(_SPARE)
-    looks: dict[str, Look] = {}
-    count = 0
-    for name in names:
-        if name in CONTROLLERS:
-            looks[name] = {key: CONTROLLERS[name][key] for key in ("color", "linestyle")}
-        else:
-            cycle, place = divmod(count, len(spare))
-            looks[name] = spare[place] if not cycle else {**spare[place], **_AGAIN[(cycle - 1) % len(_AGAIN)]}
-            count += 1
-    return looks
+    known = {name: CONTROLLERS[name] for name in names if name in CONTROLLERS}
+    fixed = {name: {key: look[key] for key in ("color", "linestyle")} for name, look in known.items()}
+    colors = {look["color"] for look in known.values()}
+    spare = itertools.cycle(sorted(_SPARE, key=lambda look: look["color"] in colors))
+    return {name: fixed.get(name) or next(spare) for name in names}
 
 
 def part_of(name: str, first: int, last: int) -> ListedColormap:
@@ -176,14 +160,18 @@ def by_direction(data: IsobaricDataset) -> Iterator[tuple[str, NDArray[np.bool_]
     return ((str(direction), directions == direction) for direction in np.unique(directions))
 
 
+def draw_points(axes: Axes, data: IsobaricDataset, values: NDArray[np.float64], label: str = "", **look: Any) -> None:
+    """Draw a value of each point of a dataset over contraction, with colour and marker of its direction."""
+    for direction, mask in by_direction(data):
+        own: Look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"}) | {"linestyle": ""} | look
+        axes.plot(data.contraction[mask] / percent, values[mask], label=f"{direction} {label}".strip() or None, **own)
+
+
 @styled
-def save(
-    figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: bool = False, pdf: bool = False
-) -> tuple[Path, Path]:
+def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: bool = False) -> tuple[Path, Path]:
     """Write a figure as `name`.png (200 dpi) and `name`.svg to a folder; a preview only as PNG with 100 dpi.
 
-    With `pdf`, also as `name`.pdf, which keeps text as text. The files are reproducible byte for byte; the SVG has text
-    as outlines. Returns the paths of PNG and SVG.
+    The files are reproducible byte for byte; the SVG has text as outlines. Returns the paths of PNG and SVG.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -200,11 +188,6 @@ def save(
     if not preview:
         with atomic_write(svg, overwrite=True) as part:
             FigureCanvasSVG(figure).print_svg(part, metadata={"Date": None, "Creator": None})
-        if pdf:
-            from matplotlib.backends.backend_pdf import FigureCanvasPdf  # 0.1 s
-
-            with atomic_write(folder / f"{name}.pdf", overwrite=True) as part:
-                FigureCanvasPdf(figure).print_pdf(part, metadata=dict.fromkeys(("CreationDate", "Creator", "Producer")))
     return png, svg
 
 
@@ -291,13 +274,6 @@ def plain_numbers(axis: Axis) -> None:
     axis.set_minor_formatter(written)
     to_label = mpl.rcParams["xtick.major.size"] + mpl.rcParams["xtick.major.pad"]
     axis.set_tick_params(which="minor", pad=to_label - mpl.rcParams["xtick.minor.size"])
-
-
-def log_ticks(axis: Axis, *subs: float) -> None:
-    """Decimal labels on a logarithmic axis at these multiples of powers of ten."""
-    axis.set_major_locator(LogLocator(subs=subs))
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    axis.set_minor_formatter(NullFormatter())
 
 
 _CHARACTER, _HANDLE, _LEGEND_ROW = 0.058, 0.45, 0.15  # inches of a legend

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import FixedLocator, NullLocator, StrMethodFormatter
 from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
@@ -23,7 +22,6 @@ from mckibben.report.style import (
     draw_band,
     legend_above,
     letter,
-    log_ticks,
     looks_of,
     note_off_scale,
     plain_numbers,
@@ -36,7 +34,7 @@ from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
     from mckibben.paper.tracking import ControllerRun
-    from mckibben.simulation import Feasibility, Margins
+    from mckibben.simulation import Margins
 
 TIME, ANGLE, STIFFNESS = "time [s]", "angle [deg]", "stiffness [N·m/rad]"
 _BAND = "attainable at the desired angle"
@@ -62,28 +60,25 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
     looks = looks_of(results)
     first = next(iter(results.values()))
     times = first.times
-    grid[0].plot(times, first["desired_angle"] / deg, label="desired", **DESIRED)
-    errors: dict[str, NDArray[np.float64]] = {}
-    for name, result in results.items():
-        errors[name] = _angle_error(result)
-        grid[0].plot(times, result["angle"] / deg, label=name, **looks[name])
-        grid[1].plot(times, errors[name], **looks[name])
-    grid[0].set(ylabel=ANGLE)
+    _angle(grid[0], results, looks)
     grid[0].set_ylim(*robust_limits([line.get_ydata() for line in grid[0].lines]))
+    errors = {name: _angle_error(result) for name, result in results.items()}
+    for name, values in errors.items():
+        grid[1].plot(times, values, **looks[name])
     grid[1].axhline(0, color="#444444", linewidth=0.7)
     grid[1].set(ylabel="actual − desired\nangle [deg]")
     grid[1].set_ylim(*robust_limits(list(errors.values()), floor=1e-3))
     note_off_scale(grid[1], times, errors, "deg")
     _stiffness(grid[2], results, looks)
-    grid[2].set_ylim(*_stiffness_limits(list(results.values())))
+    grid[2].set_ylim(*_stiffness_limits(results.values()))
     note_off_scale(grid[2], times, {name: result["stiffness"] for name, result in results.items()}, "N·m/rad")
     for name, values in small.items():
         grid[3].plot(times, values, **looks[name])
     if small:
         grid[3].set(ylabel="small-motion\n" + STIFFNESS)
-        grid[3].set_ylim(*robust_limits(list(small.values()), floor=_LEAST_RANGE * max(map(np.nanmax, small.values()))))
+        grid[3].set_ylim(*robust_limits(list(small.values())))
     if alone:
-        for number, (colour, style) in enumerate(zip(MUSCLES, ("-", (0, (5, 1.5))), strict=True), 1):
+        for number, (colour, style) in enumerate(zip(MUSCLES, ("-", "--"), strict=True), 1):
             pressure = first[f"pressure{number}"] / bar
             grid[-1].plot(times, pressure, color=colour, linestyle=style, label=f"muscle {number}")
         grid[-1].set(ylabel="pressure [bar]")
@@ -105,29 +100,37 @@ def control_results(panels: Mapping[str, tuple[str, SimulationResult]]) -> Figur
     upper: list[Axes] = []
     lower: list[Axes] = []
     for i, (title, (name, result)) in enumerate(panels.items()):
-        left = i % columns == 0
         inner = outer[i // columns, i % columns].subgridspec(2, 1, hspace=0.02)
         above = figure.add_subplot(inner[0], sharex=upper[0] if upper else None, sharey=upper[0] if upper else None)
         below = figure.add_subplot(inner[1], sharex=above, sharey=lower[0] if lower else None)
-        above.plot(result.times, result["desired_angle"] / deg, label="desired", **DESIRED)
-        above.plot(result.times, result["angle"] / deg, label=name, **looks[name])
+        _angle(above, {name: result}, looks)
         _stiffness(below, {name: result}, looks)
         letter(above, i, title)
-        above.set(ylabel=ANGLE if left else "")
-        above.tick_params(labelbottom=False, labelleft=left)
-        below.set(xlabel=TIME, ylabel=STIFFNESS if left else "")
-        below.tick_params(labelleft=left)
+        above.tick_params(labelbottom=False)
+        below.set_xlabel(TIME)
+        if i % columns:
+            for axes in (above, below):
+                axes.tick_params(labelleft=False)
+                axes.set_ylabel("")
         upper.append(above)
         lower.append(below)
     angles = [result[column] / deg for _, result in panels.values() for column in ("angle", "desired_angle")]
-    upper[0].set_ylim(*robust_limits(angles, part=1.0 if _bounded(angles) else 0.98, margin=0.08))
-    lower[0].set_ylim(*_stiffness_limits([result for _, result in panels.values()]))
+    upper[0].set_ylim(*robust_limits(angles))
+    lower[0].set_ylim(*_stiffness_limits(result for _, result in panels.values()))
     for above, below, (name, result) in zip(upper, lower, panels.values(), strict=True):
         note_off_scale(above, result.times, {name: result["angle"] / deg}, "deg", bottom=True)
         note_off_scale(below, result.times, {name: result["stiffness"]}, "N·m/rad", bottom=True)
     figure.align_ylabels(upper + lower)
     legend_above(figure, *upper, *lower)
     return figure
+
+
+def _angle(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
+    first = next(iter(runs.values()))
+    axes.plot(first.times, first["desired_angle"] / deg, label="desired", **DESIRED)
+    for name, result in runs.items():
+        axes.plot(first.times, result["angle"] / deg, label=name, **looks[name])
+    axes.set(ylabel=ANGLE)
 
 
 def _stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
@@ -139,27 +142,11 @@ def _stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[
     axes.set(ylabel=STIFFNESS)
 
 
-def _stiffness_limits(results: list[SimulationResult]) -> tuple[float, float]:
-    """Axis limits that contain the reference and most of the stiffness, with a margin."""
-    desired = [r["desired_stiffness"] for r in results]
-    floor = _LEAST_RANGE * max(float(np.abs(d).max()) for d in desired)
-    low, high = robust_limits(desired + [r["stiffness"] for r in results], part=0.99, margin=0.0, floor=floor)
-    low, high = min(low, *(float(d.min()) for d in desired)), max(high, *(float(d.max()) for d in desired))
-    band_low = np.nanmin([np.nanmin(r["lowest_stiffness"], initial=low) for r in results])
-    band_high = np.nanmax([np.nanmax(r["highest_stiffness"], initial=high) for r in results])
-    margin = 0.7 * (high - low)
-    return max(low - margin, min(float(band_low) - 0.1 * margin, low - 0.2 * margin)), min(
-        high + margin, max(float(band_high) + 0.1 * margin, high + 0.2 * margin)
-    )
-
-
-_LEAST_RANGE = 0.05  # of the desired stiffness
-
-
-def _bounded(curves: list[NDArray[np.float64]]) -> bool:
-    """Whether the full range of the curves is at most three times the range of their central 96 %."""
-    finite = np.concatenate([c[np.isfinite(c)] for c in curves])
-    return bool(np.ptp(finite) < 3 * np.ptp(np.quantile(finite, [0.02, 0.98])))
+def _stiffness_limits(results: Iterable[SimulationResult]) -> tuple[float, float]:
+    """Axis limits around reference and stiffness, with space for the attainable range."""
+    curves = [result[column] for result in results for column in ("desired_stiffness", "stiffness")]
+    desired = max(float(np.abs(curve).max()) for curve in curves[::2])
+    return robust_limits(curves, part=0.99, margin=0.7, floor=0.05 * desired)
 
 
 def _same_reference(results: Mapping[str, SimulationResult]) -> None:
@@ -176,10 +163,6 @@ def _same_reference(results: Mapping[str, SimulationResult]) -> None:
                     f"{name} and {next(iter(results))} differ in {column.replace('_', ' ')}",
                     remedy="draw runs with different references in separate figures",
                 )
-
-
-_BEFORE = 0.05  # s shown before the stiffness step
-_ZOOM = (0.1, 1.0)  # s, limits of the time shown after it
 
 
 @styled
@@ -236,9 +219,8 @@ def _settling(axes: Axes, runs: Mapping[str, SimulationResult], times: NDArray[n
     band = float(settling_band(desired, first["stiffness"]))
     axes.axhspan(-band, band, color="#E8E8E8", zorder=0, label=f"{SETTLING_PART * 100:g} % of the step size")
     settled = {name: result.metrics["stiffness_settling"] for name, result in runs.items()}
-    finite = [value for value in settled.values() if np.isfinite(value)]
-    length = float(np.clip(2.5 * max(finite, default=_ZOOM[1]), *_ZOOM))
-    axes.set_xlim(start - (_BEFORE * length / 0.4 if change else 0), start + length)
+    length = float(np.clip(2.5 * np.nanmax([*settled.values(), 0.04]), 0.1, 1.0))  # s
+    axes.set_xlim(start - length / 8, start + length)
     shown = (times >= start) & (times <= start + length)
     low, high = robust_limits([_stiffness_error(r)[shown] for r in runs.values()], part=1.0, margin=0.08)
     axes.set_ylim(low, high)
@@ -265,17 +247,9 @@ _METRICS = (
 )
 _GAINS = {
     "kp": {"color": BLACK, "linestyle": "-"},
-    "ki": {"color": GREEN, "linestyle": (0, (5, 1.5))},
-    "kd": {"color": PURPLE, "linestyle": (0, (1, 1))},
+    "ki": {"color": GREEN, "linestyle": "--"},
+    "kd": {"color": PURPLE, "linestyle": ":"},
 }
-_ABOVE: Look = {
-    "xycoords": "axes fraction",
-    "textcoords": "offset points",
-    "va": "bottom",
-    "fontsize": 7.5,
-    "annotation_clip": False,
-}
-_WIDEST = 1e3  # ratio of axis limits; larger values are drawn as arrows
 
 
 @styled
@@ -302,8 +276,7 @@ def controller_comparison(runs: Mapping[str, Mapping[str, Mapping[str, Controlle
         for name, face in zip(references, ("#444444", "white"), strict=False)
     ]
     handles.append(Line2D([], [], color="#444444", linewidth=1.6, alpha=0.6, label="median to worst seed"))
-    handles.append(Line2D([], [], marker=">", label="off scale, never or unstable", **grey))
-    figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    figure.legend(handles=handles, loc="outside upper center", ncols=3)
     return figure
 
 
@@ -320,15 +293,8 @@ def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Fig
                 if values[0] != 0:  # a loop without this part
                     axes.plot(result.times, values / values[0], label=gain, **look)
             for bound in (ratio, 1 / ratio):
-                axes.axhline(bound, color="#888888", linewidth=0.8, linestyle=(0, (2, 2)), label="bound on the gains")
-            axes.set_yscale("log", base=2)
-            axes.set_ylim(ratio**-1.15, ratio**1.15)
-            axes.yaxis.set_major_locator(FixedLocator([1 / ratio, ratio**-0.5, 1, ratio**0.5, ratio]))
-            axes.yaxis.set_major_formatter(StrMethodFormatter("{x:.3g}"))
-            axes.yaxis.set_minor_locator(NullLocator())
-            letter(axes, len(results) * row + i, f"{loop} loop")
-            if row == 0:
-                axes.annotate(title, (0, 1), (0, 18), **_ABOVE)
+                axes.axhline(bound, color="#888888", linewidth=0.8, linestyle="--", label="bound on the gains")
+            letter(axes, len(results) * row + i, f"{title}\n{loop} loop" if row == 0 else f"{loop} loop")
             axes.set(ylabel="gain / base gain [-]" if i == 0 else "", xlabel="time [s]" if row else "")
     legend_above(figure, *grid.ravel())
     return figure
@@ -338,59 +304,20 @@ def _dots(
     axes: Axes, references: Mapping[str, Mapping[str, ControllerRun]], names: list[str], metric: str, unit: float
 ) -> None:
     """Median and worst value of a metric by controller (row) and stiffness reference (filled or white dot)."""
-    runs = [(name, k, run) for k, w in enumerate(references.values()) for name, run in w.items()]
-    medians = [run.median(metric) / unit for *_, run in runs]
-    smallest = min((value for value in medians if 0 < value < np.inf), default=1.0)
-    stable = [run.worst(metric) / unit for *_, run in runs if run.unstable == 0]
-    end = 2.0 * max((value for value in stable if value < _WIDEST * smallest), default=10 * smallest)
-    for (name, k, run), median in zip(runs, medians, strict=True):
+    runs = [(name, k, run) for k, controllers in enumerate(references.values()) for name, run in controllers.items()]
+    for name, k, run in runs:
         look: Look = CONTROLLERS.get(name, {"color": "#444444", "marker": "o"})
-        place, color = names.index(name) + (-0.17 if k == 0 else 0.17), look["color"]
-        worst = run.worst(metric) / unit
-        lost = not (median <= end) or run.unstable > _seeds(run) / 2
-        if lost or not (worst <= end):
-            axes.plot(end, place, linestyle="", marker=">", color=color, clip_on=False, markersize=5)
-        if lost:
-            look = {"ha": "right", "va": "center", "fontsize": 6.5}
-            axes.annotate(_why_lost(run, median), (end, place), (-6, 0), textcoords="offset points", **look)
-            continue
-        axes.plot([median, worst if worst <= end else end], [place] * 2, color=color, linewidth=1.8, alpha=0.55)
-        dot = look | {"linestyle": "", "markersize": 5, "markeredgewidth": 1.1, "zorder": 3}
-        axes.plot(median, place, markerfacecolor=color if k == 0 else "white", **dot)
+        row, color, median = names.index(name) + (-0.17 if k == 0 else 0.17), look["color"], run.median(metric) / unit
+        if run.unstable or not np.isfinite(median):
+            text = f"{run.unstable} unstable" if run.unstable else "never"
+            axes.annotate(text, (1, row), xycoords=axes.get_yaxis_transform(), ha="right", va="center", fontsize=6.5)
+        if 2 * run.unstable <= (0 if run.seeds is None else np.size(run.seeds.angle_rmse)):
+            worst = median if run.unstable else run.worst(metric) / unit
+            axes.plot([median, worst], [row] * 2, color=color, linewidth=1.8, alpha=0.55)
+            dot = look | {"linestyle": "", "markersize": 5, "markeredgewidth": 1.1, "zorder": 3}
+            axes.plot(median, row, markerfacecolor=color if k == 0 else "white", **dot)
     axes.set_xscale("log")
-    axes.set_xlim(smallest / 1.6, end)
-    log_ticks(axes.xaxis, *(1.0, 2.0, 5.0) if end / smallest < 60 else (1.0,))
-
-
-def _seeds(run: ControllerRun) -> int:
-    return 1 if run.seeds is None else int(np.size(run.seeds.angle_rmse))
-
-
-def _why_lost(run: ControllerRun, median: float) -> str:
-    """Text of a run that is not on the scale."""
-    if run.unstable:
-        return f"{run.unstable} of {_seeds(run)} unstable"
-    return "never" if np.isnan(median) else f"{median:.2g}"
-
-
-@styled
-def feasibility(feasibility: Feasibility) -> Figure:
-    """A reference over time: its angle, and its stiffness with the attainable range at that angle."""
-    figure = blank(DOUBLE, 3.4)
-    above, below = figure.subplots(2, 1, sharex=True)
-    above.plot(feasibility.times, feasibility.desired_angle / deg, **DESIRED)
-    above.set(ylabel=ANGLE)
-    draw_band(below, feasibility.times, feasibility.lowest, feasibility.highest, label=_BAND)
-    below.plot(feasibility.times, feasibility.desired_stiffness, label="desired", **DESIRED)
-    missed = np.where(feasibility.shortfall == 0, np.nan, feasibility.desired_stiffness)
-    if not feasibility.feasible:
-        below.plot(
-            feasibility.times, missed, color=VERMILLION, marker=".", markersize=3, label="not attainable", zorder=4
-        )
-    below.set(xlabel=TIME, ylabel=STIFFNESS)
-    figure.align_ylabels([above, below])
-    legend_above(figure, below)
-    return figure
+    plain_numbers(axes.xaxis)
 
 
 @styled
