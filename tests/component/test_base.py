@@ -96,7 +96,7 @@ def test_a_check_of_ones_own_does_not_take_the_place_of_it():
 
 def test_a_type_that_is_not_found_leaves_the_checks_of_other_fields():
     class Local(PendulumLoad):
-        inner: NotThere = 0
+        inner: NotThere = 0  # noqa: F821
         pair: tuple[Mass, Length] = (1.0, 0.3)  # neither holds for both
         extra: Length = None
 

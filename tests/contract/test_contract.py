@@ -278,7 +278,7 @@ class NotSI(Sine):
 
 
 class Unresolved(Sine):
-    gain: "Missing" = 1.0
+    gain: "Missing" = 1.0  # noqa: F821
 
 
 class Lost(Sine):

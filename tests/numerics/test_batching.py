@@ -136,7 +136,7 @@ def test_values_that_are_no_numbers_are_refused(bad, leaf):
 
 
 class Seeded(eqx.Module):
-    seed: "int | Int[Array, '']" = 0
+    seed: "int | Int[Array, '']" = 0  # noqa: F821
 
 
 @pytest.mark.parametrize("bad", [0.5, [1.0, 2.0], [np.nan], jnp.ones(2)], ids=repr)
