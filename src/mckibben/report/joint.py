@@ -117,7 +117,7 @@ def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
 
 def _levels(*values: NDArray[np.float64]) -> NDArray[np.float64]:
     """About twelve round contour levels that cover all values."""
-    return MaxNLocator(12).tick_values(float(np.nanmin(values)), float(np.nanmax(values)))
+    return np.asarray(MaxNLocator(12).tick_values(float(np.nanmin(values)), float(np.nanmax(values))))
 
 
 _STATIC, _DYNAMIC = "#DCE9F2", "#9CC3E0"
