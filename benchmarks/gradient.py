@@ -47,19 +47,17 @@ def gradient(problem: Problem, folder: Path, *, quick: bool) -> Table:
         note = f"12 episodes; steps of {STEP:.0e} of a usual gain: not exact"
         return Candidate("plain C, central differences", run, note=note, base=OWN)
 
-    def exact(mode: str, note: str) -> Candidate:
+    def exact() -> Candidate:
         if not truth:
             raise OSError("there is no plain C to compare with")
-        run = ours.gradient(problem, reverse=mode == "reverse")
+        run = ours.gradient(problem)
         scaled, expected = run() * LARGEST, truth[0] * LARGEST
         off = float(np.abs(scaled - expected).max() / np.abs(expected).max())
-        return Candidate(f"ours, differentiate, {mode} mode", run, 1.0, off, AGREED, note, OWN)
+        return Candidate("ours, differentiate", run, 1.0, off, AGREED, "exact: six tangents at once", OWN)
 
     bench.add(OWN, own)
     bench.add("plain C, central differences", by_c)
-    bench.add("ours, forward mode", lambda: exact("forward", "exact: six tangents at once"))
-    note = "exact: stores one state per control period and recomputes each period"
-    bench.add("ours, reverse mode", lambda: exact("reverse", note))
+    bench.add("ours, differentiate", exact)
     notes = (
         "Of the sum of the RMS errors of angle [rad] and stiffness [N*m/rad] over the episode.",
         "Deviation: the largest from the central differences, each part times a usual gain, as a part of the largest; "

@@ -10,7 +10,6 @@ from numpy.typing import DTypeLike, NDArray
 from reference import PERIOD, REFERENCE, SUBSTEPS, Problem
 
 from mckibben import differentiate, simulate_many
-from mckibben.simulation import Mode
 
 METRICS = ("angle_rmse", "stiffness_rmse")
 GAINS = tuple(f"controller.{loop}.{gain}" for loop in ("position", "stiffness") for gain in ("kp", "ki", "kd"))
@@ -48,9 +47,8 @@ def batch(
     return run
 
 
-def gradient(problem: Problem, *, reverse: bool = False) -> Callable[[], NDArray[np.float64]]:
+def gradient(problem: Problem) -> Callable[[], NDArray[np.float64]]:
     """The derivative of the sum of both RMS errors with respect to six gains."""
-    mode = Mode.REVERSE if reverse else Mode.FORWARD
 
     def run() -> NDArray[np.float64]:
         found = differentiate(
@@ -61,7 +59,6 @@ def gradient(problem: Problem, *, reverse: bool = False) -> Callable[[], NDArray
             metrics=METRICS,
             duration=problem.periods * PERIOD,
             initial=problem.start,
-            mode=mode,
         ).gradients
         return np.array([sum(float(found[metric][gain]) for metric in METRICS) for gain in GAINS])
 

@@ -247,7 +247,7 @@ class Integral(Loop):
     def init(self, setpoint, measured, output):
         return jnp.asarray(output, float)
 
-    def step(self, state, setpoint, measured, sensitivity, period):
+    def step(self, state, setpoint, measured, period):
         output = state + period * self.ki * (setpoint - measured)
         return output, output
 

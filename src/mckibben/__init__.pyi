@@ -16,7 +16,6 @@ from .control import (
     DelayCompensation as DelayCompensation,
     ExtendedStateObserver as ExtendedStateObserver,
     InverseModelControl as InverseModelControl,
-    Jacobian as Jacobian,
     Multisine as Multisine,
     OpenLoopControl as OpenLoopControl,
     PolePlacement as PolePlacement,

@@ -39,7 +39,7 @@ def run(pid, setpoint, measured, start, low, high):
     """All outputs, and what was achieved of them."""
 
     def period(state, sample):
-        state, output = pid.step(state, sample[0], sample[1], 1.0, PERIOD)
+        state, output = pid.step(state, sample[0], sample[1], PERIOD)
         achieved = jnp.clip(output, low, high)
         return pid.track(state, output, achieved, PERIOD), (output, achieved)
 

@@ -1,13 +1,11 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 
 from mckibben.control import (
     PID,
     BackpropPID,
-    Jacobian,
     Loop,
     Measurement,
     PositionStiffnessControl,
@@ -29,8 +27,8 @@ class Spy(Loop):
     def init(self, setpoint, measured, output):
         return {"started": (setpoint, measured, output)}
 
-    def step(self, state, setpoint, measured, sensitivity, period):
-        return {"asked": (setpoint, measured, sensitivity, period)}, jnp.asarray(self.output)
+    def step(self, state, setpoint, measured, period):
+        return {"asked": (setpoint, measured, period)}, jnp.asarray(self.output)
 
     def track(self, state, output, achieved, period):
         return state | {"tracked": (output, achieved, period)}
@@ -81,28 +79,15 @@ def test_the_first_muscle_gets_the_sum_less_the_difference(spied):
     assert [float(c) for c in commands] == [2.5e5, 3.5e5]
 
 
-def test_each_loop_sees_its_own_quantity_and_the_models_sensitivity(spied, knee):
+def test_each_loop_sees_its_own_quantity(spied, knee):
     measurement = seen()
     (state, _), start = spied(0.5e5, 3e5, measurement)
-    held = (4e5, 4.4e5)
-    estimate = float(knee.stiffness(0.1, held))
+    estimate = float(knee.stiffness(0.1, (4e5, 4.4e5)))
     assert float(state.estimate) == pytest.approx(estimate)
     assert [float(x) for x in start.position["started"]] == pytest.approx([0.1, 0.1, 0.2e5])
     assert [float(x) for x in start.stiffness["started"]] == pytest.approx([estimate, estimate, 4.2e5])
-    setpoint, measured, by_differential, period = (float(x) for x in state.position["asked"])
-    assert (setpoint, measured, period) == pytest.approx((0.2, 0.1, PERIOD))
-    step = 10.0
-    more = float(
-        knee.torque(0.1, (held[0] - step, held[1] + step)) - knee.torque(0.1, (held[0] + step, held[1] - step))
-    )
-    assert by_differential == pytest.approx(more / (2 * step) / estimate, rel=1e-6)
-    assert by_differential > 0
-    setpoint, measured, by_cocontraction, _ = (float(x) for x in state.stiffness["asked"])
-    assert (setpoint, measured) == pytest.approx((16.0, estimate))
-    stiffer = float(
-        knee.stiffness(0.1, (held[0] + step, held[1] + step)) - knee.stiffness(0.1, (held[0] - step, held[1] - step))
-    )
-    assert by_cocontraction == pytest.approx(stiffer / (2 * step), rel=1e-6)
+    assert [float(x) for x in state.position["asked"]] == pytest.approx((0.2, 0.1, PERIOD))
+    assert [float(x) for x in state.stiffness["asked"]] == pytest.approx((16.0, estimate, PERIOD))
 
 
 def test_both_loops_are_told_what_was_realised(spied):
@@ -135,17 +120,6 @@ def test_telemetry_names_the_estimate_and_the_gains_of_learning_loops(knee):
     telemetry = control.telemetry(state)
     assert set(telemetry) == {"stiffness_estimate", "saturated", "position_kp", "position_ki", "position_kd"}
     assert float(telemetry["position_kp"]) == pytest.approx(1.5e5)
-
-
-def test_a_learner_with_the_models_jacobian_survives_two_slack_muscles(knee):
-    learner = BackpropPID(POSITION, signal_scale=0.2, error_scale=0.02, output_scale=1e5, jacobian=Jacobian.MODEL)
-    control = numeric(PositionStiffnessControl(learner, STIFFNESS, model=knee))
-    slack = seen(0.0, 0.0, 0.0)
-    assert float(knee.stiffness(0.0, slack.pressures)) == 0.0
-    step = jax.jit(lambda state, measurement: control.step(state, setpoint(0.1), measurement, PERIOD))
-    state, _ = step(control.init(slack), slack)
-    _, commands = step(state, seen())
-    assert np.isfinite([float(c) for c in commands]).all()
 
 
 def test_what_is_given_beside_the_loops_is_added_and_the_loops_are_told_of_their_own_part(knee):

@@ -11,6 +11,7 @@ from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.control import (
     PID,
     DecouplingControl,
+    DelayCompensation,
     ExtendedStateObserver,
     InverseModelControl,
     PolePlacement,
@@ -111,8 +112,11 @@ def test_what_friction_adds_shifts_the_attainable_stiffness_up(joint, knee, load
     np.testing.assert_allclose(plain, isobaric)
 
 
-def test_the_wrapper_controls_what_the_controller_in_it_does(joint, load):
-    assert SupplyLimit(controllers(joint, load)["PID"]).stiffness_amplitude == SIZE
+def test_a_wrapper_controls_what_the_controller_in_it_does(joint, load):
+    loops = controllers(joint, load)["PID"]
+    delayed = DelayCompensation(joint, load, controller=loops, command_delay=5 * ms)
+    for wrapper in (SupplyLimit(loops), delayed, SupplyLimit(delayed), InverseModelControl(loops, load)):
+        assert (wrapper.stiffness_amplitude, wrapper.minimum_tension) == (SIZE, 5.0)
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Derivatives of metrics: forwards, in reverse, and by finite differences of whole runs, they are the same."""
+"""Derivatives of metrics are those of finite differences of whole runs."""
 
 import dataclasses
 
@@ -10,8 +10,7 @@ from mckibben.actuator import FirstOrderValve
 from mckibben.control import PID, BackpropPID, PositionStiffnessControl, Reference, Samples, Sine, Step
 from mckibben.errors import ParameterError
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import AtRest, Mode, derivatives, differentiate, simulate_many
-from mckibben.simulation.problem import SimulationProblem, single_run
+from mckibben.simulation import AtRest, differentiate, simulate_many
 from mckibben.units import bar, deg
 
 SHORT = {"duration": 0.06, "substeps": 2}
@@ -107,40 +106,15 @@ def parts(knee, load):
     return JointPlant(knee, load, FirstOrderValve(0.02)), PositionStiffnessControl(*loops, model=model)
 
 
-@pytest.fixture(scope="module")
-def forwards(parts):
-    return differentiate(*parts, REFERENCE, NAMES, metrics=METRICS, initial=START, mode=Mode.FORWARD, **SHORT)
-
-
-@pytest.mark.parametrize("mode", Mode)
-def test_gradients_of_known_functions_come_by_metric_and_name(parts, monkeypatch, mode):
-    """Of metrics that are functions of two numbers in place of a run."""
-
-    def known(run, times, period, asked):
-        mass, law = run.plant.load.mass2, run.controller.model.muscle1.law
-        return {"angle_rmse": mass**2 * law.a2, "stiffness_rmse": 3 * mass - law.a2}
-
-    monkeypatch.setattr(derivatives, "_metrics", known)
-    plant, control = parts
-    run = single_run(SimulationProblem.of(plant, control, REFERENCE, START), 1e-3, "")
-    names, m, a2 = ("controller.model.muscle1.law.a2", "load.mass2"), plant.load.mass2, control.model.muscle1.law.a2
-    asked = derivatives._Asked(2, ("angle_rmse", "stiffness_rmse"), names, mode)
-    values, gradients = derivatives._by_xla(run, np.arange(3.0), 1e-3, asked)
-    assert float(values["angle_rmse"]) == pytest.approx(m**2 * a2, rel=1e-12)
-    for metric, slopes in {"angle_rmse": (m**2, 2 * m * a2), "stiffness_rmse": (-1, 3)}.items():
-        for name, slope in zip(names, slopes, strict=True):
-            assert float(gradients[metric][name]) == pytest.approx(slope, rel=1e-12)
-
-
 @pytest.mark.slow
-def test_forwards_they_are_those_of_finite_differences(parts, forwards):
+def test_they_are_those_of_finite_differences(parts):
+    slopes = differentiate(*parts, REFERENCE, NAMES, metrics=METRICS, initial=START, **SHORT)
     found = by_differences(*parts, REFERENCE, NAMES, START, metrics=METRICS, **SHORT)
     of = dict(zip(("plant", "controller", "reference", "initial"), (*parts, REFERENCE, START), strict=True))
-    assert_slopes(forwards, found, of, rtol=1e-6, atol=1e-8)
+    assert_slopes(slopes, found, of, rtol=1e-6, atol=1e-8)
 
 
-# Learning loops, samples, a state to start from; enough numbers for reverse to be chosen. Springs, and the coupling, in
-# reverse: see `test_measured`
+# Learning loops, samples, a state to start from.
 KNOTS = np.array([13.0, 13.5, 14.0, 15.0, 15.0])
 OTHERS = (
     "reference.angle.values",
@@ -168,7 +142,7 @@ def others(parts):
 
 
 @pytest.mark.slow
-def test_learning_and_samples_in_reverse_are_those_of_finite_differences(others):
+def test_those_of_learning_and_samples_are_those_of_finite_differences(others):
     *given, start = others
     some = ("angle_rmse", "stiffness_rmse")
     found = differentiate(*given, OTHERS, metrics=some, initial=start, **SHORT)

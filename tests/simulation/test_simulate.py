@@ -16,7 +16,6 @@ from mckibben.control import (
     PolePlacement,
     PositionStiffnessControl,
     Reference,
-    Samples,
     Sine,
 )
 from mckibben.errors import McKibbenWarning, RangeError, ReachabilityWarning, SimulationError, UnreachableError
@@ -171,25 +170,6 @@ def test_a_signal_of_numpy_is_referred_to_jax(plant, control):
     for signal in (lambda t: 0.1 * np.sin(t), lambda t: 0.1 if t[0] > 1 else 0.0 * t):
         with pytest.raises(SimulationError, match=r"jax\.numpy"):
             simulate(plant, control, Reference(signal, 15.0), duration=0.2)
-
-
-@pytest.mark.parametrize(
-    ("signal", "said"),
-    [
-        (Samples([0.0, 0.05], [0.0, 0.02]), "end in motion at 0.05 s"),
-        (Samples([0.0, 2.0], [0.0, 0.02]), "check the unit of their times"),
-        (Samples([0.0, 0.04, 0.05], [0.0, 0.02, 0.02]), ""),
-        (Samples([0.0, 0.0995], [0.0, 0.02]), ""),
-        (Samples([0.0, 0.2], [0.0, 0.02]), ""),
-    ],
-)
-def test_a_reference_that_does_not_fit_the_run_is_said_to(signal, said, plant, control):
-    with warnings.catch_warnings(record=True) as found:
-        warnings.simplefilter("always", McKibbenWarning)
-        simulate(plant, control, Reference(signal, 15.0), duration=0.1)
-    texts = [str(one.message) for one in found if str(one.message).startswith("reference of the angle")]
-    assert len(texts) == bool(said) and all(said in text for text in texts)
-    assert {one.filename for one in found if issubclass(one.category, McKibbenWarning)} <= {__file__}
 
 
 def test_a_minimum_tension_that_the_stiffness_does_not_allow_is_said(plant, knee, load):

@@ -130,7 +130,6 @@ def test_other_spellings(scenario, spelling, name):
         ("load.hanging", "true or false"),
         ("controller.position.base.derivative_on_error", "true or false"),
         ("controller.position.hidden", "size of what is compiled"),
-        ("controller.stiffness.jacobian", "a choice of words"),
         ("joint.tendon.stiffness", "tendon, of class rigid"),
         ("friction.torque", "the scenario has none"),
         ("controller.model.geometry.connector_length", "follows the plant"),

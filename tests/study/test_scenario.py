@@ -32,7 +32,6 @@ controller:
     error_scale: 1 N*m/rad
     output_scale: 1 bar/s
     momentum: 0.25
-    jacobian: model
     hidden: 5
     seed: 3
   model: {geometry: {from: knee-table-2, connector_length: 208 mm}, muscle: {specimen: DMSP-10-250, law: chou}}
@@ -107,7 +106,6 @@ def test_the_parts_are_those_of_the_text():
     assert control.stiffness.base.kp == 0.05 * bar
     assert control.stiffness.learning_rate == mk.BackpropPID.learning_rate
     assert (control.stiffness.momentum, control.stiffness.hidden, control.stiffness.seed) == (0.25, 5, 3)
-    assert control.stiffness.jacobian is mk.Jacobian.MODEL
     assert isinstance(control.model.muscle2.law, mk.ChouLaw)
     assert control.model.geometry.connector_length == pytest.approx(0.208, rel=1e-15)
     assert isinstance(reference.angle, mk.Multisine)
@@ -192,9 +190,9 @@ def test_three_mistakes_are_three_problems_with_lines():
     assert (wrong_unit.line, wrong_unit.field) == (8, "valve.time_constant")
     assert "'mm'" in wrong_unit.message
     assert "such as ms" in wrong_unit.remedy
-    assert (misspelt.line, misspelt.field) == (23, "reference.angle.amplitude")
+    assert (misspelt.line, misspelt.field) == (22, "reference.angle.amplitude")
     assert "'amplitudes'" in misspelt.remedy
-    assert (no_whole.line, no_whole.field) == (26, "control_period")
+    assert (no_whole.line, no_whole.field) == (25, "control_period")
     assert "2.001 s" in no_whole.message
     assert "2 ms" in no_whole.message
     with pytest.raises(ScenarioError, match=r"three\.yaml: 3 problems\n  line 8, valve"):
@@ -319,7 +317,6 @@ def test_bad_signals(signal, words):
         (("momentum: 0.25", "momentum: 1"), "outside 0 to 0.999999"),
         (("momentum: 0.25", "gain_ratio: 1"), "outside above 1"),
         (("seed: 3", "seed: -1"), "outside 0 to 2147483647"),
-        (("jacobian: model", "jacobian: signs"), "did you mean 'sign'"),
         (("ki: 3 bar/(N*m*s/rad)", "ki: -3 bar/(N*m*s/rad)"), "differ in sign"),
         (("derivative_on_error: true", "derivative_on_error: yes"), "neither true nor false"),
         (("    error_scale: 1 N*m/rad\n", ""), "error_scale: is missing"),

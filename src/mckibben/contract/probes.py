@@ -58,7 +58,6 @@ _RANGES: Ranges = {
     "period": (0.5 * ms, 2 * ms),
     "pressure": _PRESSURE,
     "rate": (-0.1, 0.1),
-    "sensitivity": (1e-6, 3e-6),
     "setpoint": (-0.1, 0.1),
     "shortfall": (-10.0, 10.0),
     "slope": (-1e4, 1e4),
@@ -340,9 +339,9 @@ def _stepped(system: DiscreteTimeSystem, setpoint: Tree, measurements: Sequence[
     return outputs, system.telemetry(state)
 
 
-def _looped(loop: Loop, setpoint: Num, measured: Num, output: Num, sensitivity: Num) -> Tree:
+def _looped(loop: Loop, setpoint: Num, measured: Num, output: Num) -> Tree:
     def step(state: Tree, _: None) -> tuple[Tree, Num]:
-        state, asked = loop.step(state, setpoint, measured, sensitivity, PERIOD)
+        state, asked = loop.step(state, setpoint, measured, PERIOD)
         return loop.track(state, asked, 0.9 * asked, PERIOD), asked
 
     state, asked = lax.scan(step, loop.init(setpoint, measured, output), length=2)

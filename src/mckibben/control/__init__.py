@@ -2,7 +2,7 @@
 
 from mckibben.control.actuator_adaptation import ActuatorAdaptation
 from mckibben.control.adaptation import LawAdaptation
-from mckibben.control.backprop import BackpropPID, Jacobian
+from mckibben.control.backprop import BackpropPID
 from mckibben.control.base import Controller, JointModel, LoadModel, Loop, Measurement, Reference, Setpoint, ValveModel
 from mckibben.control.decoupling import DecouplingControl
 from mckibben.control.delay import DelayCompensation
@@ -38,7 +38,6 @@ __all__ = [
     "ExtendedStateObserver",
     "Feedback",
     "InverseModelControl",
-    "Jacobian",
     "JointModel",
     "LawAdaptation",
     "LoadModel",

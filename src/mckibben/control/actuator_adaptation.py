@@ -7,7 +7,7 @@ from typing import Annotated, Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator import Actuator, AirVolume
 from mckibben.actuator.base import lag_fraction
@@ -31,9 +31,9 @@ class Prediction(NamedTuple):
     """Pressure [Pa] and state of the model of one valve from the commands alone, and their slopes, shape (2,)."""
 
     pressure: Scalar
-    state: Any
+    state: PyTree
     pressure_slopes: Array  # over the logarithm of the speed, and the delay [s]
-    state_slopes: Any
+    state_slopes: PyTree
     slow_error: Scalar  # low-pass filtered
     slow_slopes: Array
 
@@ -94,7 +94,7 @@ class ActuatorAdaptation(Component):
                 remedy="give another model of the valves, or leave actuator_adaptation out",
             )
 
-    def longest_delay(self, delay: ArrayLike) -> Any:
+    def longest_delay(self, delay: ArrayLike) -> ArrayLike:
         """Longest estimate of a delay [s]."""
         return delay + _DEVIATIONS * self.delay_spread
 
@@ -155,7 +155,7 @@ class ActuatorAdaptation(Component):
         )
 
 
-def with_speed(valve: Actuator, speed: ArrayLike) -> Any:
+def with_speed(valve: Actuator, speed: ArrayLike) -> Actuator:
     """Valve that is faster by a factor."""
     model: Any = valve
     if not model.holds_air:
@@ -175,11 +175,11 @@ def _predicted(
 ) -> Prediction:
     """Prediction after a further period [s] with estimates, and its slopes over these."""
 
-    def follow(pressure: Scalar, state: Any, estimates: Array) -> tuple[Scalar, Any]:
+    def follow(pressure: Scalar, state: PyTree, estimates: Array) -> tuple[Scalar, PyTree]:
         command = arriving(sent, estimates[1], period)
         return with_speed(valve, exp(estimates[0])).predict(pressure, state, command, air, period)
 
-    def along(slope: Scalar, state_slope: Any, direction: Array) -> tuple[Any, Any]:
+    def along(slope: Scalar, state_slope: PyTree, direction: Array) -> PyTree:
         return jax.jvp(follow, (last.pressure, last.state, now), (slope, state_slope, direction))
 
     along_all = jax.vmap(along, out_axes=(None, 0))

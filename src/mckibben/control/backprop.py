@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import enum
 from typing import Annotated, NamedTuple
 
 import equinox as eqx
@@ -24,13 +23,6 @@ OutputRate = Annotated[float, Quantity("Pa/s", "bar/s", 0, 1e6, open_lower=True)
 Scalar = Float[Array, ""]
 
 
-class Jacobian(enum.Enum):
-    """Plant Jacobian, controlled quantity per output, that the training uses."""
-
-    SIGN = "sign of the base gains alone, as in most of the literature"
-    MODEL = "static sensitivity of the controller's model"
-
-
 class Network(NamedTuple):
     """Weights of the hidden and the output layer."""
 
@@ -48,7 +40,7 @@ class BackpropState(NamedTuple):
     factors: Float[Array, "3"]
 
 
-class BackpropPID(Loop):
+class BackpropPID(Loop[BackpropState]):
     r"""PID whose three gains are outputs of a network with one hidden layer.
 
     The inputs of the network are setpoint, measurement, error and a constant, each scaled; its outputs :math:`o`
@@ -64,8 +56,8 @@ class BackpropPID(Loop):
     .. math:: \Delta w = \eta h \frac{e}{e_s}\, \mathcal{J}\, \frac{1}{u_s} \frac{\partial (\Delta u / h)}{\partial w}
               + \alpha \Delta w_{previous},
 
-    with the plant Jacobian :math:`\mathcal{J} = \partial y/\partial u` replaced by its sign or by the model's. The
-    paper says no more than "BP"; this is the usual reading.
+    with the plant Jacobian :math:`\mathcal{J} = \partial y/\partial u` replaced by its sign, that of the base gains,
+    as in most of the literature. The paper says no more than "BP"; this is the usual reading.
 
     Parameters
     ----------
@@ -79,9 +71,6 @@ class BackpropPID(Loop):
         R, above 1.
     hidden
         Number of hidden neurons.
-    jacobian
-        `Jacobian.MODEL` needs another learning rate: J is then the change of the controlled quantity, in error scales,
-        after a second at the typical rate of the output.
     seed
         Seed of the hidden layer's weights.
 
@@ -101,7 +90,6 @@ class BackpropPID(Loop):
     momentum: Momentum = eqx.field(kw_only=True, default=0.5)
     gain_ratio: Ratio = eqx.field(kw_only=True, default=5.0)
     hidden: Count = eqx.field(kw_only=True, static=True, default=6)
-    jacobian: Jacobian = eqx.field(kw_only=True, static=True, default=Jacobian.SIGN)
     seed: Seed | Int[Array, ""] = eqx.field(kw_only=True, default=0)
 
     def __check_init__(self) -> None:
@@ -121,7 +109,7 @@ class BackpropPID(Loop):
         )
 
     def step(
-        self, state: BackpropState, setpoint: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
+        self, state: BackpropState, setpoint: ArrayLike, measured: ArrayLike, period: ArrayLike
     ) -> tuple[BackpropState, Scalar]:
         error = jnp.asarray(setpoint) - measured
         derivative = self.base.derivative(state.pid, setpoint, measured, period)
@@ -143,7 +131,7 @@ class BackpropPID(Loop):
             return sum(factor * part for factor, part in zip(factors, parts, strict=True)), factors  # type: ignore
 
         (change, factors), gradient = jax.value_and_grad(increment, has_aux=True)(state.network)
-        rate = self.learning_rate * error / self.error_scale * self._jacobian(sensitivity) / self.output_scale
+        rate = self.learning_rate * error / self.error_scale * self._jacobian() / self.output_scale
         update = jax.tree.map(lambda g, last: rate * g + self.momentum * last, gradient, state.change)
         network = jax.tree.map(jnp.add, state.network, update)
 
@@ -161,11 +149,10 @@ class BackpropPID(Loop):
             "kd": state.factors[2] * self.base.kd,
         }
 
-    def _jacobian(self, sensitivity: ArrayLike) -> Array:
-        if self.jacobian is Jacobian.SIGN:
-            ki, kp, kd = self.base.ki, self.base.kp, self.base.kd
-            return jnp.sign(jnp.where(ki != 0, ki, jnp.where(kp != 0, kp, kd)))
-        return jnp.asarray(sensitivity) * self.output_scale / self.error_scale
+    def _jacobian(self) -> Array:
+        """Sign of the plant's Jacobian."""
+        ki, kp, kd = self.base.ki, self.base.kp, self.base.kd
+        return jnp.sign(jnp.where(ki != 0, ki, jnp.where(kp != 0, kp, kd)))
 
 
 def _outputs(network: Network, inputs: tuple[Scalar, ...]) -> Array:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import abc
 import dataclasses
 import operator
-from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple, Self
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Generic, NamedTuple, Self, TypeVar
 
 import equinox as eqx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator import Actuator
 from mckibben.component.base import Component, Inherited, Units
@@ -20,6 +20,8 @@ from mckibben.joint import AntagonisticJoint, Load, Measurement
 from mckibben.units import Angle, Stiffness
 
 Scalar = Float[Array, ""]
+State = TypeVar("State")
+"""A pytree of arrays that a controller, or a part of one, carries from one control period to the next."""
 
 
 class Setpoint(NamedTuple):
@@ -49,7 +51,7 @@ LoadModel = Annotated[Load, Inherited(lambda scope: scope["load"])]
 """A controller's model of the load; in a file, by default, that of the plant."""
 
 
-def _valve_model(scope: Mapping[str, Any]) -> Any:
+def _valve_model(scope: Mapping[str, Actuator]) -> Actuator:
     """Valve of the plant; `KeyError` if its response is unknown, and a file must give a model of it."""
     valve = scope["valve"]
     if not valve.holds_air and valve.lag is None:
@@ -72,7 +74,7 @@ def check_valve_model(owner: str, valve: Actuator, joint: AntagonisticJoint) -> 
         raise RangeError(message, field="valve", remedy=remedy)
 
 
-class DiscreteTimeSystem(Labelled, Component):
+class DiscreteTimeSystem(Labelled, Component, Generic[State]):
     """Discrete-time system with explicit state, driven by measurements; the caller determines the time.
 
     `init` is called once, and `step` once per control period.
@@ -81,7 +83,7 @@ class DiscreteTimeSystem(Labelled, Component):
     def with_period(self, period: float) -> Self:
         """Return the system for a control period [s], where the size of its state depends on it."""
 
-        def prepared(part: Any) -> Any:
+        def prepared(part: object) -> object:
             if type(part) is tuple:
                 parts = tuple(map(prepared, part))
                 return part if all(map(operator.is_, parts, part)) else parts
@@ -92,68 +94,88 @@ class DiscreteTimeSystem(Labelled, Component):
         return dataclasses.replace(self, **inner) if inner else self
 
     @abc.abstractmethod
-    def init(self, measurement: Any) -> Any:
+    def init(self, measurement: PyTree) -> State:
         """Return the state before the first step."""
 
     @abc.abstractmethod
-    def step(self, state: Any, setpoint: Any, measurement: Any, period: ArrayLike, /) -> tuple[Any, tuple[Any, ...]]:
+    def step(
+        self, state: State, setpoint: PyTree, measurement: PyTree, period: ArrayLike, /
+    ) -> tuple[State, tuple[PyTree, ...]]:
         """Return the next state, and the outputs for the coming control period [s]."""
 
-    def telemetry(self, state: Any) -> dict[str, Array]:
+    def telemetry(self, state: State) -> dict[str, Array]:
         """Return the signals to record each period, by name."""
         return {}
 
 
-class Controller(DiscreteTimeSystem):
+class Delegated:
+    """Field of the controller that a controller wraps, for a class without a field of that name; None without one."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __get__(self, controller: Controller | None, owner: type) -> float | None:
+        inner = [] if controller is None else list(controllers_within(controller))[1:]
+        return getattr(inner[0], self.name) if inner else None
+
+
+def controllers_within(controller: Controller) -> Iterator[Controller]:
+    """A controller, and those that it wraps."""
+    yield controller
+    for part in vars(controller).values():
+        if isinstance(part, Controller):
+            yield from controllers_within(part)
+
+
+class Controller(DiscreteTimeSystem[State]):
     """Interface from a setpoint and measurements of a joint to pressure commands.
 
-    A controller may hold a model of the joint, never the plant.
+    A controller may hold a model of the joint, never the plant. One that wraps another in a field controls what that
+    one does: `stiffness_amplitude` and `minimum_tension` are those of the inner controller.
     """
 
     default_class = "position_stiffness"
-    stiffness_amplitude = None
+
+    stiffness_amplitude = Delegated()
     """Amplitude [rad] of the motion whose stiffness is controlled; None for the isobaric stiffness."""
+    minimum_tension = Delegated()
+    """Lower limit of each muscle's tension [N]; None without one."""
 
     @abc.abstractmethod
-    def init(self, measurement: Measurement) -> Any:
+    def init(self, measurement: Measurement) -> State:
         """Return the state before the first step, for a bumpless start from the measured pressures."""
 
     @abc.abstractmethod
     def step(
-        self, state: Any, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Scalar, Scalar]]:
+        self, state: State, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
+    ) -> tuple[State, tuple[Scalar, Scalar]]:
         """Return the next state, and the commands [Pa] for the coming control period [s]."""
 
     @abc.abstractmethod
-    def telemetry(self, state: Any) -> dict[str, Scalar]:
+    def telemetry(self, state: State) -> dict[str, Scalar]:
         """Return the signals to record each period, by name.
 
         At least ``stiffness_estimate`` [N*m/rad]; ``saturated`` where the controller limits its own commands.
         """
 
 
-class Loop(Component):
+class Loop(Component, Generic[State]):
     """Scalar feedback loop, a part of a controller."""
 
     default_class = "pid"
 
     @abc.abstractmethod
-    def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> Any:
+    def init(self, setpoint: ArrayLike, measured: ArrayLike, output: ArrayLike) -> State:
         """Return the state from which a loop without error continues with `output`."""
 
     @abc.abstractmethod
-    def step(
-        self, state: Any, setpoint: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
-    ) -> tuple[Any, Scalar]:
-        """Return the next state and the output, one control period [s] later.
-
-        `sensitivity` is the static gain of the model, controlled quantity per output; loops may ignore it.
-        """
+    def step(self, state: State, setpoint: ArrayLike, measured: ArrayLike, period: ArrayLike) -> tuple[State, Scalar]:
+        """Return the next state and the output, one control period [s] later."""
 
     @abc.abstractmethod
-    def track(self, state: Any, output: ArrayLike, achieved: ArrayLike, period: ArrayLike) -> Any:
+    def track(self, state: State, output: ArrayLike, achieved: ArrayLike, period: ArrayLike) -> State:
         """Return the state after an output of which only `achieved` was possible (anti-windup)."""
 
     @abc.abstractmethod
-    def telemetry(self, state: Any) -> dict[str, Scalar]:
+    def telemetry(self, state: State) -> dict[str, Scalar]:
         """Return the signals to record each period, by name."""

@@ -12,12 +12,12 @@ Y. Tassa, N. Mansard and E. Todorov, Control-limited differential dynamic progra
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator.base import Attainable
 from mckibben.joint.geometry import Pair
@@ -26,8 +26,8 @@ from mckibben.numerics.calculus import value_and_derivative
 Scalar = Float[Array, ""]
 State = tuple[Scalar, Scalar, Scalar, Scalar]
 """Angle, velocity, acceleration and stiffness; of a reference, jerk in place of the stiffness."""
-Vector = Any
-Matrix = Any
+Vector = PyTree
+Matrix = PyTree
 
 _SINGULAR = 1e-6  # least determinant of a 2x2 matrix over the product of its diagonal, for solving
 
@@ -35,29 +35,30 @@ _SINGULAR = 1e-6  # least determinant of a 2x2 matrix over the product of its di
 # Tuple algebra
 
 
-def add(a: Any, b: Any) -> Any:
+def add(a: Vector, b: Vector) -> Vector:
     """Sum of two vectors or matrices."""
     return jax.tree.map(lambda x, y: x + y, a, b)
 
 
-def subtract(a: Any, b: Any) -> Any:
+def subtract(a: Vector, b: Vector) -> Vector:
     """Difference of two vectors or matrices."""
     return jax.tree.map(lambda x, y: x - y, a, b)
 
 
-def where(condition: Array, a: Any, b: Any) -> Any:
+def where(condition: Array, a: Vector, b: Vector) -> Vector:
     """One of two vectors or matrices."""
     return jax.tree.map(lambda x, y: jnp.where(condition, x, y), a, b)
 
 
-def scale(factor: Any, a: Any) -> Any:
+def scale(factor: ArrayLike, a: Vector) -> Vector:
     """A vector or matrix times a scalar."""
     return jax.tree.map(lambda x: x if isinstance(x, int) else factor * x, a)
 
 
-def dot(a: Vector, b: Vector) -> Any:
+def dot(a: Vector, b: Vector) -> Scalar:
     """Scalar product."""
-    return sum(x * y for x, y in zip(a, b, strict=True) if not (isinstance(x, int) or isinstance(y, int)))
+    pairs = zip(a, b, strict=True)
+    return sum(x * y for x, y in pairs if not (isinstance(x, int) or isinstance(y, int)))  # type: ignore
 
 
 def transpose(a: Matrix) -> Matrix:
@@ -75,7 +76,7 @@ def matmul(a: Matrix, b: Matrix) -> Matrix:
     return tuple(tuple(dot(row, column) for column in transpose(b)) for row in a)
 
 
-def symmetric(size: int, entry: Callable[[int, int], Any]) -> Matrix:
+def symmetric(size: int, entry: Callable[[int, int], Scalar]) -> Matrix:
     """Symmetric matrix from its upper triangle, which saves a fifth of the time of a full product."""
     upper = {(i, j): entry(i, j) for i in range(size) for j in range(i, size)}
     return tuple(tuple(upper[min(i, j), max(i, j)] for j in range(size)) for i in range(size))
@@ -87,7 +88,7 @@ def quadratic_form(a: Matrix, m: Matrix) -> Matrix:
     return symmetric(len(columns), lambda i, j: dot(columns[i], products[j]))
 
 
-def diagonal(*entries: Any) -> Matrix:
+def diagonal(*entries: ArrayLike) -> Matrix:
     """Diagonal matrix."""
     return tuple(tuple(entry if i == j else 0 for j in range(len(entries))) for i, entry in enumerate(entries))
 
@@ -250,7 +251,7 @@ def rollout(problem: HorizonProblem, state: State, pressures: Pair, policy: Poli
     """Nominal trajectory under a policy; leaves have shape (stages,)."""
     h, (mu1, mu2) = jnp.asarray(problem.stage), problem.hold_weights
 
-    def stage(carry: tuple[Any, ...], policy: Policy) -> tuple[tuple[Any, ...], Stage]:
+    def stage(carry: tuple[PyTree, ...], policy: Policy) -> tuple[tuple[PyTree, ...], Stage]:
         x, previous, previous_x, reference = carry
         following = problem.next_reference(reference)
         angle, velocity = x[0] + h * (x[1] + h / 2 * x[2]), x[1] + h * x[2]  # at constant acceleration

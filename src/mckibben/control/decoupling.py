@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator.base import Attainable
 from mckibben.control.allocation import keep_taut, linearise, pressure_range, prioritise_torque
@@ -32,10 +32,10 @@ class DecouplingState(NamedTuple):
     """Estimates, and the state of the feedback."""
 
     estimates: Estimates
-    feedback: Any
+    feedback: PyTree
 
 
-class DecouplingControl(ModelBasedControl):
+class DecouplingControl(ModelBasedControl[DecouplingState]):
     r"""Exact linearisation: pressures that give a commanded acceleration and stiffness at once.
 
     A `Feedback` adds an acceleration to that of the reference. The torque for it (`Load.required_torque`) and the
@@ -83,7 +83,7 @@ class DecouplingControl(ModelBasedControl):
     adaptation
         On-line correction of the strength of the model's muscles. Default: none.
     command_delay
-        Delay of the commands [s], over which the model predicts (`ModelBasedControl`); in a file, by default, that of
+        Delay of the commands [s], over which the model predicts (`StatePrediction`); in a file, by default, that of
         the plant.
     actuator_adaptation
         On-line estimate of the delay and of the speed of the valves, used by the model. Default: none.
@@ -114,10 +114,6 @@ class DecouplingControl(ModelBasedControl):
                 value=self.friction_in_observer,
                 remedy="set friction_compensation too",
             )
-
-    @property
-    def observers(self) -> tuple[Observer, PressureObserver]:
-        return self.observer, self.pressure_observer
 
     def init(self, measurement: Measurement) -> DecouplingState:
         return DecouplingState(self.init_estimates(measurement), self.feedback.init(jnp.zeros_like(measurement.angle)))

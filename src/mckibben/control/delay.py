@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import equinox as eqx
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.component.base import Inherited
 from mckibben.control.actuator_adaptation import ActuatorAdaptationState
-from mckibben.control.base import Controller, Measurement, Setpoint
-from mckibben.control.model_based import Estimates, ModelBasedControl, with_valves
+from mckibben.control.base import Controller, Measurement, Setpoint, controllers_within
+from mckibben.control.model_based import Estimates, StatePrediction, valve_models
 from mckibben.control.observer import ExtendedStateObserver, Observer, PressureObserver
 from mckibben.errors import RangeError
 from mckibben.joint.geometry import Pair
@@ -20,7 +20,7 @@ from mckibben.units import CommandDelay
 Scalar = Float[Array, ""]
 
 
-def _plant_delay(scope: Mapping[str, Any]) -> Any:
+def _plant_delay(scope: Mapping[str, float | None]) -> float:
     """Delay of the plant's commands [s]."""
     delay = scope.get("command_delay")
     return 0.0 if delay is None else delay
@@ -29,14 +29,14 @@ def _plant_delay(scope: Mapping[str, Any]) -> Any:
 class DelayState(NamedTuple):
     """State of the inner controller, and estimates at the last sample."""
 
-    inner: Any
+    inner: PyTree
     estimates: Estimates
 
 
-class DelayCompensation(ModelBasedControl):
+class DelayCompensation(StatePrediction[DelayState]):
     r"""Wrapper that gives a controller, such as a PID, the measurement to be expected when its commands arrive.
 
-    The prediction is that of `ModelBasedControl`. The controller gets the predicted angle and pressures in place of the
+    The prediction is that of `StatePrediction`. The controller gets the predicted angle and pressures in place of the
     measurement, and the extrapolated setpoint; it is therefore tuned as if there were no delay. Controllers that are
     model-based themselves have a `command_delay` of their own.
 
@@ -61,19 +61,16 @@ class DelayCompensation(ModelBasedControl):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        for inner in with_valves(self.controller):
-            if isinstance(inner, ModelBasedControl):
+        for inner in controllers_within(self.controller):
+            if isinstance(inner, StatePrediction):
                 raise RangeError(
                     f"DelayCompensation: a {type(inner).__name__} predicts over the delay itself",
                     field="controller",
                     remedy="give it command_delay and leave DelayCompensation out: its observers replace both pairs",
                 )
-            if self.actuator_adaptation is not None:
-                self.actuator_adaptation.check_valve(inner.valve)
-
-    @property
-    def observers(self) -> tuple[Observer, PressureObserver]:
-        return self.observer, self.pressure_observer
+        if self.actuator_adaptation is not None:
+            for valve in valve_models(self):
+                self.actuator_adaptation.check_valve(valve)
 
     def init(self, measurement: Measurement) -> DelayState:
         return DelayState(self.controller.init(measurement), self.init_estimates(measurement))

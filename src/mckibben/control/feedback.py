@@ -1,13 +1,14 @@
 """Feedback from angle error to acceleration: pole placement and sliding mode."""
 
 import abc
-from typing import Annotated, Any
+from typing import Annotated, Generic
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
+from mckibben.control.base import State
 from mckibben.numerics.elementary import floating
 from mckibben.units import AngularAcceleration, Bandwidth, PoleDamping, Quantity
 
@@ -18,30 +19,30 @@ PositiveRate = Annotated[float, Quantity("1/s", "1/s", 0, 1e6, open_lower=True)]
 Scalar = Float[Array, ""]
 
 
-class Feedback(Component):
+class Feedback(Component, Generic[State]):
     r"""Outer loop of a linearised joint, :math:`\ddot\theta = a`, whose acceleration lags its command a_c.
 
     .. math:: T \dot a + a = a_c, \quad T = \mathrm{lag}\,[s]
     """
 
     default_class = "poles"
-    lag: eqx.AbstractVar[Any]
+    lag: eqx.AbstractVar[ArrayLike]
 
     @abc.abstractmethod
-    def init(self, error: ArrayLike) -> Any:
+    def init(self, error: ArrayLike) -> State:
         """Return the state before the first step, at an error [rad]."""
 
     @abc.abstractmethod
     def step(
-        self, state: Any, error: ArrayLike, rate: ArrayLike, jerk: ArrayLike, period: ArrayLike
-    ) -> tuple[Any, Scalar]:
+        self, state: State, error: ArrayLike, rate: ArrayLike, jerk: ArrayLike, period: ArrayLike
+    ) -> tuple[State, Scalar]:
         """Return the next state and the acceleration [rad/s^2] for an error [rad] of the angle and its rate [rad/s].
 
         `jerk` [rad/s^3] is the rate at which the actuators can change the acceleration.
         """
 
     @abc.abstractmethod
-    def track(self, state: Any, shortfall: ArrayLike, period: ArrayLike) -> Any:
+    def track(self, state: State, shortfall: ArrayLike, period: ArrayLike) -> State:
         """Return the state after a command whose acceleration fell short [rad/s^2] (anti-windup)."""
 
 
@@ -67,7 +68,7 @@ def braked(error: ArrayLike, rate: ArrayLike, kp: ArrayLike, kd: ArrayLike, jerk
     return jnp.where(fast <= proportional, kd * speed, jnp.sign(speed) * most)
 
 
-class PolePlacement(Feedback):
+class PolePlacement(Feedback[Scalar]):
     r"""Poles of the closed loop at the distance :math:`\omega_c` from the origin, the bandwidth [rad/s].
 
     .. math:: a = k_d \dot e + k_p e \; [+ k_i \int e], \quad
@@ -91,7 +92,7 @@ class PolePlacement(Feedback):
     damping: PoleDamping = 3.0
 
     @property
-    def lag(self) -> Any:  # pyrefly: ignore[bad-override]
+    def lag(self) -> ArrayLike:  # pyrefly: ignore[bad-override]
         """T [s]."""
         return 1 / ((self.damping + 1 if self.integral else self.damping) * self.bandwidth)
 
@@ -113,7 +114,7 @@ class PolePlacement(Feedback):
         return state - period * self.bandwidth * shortfall if self.integral else state
 
 
-class SlidingMode(Feedback):
+class SlidingMode(Feedback[tuple[()]]):
     r"""Sliding mode with a boundary layer.
 
     .. math:: s = \dot e + \lambda e, \quad a = \lambda \dot e + \rho\, \mathrm{sat}(s / \phi), \quad
@@ -142,12 +143,12 @@ class SlidingMode(Feedback):
     reach: AngularAcceleration = 250.0
 
     @property
-    def lag(self) -> Any:  # pyrefly: ignore[bad-override]
+    def lag(self) -> ArrayLike:  # pyrefly: ignore[bad-override]
         """T [s]."""
         return 1 / (6 * self.slope)
 
     @property
-    def layer(self) -> Any:
+    def layer(self) -> ArrayLike:
         """Width of the boundary layer, phi [rad/s]."""
         return self.reach / self.slope
 

@@ -75,7 +75,7 @@ class InverseModelState(NamedTuple):
     error: Pair
 
 
-class InverseModelControl(Controller):
+class InverseModelControl(Controller[InverseModelState]):
     r"""Feedforward pressures from a learned inverse of the joint, in addition to a position and a stiffness loop.
 
     The inverse is that of a model, if there is a `load`, plus a network with one hidden layer,
@@ -143,16 +143,6 @@ class InverseModelControl(Controller):
     def __check_init__(self) -> None:
         super().__check_init__()
         check_valve_model("InverseModelControl", self.valve, self.loops.model)
-
-    @property
-    def minimum_tension(self) -> float | None:
-        """Lower limit of each muscle's tension [N], that of the loops."""
-        return self.loops.minimum_tension
-
-    @property
-    def stiffness_amplitude(self) -> float | None:  # pyrefly: ignore[bad-override]
-        """That of the loops."""
-        return self.loops.stiffness_amplitude
 
     def init(self, measurement: Measurement) -> InverseModelState:
         angle, pressures = measurement

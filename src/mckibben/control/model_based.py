@@ -1,19 +1,17 @@
 """State estimation, and prediction over the delay of the commands, shared by the controllers with a model."""
 
-from __future__ import annotations
+# No `from __future__ import annotations`: equinox does not see an AbstractVar written as text.
 
-import abc
 import dataclasses
 import functools
 import math
 import operator
-from collections.abc import Iterator
 from typing import Annotated, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator import Actuator, AirVolume, FirstOrderValve
 from mckibben.actuator.base import Attainable, air_volumes, delay_periods
@@ -28,8 +26,10 @@ from mckibben.control.base import (
     LoadModel,
     Measurement,
     Setpoint,
+    State,
     ValveModel,
     check_valve_model,
+    controllers_within,
 )
 from mckibben.control.observer import MotionEstimate, Observer, PressureObserver
 from mckibben.control.reference import ReferenceDerivatives
@@ -50,11 +50,11 @@ class Valves(NamedTuple):
 
     model: Actuator
     pressures: Pair
-    states: tuple[Any, Any]
+    states: tuple[PyTree, PyTree]
     air: tuple[AirVolume | None, AirVolume | None]
     commands: tuple[Pair, Pair]
 
-    def predict(self, commands: Pair, duration: ArrayLike) -> tuple[Pair, tuple[Any, Any]]:
+    def predict(self, commands: Pair, duration: ArrayLike) -> tuple[Pair, tuple[PyTree, PyTree]]:
         """Return the pressures [Pa] and states a time [s] later, under constant commands [Pa]."""
         muscles = zip(self.pressures, self.states, commands, self.air, strict=True)
         (pressure1, state1), (pressure2, state2) = (
@@ -93,7 +93,7 @@ class Estimates(NamedTuple):
     resistance: Scalar  # torque of the friction with which the motion is predicted [N*m]
     sent: tuple[Pair, ...]  # commands on their way [Pa], the last first
     reading: Scalar  # last measured angle [rad]
-    actuators: tuple[Any, Any]  # states of the model of the valves
+    actuators: tuple[PyTree, PyTree]  # states of the model of the valves
     saturated: Array
 
 
@@ -107,8 +107,8 @@ class Expected(NamedTuple):
     valves: Valves
 
 
-class ModelBasedControl(Controller):
-    r"""Base of controllers with a model of joint, load and valves: parameters, state estimation and prediction.
+class StatePrediction(Controller[State]):
+    r"""Base of controllers that estimate the state by a model of joint, load and valves, and predict it over a delay.
 
     A command arrives at the valves after the delay d. An observer estimates motion, pressures and disturbance from the
     measurement and the commands that have arrived; the model then predicts the motion and the pressures over d with the
@@ -136,15 +136,16 @@ class ModelBasedControl(Controller):
         "valve_speed_estimate": Label("1", "controller's estimate of the speed of the valves, relative to its model"),
     }
 
-    friction_in_observer = None  # a field of controllers that can predict with it
+    # Fields of controllers that compensate friction or correct their model.
+    friction_compensation = False
+    friction_in_observer = None
+    adaptation = None
 
+    observer: eqx.AbstractVar[Observer]
+    pressure_observer: eqx.AbstractVar[PressureObserver]
     model: JointModel
     load: LoadModel
     valve: ValveModel = eqx.field(kw_only=True, default=FirstOrderValve(0.02))
-    minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
-    friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
-    adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
-    stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
     command_delay: Annotated[CommandDelay | None, Inherited(lambda scope: scope.get("command_delay"))] = eqx.field(
         kw_only=True, default=None
     )
@@ -154,22 +155,9 @@ class ModelBasedControl(Controller):
 
     def __check_init__(self) -> None:
         super().__check_init__()
-        name = type(self).__name__
-        if self.adaptation is not None:
-            self.adaptation.check_load(self.load)
-        check_valve_model(name, self.valve, self.model)
-        if self.friction_compensation and not self.model.has_friction:
-            raise RangeError(
-                f"{name}: no muscle of its model has friction to compensate",
-                remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
-            )
+        check_valve_model(type(self).__name__, self.valve, self.model)
         if self.actuator_adaptation is not None:
             self.actuator_adaptation.check_valve(self.valve)
-
-    @property
-    @abc.abstractmethod
-    def observers(self) -> tuple[Observer, PressureObserver]:
-        """Observers of the motion and of the pressures."""
 
     def with_period(self, period: float) -> Self:
         prepared = super().with_period(period)
@@ -203,7 +191,7 @@ class ModelBasedControl(Controller):
         actuation = self.actuator_adaptation
         muscles = self.model.init_state(angle, pressures) if self.friction_compensation else NO_STATES
         return Estimates(
-            motion=self.observers[0].init(angle, self.load.acceleration(angle, zero, torque)),
+            motion=self.observer.init(angle, self.load.acceleration(angle, zero, torque)),
             pressures=pressures,
             reference=ReferenceDerivatives.init(angle),
             muscles=muscles,
@@ -232,12 +220,11 @@ class ModelBasedControl(Controller):
         self, last: Estimates, setpoint: Setpoint, measurement: Measurement, period: ArrayLike
     ) -> tuple[Estimates, Expected]:
         angle = measurement.angle
-        observer, pressure_observer = self.observers
         delay = self._delay / jnp.asarray(period)
         arrived = _means(last.sent, delay, delay + 1) if self._periods else last.sent[0]
         valves = self._valves(angle, last.motion.velocity, last.pressures, last.actuators)
         predicted, actuators = valves.predict(arrived, period)
-        pressures = pressure_observer.step(predicted, measurement.pressures, period)
+        pressures = self.pressure_observer.step(predicted, measurement.pressures, period)
         adaptation, model = self._adapt(last.adaptation, measurement, period)
         torque, stiffness, added = self._torque_and_stiffness(model, angle, pressures)
         reference = last.reference.update(setpoint.angle, period)
@@ -249,7 +236,7 @@ class ModelBasedControl(Controller):
             resistance = share * along + (1 - share) * friction_torque
         known = self.load.acceleration(angle, last.motion.velocity, torque + resistance)
         estimates = last._replace(
-            motion=observer.step(last.motion, angle, known, period),
+            motion=self.observer.step(last.motion, angle, known, period),
             pressures=pressures,
             reference=reference,
             muscles=muscles,
@@ -278,7 +265,7 @@ class ModelBasedControl(Controller):
         commands = jnp.stack([first for first, _ in pairs]), jnp.stack([second for _, second in pairs])
         motion = estimates.motion
 
-        def advance(state: tuple[Scalar, Scalar, Pair, Any], commands: Pair) -> tuple[Any, None]:
+        def advance(state: tuple[Scalar, Scalar, Pair, PyTree], commands: Pair) -> tuple[PyTree, None]:
             angle, velocity, pressures, actuators = state
             midway = angle + step / 2 * velocity  # one evaluation of the geometry
             valves = self._valves(midway, velocity, pressures, actuators)
@@ -320,7 +307,7 @@ class ModelBasedControl(Controller):
             }
         return signals
 
-    def _valves(self, angle: ArrayLike, velocity: ArrayLike, pressures: Pair, states: tuple[Any, Any]) -> Valves:
+    def _valves(self, angle: ArrayLike, velocity: ArrayLike, pressures: Pair, states: tuple[PyTree, PyTree]) -> Valves:
         """Model of the valves at a motion of the joint."""
         valve: Any = self.valve
         air: Any = (None, None)
@@ -368,10 +355,8 @@ class ModelBasedControl(Controller):
         """The controller with estimates in place of delay and speed of its models."""
         if not isinstance(adapted, ActuatorAdaptationState):
             return self
-        valves = [with_speed(controller.valve, adapted.speed) for controller in with_valves(self)]
-
-        def replaced(control: Any) -> list[Any]:
-            return [controller.valve for controller in with_valves(control)]
+        valves = [with_speed(valve, adapted.speed) for valve in valve_models(self)]
+        replaced = valve_models
 
         return dataclasses.replace(eqx.tree_at(replaced, self, valves), command_delay=adapted.delay)
 
@@ -383,14 +368,29 @@ class ModelBasedControl(Controller):
         return self.model.update_state(muscles, angle, pressures), torque
 
 
-def with_valves(controller: Any) -> Iterator[Any]:
-    """The controllers with a model of the valves: this one, and those that it wraps."""
-    if isinstance(getattr(controller, "valve", None), Actuator):
-        yield controller
-    for field in dataclasses.fields(controller):
-        inner = getattr(controller, field.name)
-        if isinstance(inner, Controller):
-            yield from with_valves(inner)
+class ModelBasedControl(StatePrediction[State]):
+    """Base of controllers whose commands follow from a model of joint, load and valves."""
+
+    minimum_tension: Force = eqx.field(kw_only=True, default=5.0)
+    friction_compensation: bool = eqx.field(kw_only=True, static=True, default=False)
+    adaptation: LawAdaptation | None = eqx.field(kw_only=True, default=None)
+    stiffness_amplitude: AngleScale | None = eqx.field(kw_only=True, default=None)
+
+    def __check_init__(self) -> None:
+        super().__check_init__()
+        if self.adaptation is not None:
+            self.adaptation.check_load(self.load)
+        if self.friction_compensation and not self.model.has_friction:
+            raise RangeError(
+                f"{type(self).__name__}: no muscle of its model has friction to compensate",
+                remedy="give the model's muscles a MaxwellSlip, or leave friction_compensation out",
+            )
+
+
+def valve_models(controller: Controller) -> list[Actuator]:
+    """Models of the valves of a controller, and of those that it wraps."""
+    models = (getattr(part, "valve", None) for part in controllers_within(controller))
+    return [model for model in models if isinstance(model, Actuator)]
 
 
 def _means(sent: tuple[Pair, ...], newest: ArrayLike, oldest: ArrayLike) -> Pair:

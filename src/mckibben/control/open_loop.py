@@ -27,7 +27,7 @@ class OpenLoopState(NamedTuple):
     stiffness: Scalar
 
 
-class OpenLoopControl(Controller):
+class OpenLoopControl(Controller[OpenLoopState]):
     """Commanded pressures over time, independent of the motion: for steps, and for the identification of valves.
 
     Parameters

@@ -33,7 +33,7 @@ class PIDState(NamedTuple):
     derivative: Scalar
 
 
-class PID(Loop):
+class PID(Loop[PIDState]):
     r"""PID controller.
 
     .. math:: u = k_p e + k_i \int e \, dt + k_d \dot e
@@ -83,7 +83,7 @@ class PID(Loop):
         )
 
     def step(
-        self, state: PIDState, setpoint: ArrayLike, measured: ArrayLike, sensitivity: ArrayLike, period: ArrayLike
+        self, state: PIDState, setpoint: ArrayLike, measured: ArrayLike, period: ArrayLike
     ) -> tuple[PIDState, Scalar]:
         error = jnp.asarray(setpoint) - measured
         derivative = self.derivative(state, setpoint, measured, period)

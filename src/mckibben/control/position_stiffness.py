@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.component.base import Units
 from mckibben.component.calls import user_level
@@ -17,7 +17,6 @@ from mckibben.control.allocation import achieved, limit_commands
 from mckibben.control.base import Controller, JointModel, Loop, Measurement, Setpoint
 from mckibben.errors import McKibbenWarning
 from mckibben.joint.geometry import Pair
-from mckibben.numerics.calculus import derivative
 from mckibben.units import AngleGain, AngleScale, Quantity, StiffnessScale, Tension
 
 AngleIntegralGain = Annotated[float, Quantity("Pa/(rad*s)", "bar/(rad*s)", -1e6, 1e6)]
@@ -44,8 +43,8 @@ _LEAST_GAIN = 1e3  # Pa: if the largest of the position loop is lower, they are 
 class PositionStiffnessState(NamedTuple):
     """State of both loops, estimated stiffness [N*m/rad], and whether a command met a limit."""
 
-    position: Any
-    stiffness: Any
+    position: PyTree
+    stiffness: PyTree
     estimate: Scalar
     saturated: Array
 
@@ -58,7 +57,7 @@ class Feedforward(NamedTuple):
     path: Scalar  # displacement [rad] that the position loop does not see, so that its derivative does not oppose it
 
 
-class PositionStiffnessControl(Controller):
+class PositionStiffnessControl(Controller[PositionStiffnessState]):
     """Position loop on the differential pressure pd, stiffness loop on the co-contraction pc (Fig. 5 of the paper).
 
     p1 = pc - pd and p2 = pc + pd, within the limits of each muscle's domain; both loops track the achieved output. The
@@ -138,14 +137,11 @@ class PositionStiffnessControl(Controller):
         """Return the next state and the commands with a feedforward."""
         angle, pressures = measurement
         estimate = self.model.stiffness_for(angle, pressures, self.stiffness_amplitude)
-        angle_gain, stiffness_gain = self._sensitivities(measurement, estimate)
         target, measured = setpoint.angle, angle
         if feedforward is not None:
             target, measured = target - feedforward.path, measured - feedforward.path
-        position, differential = self.position.step(state.position, target, measured, angle_gain, period)
-        stiffness, cocontraction = self.stiffness.step(
-            state.stiffness, setpoint.stiffness, estimate, stiffness_gain, period
-        )
+        position, differential = self.position.step(state.position, target, measured, period)
+        stiffness, cocontraction = self.stiffness.step(state.stiffness, setpoint.stiffness, estimate, period)
 
         offset, mean_offset = (
             (0.0, 0.0) if feedforward is None else (feedforward.differential, feedforward.cocontraction)
@@ -168,13 +164,3 @@ class PositionStiffnessControl(Controller):
             for key, value in loop.telemetry(part).items()
         }
         return {"stiffness_estimate": state.estimate, "saturated": state.saturated, **loops}
-
-    def _sensitivities(self, measurement: Measurement, stiffness: Scalar) -> tuple[Scalar, Scalar]:
-        """Static gains, without gravity: angle per differential pressure, stiffness per co-contraction."""
-        angle, (pressure1, pressure2) = measurement
-        zero = jnp.zeros_like(pressure1)
-        torque_slope = derivative(lambda pd: self.model.torque(angle, (pressure1 - pd, pressure2 + pd)), zero)
-        stiffness_slope = derivative(lambda pc: self.model.stiffness(angle, (pressure1 + pc, pressure2 + pc)), zero)
-        slack = stiffness == 0  # then the static angle is undefined
-        angle_slope = jnp.where(slack, 0.0, torque_slope / jnp.where(slack, 1.0, stiffness))
-        return angle_slope, stiffness_slope

@@ -45,7 +45,7 @@ class PredictiveState(NamedTuple):
     policy: Policy
 
 
-class PredictiveControl(ModelBasedControl):
+class PredictiveControl(ModelBasedControl[PredictiveState]):
     r"""Model predictive control: the trajectory of least cost within the attainable set.
 
     In each period the cost over the next `horizon` is minimised and the first command applied:
@@ -105,10 +105,6 @@ class PredictiveControl(ModelBasedControl):
     horizon: PositiveTime = eqx.field(kw_only=True, default=0.06)
     stages: Count = eqx.field(kw_only=True, static=True, default=12)
     iterations: Iterations = eqx.field(kw_only=True, static=True, default=1)
-
-    @property
-    def observers(self) -> tuple[Observer, PressureObserver]:
-        return self.observer, self.pressure_observer
 
     def init(self, measurement: Measurement) -> PredictiveState:
         zero = jnp.zeros_like(measurement.angle)

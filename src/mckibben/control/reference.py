@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import abc
 import math
-from collections.abc import Iterator
 from numbers import Real
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -28,13 +27,13 @@ class Signal(Component):
     """Quantity over time [s], in SI."""
 
     @classmethod
-    def from_file(cls, value: Any) -> Any:
+    def from_file(cls, value: object) -> object:
         """Return a section of a constant for a quantity alone."""
         numeric = isinstance(value, int | float) or (isinstance(value, str) and value[:1] in "+-.0123456789")
         return {"class": "constant", "value": value} if numeric and value != "" else value
 
     @classmethod
-    def to_file(cls, section: dict[str, Any]) -> Any:
+    def to_file(cls, section: dict[str, object]) -> object:
         """Return a quantity alone for a constant."""
         return section["value"] if section.get("class") == "constant" else section
 
@@ -238,31 +237,6 @@ class Sum(Signal):
         for part in self.parts[1:]:
             total = total + part(time)
         return total
-
-
-def terms(signal: Any) -> Iterator[Any]:
-    """Signals of a sum, of sums in it too; the signal itself if it is not a sum."""
-    if isinstance(signal, Sum):
-        for part in signal.parts:
-            yield from terms(part)
-    else:
-        yield signal
-
-
-_PART = 0.1  # of the time range of samples: a shorter run has other units of time
-
-
-def time_range_mismatch(signal: Any, duration: float) -> str:
-    """Mismatch between the time range of samples and the duration [s] of a run, as text; empty if there is none."""
-    for part in terms(signal):
-        if isinstance(part, Samples) and len(part.times) > 1:
-            before, end = map(float, part.times[-2:])
-            if duration < _PART * end:
-                return f"its samples last to {end:g} s, and the run takes {duration:g} s: check the unit of their times"
-            early = end + min(end - before, 0.02 * duration) < duration * (1 - 1e-9)
-            if early and bool(part.values[-1] != part.values[-2]):
-                return f"its samples end in motion at {end:g} s, and the last is held to the end, {duration:g} s"
-    return ""
 
 
 def as_signal(value: Signal | ArrayLike) -> Signal:

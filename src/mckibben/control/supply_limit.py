@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 from mckibben.actuator import FirstOrderValve
 from mckibben.actuator.base import lag_fraction
 from mckibben.component.checks import check_kind
 from mckibben.component.columns import Label
 from mckibben.control.actuator_adaptation import arriving
-from mckibben.control.base import Controller, Measurement, Setpoint, ValveModel, check_valve_model
-from mckibben.control.model_based import ModelBasedControl
+from mckibben.control.base import (
+    Controller,
+    Measurement,
+    Setpoint,
+    ValveModel,
+    check_valve_model,
+    controllers_within,
+)
+from mckibben.control.model_based import StatePrediction
 from mckibben.control.observer import lagged
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import pressure_limits_of
@@ -33,14 +40,14 @@ _SLOWER = 4.0  # lag of a valve beyond that of the model, relative to it, that i
 class SupplyLimitState(NamedTuple):
     """State of the inner controller, estimated supply and commands on their way [Pa], and first-order lags of pairs."""
 
-    inner: Any
+    inner: PyTree
     supply: Scalar
     sent: tuple[Pair, ...]  # the last first
     expected: Pair  # pressures [Pa] by the commands
     filtered: Pair  # measured pressures [Pa]
 
 
-class SupplyLimit(Controller):
+class SupplyLimit(Controller[SupplyLimitState]):
     r"""Wrapper that limits the pressures of a controller's model to an estimate of the supply.
 
     Commands at the estimate :math:`\hat p_s` that are not reached lower it; otherwise it rises, up to the limit of the
@@ -76,11 +83,6 @@ class SupplyLimit(Controller):
         super().__check_init__()
         check_kind("SupplyLimit", "model", self._model, AntagonisticJoint)
         check_valve_model("SupplyLimit", self.valve, self._model)
-
-    @property
-    def stiffness_amplitude(self) -> float | None:  # pyrefly: ignore[bad-override]
-        """That of the inner controller."""
-        return self.controller.stiffness_amplitude
 
     def init(self, measurement: Measurement) -> SupplyLimitState:
         pressures = measurement.pressures
@@ -118,19 +120,15 @@ class SupplyLimit(Controller):
         return first, second
 
     @property
-    def _model(self) -> Any:
-        """First model of a joint within the controller; None without one."""
-        return self._first(AntagonisticJoint)
+    def _model(self) -> AntagonisticJoint:
+        """First model of a joint within the controller."""
+        parts = jax.tree.leaves(self.controller, is_leaf=lambda part: isinstance(part, AntagonisticJoint))
+        return next((part for part in parts if isinstance(part, AntagonisticJoint)), None)  # type: ignore[return-value]
 
     @property
-    def _predicting(self) -> Any:
+    def _predicting(self) -> StatePrediction | None:
         """The controller, or the one that it wraps, that predicts over the delay; None without one."""
-        return self._first(ModelBasedControl)
-
-    def _first(self, kind: type) -> Any:
-        """First part of a kind within the controller."""
-        wanted = lambda part: isinstance(part, kind)  # noqa: E731
-        return next(filter(wanted, jax.tree.leaves(self.controller, is_leaf=wanted)), None)
+        return next((part for part in controllers_within(self.controller) if isinstance(part, StatePrediction)), None)
 
     @property
     def _rated(self) -> Scalar:
@@ -140,7 +138,7 @@ class SupplyLimit(Controller):
     def _limited(self, supply: Scalar) -> Controller:
         """The controller, with its model's pressures limited [Pa]."""
 
-        def limited(part: Any) -> Any:
+        def limited(part: PyTree) -> PyTree:
             if not isinstance(part, Domain):
                 return part
             return dataclasses.replace(part, pressure_max=jnp.minimum(part.pressure_max, supply))

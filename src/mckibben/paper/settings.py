@@ -86,7 +86,7 @@ PRE_CONTRACTED = Setting(
 SETTINGS = (AS_PRINTED, PRE_CONTRACTED)
 
 STEP_TIME = "5 s"
-LEARNING = "learning_rate: 3 1/s, momentum: 0.5, hidden: 6, jacobian: sign"
+LEARNING = "learning_rate: 3 1/s, momentum: 0.5, hidden: 6"
 FREE, BOUND = 2.0, 1.1
 """Factor by which BP may change the gains: moderate gains, and tuned gains close to the stability limit."""
 

@@ -2,7 +2,7 @@
 
 from mckibben.simulation.accuracy import ACCURACY, Resolution
 from mckibben.simulation.batch import Batch, simulate_many
-from mckibben.simulation.derivatives import Derivatives, Mode, differentiate
+from mckibben.simulation.derivatives import Derivatives, differentiate
 from mckibben.simulation.dynamic_stiffness import DynamicStiffness, closed_valves, dynamic_stiffness
 from mckibben.simulation.feasibility import Feasibility, check_reference
 from mckibben.simulation.loop import compiled_episode, episode
@@ -24,7 +24,6 @@ __all__ = [
     "Feasibility",
     "Margins",
     "Metrics",
-    "Mode",
     "Outcome",
     "Resolution",
     "RunResult",

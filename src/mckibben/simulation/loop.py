@@ -135,7 +135,6 @@ def streaming_episode(
     split: ArrayLike | None = None,  # period from which the run without that change is computed alongside
     keep: tuple[str, ...] = (),  # names of `Trajectory`
     every: int = 1,  # control periods between two kept values; a divisor of their number
-    checkpoint: bool = False,  # whether reverse differentiation computes each period twice instead of storing it
 ) -> Streamed:
     """`episode` that accumulates metrics during the run: memory does not grow with the duration."""
     periods = setpoints.angle.shape[0]
@@ -171,9 +170,6 @@ def streaming_episode(
         return _Carry(following, without, carry.total.merge(added), at_change, air, oscillation), {
             name: getattr(now, name) for name in keep
         }
-
-    if checkpoint:
-        next_period = jax.checkpoint(next_period, prevent_cse=False)
 
     def block(carry: _Carry, at: tuple[Array, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
         carry, columns = lax.scan(next_period, carry, at)

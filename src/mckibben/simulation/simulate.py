@@ -13,7 +13,6 @@ from jaxtyping import Array
 from mckibben.codegen.native import NativeFunction
 from mckibben.component.calls import checked_call, user_level
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.control.reference import time_range_mismatch
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.compiled import jit, numeric
@@ -97,8 +96,8 @@ def simulate(
         If the joint cannot statically hold all of the reference, or not with the controller's minimum tension: when,
         and by how much.
     McKibbenWarning
-        If samples of the reference end in motion before the run does, or last ten times as long; or if the run is
-        not resolved, with the time from which: it is chaotic, or needs more than 64 times the fewest steps.
+        If the run is not resolved, with the time from which: it is chaotic, or needs more than 64 times the fewest
+        steps.
 
     Raises
     ------
@@ -122,9 +121,6 @@ def simulate(
     start, exists = start_of(problem._replace(**without), setpoints, engine=engine)
     band = static_band(problem.plant, setpoints.angle, amplitude, engine=engine)
     reach = feasibility(plant, times, setpoints, band)
-    for name, signal in (("angle", reference.angle), ("stiffness", reference.stiffness)):
-        if mismatch := time_range_mismatch(signal, duration):
-            warnings.warn(f"reference of the {name}: {mismatch}", McKibbenWarning, stacklevel=user_level())
     if not exists:
         _raise_why(plant, initial, float(setpoints.angle[0]))
     if substeps is not None:
@@ -141,7 +137,7 @@ def simulate(
         warnings.warn(
             f"{text}, outside of which the moment arm is assumed constant", DomainWarning, stacklevel=user_level()
         )
-    tension = getattr(controller, "minimum_tension", None)
+    tension = controller.minimum_tension
     if not reach.feasible and warn_infeasible:
         warnings.warn(reach.verdict(), ReachabilityWarning, stacklevel=user_level())
     if tension and reach.feasible:

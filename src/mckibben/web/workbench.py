@@ -31,7 +31,7 @@ CONTROLLERS = {
     learning_rate: 3 1/s, momentum: 0.5, signal_scale: 10 deg, error_scale: 1 deg, output_scale: 10 bar/s, seed: 0}
   stiffness: {class: backprop, base: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)},
     gain_ratio: 2, learning_rate: 3 1/s, momentum: 0.5, signal_scale: 15 N*m/rad, error_scale: 1 N*m/rad,
-    output_scale: 1 bar/s, jacobian: sign, seed: 0}
+    output_scale: 1 bar/s, seed: 0}
 """,
     "model inversion (decoupling)": """\
   class: decoupling
