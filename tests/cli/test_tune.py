@@ -244,7 +244,6 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     for change, message in (
         (("--seed", "1"), "started with 0, not 1"),
         (("--margin", "2"), "gain_margin: .* started with 1.0, not 2.0"),
-        (("--delay-margin", "2 ms"), r"delay_margin: .* started with 0.0, not 0.002"),
         (("--cost", "angle_rmse"), "cost: the study was started"),
         (("--parameters", "load.damping"), "parameters: the study was started"),
     ):

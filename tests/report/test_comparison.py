@@ -57,12 +57,7 @@ def result():
 
 
 @pytest.fixture(scope="module")
-def numbers(result):
-    return result.numbers
-
-
-@pytest.fixture(scope="module")
-def kept(result, numbers, tmp_path_factory):
+def kept(result, tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     return write_comparison(result, folder)
 
@@ -87,7 +82,7 @@ def test_the_page_is_complete_and_has_its_figures(kept, text, page_of):
         assert (kept.parent / "figures" / f"{name}.png").stat().st_size > 5000
 
 
-def test_a_front_is_drawn_for_each_controller_that_was_tuned(result, numbers):
+def test_a_front_is_drawn_for_each_controller_that_was_tuned(result):
     (axes,) = comparison_front(result).axes
     assert [line.get_label() for line in axes.lines] == ["PID 3", "decoupling"]
     for line in axes.lines:
@@ -109,8 +104,8 @@ def test_its_words_and_numbers(text, result):
     assert Suite.parse(html.unescape(re.search(r"<summary>.*<code>(.*)</code>", text, re.S)[1])) == result.suite
 
 
-def test_a_controller_has_one_colour_in_all_figures(result, numbers):
-    assert numbers["order"] != list(result.batches), "else there is nothing to see"
+def test_a_controller_has_one_colour_in_all_figures(result):
+    assert result.order != list(result.batches), "else there is nothing to see"
     lines = [line for figure in (comparison_errors(result), comparison_air(result)) for line in figure.axes[-1].lines]
     colours = [{line.get_color() for line in lines if line.get_label() == name} for name in result.batches]
     assert [len(colour) for colour in colours] == [1, 1, 1] and len(set.union(*colours)) == 3
@@ -131,10 +126,12 @@ def test_errors_are_distributions(result):
     assert lines["as it is"].get_ydata()[finite][-1] == 14 / 16
 
 
-def test_air_and_error_are_drawn_with_the_middle_of_the_runs(result, numbers):
+def test_air_and_error_are_drawn_with_the_middle_of_the_runs(result):
     (axes,) = comparison_air(result).axes
     (mark,) = [line for line in axes.lines if line.get_label() == "decoupling"]
-    found = numbers["controllers"]["decoupling"]["metrics"]
-    assert mark.get_xydata()[0] == pytest.approx([found["air_L"]["median"], found["angle_rmse_deg"]["median"]])
+    middle = [
+        np.nanmedian(result.metric("decoupling", name)) / unit for name, unit in (("air", 1e-3), ("angle_rmse", deg))
+    ]
+    assert mark.get_xydata()[0] == pytest.approx(middle)
     across = axes.lines[axes.lines.index(mark) - 2].get_xdata()
     assert across == pytest.approx(np.percentile(result.metric("decoupling", "air") * 1e3, [5, 95]))

@@ -1,5 +1,6 @@
 """What is drawn: shares, ranges, the same runs for the same seed; and a run of the arrays is that of its scenario."""
 
+import re
 from pathlib import Path
 
 import jax
@@ -81,28 +82,12 @@ def test_fast_sines_are_made_smaller(suite, runs):
     assert np.all(free["reference.angle.amplitude"][cut] > amplitude[cut])
 
 
-@pytest.mark.slow
-def test_a_sine_that_does_not_differ_is_made_smaller_too():
-    text = TEXT.replace(
-        "over: [reference.angle.amplitude=2..10 deg, reference.angle.frequency=0.25..4 Hz log, ", "over: ["
-    )
-    slow = draw(Suite.parse(text), 8, 1)
-    assert np.allclose(slow.reference_values["sine and step"]["reference.angle.amplitude"], 5 * deg)  # 3.4 rad/s^2
-    fast = draw(Suite.parse(text.replace("frequency: 1 Hz", "frequency: 10 Hz")), 8, 1)
-    assert np.allclose(fast.reference_values["sine and step"]["reference.angle.amplitude"], 60 / (20 * np.pi) ** 2)
-
-
 def test_the_same_seed_draws_the_same(suite, runs):
     again, other = draw(suite, 64, 1), draw(suite, 64, 2)
     assert again.joint == runs.joint
     assert again.reference_name == runs.reference_name
-    for mine, same, different in zip(
-        *(jax.tree.leaves(each.groups[0].plant) for each in (runs, again, other)), strict=True
-    ):
+    for mine, same in zip(*(jax.tree.leaves(each.groups[0].plant) for each in (runs, again)), strict=True):
         assert np.array_equal(mine, same)
-        if np.ndim(mine):
-            assert np.shape(mine) == (64,)
-            assert np.shape(different) == (64,)
     assert other.reference_name != runs.reference_name
     assert not np.array_equal(other.conditions["load.mass2"], runs.conditions["load.mass2"])
 
@@ -125,22 +110,17 @@ def test_a_run_of_the_arrays_is_that_of_its_scenario(runs):
     for run in range(0, 64, 5):
         scenario = Scenario.parse(runs.scenario("PID 3", run).dumps())
         plant = scenario.plant()
-        drawn = lane(runs.groups[0].plant, run)
+        group = next(group for group in runs.groups if run in group.rows)
+        row = int(np.searchsorted(group.rows, run))
+        drawn = lane(group.plant, row)
         assert jax.tree.structure(plant) == jax.tree.structure(drawn)
         for a, b in zip(jax.tree.leaves(plant), jax.tree.leaves(drawn), strict=True):
             assert np.asarray(a) == pytest.approx(np.asarray(b), rel=1e-14)
-        reference, expected = scenario.reference(), runs.groups[0].reference
+        reference, expected = scenario.reference(), group.reference
         for quantity in ("angle", "stiffness"):
             wanted = np.asarray(getattr(reference, quantity)(TIMES))
-            assert wanted == pytest.approx(np.asarray(getattr(expected, quantity).values[run]), rel=1e-13, abs=1e-15)
+            assert wanted == pytest.approx(np.asarray(getattr(expected, quantity).values[row]), rel=1e-13, abs=1e-15)
         assert scenario.start.angle == pytest.approx(float(reference.angle(0.0)), abs=1e-15)
-
-
-def test_a_tuned_controller_is_put_into_the_run(runs):
-    plain = runs.scenario("PID 3", 3)
-    tuned = runs.scenario("PID 3", 3, {"controller.position.kp": 3e5})
-    assert (plain.control().position.kp, tuned.control().position.kp) == (1.2e5, 3e5)
-    assert tuned.plant() == plain.plant()
 
 
 def test_a_run_in_which_nothing_differs_is_the_scenario_as_it_stands(suite):
@@ -157,6 +137,7 @@ def test_any_signal_is_a_reference(tmp_path):
     """Each run has what its scenario says: other random steps for another seed, ramps, samples, single sines."""
     (tmp_path / "recorded.csv").write_text("time_s,angle_deg\n0,1\n0.05,3\n0.1,-2\n")
     text = TEXT[: TEXT.index("references:")] + TEXT[TEXT.index("max_angular_acceleration") :]
+    text = re.sub(r"other_joints:\n(  .*\n)+", "", text)
     text += """
 references:
   random:
@@ -210,7 +191,7 @@ def mixed():
 @pytest.mark.slow
 def test_plants_of_other_kinds_are_groups_of_their_own(mixed):
     drawn = draw(mixed, 20, 1)
-    assert [set(group.joint) for group in drawn.groups] == [{each} for each in dict.fromkeys(drawn.joint)]
+    assert [group.joint for group in drawn.groups] == list(dict.fromkeys(drawn.joint))
     assert np.array_equal(np.sort(np.concatenate([group.rows for group in drawn.groups])), np.arange(20))
     for group in drawn.groups:
         for i, row in enumerate(group.rows):

@@ -12,9 +12,9 @@ from mckibben.errors import FileError, McKibbenWarning, ParameterError, Unreacha
 from mckibben.scenario import Scenario, Start
 from mckibben.storage.store import STUDY, open_store, read_store
 from mckibben.study.parameters import LogUniform, Uniform, parse_sweep
-from mckibben.study.tune import Cost, Method, gain_ranges, parse_ranges, read_trials, tune
-from mckibben.study.tune.objective import FAILED_COST, TuningProblem
-from mckibben.study.tune.search import SEARCHES, check_population
+from mckibben.study.tune import Cost, gain_ranges, parse_ranges, read_trials, tune
+from mckibben.study.tune.objective import TuningProblem
+from mckibben.study.tune.search import SEARCHES
 from mckibben.units import deg
 
 EXAMPLE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
@@ -56,7 +56,7 @@ def bowl(points):
     return np.sum((points - GOAL[: points.shape[1]]) ** 2 * [1.0, 30.0][: points.shape[1]], axis=1)
 
 
-@pytest.mark.parametrize("method", Method)
+@pytest.mark.parametrize("method", SEARCHES)
 @pytest.mark.parametrize("first", [[0.9, 0.1], [1.0, 0.0], [0.9]])
 def test_each_method_finds_the_bottom_of_a_bowl_within_the_cube(method, first):
     def searched(generations, seed=0):
@@ -78,12 +78,12 @@ def test_each_method_finds_the_bottom_of_a_bowl_within_the_cube(method, first):
     assert first in points.tolist()
     few = searched(4)
     assert searched(4).tolist() == few.tolist() == points[: len(few)].tolist()
-    if method is Method.CMA:
+    if method == "cma":
         assert searched(4, seed=1).tolist() != few.tolist()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", Method)
+@pytest.mark.parametrize("method", SEARCHES)
 def test_each_method_finds_where_nothing_has_to_move(method):
     tuned = run(method=method, iterations=40)
     assert tuned.values == pytest.approx({"start.angle": 2 * deg, "start.stiffness": 15.0}, rel=2e-3)
@@ -101,7 +101,7 @@ def test_a_search_reports_its_steps_and_rounds_its_values():
     assert tuned.cost <= tuned.cost_before
     parts = [part for _, part in steps]
     assert parts == sorted(parts) and (parts[0], parts[-1]) == (0.0, 1.0)
-    assert steps[0][0] == "compiling" and steps[-1][0] == "evaluating"
+    assert steps[0][0] == "searching" and steps[-1][0] == "evaluating"
     lowest = [float(step.split()[3]) for step, _ in steps[1:-1]]
     assert lowest == sorted(lowest, reverse=True)
     for name, value in tuned.values.items():
@@ -112,15 +112,6 @@ def test_a_search_reports_its_steps_and_rounds_its_values():
     assert [listing.title for listing in tuned.listings()][1:3] == ["Parameters", STILL.name]
 
 
-def test_a_search_of_yours_is_a_function(for_free):
-    def corners(costs, first, *, population, generations, seed, progress):
-        costs(np.array([[0.0, 0.0], [1.0, 1.0]]))
-        progress(1.0)
-
-    tuned = run(method=corners)
-    assert [trial.point for trial in tuned.trials] == [(0.0, 0.0), (1.0, 1.0)]
-
-
 def test_rounding_makes_nothing_worse(monkeypatch):
     start = starting("1.23456789 deg", 14.123456789)
     best = np.array([start.start.angle, start.start.stiffness])
@@ -128,18 +119,6 @@ def test_rounding_makes_nothing_worse(monkeypatch):
     tuned = run(scenarios=start)
     assert tuned.values == pytest.approx(dict(zip(RANGES, best, strict=True)), rel=1e-12)
     assert tuned.cost <= tuned.cost_before * (1 + 1e-12)
-
-
-@pytest.mark.slow
-def test_starts_outside_the_ranges_that_cannot_be_held_or_are_best():
-    outside = run(scenarios=starting("9 deg", 10.9))
-    assert (1.0, 0.0) in [trial.point for trial in outside.trials]
-    assert outside.cost < outside.cost_before < FAILED_COST
-    lost = run(scenarios=starting("0 deg", 99))
-    assert np.isnan(lost.cost_before) and lost.cost < FAILED_COST
-    assert "cost_before" in [remark.field for remark in lost.remarks()] and "nan" not in repr(lost)
-    best = run(scenarios=starting("2 deg", 15))
-    assert best.values == pytest.approx({"start.angle": 2 * deg, "start.stiffness": 15.0}, rel=1e-9)
 
 
 @pytest.mark.slow
@@ -192,7 +171,7 @@ def test_more_iterations_go_further(whole, tmp_path):
     ("changed", "field", "message"),
     [
         ({"seed": 4}, "seed", "started with 3, not 4"),
-        ({"method": Method.LOCAL}, "method", "started with cma, not local"),
+        ({"method": "local"}, "method", "started with cma, not local"),
         ({"population": 9}, "population", "started with 8, not 9"),
         ({"cost": Cost.of({"angle_rmse": deg})}, "cost", "not angle_rmse"),
         ({"cost": Cost(COST.terms, gain_margin=1.5)}, "gain_margin", "started with 1.0, not 1.5"),
@@ -268,7 +247,7 @@ def test_a_search_is_not_continued_by_another_engine(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"population": 3}, "CMA-ES with 3 points per generation; give at least 4"),
+        ({"population": 3}, "population is 3"),
         ({"seed": -1}, "seed is -1"),
         ({"seed": 0.5}, "seed is 0.5"),
         ({"iterations": 0}, "iterations is 0"),
@@ -282,7 +261,6 @@ def test_a_search_that_cannot_be_done_says_so(tmp_path, changed, message):
         run(out=tmp_path / "out", **changed)
     if "ranges" not in changed:
         assert not (tmp_path / "out" / STUDY).exists()  # nothing is in the way of the next try
-    check_population(4)
 
 
 def test_a_start_that_no_gains_can_mend_is_refused_before_the_search(tmp_path):

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mckibben.component.columns import attributes
 from mckibben.errors import McKibbenError, ParameterError
 from mckibben.simulation import Metrics
 from mckibben.study.tune import Cost, Term, parse_cost
@@ -42,12 +41,6 @@ def test_terms_with_units_weights_and_any_plus(plus):
 def test_a_metric_alone_needs_no_scale():
     assert parse_cost(" angle_rmse ") == Cost((Term("angle_rmse", 1.0),))
     assert parse_cost("3*force_max").terms == (Term("force_max", 1.0, 3.0),)
-
-
-def test_how_runs_are_put_together_is_passed_on():
-    cost = parse_cost("angle_rmse", gain_margin=2.0, percentile=90.0)
-    assert (cost.gain_margin, cost.percentile) == (2.0, 90.0)
-    assert cost == Cost.of({"angle_rmse": 1.0}, gain_margin=2.0, percentile=90.0)
 
 
 def test_the_sum_is_elementwise():
@@ -92,15 +85,3 @@ def test_percentiles_are_above_0_and_at_most_100(percentile):
     with pytest.raises(ParameterError) as caught:
         Cost.of({"angle_rmse": 1.0}, percentile=percentile)
     assert caught.value.remedy or (caught.value.lower, caught.value.upper) == (0.0, 100.0)
-
-
-def test_every_metric_has_a_unit_for_its_scale():
-    assert all(attributes(name).get("units") for name in Metrics._fields)
-
-
-@pytest.mark.parametrize("name", Metrics._fields)
-def test_the_remedy_for_a_missing_scale_is_one(name):
-    other = "force_max" if name != "force_max" else "coupling"
-    with pytest.raises(ParameterError) as wrong:
-        parse_cost(f"{name} + {other}/1 {attributes(other)['units']}")
-    assert parse_cost(wrong.value.remedy.removeprefix("write it like ")).metrics == (name,)

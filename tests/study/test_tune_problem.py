@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import ParameterError, SimulationError
-from mckibben.scenario import Scenario, find_parameter, run_scenario, with_values
+from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Outcome, margins
 from mckibben.study.parameters import LogUniform, Uniform, sweep_parameters
 from mckibben.study.tune import Cost, Term, parse_cost, tune
@@ -79,25 +79,6 @@ def test_the_cost_is_that_of_single_runs(by_hand):
     plain, raised = by_hand.mean(axis=1)
     assert (raised > plain).any()  # else the margin would not have been seen
     assert (raised < plain).any()
-
-
-@pytest.mark.slow
-def test_the_cost_covers_a_longer_delay_that_the_controller_does_not_know():
-    gains = {name: RANGES[name] for name, gain in zip(RANGES, GAINS, strict=True) if gain}
-    rows, own, more = ROWS[:, GAINS], np.array([0.0, 2e-3]), 4e-3
-
-    def costs(cost, conditions):
-        return TuningProblem.of((LIGHT,), sweep_parameters(LIGHT, gains), cost, "all", conditions).costs(rows)
-
-    plain, late = (costs(Cost(TERMS), {"command_delay": delay}) for delay in (own, own + more))
-    covered = costs(Cost(TERMS, delay_margin=more), {"command_delay": own})
-    np.testing.assert_allclose(covered, np.maximum(plain, late), rtol=1e-9)
-    assert (covered > plain).any()
-    with pytest.raises(ParameterError):
-        TuningProblem.of(
-            (LIGHT,), sweep_parameters(LIGHT, gains), Cost(TERMS, delay_margin=more), ["command_delay"],
-            {"command_delay": own},
-        )  # fmt: skip
 
 
 def disk(scenario):
@@ -235,40 +216,8 @@ def test_one_failed_scenario_is_enough_also_for_the_mean(percentile):
     assert costs[2] < FAILED_COST
 
 
-def test_the_margin_does_not_lead_beyond_what_a_file_may_say():
-    name = "controller.position.kp"
-    most = find_parameter(LIGHT, name).upper
-    task = TuningProblem.of(
-        (LIGHT,), sweep_parameters(LIGHT, RANGES | {name: LogUniform(most / 100, most)}), Cost(TERMS, gain_margin=1.5)
-    )
-    rows = ROWS.copy()
-    rows[0, 0] = most
-    assert np.isfinite(task.costs(rows)).all()
-
-
-def test_nothing_to_tune_and_numbers_without_a_range():
-    with pytest.raises(ParameterError, match="nothing to tune"):
-        TuningProblem.of((), (), Cost(TERMS))
-    with pytest.raises(ParameterError, match="nothing to tune"):
-        TuningProblem.of((LIGHT,), (), Cost(TERMS))
-    from mckibben.study.parameters import parse_sweep
-
-    for text in ("load.damping=normal 10 %", "load.damping=0.1 N*m*s/rad, 0.2 N*m*s/rad"):
-        with pytest.raises(ParameterError, match=r"load\.damping has no range to search"):
-            TuningProblem.of((LIGHT,), [parse_sweep(text, LIGHT)], Cost(TERMS))
-
-
 def test_a_number_that_one_scenario_lacks_is_said_with_the_scenario():
     ideal = Scenario.parse(TEXT.replace("valve: {time_constant: 20 ms}", "valve: ideal").replace("name: ", "name: my "))
     ranges = sweep_parameters(LIGHT, {"valve.time_constant": Uniform(0.01, 0.05)})
     with pytest.raises(ParameterError, match=r"my pre-contracted.*valve, of class ideal"):
         TuningProblem.of((LIGHT, ideal), ranges, Cost(TERMS))
-
-
-def test_coupling_needs_a_step():
-    text = TEXT.replace("{class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 50 ms}", "13 N*m/rad")
-    assert text != TEXT
-    cost = Cost.of({"coupling": deg})
-    with pytest.raises(ParameterError, match=r"coupling is not defined.*never steps"):
-        asked(cost, (LIGHT, Scenario.parse(text)))
-    asked(cost, (LIGHT,))

@@ -118,7 +118,7 @@ def _smaller(suite: Suite, runs: int | None, quick: bool) -> Suite:
 def _repeated(out: Path, repeat: str) -> str:
     """Return one run of a finished comparison as the text of a scenario."""
     from mckibben.study.compare import draw
-    from mckibben.study.compare.table import read_runs
+    from mckibben.study.compare.result import read_runs
 
     table = out / "runs.nc"  # verified by its checksum
     if not table.is_file():

@@ -15,7 +15,6 @@ from mckibben.cli.options import (
     keeping,
     long_job,
     notify,
-    parse_quantity,
     required_folder,
 )
 from mckibben.errors import ParameterError, ScenarioError
@@ -117,12 +116,6 @@ def tune(
     margin: Annotated[
         float, Option(metavar="FACTOR", help="Gain margin: the cost covers gains larger by this factor.")
     ] = 1.5,
-    delay_margin: Annotated[
-        str,
-        Option(
-            metavar="TIME", help="Delay margin: the cost covers commands that arrive this much later, such as '5 ms'."
-        ),
-    ] = "0 ms",
     disk_margin: Annotated[
         float | None,
         Option(
@@ -163,8 +156,7 @@ def tune(
 
     read = [Scenario.read(path) for path in scenarios]
     ranges = parse_ranges(parameters or [], read[0])
-    late = parse_quantity("--delay-margin", delay_margin, "s")
-    wanted = parse_cost(cost, gain_margin=margin, percentile=percentile, delay_margin=late, disk_margin=disk_margin)
+    wanted = parse_cost(cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
     if not conditions and (draws is not None or (percentile is not None and len(read) == 1)):
         raise ParameterError("--draws and --percentile apply to conditions", remedy="add --conditions 'NAME=RANGE'")
     drawn = sample(parse_sweeps(conditions, read[0]), samples=draws or 16, seed=seed) if conditions else {}

@@ -14,7 +14,8 @@ from mckibben.report.page import Section, write_document
 from mckibben.report.style import DOUBLE, Look, blank, legend_above, letter, looks_of, plain_numbers, styled
 from mckibben.report.tables import Table, number, table_of
 from mckibben.report.tracking import tracking
-from mckibben.units import deg
+from mckibben.study.compare.statistics import front, median
+from mckibben.units import deg, litre
 
 if TYPE_CHECKING:
     from mckibben.study.compare import CompareResult
@@ -78,9 +79,11 @@ def comparison_front(result: CompareResult) -> Figure:
     figure = blank(DOUBLE, 3.0)
     axes = figure.subplots()
     for name, look in looks_of(result.batches).items():
-        front = result.numbers["controllers"][name]["front"]
-        if front:
-            air, angle = ([at[key] for at in front] for key in ("air_L", "angle_rmse_deg"))
+        if points := front(result.trials.get(name, ())):
+            air, angle = (
+                [median(trial, metric) / unit for trial in points]
+                for metric, unit in (("air", litre), ("angle_rmse", deg))
+            )
             axes.plot(air, angle, drawstyle="steps-post", marker=_marker(look), markersize=2.5, label=name, **look)
     axes.set(xscale="log", yscale="log", xlabel="air consumption [L]", ylabel="angle rmse [deg]")
     plain_numbers(axes.xaxis)
@@ -120,7 +123,7 @@ def write_comparison(result: CompareResult, folder: str | os.PathLike[str]) -> P
 
 def _figures(result: CompareResult, runs: int) -> list[ReportFigure]:
     first, *others = result.batches
-    best = [name for name in result.numbers["order"] if name in others][:2]
+    best = [name for name in result.order if name in others][:2]
     run, results = result.median_run([first, *best])
     drawn = {
         "errors": comparison_errors(result),

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import abc
+import hashlib
 import os
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
+import jax
 import numpy as np
+from jaxtyping import PyTree
 from numpy.typing import NDArray
 
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import map_chunks
+from mckibben.result import Column, Listing
 from mckibben.storage.store import STUDY, Job, open_store
 
 Table = Mapping[str, NDArray]
@@ -159,6 +163,23 @@ class Study(abc.ABC):
         with closing(finished):  # type: ignore[arg-type]  # it is a generator
             for _, number in finished:
                 yield number
+
+
+def listing_of(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 4) -> Listing:
+    """Return a table from its rows; all columns have the same digits."""
+    column = Column(digits=digits)
+    columns = zip(*rows, strict=True) if rows else ((),) * len(headings)
+    return Listing(title, {name: (column, list(values)) for name, values in zip(headings, columns, strict=True)})
+
+
+def digest(tree: PyTree) -> str:
+    """Return a digest of the numbers of a tree, with their places."""
+    content = hashlib.sha256()
+    for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
+        array = np.asarray(leaf)
+        content.update(f"{jax.tree_util.keystr(path)} {array.dtype} {array.shape}".encode())
+        content.update(repr(leaf).encode() if array.dtype == object else array.tobytes())
+    return content.hexdigest()
 
 
 def select(rows: Table, span: slice) -> Table:

@@ -11,8 +11,8 @@ from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.study.compare import Suite, compare
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
-from mckibben.study.tune import Method, parse_cost, parse_ranges, tune
-from mckibben.study.tune.margin import DISK_MARGIN
+from mckibben.study.tune import parse_cost, parse_ranges, tune
+from mckibben.study.tune.result import DISK_MARGIN
 from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
 from mckibben.web.results import Presented
 from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
@@ -87,7 +87,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     progress("compiling", 0.0)
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
-    method = Method.CMA if request.method == AUTOMATIC else Method(request.method)
+    method = "cma" if request.method == AUTOMATIC else request.method
     try:
         margin = float(request.disk_margin) if request.disk_margin.strip() else None
     except ValueError:

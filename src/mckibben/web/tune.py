@@ -11,7 +11,7 @@ from nicegui import ui
 
 from mckibben.errors import printable
 from mckibben.scenario import Scenario
-from mckibben.study.tune import Method
+from mckibben.study.tune.search import SEARCHES
 from mckibben.web.layout import (
     JobPage,
     NumberField,
@@ -73,7 +73,7 @@ class _Page(JobPage[StudyState]):
             self.progress = progress_row(state.jobs)
             with panel("Tune"):
                 _lines("cost", tuning, "cost")
-                methods = [AUTOMATIC, *(method.value for method in Method)]
+                methods = [AUTOMATIC, *SEARCHES]
                 select(methods, "method", "method").bind_value(tuning, "method")
                 with ui.element("div").classes("fields"):
                     self.tuning_fields = [

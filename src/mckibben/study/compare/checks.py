@@ -8,7 +8,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
-from mckibben.config.document import Document, dotted
+from mckibben.config.document import Document, Place, dotted
 from mckibben.control import Step
 from mckibben.errors import McKibbenError, ParameterError, Problem, ScenarioError, suggest
 from mckibben.study.parameters import SweptParameter, parse_sweeps
@@ -16,8 +16,13 @@ from mckibben.study.parameters import SweptParameter, parse_sweeps
 if TYPE_CHECKING:
     from mckibben.study.compare.suite import Suite
 
-_OF_PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
-_LONGEST_NAME = 80
+NOMINAL_JOINT = "nominal"
+"""Plant name of the suite's own joint, which the controllers' models use."""
+PLANT = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
+"""Sections of a suite that are those of a scenario, and whose parameters conditions can vary."""
+
+Check = tuple[Place, Callable[[], object]]
+"""A place in the document, and a call that raises what is wrong there."""
 
 
 def filename(name: str) -> str:
@@ -25,61 +30,60 @@ def filename(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"
 
 
-Place = tuple[str | int, ...]
-Check = tuple[Place, Callable[[], object]]
-"""A place in the document, and a call that raises what is wrong there."""
-
-
-def problems_of_suite(suite: Suite, document: Document, nominal: str) -> list[Problem]:
-    """Return the problems of interdependent parts; `nominal` is the name of the suite's own joint."""
+def problems_of_suite(suite: Suite, document: Document) -> list[Problem]:
+    """Return the problems of interdependent parts, at their lines in the document."""
     problems: list[Problem] = []
-    for checks in (
-        _checks_of_names,
-        _checks_of_settings,
-        _checks_of_variation,
-        _checks_of_runs,
-    ):  # each needs the ones before
-        for place, call in checks(suite, nominal):
+    for checks in (_checks_of_names, _checks_of_settings, _checks_of_variation, _checks_of_runs):
+        for place, call in checks(suite):
             problems += _problems_at(place, document, call)
-        if problems:
+        if problems:  # the other checks need parts that are valid
             break
     return problems
 
 
-def _checks_of_names(suite: Suite, nominal: str) -> Iterator[Check]:
-    for key, reserved in (("other_joints", nominal), ("references", ""), ("controllers", "")):
+def _problems_at(place: Place, document: Document, call: Callable[[], object]) -> list[Problem]:
+    """The problems at a place of a document that a call raises, if any."""
+    line, field = document.line(place), dotted(place)
+    try:
+        call()
+    except ScenarioError as error:  # of a scenario that the suite makes
+        return [replace(p, message=f"{p.field}: {p.message}", line=line, field=field) for p in error.problems]
+    except McKibbenError as error:
+        return [Problem.of(error, line, field)]
+    return []
+
+
+def _checks_of_names(suite: Suite) -> Iterator[Check]:
+    for key in ("other_joints", "references", "controllers"):
         for name in getattr(suite, key):
-            yield (key, name), partial(_check_name, name, reserved)
-    for name in suite.controllers:
-        yield ("controllers", name), partial(_check_controller, suite, name)
+            yield (key, name), partial(_check_name, suite, key, name)
     yield ("valve",), suite.example
 
 
-def _checks_of_settings(suite: Suite, nominal: str) -> Iterator[Check]:
+def _checks_of_settings(suite: Suite) -> Iterator[Check]:
     yield ("conditions",), partial(check_differs, suite)
     yield ("tuning", "cost"), partial(_check_cost, suite)
     for i, text in enumerate(suite.conditions):
-        yield ("conditions", i), partial(_check_within, _OF_PLANT, partial(parse_sweeps, [text], suite.example()))
+        yield ("conditions", i), partial(_check_within, PLANT, partial(parse_sweeps, [text], suite.example()))
     for name, case in suite.references.items():
         for i, text in enumerate(case.over):
             read = partial(parse_sweeps, [text], suite.example(name))
             yield ("references", name, "over", i), partial(_check_within, ("reference",), read)
-    for i, name in enumerate(suite.true_model):
-        yield ("true_model", i), partial(_check_known, suite, name)
-    for i, name in enumerate(suite.tuning.untuned):
-        yield ("tuning", "untuned", i), partial(_check_known, suite, name)
-    for name in (*suite.tuning.over, *suite.tuning.starts_of):
-        key = "over" if name in suite.tuning.over else "starts_of"
-        yield ("tuning", key, name), partial(_check_known, suite, name)
+    tuning = suite.tuning
+    named: list[tuple[Place, str]] = [(("true_model", i), name) for i, name in enumerate(suite.true_model)]
+    named += [(("tuning", "untuned", i), name) for i, name in enumerate(tuning.untuned)]
+    named += [(("tuning", key, name), name) for key in ("over", "starts_of") for name in getattr(tuning, key)]
+    for place, name in named:
+        yield place, partial(_check_known, suite, name)
 
 
-def _checks_of_variation(suite: Suite, nominal: str) -> Iterator[Check]:
+def _checks_of_variation(suite: Suite) -> Iterator[Check]:
     yield ("conditions",), suite.conditions_over
     for name in suite.references:
         yield ("references", name, "over"), partial(suite.reference_over, name)
 
 
-def _checks_of_runs(suite: Suite, nominal: str) -> Iterator[Check]:
+def _checks_of_runs(suite: Suite) -> Iterator[Check]:
     for name in suite.other_joints:
         yield ("other_joints", name), partial(_check_joint, suite, name)
     for name in suite.controllers:
@@ -87,45 +91,13 @@ def _checks_of_runs(suite: Suite, nominal: str) -> Iterator[Check]:
         yield place, partial(_check_within, ("controller",), partial(suite.tuned_over, name))
 
 
-def problems_of_setup(suite: Suite, name: str, document: Document) -> list[Problem]:
-    """Problems of the suite of a setup alone."""
-    own = suite.of_setup(name)
-
-    def check() -> None:
-        _check_name(name, "")
-        parse_sweeps(own.conditions, own.example())
-        for controller in own.controllers:
-            own.tuned_over(controller)
-
-    return _problems_at(("setups", name), document, check)
-
-
-def _problems_at(place: tuple[str | int, ...], document: Document, call: Callable[[], object]) -> list[Problem]:
-    """The problems at a place of a document that a call raises, if any."""
-    try:
-        call()
-    except ScenarioError as error:  # of a scenario that the suite makes
-        return [
-            replace(
-                problem, message=f"{problem.field}: {problem.message}", line=document.line(place), field=dotted(place)
-            )
-            for problem in error.problems
-        ]
-    except McKibbenError as error:
-        return [Problem.of(error, document.line(place), dotted(place))]
-    return []
-
-
-def _check_name(name: str, reserved: str) -> None:
-    if not name.strip() or len(name) > _LONGEST_NAME or not name.isprintable():
-        raise ParameterError(f"a name is one line of 1 to {_LONGEST_NAME} characters", remedy="give another")
-    if name == reserved:
+def _check_name(suite: Suite, key: str, name: str, longest: int = 80) -> None:
+    """Check that a name is one line, and its file name unique."""
+    if not name.strip() or len(name) > longest or not name.isprintable():
+        raise ParameterError(f"a name is one line of 1 to {longest} characters", remedy="give another")
+    if key == "other_joints" and name == NOMINAL_JOINT:
         raise ParameterError(f"{name!r} is the name of the suite's own joint", remedy="give another")
-
-
-def _check_controller(suite: Suite, name: str) -> None:
-    """Check that its file name is unique."""
-    same = next(other for other in suite.controllers if filename(other) == filename(name))
+    same = next(other for other in getattr(suite, key) if filename(other) == filename(name))
     if same != name:
         raise ParameterError(f"would be kept in the same file as {same!r}", remedy="give it another name")
 
@@ -141,9 +113,8 @@ def _check_cost(suite: Suite) -> None:
     """Check that every run has a value of each metric."""
     steps = all(isinstance(case.reference.stiffness, Step) for case in suite.references.values())
     if "coupling" in suite.cost.metrics and not steps:
-        raise ParameterError(
-            "coupling is defined for stiffness steps only", remedy="leave it out, or let all references step"
-        )
+        remedy = "leave it out, or let all references step"
+        raise ParameterError("coupling is defined for stiffness steps only", remedy=remedy)
 
 
 def _check_joint(suite: Suite, name: str) -> None:
@@ -161,8 +132,8 @@ def _check_within(sections: tuple[str, ...], read: Callable[[], Sequence[SweptPa
     """Check that parameters are in sections of a scenario."""
     for swept in read():
         if swept.name.split(".")[0] not in sections:
-            whole = {"reference": "the reference", "controller": "the controller"}.get(sections[0], "the plant")
+            whole = sections[0] if len(sections) == 1 else "plant"
             raise ParameterError(
-                f"{swept.name} is not a parameter of {whole}",
+                f"{swept.name} is not a parameter of the {whole}",
                 remedy=f"give a parameter of {', '.join(sections)}: conditions vary the plant, `over` the reference",
             )

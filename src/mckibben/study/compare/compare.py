@@ -8,15 +8,12 @@ from pathlib import Path
 
 from mckibben.notebook import Progress, notebook_progress, silent
 from mckibben.storage.store import STUDY, open_store
-from mckibben.study.compare.evaluation import evaluate
-from mckibben.study.compare.result import CompareResult, started
-from mckibben.study.compare.runs import draw
+from mckibben.study.compare.result import CompareResult
+from mckibben.study.compare.runs import draw, evaluate
 from mckibben.study.compare.statistics import trial_at_air
 from mckibben.study.compare.suite import Suite
-from mckibben.study.compare.tuning import ControllerTuning, none_starts
+from mckibben.study.compare.tuning import ControllerTuning
 from mckibben.study.tune.space import SearchSpace
-
-_TUNING = 0.98  # share of a controller's time
 
 
 def compare(
@@ -52,24 +49,21 @@ def compare(
             def report(task: str, part: float, name: str = name, number: int = number) -> None:
                 progress(f"{name} ({number + 1} of {len(names)}): {task}", (number + part) / len(names))
 
-            swept = suite.tuned_over(name)
             result.tuned[name], result.at_bound[name] = {}, ()
-            if swept:
+            if swept := suite.tuned_over(name):
                 air = None if number == 0 else result.training_air(names[0])
                 wrapped = suite.tuned_inside(name, result.tuned)
                 task = ControllerTuning(suite, name, SearchSpace(swept), training, air, wrapped)
                 report("tuning", 0.0)
-                tuned = task.run(store, lambda part: report("tuning", _TUNING * part))
+                tuned = task.run(store, lambda part: report("tuning", 0.98 * part))
                 result.tuned[name], result.training_cost[name], result.at_bound[name] = tuned[:3]
                 result.trials[name], result.finalists[name] = tuned.trials, tuned.finalists
                 trial = trial_at_air(tuned.trials, result.training_air(names[0]))
                 if trial is not None:
                     at_air.tuned[name] = task.values(trial)
-            report("evaluation runs, the last part", _TUNING)
+            report("evaluation runs, the last part", 0.98)
             for part in (result, at_air):
                 if name in part.tuned:
                     part.batches[name] = evaluate(evaluation, name, part.tuned[name])
-            if not started(result.batches[name]).any():
-                raise none_starts("evaluation")
     progress("done", 1.0)
     return replace(result, at_air=at_air) if at_air.batches else result

@@ -1,43 +1,49 @@
-"""Runs of a benchmark, drawn once for all controllers."""
+"""Runs of a comparison, drawn once for all controllers, and their simulation with a controller."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import numpy as np
-from numpy.typing import NDArray
+from jaxtyping import PyTree
+from numpy.typing import ArrayLike, NDArray
 
-from mckibben.control import Reference, Samples, Sine
+from mckibben.control import Controller, Reference, Samples, Sine
 from mckibben.control.base import Setpoint
+from mckibben.errors import ParameterError
+from mckibben.notebook import silent
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario, batched, with_values
+from mckibben.simulation import Batch, Metrics, Outcome, simulate_many
+from mckibben.simulation.outcome import OUTCOMES
 from mckibben.simulation.problem import check_frequencies, sample_reference, sampled_reference, sampling_times
 from mckibben.study.compare.suite import Suite, start_of
 from mckibben.study.parameters import sample
+from mckibben.study.study import Table
 
-Column = NDArray
+Tree = TypeVar("Tree")
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """Runs whose plants differ only in numbers and can be batched."""
+    """Runs with one joint and its valves, which differ only in numbers and can be batched."""
 
+    joint: str
     rows: NDArray[np.int64]  # indices of these runs, shape (count,)
-    joint: Sequence[str]  # names, of each run
-    reference_name: Sequence[str]
+    conditions: Table  # values [SI] of the varied plant parameters, one per run
     plant: JointPlant  # with arrays of shape (count, ...) where runs differ, as for `simulate_many`
     reference: Reference  # sampled
 
     @property
     def count(self) -> int:
         """Number of runs."""
-        return len(self.joint)
+        return self.rows.size
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +53,8 @@ class Runs:
     suite: Suite
     joint: Sequence[str]  # names, of each run
     reference_name: Sequence[str]
-    conditions: dict[str, Column]  # values [SI] of varied plant parameters by name, one per run
-    reference_values: dict[str, dict[str, Column]]  # likewise, for each reference, one per run in order
+    conditions: Table  # values [SI] of varied plant parameters by name, one per run
+    reference_values: dict[str, Table]  # likewise, for each reference, one per run in order
     groups: tuple[Group, ...]  # plants and references
 
     @property
@@ -56,30 +62,26 @@ class Runs:
         """Number of runs."""
         return len(self.joint)
 
-    def conditions_of(self, joint: str, rows: NDArray[np.int64]) -> dict[str, Column]:
-        """Values [SI] of a plant's varied parameters in some of its runs."""
-        return {name: column[rows] for name, column in self.conditions.items() if self.suite.has(joint, name)}
-
-    def delayed(self, delay: float) -> Runs:
-        """Return the same runs with a further delay [s] of the commands."""
-
-        def late(plant: JointPlant) -> JointPlant:
-            own = 0.0 if plant.command_delay is None else plant.command_delay
-            return replace(plant, command_delay=own + delay)
-
-        return replace(self, groups=tuple(replace(group, plant=late(group.plant)) for group in self.groups))
-
-    def scenario(self, controller: str, run: int, values: dict[str, float] | None = None) -> Scenario:
+    def scenario(self, controller: str, run: int, values: Mapping[str, float] | None = None) -> Scenario:
         """Scenario of one run, numbered from 0, with a controller of tuned values [SI]."""
         reference, joint = self.reference_name[run], self.joint[run]
-        place = [row for row, name in enumerate(self.reference_name) if name == reference].index(run)
-        numbers = {name: column[0].item() for name, column in self.conditions_of(joint, np.array([run])).items()}
-        numbers |= {name: column[place].item() for name, column in self.reference_values[reference].items()}
+        group = next(group for group in self.groups if group.joint == joint)
+        own = np.searchsorted(group.rows, run), group.conditions
+        referred = self.reference_name[:run].count(reference), self.reference_values[reference]
+        numbers = {name: column[row].item() for row, table in (own, referred) for name, column in table.items()}
         numbers |= values or {}
         scenario = self.suite.scenario(controller, reference, joint)
-        if numbers:
-            scenario = with_values(scenario, numbers)
+        scenario = with_values(scenario, numbers) if numbers else scenario
         return scenario.model_copy(update={"start": start_of(scenario.signals)})
+
+    def table(self) -> Table:
+        """Joint, reference and varied parameters [SI] of all runs; NaN for those of other references."""
+        table: dict[str, NDArray] = {"joint": np.array(self.joint), "reference": np.array(self.reference_name)}
+        table |= self.conditions
+        for reference, varied in self.reference_values.items():
+            for name, values in varied.items():
+                table.setdefault(name, np.full(self.count, np.nan))[table["reference"] == reference] = values
+        return table
 
 
 def draw(suite: Suite, count: int, seed: int) -> Runs:
@@ -91,36 +93,40 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
     Raises `ParameterError` if the conditions of a run do not give a valid scenario; `SimulationError` if a frequency of
     a reference is at or above half the control rate, or a plant needs more substeps.
     """
-    shares = {name: plant.share for name, plant in suite.plants.items()}
-    order = np.random.default_rng(seed).spawn(2)
-    joint = _dealt(shares, count, order[0])
-    names = _dealt({name: case.share for name, case in suite.references.items()}, count, order[1])
+    orders = np.random.default_rng(seed).spawn(2)
+    joints = _dealt({name: plant.share for name, plant in suite.plants.items()}, count, orders[0])
+    names = _dealt({name: case.share for name, case in suite.references.items()}, count, orders[1])
     conditions = dict(sample(suite.conditions_over(), samples=count, seed=seed)) if suite.conditions else {}
     if suite.has_noise and "sensors.seed" not in conditions:
         conditions["sensors.seed"] = np.arange(count, dtype=np.int64) + (1000 * seed) % 2**30
-    values, setpoints = _references(suite, names, seed)
-    runs = Runs(suite, joint, names, conditions, values, ())
-    return replace(runs, groups=_groups(runs, setpoints))
-
-
-def _references(suite: Suite, names: Sequence[str], seed: int) -> tuple[dict[str, dict[str, Column]], Column]:
-    """Values of the varied parameters by reference, and the setpoints of shape (2, runs, periods)."""
     times = sampling_times(suite.duration, suite.control_period)
-    values: dict[str, dict[str, Column]] = {}
-    setpoints = np.empty((2, len(names), times.size))
+    values: dict[str, Table] = {}
+    setpoints = np.empty((2, count, times.size))
     for number, name in enumerate(suite.references):
-        rows = _rows(names, name)
+        rows = np.flatnonzero(np.array(names) == name)
         values[name] = {}
         if rows.size:
             values[name] = table = _reference_values(suite, name, rows.size, seed + 7919 * (number + 1))
-            scenario = suite.scenario(next(iter(suite.controllers)), name)
-            reference = (batched(scenario, table) if table else scenario).reference()
+            reference = _with_columns(suite.example(name), table).reference()
             check_frequencies(reference, suite.control_period)
             setpoints[:, rows] = _sampled(reference, times)
-    return values, setpoints
+    groups = []
+    for joint in dict.fromkeys(joints):
+        rows, scenario = np.flatnonzero(np.array(joints) == joint), suite.example(joint=joint)
+        if suite.substeps is not None:
+            scenario.plant().check_substeps(setpoints[0], setpoints[1], suite.control_period, suite.substeps)
+        own = {name: column[rows] for name, column in conditions.items() if suite.has(joint, name)}
+        reference = Reference(*(Samples(times, column[rows]) for column in setpoints))
+        groups.append(Group(joint, rows, own, _with_columns(scenario, own).plant(), reference))
+    return Runs(suite, joints, names, conditions, values, tuple(groups))
 
 
-def _sampled(reference: Reference, times: NDArray[np.float64]) -> Column:
+def _with_columns(scenario: Scenario, columns: Table, **options: str) -> Scenario:
+    """A batch of scenarios, or the scenario itself without any columns."""
+    return batched(scenario, columns, **options) if columns else scenario
+
+
+def _sampled(reference: Reference, times: NDArray[np.float64]) -> NDArray[np.float64]:
     """Setpoints of one reference or a batch of them, shape (2, 1 or runs, periods)."""
     count, varying = lanes_of(reference)
     lanes, shared = eqx.partition(numeric(reference), varying)
@@ -134,68 +140,96 @@ def _sampled_lanes(lanes: Reference, shared: Reference, times: NDArray[np.float6
     return jax.vmap(lambda lane: sample_reference(eqx.combine(lane, shared), times))(lanes)
 
 
-def _groups(runs: Runs, setpoints: Column) -> tuple[Group, ...]:
-    """Runs by the structure of their plants."""
-    suite, times = runs.suite, sampling_times(runs.suite.duration, runs.suite.control_period)
-    parts: dict[Any, list[tuple[NDArray[np.int64], JointPlant]]] = {}
-    for name in dict.fromkeys(runs.joint):
-        rows = _rows(runs.joint, name)
-        scenario = suite.example(joint=name)
-        if suite.substeps is not None:
-            scenario.plant().check_substeps(setpoints[0], setpoints[1], suite.control_period, suite.substeps)
-        taken = runs.conditions_of(name, rows)
-        plant = (batched(scenario, taken) if taken else scenario).plant()
-        parts.setdefault(jax.tree.structure(plant), []).append((rows, plant))
-    groups = []
-    for several in parts.values():
-        rows = np.sort(np.concatenate([rows for rows, _ in several]))
-        within = [(np.searchsorted(rows, own), plant) for own, plant in several]
-        joint, names = ([column[int(row)] for row in rows] for column in (runs.joint, runs.reference_name))
-        reference = Reference(*(Samples(times, values[rows]) for values in setpoints))
-        groups.append(Group(rows, joint, names, merged(within, rows.size), reference))
-    return tuple(groups)
-
-
 def _dealt(shares: dict[str, int], count: int, order: np.random.Generator) -> list[str]:
     """Names in their shares, in random order."""
     names = [name for name, share in shares.items() for _ in range(share)]
-    dealt = [names[i % len(names)] for i in range(count)]
-    return [dealt[i] for i in order.permutation(count)]
+    return [names[i % len(names)] for i in order.permutation(count)]
 
 
-def _rows(names: Sequence[str], name: str) -> NDArray[np.int64]:
-    return np.array([row for row, other in enumerate(names) if other == name], dtype=np.int64)
-
-
-def _reference_values(suite: Suite, name: str, count: int, seed: int) -> dict[str, Column]:
-    """Values of a reference's varied parameters, with sine amplitudes of the angle within the suite's acceleration."""
+def _reference_values(suite: Suite, name: str, count: int, seed: int) -> Table:
+    """Values of a reference's varied parameters, with sine amplitudes of the angle within the suite's limits."""
     varied = suite.reference_over(name)
     table = dict(sample(varied, samples=count, seed=seed)) if varied else {}
     sine = suite.references[name].reference.angle
-    limits = (suite.max_angular_velocity, 1), (suite.max_angular_acceleration, 2)
-    if not isinstance(sine, Sine) or limits == ((None, 1), (None, 2)):
-        return table
-    amplitude = table.get("reference.angle.amplitude", np.full(count, sine.amplitude))
-    frequency = table.get("reference.angle.frequency", np.full(count, sine.frequency))
-    largest = np.min(
-        [most / np.maximum((2 * np.pi * frequency) ** order, 1e-12) for most, order in limits if most is not None],
-        axis=0,
-    )
-    return {**table, "reference.angle.amplitude": np.clip(amplitude, -largest, largest)}
+    if isinstance(sine, Sine):
+        amplitude, frequency = (
+            table.get(f"reference.angle.{part}", np.full(count, getattr(sine, part)))
+            for part in ("amplitude", "frequency")
+        )
+        rate = np.maximum(2 * np.pi * frequency, 1e-6)
+        limits = (suite.max_angular_velocity, rate), (suite.max_angular_acceleration, rate**2)
+        for largest in (most / factor for most, factor in limits if most is not None):
+            table["reference.angle.amplitude"] = amplitude = np.clip(amplitude, -largest, largest)
+    return table
 
 
-def merged(parts: list[tuple[NDArray[np.int64], Any]], count: int) -> Any:
-    """One tree of all runs, merged from trees of equal structure with some runs each."""
+def evaluate(
+    runs: Runs, controller: str, values: Mapping[str, ArrayLike], *, metrics: Sequence[str] = Metrics._fields
+) -> Batch:
+    """Simulate the runs with a controller of given values [SI], or all runs for each of several sets of values."""
+    table = {name: np.atleast_1d(np.asarray(value)) for name, value in values.items()}
+    return simulate_runs(runs, controller, table, metrics)
 
-    def join(*leaves: Any) -> Any:
-        if not eqx.is_array_like(leaves[0]):
-            return leaves[0]
-        values = [np.asarray(leaf) for leaf in leaves]
-        if all(value.ndim == 0 and value == values[0] for value in values):
-            return leaves[0]
-        whole = np.empty(count, np.result_type(*values))
-        for (rows, _), part in zip(parts, values, strict=True):
-            whole[rows] = part
-        return whole
 
-    return jax.tree.map(join, *(tree for _, tree in parts))
+def simulate_runs(
+    runs: Runs, controller: str, table: Table, metrics: Sequence[str] = Metrics._fields, engine: str = "auto"
+) -> Batch:
+    """Simulate all runs for each row of a table of values [SI], one joint after the other.
+
+    Raises `ParameterError` if no run can start.
+    """
+    import xarray as xr
+
+    sets = max(map(len, table.values()), default=1)
+    batches, lanes = [], []
+    for group in runs.groups:
+        control = controller_of(runs, group, controller, table, sets)
+        batches.append(simulate_group(runs.suite, group, control, sets, tuple(metrics), engine).table)
+        lanes.append((np.arange(sets)[:, None] * runs.count + group.rows).ravel())
+    whole = xr.concat(batches, "run", combine_attrs="override").isel(run=np.argsort(np.concatenate(lanes)))
+    engines = [table.attrs.get("engine", "") for table in batches]
+    batch = Batch(whole.assign_attrs(engine="xla" if "xla" in engines else engines[0]))
+    if not started(batch).any():
+        raise ParameterError(
+            "none of the runs can start: no pressures hold their plants at the start of their references",
+            remedy="give references that start at other angles, or change the joint or its load",
+        )
+    return batch
+
+
+def controller_of(runs: Runs, group: Group, controller: str, table: Table, sets: int) -> Controller:
+    """A controller with sets of values, each used in all runs of a group: arrays of shape (sets * runs,)."""
+    columns = {name: np.repeat(np.asarray(column), group.count) for name, column in table.items()}
+    suite, reference = runs.suite, next(iter(runs.suite.references))
+    if controller not in suite.true_model:
+        return _with_columns(suite.scenario(controller, reference), columns).control()
+    columns |= {name: np.tile(column, sets) for name, column in group.conditions.items()}
+    return _with_columns(suite.scenario(controller, reference, group.joint), columns, model_follows="all").control()
+
+
+def simulate_group(
+    suite: Suite, group: Group, controller: Controller, sets: int, metrics: tuple[str, ...], engine: str
+) -> Batch:
+    """Simulate the runs of a group with a controller of sets of values."""
+    plant, reference = _tiled(group.plant, sets), _tiled(group.reference, sets)
+    return simulate_many(plant, controller, reference, **suite.timing, metrics=metrics, engine=engine, progress=silent)
+
+
+def _tiled(tree: Tree, sets: int) -> Tree:
+    """A batch of runs repeated for sets of values; leaves that do not vary are unchanged."""
+    _, varying = lanes_of(tree)
+
+    def repeated(leaf: PyTree, varies: bool) -> PyTree:
+        return np.tile(leaf, (sets, *[1] * (np.ndim(leaf) - 1))) if varies else leaf
+
+    return jax.tree.map(repeated, tree, varying)
+
+
+def started(batch: Batch) -> NDArray[np.bool_]:
+    """Return the mask of the runs that could start. Shape (runs,)."""
+    return ~ended(batch, Outcome.NO_START)
+
+
+def ended(batch: Batch, outcome: Outcome) -> NDArray[np.bool_]:
+    """Return the mask of the runs with an outcome. Shape (runs,)."""
+    return batch["outcome"] == OUTCOMES.index(outcome)

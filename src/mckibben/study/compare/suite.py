@@ -6,14 +6,14 @@ import os
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from mckibben.actuator import IdealValve
 from mckibben.component.schema import independent, inherit
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, fail_validation, parse_model
 from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference
-from mckibben.errors import McKibbenError, ParameterError, ScenarioError
+from mckibben.errors import ParameterError, ScenarioError
 from mckibben.plant import NoDisturbance, PerfectSensors
 from mckibben.scenario import Scenario, list_parameters
 from mckibben.scenario.scenario import (
@@ -31,7 +31,7 @@ from mckibben.scenario.scenario import (
     model_scope,
 )
 from mckibben.simulation import ACCURACY
-from mckibben.study.compare.checks import check_differs, problems_of_setup, problems_of_suite
+from mckibben.study.compare.checks import NOMINAL_JOINT, PLANT, check_differs, problems_of_suite
 from mckibben.study.parameters import SweptParameter, parse_sweeps, sweep_parameters
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
 from mckibben.units import (
@@ -67,13 +67,16 @@ _OTHERS: Mapping[str, tuple[type[Controller], Any]] = {
 }
 """Controllers that the suite of a scenario has by default, with the gains at which their tuning starts."""
 
-NOMINAL_JOINT = "nominal"
-"""Plant name of the suite's own joint, which the controllers' models use."""
-
 
 def start_of(reference: Reference) -> Start:
     """Start at rest at the first angle of a reference, with the middle of the attainable stiffness."""
     return Start(angle=float(reference.angle(0.0)))
+
+
+def _steps(settings: Scenario | Suite) -> dict[str, Any]:
+    """The integration steps of a run, or its accuracy."""
+    name = "accuracy" if settings.substeps is None else "substeps"
+    return {name: getattr(settings, name)}
 
 
 class PlantCase(ConfigModel):
@@ -112,10 +115,18 @@ class ReferenceCase(ConfigModel):
     over: tuple[str, ...] = ()
 
 
+def _checked_cost(text: str) -> str:
+    parse_cost(text)
+    return text
+
+
+CostText = Annotated[str, AfterValidator(_checked_cost)]
+
+
 class TuningSettings(ConfigModel):
     """Tuning of each controller by CMA-ES, with the same budget except for those in `starts_of`."""
 
-    cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
+    cost: CostText = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
     runs: Annotated[int, BoundedInt(1, _MOST)] = 32  # training runs per point
     seed: _Seed = 99
     starts: Annotated[int, BoundedInt(1, 1000)] = 2  # the gains of the file, then random ones
@@ -126,7 +137,6 @@ class TuningSettings(ConfigModel):
     finalists: Annotated[int, BoundedInt(0, 1000)] = 0  # trials of least cost, evaluated again on more runs
     finalist_runs: Annotated[int, BoundedInt(1, _MOST)] = 400
     decades: Annotated[int, BoundedInt(1, 6)] = 1  # powers of ten down and up from the gains in the file
-    delay_margin: CommandDelay = 0.0  # the cost covers commands that arrive this much later
     over: dict[str, tuple[str, ...]] = Field(default_factory=dict)  # other parameters and ranges, by controller
     untuned: tuple[str, ...] = ()  # controllers
 
@@ -134,15 +144,6 @@ class TuningSettings(ConfigModel):
     def finalist_seed(self) -> int:
         """Seed of the runs of the finalists."""
         return self.seed + 1
-
-    @field_validator("cost", mode="after")
-    @classmethod
-    def _readable(cls, value: str) -> str:
-        try:
-            parse_cost(value)
-        except McKibbenError as error:
-            fail_validation(str(error))
-        return value
 
 
 class EvaluationSettings(ConfigModel):
@@ -220,14 +221,10 @@ class Suite(RunSettings):
             masses = [p for p in list_parameters(scenario) if p.part == "load" and p.unit == "kg"]
             strengths = [f"joint.muscle{number}.strength=+-10 %" for number in (1, 2)]
             settings["conditions"] = (*strengths, *(f"{mass.name}=+-20 %" for mass in masses if mass.nominal))
-        shared = ("joint", "load", "valve", "sensors", "disturbance", "friction", "command_delay")
-        parts = {name: getattr(scenario, name) for name in (*shared, "name", "duration", "control_period")}
-        steps: dict[str, Any] = (
-            {"substeps": scenario.substeps} if scenario.substeps is not None else {"accuracy": scenario.accuracy}
-        )
+        parts = {name: getattr(scenario, name) for name in (*PLANT, "name", "duration", "control_period")}
         references = {"reference": ReferenceCase(reference=scenario.signals)}
         together = {"scenario": scenario.controller, **controllers}
-        suite = cls(**parts, **steps, references=references, controllers=together, **settings)
+        suite = cls(**parts, **_steps(scenario), references=references, controllers=together, **settings)
         check_differs(suite)
         return suite
 
@@ -247,13 +244,9 @@ class Suite(RunSettings):
     def parse(cls, text: str, *, source: str = "suite", folder: str | os.PathLike[str] = ".") -> Self:
         """Read a suite from text; arguments and errors as for `Scenario.parse`."""
         suite, document = parse_model(cls, text, source=source, folder=folder)
-        first = next(iter(suite.setups), None)
-        whole = suite if first is None else suite.of_setup(first)
-        problems = problems_of_suite(whole, document, NOMINAL_JOINT)
-        for name in suite.setups if not problems else ():
-            problems += problems_of_setup(suite, name, document)
-        if problems:
-            raise ScenarioError(source, problems)
+        for own in map(suite.of_setup, suite.setups) if suite.setups else [suite]:
+            if problems := problems_of_suite(own, document):
+                raise ScenarioError(f"{source}, {own.name}" if suite.setups else source, problems)
         return suite
 
     def of_setup(self, name: str) -> Suite:
@@ -294,24 +287,14 @@ class Suite(RunSettings):
         control = self.controllers[controller]
         if controller not in self.true_model:
             control = independent(inherit(control, model_scope(self)))
-        steps: Any = {"accuracy": self.accuracy} if self.substeps is None else {"substeps": self.substeps}
         signals, plant = self.references[reference].reference, self.plants[joint]
-        assert plant.joint is not None and plant.valve is not None
+        shared = {name: getattr(self, name) for name in (*PLANT, "duration", "control_period")}
         return Scenario(
+            **(shared | {"joint": plant.joint, "valve": plant.valve} | _steps(self)),
             name=f"{self.name}: {controller}, {reference}"[:200],
-            joint=plant.joint,
-            load=self.load,
-            valve=plant.valve,
-            sensors=self.sensors,
-            disturbance=self.disturbance,
-            friction=self.friction,
-            command_delay=self.command_delay,
             controller=control,
             reference=signals,
             start=start_of(signals),
-            duration=self.duration,
-            control_period=self.control_period,
-            **steps,
         )
 
     def conditions_over(self) -> tuple[SweptParameter, ...]:

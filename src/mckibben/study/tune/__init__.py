@@ -2,14 +2,13 @@
 
 from mckibben.study.tune.cost import Cost, Term, parse_cost
 from mckibben.study.tune.result import TuneResult
-from mckibben.study.tune.search import Method, Search
+from mckibben.study.tune.search import Search
 from mckibben.study.tune.space import SearchSpace, gain_ranges, parse_ranges
 from mckibben.study.tune.trials import Trial, read_trials
 from mckibben.study.tune.tune import tune
 
 __all__ = [
     "Cost",
-    "Method",
     "Search",
     "SearchSpace",
     "Term",

@@ -43,9 +43,8 @@ class Term:
 class Cost:
     """Weighted sum of metrics over their scales.
 
-    Errors alone would drive gains to the stability limit. With margins the cost is the larger of two: that of the
-    parameters, and that with all tuned controller gains multiplied by the gain margin and the commands delayed by
-    the delay margin.
+    Errors alone would drive gains to the stability limit. With a gain margin the cost is the larger of two: that of the
+    parameters, and that with all tuned controller gains multiplied by the margin.
 
     Examples
     --------
@@ -58,7 +57,6 @@ class Cost:
     terms: tuple[Term, ...]
     gain_margin: float = 1.0  # factor by which the gains may increase; 1 for no margin
     percentile: float | None = None  # of the cost over scenarios and conditions, 100 for the worst; None: their mean
-    delay_margin: float = 0.0  # additional delay of the commands, unknown to the controllers [s]
     disk_margin: float | None = 0.0  # least of the linearised loop in all of them; None for that of `tune`
 
     def __post_init__(self) -> None:
@@ -72,7 +70,6 @@ class Cost:
         percentile = 100.0 if self.percentile is None else self.percentile
         for what, value, holds, remedy in (
             ("gain margin", self.gain_margin, 1 <= self.gain_margin < np.inf, "give 1 (none) or more"),
-            ("delay margin [s]", self.delay_margin, 0 <= self.delay_margin < np.inf, "give 0 (none) or more"),
             ("disk margin", disk, 0 <= disk < 2, "give 0 (none) to 2, which no loop has"),
             ("percentile", percentile, 0 < percentile <= 100, "give a number above 0, up to 100"),
         ):
@@ -83,11 +80,6 @@ class Cost:
     def of(cls, scales: Mapping[str, float], **options: Any) -> Self:
         """Cost from metrics and their scales [SI], with options as for `Cost`."""
         return cls(tuple(Term(name, scale) for name, scale in scales.items()), **options)
-
-    @property
-    def has_margin(self) -> bool:
-        """Whether it has a gain margin or a delay margin."""
-        return self.gain_margin != 1.0 or self.delay_margin != 0.0
 
     @property
     def metrics(self) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.control import RandomSteps, Samples, Step
 from mckibben.errors import ParameterError
 from mckibben.numerics.batching import cores
 from mckibben.scenario import (
@@ -32,8 +31,6 @@ from mckibben.study.tune.search import Vector
 from mckibben.study.tune.space import SearchSpace, is_gain
 from mckibben.study.tune.trials import Evaluated
 
-_DELAY = "command_delay"
-
 FAILED_COST = 1e6
 """Cost of parameters that are invalid or whose runs fail."""
 UNSTABLE_COST = 1e5
@@ -50,25 +47,6 @@ class TuningProblem:
     model_follows: ModelFollows = ()  # plant parameters that the controllers' models follow
     conditions: Table = field(default_factory=dict)  # other parameters; each set of values runs under every row of them
     engine: str = "auto"
-    _stepped: dict[int, Scenario] = field(default_factory=dict, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        for scenario in self.scenarios:
-            try:
-                self._followed(scenario)
-            except ParameterError as error:
-                if len(self.scenarios) == 1:
-                    raise
-                raise ParameterError(f"{scenario.name}: {error}", value=error.value) from None
-            if self.conditions:
-                check_frequencies(batched(scenario, self.conditions).reference(), scenario.control_period)
-            if "coupling" in self.cost.metrics:
-                _check_steps(scenario)
-            if "air" in self.cost.metrics:
-                muscles = zip((scenario.joint.muscle1, scenario.joint.muscle2), scenario.joint.springs, strict=True)
-                for muscle, is_spring in muscles:
-                    if not is_spring:
-                        muscle.specimen.braid("the air consumption")
 
     @classmethod
     def of(
@@ -79,42 +57,61 @@ class TuningProblem:
         model_follows: ModelFollows = (),
         conditions: Table | None = None,
     ) -> TuningProblem:
-        """Problem with the nominal values of the first scenario."""
+        """Problem with the nominal values of the first scenario.
+
+        Raises `ParameterError` if there is no scenario, a parameter is not in every scenario, has no range, is a
+        condition as well, or cannot be followed; `SimulationError` if a frequency under the conditions is too high.
+        """
         if not scenarios:
             raise ParameterError("nothing to tune", remedy="give a scenario")
-        names = [tuned.name for tuned in swept]
-        if both := [name for name in names if name in (conditions or {})]:
+        names, drawn = [tuned.name for tuned in swept], conditions or {}
+        if both := [name for name in names if name in drawn]:
             raise ParameterError(f"{both[0]} is tuned and a condition", value=both[0], remedy="give it once")
-        parameters = find_parameters(scenarios[0], names)
-        pairs = zip(swept, parameters, strict=True)
+        pairs = zip(swept, find_parameters(scenarios[0], names), strict=True)
         space = SearchSpace(tuple(replace(tuned, parameter=parameter) for tuned, parameter in pairs))
-        return cls(tuple(scenarios), space, cost, model_follows, conditions or {})
+        for scenario in scenarios:
+            try:
+                followed_names(scenario, model_follows, [*names, *drawn])
+            except ParameterError as error:
+                raise ParameterError(f"{scenario.name}: {error}", value=error.value) from None
+            if drawn:
+                check_frequencies(batched(scenario, drawn).reference(), scenario.control_period)
+        return cls(tuple(scenarios), space, cost, model_follows, drawn)
 
-    def _followed(self, scenario: Scenario) -> tuple[str, ...]:
-        """Parameters that the controller's model follows; it does not know a delay that is longer by the margin."""
-        names = followed_names(scenario, self.model_follows, [*self.space.names, *self.conditions])
-        if not self.cost.delay_margin or _DELAY not in names:
-            return names
-        if self.model_follows != "all":
-            message = f"the model follows {_DELAY}, but no controller knows the delay margin"
-            raise ParameterError(
-                message, value=_DELAY, remedy=f"leave {_DELAY} out of model_follows, or the delay margin at 0"
-            )
-        return tuple(name for name in names if name != _DELAY)
+    def begin(self, engine: str) -> TuningProblem:
+        """Return the problem with an engine; all its trials have the integration steps that its nominal values need.
 
-    @property
-    def _draws(self) -> int:
-        """Number of conditions."""
-        return len(next(iter(self.conditions.values()))) if self.conditions else 1
+        Raises `ParameterError` if a metric of the cost is not defined at the nominal values of a scenario without
+        `substeps`.
+        """
+        scenarios = []
+        for scenario in self.scenarios:
+            if scenario.substeps is None and (batch := self._nominal_runs(scenario, engine)):
+                for name, values in batch.metrics.items():
+                    if batch.usable.any() and np.isnan(values[batch.usable]).all():
+                        message = f"{name} is not defined for {scenario.name!r}"
+                        remedy = "leave it out of the cost: the coupling needs a stiffness step, the air known braids"
+                        raise ParameterError(message, value=name, remedy=remedy)
+                scenario = scenario.model_copy(update={"substeps": int(batch["substeps"].max())})
+            scenarios.append(scenario)
+        return replace(self, scenarios=tuple(scenarios), engine=engine)
+
+    def engines_used(self) -> set[str]:
+        """Return the engines of the runs at the nominal values."""
+        batches = (self._nominal_runs(scenario, self.engine) for scenario in self.scenarios)
+        return {batch.engine for batch in batches if batch is not None}
+
+    def evaluate(self, values: Vector) -> Evaluated:
+        """Return the costs of rows of values [SI], shape (n, parameters)."""
+        return Evaluated(self.costs(values))
 
     def costs(self, values: Vector) -> Vector:
         """Cost of each row of values [SI], shape (n, parameters)."""
         rows = self._with_margin(values)
-        share = max(cores() // len(self.scenarios), 1)
+        workers = max(cores() // len(self.scenarios), 1)
         with ThreadPoolExecutor(cores()) as pool:
-            measured = pool.map(lambda scenario: self._metrics(scenario, rows, share), self.scenarios)
-            parts = [self.cost(metrics).reshape(self._draws, -1) for metrics in measured]
-        costs = self._combine(np.concatenate(parts))
+            parts = list(pool.map(lambda scenario: self._costs_of_runs(scenario, rows, workers), self.scenarios))
+        costs = self._combine(np.concatenate(parts)).reshape(-1, len(values)).max(axis=0)
         wanted = self.cost.disk_margin
         if not wanted:
             return costs
@@ -129,15 +126,55 @@ class TuningProblem:
         margins = (float(self._disk_margins(scenario, self.space.nominal[None])[0]) for scenario in self.scenarios)
         return min(most, *(float(f"{0.99 * margin:.3g}") for margin in margins))  # the same on all machines
 
-    def _disk_margins(self, scenario: Scenario, values: Vector) -> Vector:
-        """Least disk margin of each row of values [SI] over the conditions; 0 if a condition is invalid."""
-        rows = np.tile(values, (self._draws, 1))
-        table = {name: rows[:, i] for i, name in enumerate(self.space.names)}
+    def _with_margin(self, values: Vector) -> Vector:
+        """Rows of values, then the rows with gains larger by the gain margin, inside the ranges of their fields."""
+        if self.cost.gain_margin == 1.0:
+            return values
+        factors = [self.cost.gain_margin if is_gain(name) else 1.0 for name in self.space.names]
+        limits = np.array([(tuned.parameter.lower, tuned.parameter.upper) for tuned in self.space.swept]).T
+        return np.concatenate([values, np.clip(values * factors, *limits)])
+
+    def _table(self, scenario: Scenario, values: Vector) -> tuple[NDArray[np.bool_], Table]:
+        """Valid rows of all values under each condition in turn; and the table, with a valid row for invalid ones."""
+        draws = len(next(iter(self.conditions.values()), "1"))
+        table = {name: np.tile(values[:, i], draws) for i, name in enumerate(self.space.names)}
         table |= {name: np.repeat(column, len(values)) for name, column in self.conditions.items()}
         good = valid_rows(scenario, table)
+        return good, with_valid(table, good)
+
+    def _run(self, scenario: Scenario, table: Table, **options: Any) -> Batch:
+        follows = followed_names(scenario, self.model_follows, table)
+        return run_many(scenario, table, model_follows=follows, metrics=self.cost.metrics, **options)
+
+    def _nominal_runs(self, scenario: Scenario, engine: str) -> Batch | None:
+        """Runs of the nominal values; None if they are not valid under any condition."""
+        good, table = self._table(scenario, self._with_margin(self.space.nominal[None]))
+        return self._run(scenario, table, engine=engine) if good.any() else None
+
+    def _costs_of_runs(self, scenario: Scenario, rows: Vector, workers: int) -> Vector:
+        """Cost of each run, shape (draws, rows)."""
+        good, table = self._table(scenario, rows)
+        costs = np.full(good.size, FAILED_COST)
+        if good.any():
+            batch = self._run(scenario, table, workers=workers, engine=self.engine)
+            values = self.cost(batch.metrics)
+            good &= batch.usable & np.isfinite(values)
+            costs[good] = np.minimum(values[good], FAILED_COST)
+        return costs.reshape(-1, len(rows))
+
+    def _combine(self, costs: Vector) -> Vector:
+        """Mean or percentile of costs over the runs, shape (runs, rows); a mean of failed ones is a failure."""
+        count = len(costs)
+        if self.cost.percentile is not None:
+            return np.sort(costs, axis=0)[math.ceil(self.cost.percentile / 100 * count) - 1]
+        return np.where((costs >= FAILED_COST).any(axis=0), FAILED_COST, np.sum(costs * (1.0 / count), axis=0))
+
+    def _disk_margins(self, scenario: Scenario, values: Vector) -> Vector:
+        """Least disk margin of each row of values [SI] over the conditions; 0 if a condition is invalid."""
+        good, table = self._table(scenario, values)
         if not good.any():
             return np.zeros(len(values))
-        many = batched(scenario, with_valid(table, good), model_follows=self._followed(scenario))
+        many = batched(scenario, table, model_follows=followed_names(scenario, self.model_follows, table))
         margins = disk_margins(
             many.plant(),
             many.control(),
@@ -145,101 +182,11 @@ class TuningProblem:
             initial_state(many),
             duration=scenario.duration,
             control_period=scenario.control_period,
-            substeps=self._with_steps(scenario).substeps or 1,
+            substeps=scenario.substeps or 1,
         )
-        return np.where(good, np.nan_to_num(margins), 0.0).reshape(self._draws, -1).min(axis=0)
-
-    def evaluate(self, values: Vector) -> Evaluated:
-        """Return the costs of rows of values [SI]."""
-        return Evaluated(self.costs(values))
-
-    def engines_used(self) -> set[str]:
-        """Engines of the runs at the nominal values."""
-        used = set()
-        for scenario in self.scenarios:
-            good, table = self._valid(scenario, self._with_margin(self.space.nominal[None]))
-            if good.any():
-                first = {name: column[np.argmax(good)][None] for name, column in table.items()}
-                used.add(self._run(scenario, first).engine)
-        return used
-
-    def _with_steps(self, scenario: Scenario) -> Scenario:
-        """The scenario with the integration steps that its nominal values need, which all trials have."""
-        if scenario.substeps is not None:
-            return scenario
-        if id(scenario) not in self._stepped:
-            good, table = self._valid(scenario, self._with_margin(self.space.nominal[None]))
-            steps = None
-            if good.any():
-                batch = self._run(scenario, table, metrics=("angle_rmse",), engine=self.engine)
-                steps = int(batch["substeps"][good].max())
-            self._stepped[id(scenario)] = scenario.model_copy(update={"substeps": steps})
-        return self._stepped[id(scenario)]
-
-    def _gain_factors(self) -> Vector:
-        """Factor on each value in the rows with the margin."""
-        return np.where([is_gain(name) for name in self.space.names], self.cost.gain_margin, 1.0)
-
-    def _with_margin(self, values: Vector) -> Vector:
-        """Rows of values, then the rows with the margin, repeated for each condition."""
-        if self.cost.has_margin:
-            parameters = [tuned.parameter for tuned in self.space.swept]
-            lower, upper = np.array([(parameter.lower, parameter.upper) for parameter in parameters]).T
-            values = np.concatenate([values, np.clip(values * self._gain_factors(), lower, upper)])
-        return np.tile(values, (self._draws, 1))
-
-    def _combine(self, costs: Vector) -> Vector:
-        """Combine costs, shape (runs, rows), into one per set of values, the larger one without and with margin."""
-        count, rows = costs.shape
-        costs = np.where(np.isfinite(costs), np.minimum(costs, FAILED_COST), FAILED_COST)
-        if self.cost.percentile is None:
-            total = np.sum(costs * (1.0 / count), axis=0)
-            total[np.any(costs >= FAILED_COST, axis=0)] = FAILED_COST
-        else:
-            rank = math.ceil(self.cost.percentile / 100 * count) - 1
-            total = np.sort(costs, axis=0)[rank]
-        return total.reshape(-1, rows // 2 if self.cost.has_margin else rows).max(axis=0)
-
-    def _table(self, scenario: Scenario, rows: Vector) -> Table:
-        tuned = {name: rows[:, i] for i, name in enumerate(self.space.names)}
-        table: dict[str, Any] = tuned | {
-            name: np.repeat(column, len(rows) // self._draws) for name, column in self.conditions.items()
-        }
-        if self.cost.delay_margin:
-            late = np.arange(len(rows)) // (len(rows) // (2 * self._draws)) % 2
-            own = table.get(_DELAY, scenario.command_delay or 0.0)
-            table[_DELAY] = own + self.cost.delay_margin * late
-        return table
-
-    def _valid(self, scenario: Scenario, rows: Vector) -> tuple[NDArray[np.bool_], Table]:
-        """Mask of the valid rows, and the table of the rows with invalid ones replaced by a valid one."""
-        good = valid_rows(scenario, self._table(scenario, rows))
-        rows = rows if good.all() else np.where(good[:, None], rows, rows[np.argmax(good)])
-        return good, self._table(scenario, rows)
-
-    def _run(self, scenario: Scenario, table: Table, **options: Any) -> Batch:
-        return run_many(
-            scenario, table, **{"model_follows": self._followed(scenario), "metrics": self.cost.metrics} | options
-        )
-
-    def _metrics(self, scenario: Scenario, rows: Vector, workers: int) -> dict[str, Vector]:
-        good, table = self._valid(scenario, rows)
-        if not good.any():
-            return {name: np.full(len(rows), np.nan) for name in self.cost.metrics}
-        batch = self._run(self._with_steps(scenario), table, workers=workers, engine=self.engine)
-        good &= batch.usable
-        return {name: np.where(good, values, np.nan) for name, values in batch.metrics.items()}
+        return np.where(good, np.nan_to_num(margins), 0.0).reshape(-1, len(values)).min(axis=0)
 
 
-def with_valid(table: Table, good: NDArray[np.bool_]) -> Table:
-    """Return the table with invalid rows replaced by a valid one."""
+def with_valid(table: Mapping[str, NDArray], good: NDArray[np.bool_]) -> Table:
+    """Return the table with invalid rows replaced by the first valid one."""
     return {name: np.where(good, column, column[np.argmax(good)]) for name, column in table.items()}
-
-
-def _check_steps(scenario: Scenario) -> None:
-    stiffness = scenario.signals.stiffness
-    if not isinstance(stiffness, Step | RandomSteps | Samples):
-        raise ParameterError(
-            f"coupling is not defined for {scenario.name!r}: its desired stiffness never steps",
-            remedy="leave it out of the cost, or give the stiffness a step",
-        )

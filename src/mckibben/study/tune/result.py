@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import field
-from typing import Any
 
 import numpy as np
 
+from mckibben.errors import McKibbenError
 from mckibben.result import Column, Listing, Remark, Result, column
-from mckibben.scenario import Scenario, find_parameter
-from mckibben.simulation.metrics import METRICS
+from mckibben.scenario import Scenario, find_parameter, run_scenario
+from mckibben.simulation.metrics import METRICS, in_shown_units
 from mckibben.study.parameters import Table
-from mckibben.study.tune.margin import DISK_MARGIN, UNSTABLE, lost_margin, metrics_and_margins
 from mckibben.study.tune.trials import Trial
 
-_MARGIN_UNITS = {"gain": "", "phase_deg": "deg", "delay_ms": "ms", "disk": ""}
+DISK_MARGIN = 0.4
+"""Disk margin below which a loss is reported: gains off by 1.5, phases by 23 deg."""
+_UNITS = {metric.replace("_", " "): unit for metric, unit, _ in METRICS.values()} | {
+    "least gain margin": "",
+    "least phase margin": "deg",
+    "least delay margin": "ms",
+    "least disk margin": "",
+}
 
 
 class TuneResult(Result):
@@ -49,21 +55,22 @@ class TuneResult(Result):
 
     @functools.cached_property
     def effects(self) -> list[tuple[dict[str, float], dict[str, float]]]:
-        """Metrics and least margins of each scenario before and after, by name and in shown units."""
+        """Metrics and least margins of each scenario before and after, by their titles and in shown units."""
         pairs = zip(self.before, self.scenarios, strict=True)
-        runs = [[metrics_and_margins(scenario) for scenario in pair] for pair in pairs]
-        return [(old[0] | old[1], new[0] | new[1]) for old, new in runs]
+        return [(_metrics_and_margins(before), _metrics_and_margins(after)) for before, after in pairs]
 
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks on the margins, the ranges, and what to try next."""
         for old, new in self.effects:
-            if new["disk"] == 0:
-                yield Remark.warning("disk_margin", UNSTABLE)
-            elif lost := lost_margin(old["disk"], new["disk"]):
-                yield Remark.warning("disk_margin", lost, remedy=f"--disk-margin {DISK_MARGIN} bounds it")
-            elif not self.disk_margin and new["disk"] < DISK_MARGIN:
-                text = f"the least disk margin is {new['disk']:.2g}"
-                yield Remark.note("disk_margin", text, remedy=f"--disk-margin {DISK_MARGIN} asks for more")
+            before, after = old["least disk margin"], new["least disk margin"]
+            if after == 0:
+                text = "least margins of 0: the linearised loop is unstable at some points of the run"
+                remedy = "`mckibben margins` shows where, and whether sticking friction bounds the oscillation"
+                yield Remark.warning("disk_margin", text, remedy=remedy)
+            elif after < DISK_MARGIN and (after < before or not self.disk_margin):
+                text = f"the least disk margin is {after:.2g}, and was {before:.2g}"
+                kind = Remark.warning if after < before else Remark.note
+                yield kind("disk_margin", text, remedy=f"--disk-margin {DISK_MARGIN} asks for more")
         if np.isnan(self.cost_before):
             text = "no cost before: the values given do not keep the margins, or give no valid run"
             yield Remark.note("cost_before", text)
@@ -81,13 +88,21 @@ class TuneResult(Result):
         tuned = [p.show(value) for p, value in zip(parameters, self.values.values(), strict=True)]
         yield _table("Parameters", parameter=list(self.values), before=nominal, tuned=tuned)
         for scenario, (old, new) in zip(self.before, self.effects, strict=True):
-            units = {METRICS[name][0].replace("_", " "): METRICS[name][1] for name in METRICS}
-            units |= {f"least {name.split('_')[0]} margin": unit for name, unit in _MARGIN_UNITS.items()}
             title = f"{scenario.name}{', without the conditions' if self.conditions else ''}"
-            rows = {"metric": list(units), "before": list(old.values()), "tuned": list(new.values())}
-            yield _table(title, **rows, unit=list(units.values()))
+            before, after = ([effect[name] for name in _UNITS] for effect in (old, new))
+            yield _table(title, metric=list(_UNITS), before=before, tuned=after, unit=list(_UNITS.values()))
 
 
-def _table(title: str, **columns: Any) -> Listing:
+def _table(title: str, **columns: Sequence[object]) -> Listing:
     """Return a table of columns by their headings, in shown units."""
     return Listing(title, {name: (Column(title=name), values) for name, values in columns.items()})
+
+
+def _metrics_and_margins(scenario: Scenario) -> dict[str, float]:
+    """Metrics of a run and its least stability margins, by title and in shown units; NaN if it cannot be run."""
+    try:
+        metrics = in_shown_units(run_scenario(scenario).metrics)
+        margins = scenario.margins().least()
+    except McKibbenError:
+        return dict.fromkeys(_UNITS, np.nan)
+    return dict(zip(_UNITS, [*metrics.values(), *margins.values()], strict=True))

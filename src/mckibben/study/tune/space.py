@@ -9,15 +9,10 @@ import numpy as np
 
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, list_parameters
-from mckibben.study.parameters import LogUniform, SweptParameter, Uniform, parse_sweep
+from mckibben.study.parameters import LogUniform, SweptParameter, Uniform, parse_sweep, sweep_parameters
 from mckibben.study.parameters.sampling import parse_distinct
 from mckibben.study.tune.search import Vector
 from mckibben.units import quantity
-
-AT_BOUND = 0.01
-"""Distance from a face of the unit cube within which a parameter counts as at its bound."""
-
-_DIGITS = 6  # digits of values written to files
 
 
 @dataclass(frozen=True)
@@ -59,19 +54,19 @@ class SearchSpace:
         pairs = zip(self.swept, values, strict=True)
         return np.array([float(swept.distribution.quantile(value)) for swept, value in pairs])
 
-    def rounded(self, values: Vector) -> Vector:
-        """Values [SI] rounded to six digits in the unit of files, within the ranges."""
+    def rounded(self, values: Vector, digits: int = 6) -> Vector:
+        """Values [SI] rounded to significant digits in the unit of files, within the ranges."""
         written = [
             round(value)
             if swept.parameter.is_integer
-            else quantity(swept.parameter.show(value, _DIGITS), swept.parameter.unit)
+            else quantity(swept.parameter.show(value, digits), swept.parameter.unit)
             for swept, value in zip(self.swept, values, strict=True)
         ]
         return np.array(written).clip(*np.array([swept.distribution.bounds for swept in self.swept]).T)
 
-    def at_bound(self, point: Sequence[float] | Vector) -> tuple[str, ...]:
-        """Names of the parameters within `AT_BOUND` of an end of their range."""
-        return tuple(swept.name for swept, at in zip(self.swept, point, strict=True) if min(at, 1 - at) < AT_BOUND)
+    def at_bound(self, point: Sequence[float] | Vector, within: float = 0.01) -> tuple[str, ...]:
+        """Names of the parameters within a share of their range from one of its ends."""
+        return tuple(swept.name for swept, at in zip(self.swept, point, strict=True) if min(at, 1 - at) < within)
 
 
 _GAINS = ("kp", "ki", "kd", "bandwidth", "stiffness_bandwidth", "slope", "reach")
@@ -109,10 +104,9 @@ def parse_ranges(texts: Sequence[str], scenario: Scenario) -> tuple[SweptParamet
     ['controller.position.kp=0.02 bar/rad..200 bar/rad log', 'valve.time_constant=5 ms..50 ms']
     """
     if not texts:
-        gains = gain_ranges(scenario)
-        if not gains:
+        if not (gains := gain_ranges(scenario)):
             raise ParameterError("all gains are zero", remedy="give parameters with --parameters 'NAME=LOW..HIGH'")
-        return tuple(SweptParameter(find_parameter(scenario, name), around) for name, around in gains.items())
+        return sweep_parameters(scenario, gains)
 
     def parse(text: str) -> SweptParameter:
         if "=" in text:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 from collections.abc import Callable, Sequence
@@ -22,12 +23,23 @@ class Trial(NamedTuple):
     cost: float
     metrics: dict[str, float] | None = None
 
+    @property
+    def order(self) -> tuple[float, tuple[float, ...]]:
+        """Key of an order by cost; among equals by the point, independent of the order of the trials."""
+        return self.cost, self.point
+
 
 class Evaluated(NamedTuple):
     """Costs of rows of values, and metrics [SI] per row, if any."""
 
     costs: Vector
     metrics: Sequence[dict[str, float] | None] | None = None
+
+    def trials(self, points: Vector) -> list[Trial]:
+        """Return the trials at the points of the first rows."""
+        metrics = self.metrics or [None] * len(points)
+        rows = zip(points.tolist(), self.costs.tolist(), metrics, strict=False)
+        return [Trial(tuple(point), cost, known) for point, cost, known in rows]
 
 
 class Trials:
@@ -38,37 +50,29 @@ class Trials:
 
     def __init__(self, job: Job, space: SearchSpace, batch: int, compute: Callable[[Vector], Evaluated]) -> None:
         self._job, self._space, self._batch, self._compute = job, space, batch, compute
-        self._known = {trial.point: (number, trial) for number, trial in _read_job(job)}
-        self.first = len(self._known)
+        self._known = {trial.point: trial for trial in _read_job(job)}
 
     @property
     def all(self) -> list[Trial]:
         """All trials, in the order of the search."""
-        return [trial for _, trial in sorted(self._known.values(), key=lambda pair: pair[0])]
+        return list(self._known.values())
 
     @property
     def best(self) -> Trial:
-        """Trial of the lowest cost; among equals the first by its point, independent of their order."""
-        return min((trial for _, trial in self._known.values()), key=lambda trial: (trial.cost, trial.point))
+        """Trial of the lowest cost."""
+        return min(self._known.values(), key=lambda trial: trial.order)
 
     def at(self, points: Vector) -> list[Trial]:
         """Return the trials at points, shape (n, parameters)."""
-        new = np.array([point for point in points if tuple(point.tolist()) not in self._known])
-        for start in range(0, len(new), self._batch):
-            some = new[start : start + self._batch]
-            values = self._padded(self._space.values(some))
-            costs, metrics = self._compute(values)
-            absent = [None] * len(some)
-            rows = zip(some.tolist(), costs.tolist(), metrics or absent, strict=False)
-            self._keep([Trial(tuple(point), cost, medians) for point, cost, medians in rows])
-        return [self._known[tuple(point.tolist())][1] for point in points]
-
-    def _keep(self, trials: Sequence[Trial]) -> None:
-        new = {trial.point: trial for trial in trials}
-        free = (number for number in range(len(self._known) + len(new)) if number not in self._job.numbers)
-        numbered = dict(zip(list(free), new.values(), strict=False))
-        self._job.add({number: json.dumps(trial._asdict()).encode() for number, trial in numbered.items()})
-        self._known |= {trial.point: (number, trial) for number, trial in numbered.items()}
+        new = {point: None for point in map(tuple, points.tolist()) if point not in self._known}
+        missing = np.array(list(new))
+        for start in range(0, len(missing), self._batch):
+            some = missing[start : start + self._batch]
+            trials = self._compute(self._padded(self._space.values(some))).trials(some)
+            numbered = enumerate(trials, start=len(self._known))
+            self._job.add({number: json.dumps(trial._asdict()).encode() for number, trial in numbered})
+            self._known |= {trial.point: trial for trial in trials}
+        return [self._known[tuple(point)] for point in points.tolist()]
 
     def costs(self, points: Vector) -> Vector:
         """Return the costs at points."""
@@ -86,13 +90,11 @@ class Trials:
 def read_trials(path: str | os.PathLike[str], job: str = "") -> list[Trial]:
     """Return the trials in a study.sqlite of `tune`, or of a controller of `compare`; `FileError` if it has none."""
     with read_store(Path(path)) as store:
-        return [trial for _, trial in _read_job(store.job(store.about(job) or {}, job))]
+        return _read_job(store.job(store.about(job) or {}, job))
 
 
-def _read_job(job: Job) -> list[tuple[int, Trial]]:
-    """Numbers and trials of a job."""
-    trials = []
-    for number in sorted(job.numbers):
-        content = json.loads(job.read(number))
-        trials.append((number, Trial(tuple(content["point"]), content["cost"], content["metrics"])))
-    return trials
+def _read_job(job: Job) -> list[Trial]:
+    """Trials of a job in the order of the search, up to a damaged one."""
+    numbers = itertools.takewhile(job.numbers.__contains__, itertools.count())
+    contents = (json.loads(job.read(number)) for number in numbers)
+    return [Trial(tuple(content["point"]), content["cost"], content["metrics"]) for content in contents]

@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from mckibben.component.calls import checked_call
-from mckibben.errors import ParameterError
+from mckibben.errors import ParameterError, suggest
 from mckibben.notebook import Progress, notebook_progress, silent
 from mckibben.scenario import ModelFollows, Scenario, with_values
 from mckibben.simulation.software import engine_of_job, software
-from mckibben.storage.store import STUDY, Store, open_store
+from mckibben.storage.store import STUDY, open_store
 from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
 from mckibben.study.parameters.sampling import check_count
+from mckibben.study.study import digest
 from mckibben.study.tune.cost import Cost, parse_cost
 from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, TuningProblem
 from mckibben.study.tune.result import TuneResult
-from mckibben.study.tune.search import SEARCHES, Method, Search, Vector, check_population
+from mckibben.study.tune.search import SEARCHES, Search, by_cma
 from mckibben.study.tune.space import parse_ranges
 from mckibben.study.tune.trials import Trials
 
-FORMAT = "mckibben tuning"
 DEFAULT_COST, DEFAULT_MARGIN = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad", 1.5
 KEPT_MARGIN = 0.2
 """Disk margin that a search keeps by default: gains off by 1.2, phases by 11 deg."""
-_MAX_SEED = 2**32 - 1
 
 
 @checked_call
@@ -40,7 +37,7 @@ def tune(
     over: Sequence[SweptParameter] | Sequence[str] | str | Mapping[str, Distribution] = (),
     cost: Cost | str | None = None,
     *,
-    method: Method | Search | str = Method.CMA,
+    method: Search | str = "cma",
     iterations: int = 30,
     population: int = 32,
     seed: int = 0,
@@ -63,7 +60,7 @@ def tune(
         Cost of the runs, or its text, which has no margins. Default: that of `mckibben tune`, with its margins. A disk
         margin of None is 99 % of that of the first gains, at most 0.2.
     method
-        Search method, its name, or a `Search` of yours.
+        "cma" (CMA-ES), "local" (refinement of the given values), or a `Search` of yours.
     iterations
         Generations, or steps of the simplex.
     population
@@ -92,34 +89,36 @@ def tune(
         If `out` has a study and `resume` is not set; with `resume`, if it has none or another one; if another process
         is using it; or if the disk is full.
     """
-    for name, count in (("iterations", iterations), ("population", population)):
-        check_count(name, count, 1, 10**9)
-    check_count("seed", seed, 0, _MAX_SEED)
-    search = Method(method) if isinstance(method, str) or not callable(method) else method
-    problem = _problem(scenarios, over, cost, model_follows, conditions)
-    if problem.cost.disk_margin is None:
-        margin = problem.kept_margin(KEPT_MARGIN)
-        problem = replace(problem, cost=replace(problem.cost, disk_margin=margin))
-    if search is Method.CMA:
-        check_population(population)
+    if isinstance(method, str) and method not in SEARCHES:
+        remedy = suggest(method, list(SEARCHES))
+        raise ParameterError(f"method is {method!r:.60}", field="method", value=method, remedy=remedy)
+    search = SEARCHES[method] if isinstance(method, str) else method
+    check_count("iterations", iterations, 1, 10**9)
+    check_count("population", population, 4 if search is by_cma else 1, 10**9)
+    check_count("seed", seed, 0, 2**32 - 1)
+    asked = _problem(scenarios, over, cost, model_follows, conditions)
     report = progress or notebook_progress() or silent
     with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
-        problem = replace(problem, engine=_engine(problem, engine, store))
-        job = store.job(_about(problem, search, seed, population, Path() if out is None else Path(out)))
-        trials = Trials(job, problem.space, 1 if search is Method.LOCAL else population, problem.evaluate)
+        if store.path is not None:  # one engine for the trials that are kept, so that they do not depend on the machine
+            begun = store.about()
+            engine = engine_of_job(asked.engines_used, begun and begun.get("software"), engine)
+        problem = asked.begin(engine)
+        if problem.cost.disk_margin is None:
+            margin = problem.kept_margin(KEPT_MARGIN)
+            problem = replace(problem, cost=replace(problem.cost, disk_margin=margin))
+        about = {"method": method if isinstance(method, str) else f"{search.__module__}.{search.__qualname__}"}
+        job = store.job(_about(asked, problem, store.folder) | about | {"seed": seed, "population": population})
+        trials = Trials(job, problem.space, 1 if method == "local" else population, problem.evaluate)
 
         def step(part: float) -> None:
-            known_trials = trials.all
-            lowest = min((trial.cost for trial in known_trials), default=FAILED_COST)
-            what = "searching" if len(known_trials) > trials.first else "compiling"
-            report(f"{what}, lowest cost {lowest:.4g}" if lowest < FAILED_COST else what, part)
+            lowest = min((trial.cost for trial in trials.all), default=FAILED_COST)
+            report(f"searching, lowest cost {lowest:.4g}" if lowest < FAILED_COST else "searching", part)
 
         step(0.0)
         first = problem.space.point(problem.space.nominal)
-        run = SEARCHES[search] if isinstance(search, Method) else search
-        run(trials.costs, first, population=population, generations=iterations, seed=seed, progress=step)
+        search(trials.costs, first, population=population, generations=iterations, seed=seed, progress=step)
         report("evaluating", 1.0)
-        return _result(problem, trials)
+        return _result(asked, problem, trials)
 
 
 def _problem(
@@ -136,9 +135,9 @@ def _problem(
         swept = sweep_parameters(several[0], over)
     elif several and all(isinstance(text, str) for text in swept):
         swept = parse_ranges(swept, several[0])
-    if not isinstance(cost, Cost):
-        margins: Any = {"gain_margin": DEFAULT_MARGIN, "disk_margin": None} if cost is None else {}
-        cost = parse_cost(DEFAULT_COST if cost is None else cost, **margins)
+    if cost is None:
+        cost = parse_cost(DEFAULT_COST, gain_margin=DEFAULT_MARGIN, disk_margin=None)
+    cost = cost if isinstance(cost, Cost) else parse_cost(cost)
     problem = TuningProblem.of(several, swept, cost, model_follows, conditions)
     if all(name.startswith("controller.") for name in problem.space.names):
         for scenario in several:
@@ -146,75 +145,48 @@ def _problem(
     return problem
 
 
-def _engine(problem: TuningProblem, engine: str, store: Store) -> str:
-    """Return the engine of all trials: one for those that are kept, so that they do not depend on the machine."""
-    if store.path is None:
-        return engine
-    begun = store.about()
-    return engine_of_job(problem.engines_used, begun and begun.get("software"), engine)
-
-
-def _about(problem: TuningProblem, search: Method | Search, seed: int, population: int, folder: Path) -> dict[str, Any]:
-    """Return all that determines the trials, for JSON."""
+def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[str, Any]:
+    """Return all that determines the cost of a point, for JSON."""
     cost, model_follows = problem.cost, problem.model_follows
+    parts = [(scenario.plant(), scenario.control(), scenario.reference()) for scenario in asked.scenarios]
     return {
-        "format": FORMAT,
+        "format": "mckibben tuning",
         "software": software(problem.engine),
-        "scenarios": [scenario.dumps(folder=folder) for scenario in problem.scenarios],
-        "digest of models": [_digest(scenario) for scenario in problem.scenarios],
+        "scenarios": [scenario.dumps(folder=folder) for scenario in asked.scenarios],
+        "digest of models": digest(parts),
         "parameters": [tuned.text for tuned in problem.space.swept],
         "model_follows": model_follows if model_follows == "all" else sorted(model_follows),
         "cost": cost.text,
         "gain_margin": cost.gain_margin,
-        "delay_margin": cost.delay_margin,
         "disk_margin": cost.disk_margin,
         "percentile": cost.percentile,
         "conditions": {name: np.asarray(column).tolist() for name, column in problem.conditions.items()},
-        "method": search.value if isinstance(search, Method) else f"{search.__module__}.{search.__qualname__}",
-        "seed": seed,
-        "population": population,
     }
 
 
-def _digest(scenario: Scenario) -> str:
-    """Digest of all numbers of a run, including the files and catalog entries that the scenario names."""
-    leaves = jax.tree.leaves((scenario.plant(), scenario.control(), scenario.reference()))
-    return hashlib.sha256(repr([np.asarray(leaf).tolist() for leaf in leaves]).encode()).hexdigest()
-
-
-def _result(problem: TuningProblem, trials: Trials) -> TuneResult:
-    """Return the best trial, with values rounded for files."""
+def _result(asked: TuningProblem, problem: TuningProblem, trials: Trials) -> TuneResult:
+    """Return the best trial, with values of six digits unless that raises the cost by 0.1 %, or above the first one."""
     space, best, count = problem.space, trials.best, len(trials.all)
     _check_success(problem, best.cost, count)
-    point = np.array(best.point)
-    values, before = space.values(point[None])[0], trials.cost(space.nominal)
-    rounded, cost = _rounded(space.rounded(values), values, best.cost, before, trials.cost)
-    named = dict(zip(space.names, rounded.tolist(), strict=True))
+    values, before = space.values(np.array([best.point]))[0], trials.cost(space.nominal)
+    rounded, cost = space.rounded(values), best.cost
+    after = trials.cost(rounded)
+    if after <= min(1.001 * cost, max(before, cost) if before > cost * (1 - 1e-9) else np.inf):
+        values, cost = rounded, after
+    named = dict(zip(space.names, values.tolist(), strict=True))
+    follows = problem.model_follows
     return TuneResult(
         values=named,
-        before=problem.scenarios,
-        scenarios=tuple(
-            with_values(scenario, named, model_follows=problem.model_follows) for scenario in problem.scenarios
-        ),
+        before=asked.scenarios,
+        scenarios=tuple(with_values(scenario, named, model_follows=follows) for scenario in asked.scenarios),
         cost=cost,
         cost_before=before if before < FAILED_COST else float("nan"),
         evaluated=count,
-        at_bound=space.at_bound(point),
+        at_bound=space.at_bound(best.point),
         trials=tuple(trials.all),
         disk_margin=problem.cost.disk_margin or 0.0,
         conditions=problem.conditions,
     )
-
-
-def _rounded(
-    rounded: Vector, exact: Vector, lowest: float, before: float, cost: Callable[[Vector], float]
-) -> tuple[Vector, float]:
-    """Return six digits of values and their cost, unless that raises the cost by 0.1 %, or above the initial cost."""
-    limit = lowest * (1 + 1e-3)
-    if before > lowest * (1 - 1e-9):
-        limit = min(limit, max(before, lowest))
-    after = cost(rounded)
-    return (rounded, after) if after <= limit else (exact, lowest)
 
 
 def _check_success(problem: TuningProblem, lowest: float, count: int) -> None:
