@@ -47,15 +47,6 @@ def test_extrapolation_is_part_of_a_file():
 
 
 @pytest.mark.slow
-def test_extrapolation_is_offered_only_where_the_specimen_allows_more():
-    specimen = BASE.joint.muscle1.specimen
-    rated = dataclasses.replace(specimen.domain, pressure_max=5 * bar, pressure_min=2 * bar)
-    found = envelope(scenario(specimen=dataclasses.replace(specimen, domain=rated)))
-    texts = [remark.text for remark in found.remarks()]
-    assert "at all pressures of its specimen" not in " ".join(texts) and "pressure_max" in texts[-1]
-
-
-@pytest.mark.slow
 def test_the_envelope_names_what_limits_it():
     found = envelope(scenario())
     lowest, highest, offer = (remark.text for remark in found.remarks())

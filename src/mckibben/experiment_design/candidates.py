@@ -18,7 +18,6 @@ from mckibben.units import mm, percent
 
 REPEATS = 2
 """Most repetitions of a point, each on a separate pass."""
-_MAX_STATES = 40_000
 _FORCE_RESERVE = 0.05  # of the rated force, as in a protocol
 _SLACK_MARGIN = 3.0  # standard deviations of a point above the slack force
 
@@ -49,15 +48,15 @@ class StateGrid:
     allowed: NDArray[np.bool_] = field(repr=False)  # taut, not overloaded and in the domain of the law
 
     @classmethod
-    def of(cls, law: ForceLaw, region: DesignRegion) -> StateGrid:
-        """Grid of a region; raises RangeError if no state can be measured or there are too many."""
+    def of(cls, law: ForceLaw, region: DesignRegion, *, most: int = 40_000) -> StateGrid:
+        """Grid of a region; raises `RangeError` if no state can be measured or there are more than the most."""
         domain = region.domain
         contractions = _grid_axis(domain.contraction_min, domain.contraction_max, region.contraction_step)
         pressures = _grid_axis(domain.pressure_min, domain.pressure_max, region.pressure_step)
-        if len(contractions) * len(pressures) > _MAX_STATES:
+        if len(contractions) * len(pressures) > most:
             message = f"{len(pressures)} pressures x {len(contractions)} contractions are too many candidates"
             remedy = "choose coarser steps or narrower limits"
-            raise RangeError(message, value=len(contractions) * len(pressures), upper=_MAX_STATES, remedy=remedy)
+            raise RangeError(message, value=len(contractions) * len(pressures), upper=most, remedy=remedy)
         grid = contractions[None, :], pressures[:, None]
         force = forces(law, *grid)
         valid = np.asarray(type(law).formula_domain.contains(*grid))
@@ -96,46 +95,21 @@ def design_region(
         specimen = catalog.specimen(attrs["specimen"])
     measured = (data.contraction, data.levels)
     box = Domain(*(end(values) for values in measured for end in (np.min, np.max))) if len(data) else Domain()
-    if specimen is not None:
-        domain, highest = specimen.domain.filled(box), (1 - _FORCE_RESERVE) * float(specimen.force_limit)
-        if specimen.rated_force is None:
-            if len(data) == 0:
-                raise RangeError(
-                    "the rated force of the specimen is unknown", remedy="give the specimen its rated_force"
-                )
-            highest = float(data.force.max())
-            notes.append("the specimen has no rated force: the plan stays within the forces of the data")
-    else:
-        if len(data) == 0:
-            raise RangeError("neither data nor specimen give the range of states", remedy="name the specimen")
-        domain = box
+    if specimen is not None and specimen.rated_force is not None:
+        highest = (1 - _FORCE_RESERVE) * float(specimen.force_limit)
+    elif len(prior.points):
         highest = float(data.force.max())
-        if highest <= attrs["slack_force"]:
-            raise RangeError(
-                "no point is taut and the specimen is unknown: the largest permitted force is unknown",
-                remedy="name the specimen",
-            )
-        notes.append(
-            "the specimen is not in the catalog: the plan stays within contractions, pressures and forces of the data"
-            + (" unless the limits override them" if limits else "")
-        )
-    if limits is not None:
-        domain = limits if specimen is None else _intersection(limits, specimen).filled(box)
+        notes.append("the rated force of the muscle is unknown: the plan stays within the forces of the data")
+    else:
+        remedy = "name the specimen, and give it its rated_force"
+        raise RangeError("no point is taut, and the largest permitted force is unknown", remedy=remedy)
+    rated = Domain() if specimen is None else specimen.domain
+    domain = (rated if limits is None else limits.intersection(rated)).filled(box)
     length = attrs.get("initial_length") or (float(specimen.initial_length) if specimen else None)
     default = 1 * mm / length if length else 0.5 * percent
     lowest = float(attrs["slack_force"]) + _SLACK_MARGIN * prior.noise.point
     step = default if contraction_step is None else contraction_step
     return DesignRegion(domain, step, pressure_step, lowest, highest), notes
-
-
-def _intersection(limits: Domain, specimen: Specimen) -> Domain:
-    try:
-        return limits.intersection(specimen.domain)
-    except RangeError:
-        raise RangeError(
-            f"the limits {limits} lie outside {specimen.domain} of {specimen.name}",
-            remedy="choose limits inside; a contraction is in %, or a ratio",
-        ) from None
 
 
 @dataclass(frozen=True, eq=False)

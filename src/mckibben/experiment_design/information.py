@@ -127,18 +127,17 @@ class ErrorEstimator:
 
     def error(self, gradients: Floats, added: Floats | float = 0.0) -> float:
         """Root of the mean variance of values, with added information."""
-        known = self.information + added
-        weak, weaker = (mean_variance(gradients, known + self.prior * part) for part in (1.0, 1e-2))
-        return math.inf if weaker > _UNDETERMINED * weak else math.sqrt(weaker)
+        return float(_root(*self._variances(gradients, added).mean(axis=1)))
 
     def errors(self, gradients: Floats, added: Floats | float = 0.0) -> Floats:
         """Standard error of each of many values, with added information."""
-        known = self.information + added
-        weak, weaker = (
-            np.einsum("ni,in->n", gradients, np.linalg.solve(known + self.prior * part, gradients.T))
-            for part in (1.0, 1e-2)
-        )
-        return np.where(weaker > _UNDETERMINED * weak, np.inf, np.sqrt(weaker))
+        return _root(*self._variances(gradients, added))
+
+    def _variances(self, gradients: Floats, added: Floats | float) -> Floats:
+        """Variances of values with the prior and with a hundredth of it, shape (2, values)."""
+        known = self.information + added, gradients.T
+        priors = np.stack([self.prior, self.prior / 100])
+        return np.einsum("ni,kin->kn", gradients, np.linalg.solve(known[0] + priors, known[1]))
 
     def undetermined(self, subspace: IdentifiableSubspace) -> Floats:
         """Combinations of parameters, scaled to 1 N, that the prior data leave free; shape (parameters, n)."""
@@ -147,8 +146,9 @@ class ErrorEstimator:
         return subspace.scale[:, None] * (subspace.basis @ free)
 
 
-_MIN_GAIN = 1e-9  # of the logarithm of a variance
-_MAX_PASSES = 50
+def _root(weak: Floats, weaker: Floats) -> Floats:
+    """Standard error from the variances with a weak and a weaker prior; infinite if only the prior determines it."""
+    return np.where(weaker > _UNDETERMINED * weak, np.inf, np.sqrt(weaker))
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,22 +183,24 @@ class ExchangeProblem:
         return int(index[place]), float(costs[place])
 
 
-def exchange(problem: ExchangeProblem, count: int) -> list[int]:
-    """Greedy selection followed by exchanges until none improves (Fedorov); candidates in order of gain."""
+def exchange(problem: ExchangeProblem, count: int, *, passes: int = 50, gain: float = 1e-9) -> list[int]:
+    """Greedy selection followed by exchanges until none improves (Fedorov); candidates in order of gain.
+
+    Exchanges end after some passes over all points, or when one pass gains less of the logarithm of the variance.
+    """
     chosen: list[int] = []
     for _ in range(count):
         chosen.append(problem.best(chosen)[0])
     cost = problem.cost(chosen)
-    for _ in range(_MAX_PASSES):
+    for _ in range(passes):
         before = cost
         for place in range(count):
-            better, found = problem.best(chosen[:place] + chosen[place + 1 :])
-            if found < cost - _MIN_GAIN:
-                chosen[place], cost = better, found
-        if cost > before - _MIN_GAIN:
+            candidate, exchanged = problem.best(chosen[:place] + chosen[place + 1 :])
+            if exchanged < cost - gain:
+                chosen[place], cost = candidate, exchanged
+        if cost > before - gain:
             break
     ordered: list[int] = []
     while len(ordered) < count:
-        left = np.array([one for one in chosen if one not in ordered])
-        ordered.append(problem.best(ordered, left)[0])
+        ordered.append(problem.best(ordered, np.setdiff1d(chosen, ordered))[0])
     return ordered

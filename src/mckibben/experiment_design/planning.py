@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from mckibben.component.calls import checked_call
+from mckibben.component.checks import check_positive
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.experiment_design.candidates import REPEATS, CandidateSet, StateGrid, design_region
@@ -21,7 +20,7 @@ from mckibben.experiment_design.information import (
 )
 from mckibben.experiment_design.prior import PriorData
 from mckibben.experiment_design.quantities import QuantityOfInterest
-from mckibben.experiment_design.result import ErrorMap, ExperimentPlan, PlannedPoint, diagnostics
+from mckibben.experiment_design.result import ErrorMap, ExperimentPlan, PlannedPoint
 from mckibben.identification import Fit
 from mckibben.muscle import Domain, ForceLaw, Specimen
 from mckibben.units import bar
@@ -29,7 +28,6 @@ from mckibben.units import bar
 _PRIOR = 100.0  # largest forces: prior standard deviation of each coordinate
 _ROUNDING = 1e-10  # of the information of one point: a weaker prior would be lost in rounding
 _MAX_POINTS = 200
-_SENSITIVITY = 1e-9  # a quantity that changes by less per newton does not depend on any parameter
 _UNIDENTIFIABLE = 1e-6
 
 
@@ -107,8 +105,8 @@ def plan(
     if not 1 <= points <= _MAX_POINTS:
         message = f"{points} points are not within 1..{_MAX_POINTS}"
         raise RangeError(message, field="points", value=points, lower=1, upper=_MAX_POINTS)
-    if noise is not None and not 0 < noise < math.inf:
-        raise RangeError(f"a noise of {noise:g} N is not above 0", field="noise", value=noise, lower=0.0, unit="N")
+    if noise is not None:
+        check_positive("plan", "N", noise=noise)
     prior = PriorData.of(data, law_type, noise, guess)
     region, notes = design_region(prior, limits, specimen, contraction_step, pressure_step)
     states = StateGrid.of(prior.law, region)
@@ -145,7 +143,7 @@ def plan(
     )
     free = np.concatenate([subspace.null_space, estimator.undetermined(subspace)], axis=1)
     planned = [
-        PlannedPoint(*point, standard_error=error, gain=_gain(before, error))
+        PlannedPoint(*point, standard_error=error, gain=float(1 - np.nan_to_num(error / before, nan=1.0)))
         for point, before, error in zip(candidates.points(chosen), errors, errors[1:], strict=False)
     ]
     risky = estimator.errors(problem.rows[chosen])
@@ -159,7 +157,7 @@ def plan(
         parameter_errors={name: (float(now[i]), float(after[i])) for i, name in enumerate(prior.parameters)},
         noise=prior.noise,
         half_width=prior.half_width if prior.friction and np.isfinite(now[-1]) else None,
-        diagnostics=diagnostics(prior, free, now, maps),
+        diagnostics=_diagnostics(prior, free),
         notes=(
             *prior.notes,
             *notes,
@@ -178,12 +176,6 @@ def _mapped(states: StateGrid, errors: Floats) -> Floats:
     return mapped
 
 
-def _gain(before: float, after: float) -> float:
-    if math.isinf(before):
-        return 0.0 if math.isinf(after) else 1.0
-    return 1 - after / before
-
-
 def _overload_note(force: list[float], errors: Floats, force_max: float) -> list[str]:
     """Points whose force may exceed the limit by two standard errors."""
     over = [str(i + 1) for i in np.flatnonzero(np.isfinite(errors) & (np.array(force) + 2 * errors > force_max))]
@@ -195,21 +187,42 @@ def _overload_note(force: list[float], errors: Floats, force_max: float) -> list
     ]
 
 
+def _diagnostics(prior: PriorData, free: Floats) -> tuple[str, ...]:
+    """Sentences on the limits of the prior data; `free`: combinations of unknowns that do not change any force."""
+    texts = []
+    if count := free.shape[1]:
+        names = _tied(prior.names, free)
+        texts.append(f"not identifiable: {count} combination{'s' * (count > 1)} of {names} affect no measured force")
+    directions = list(prior.measured.directions)
+    if not len(prior.points):
+        texts.append("no point is taut: the force is not determined anywhere")
+    elif not directions:
+        texts.append("directions are not recorded: friction cannot be identified, and the plan assumes none")
+    elif len(directions) == 1:
+        (other,) = {"loading", "unloading"} - set(directions)
+        texts.append(f"all points are {directions[0]}: friction is not distinguished from force; measure {other} too")
+    return tuple(texts)
+
+
+def _tied(names: list[str], space: Floats) -> str:
+    """Names of the unknowns that take part in combinations, shape (unknowns, combinations)."""
+    share = np.abs(space).max(axis=1)
+    return ", ".join(name for name, part in zip(names, share, strict=True) if part > 0.05 * share.max())
+
+
 def _check_identifiable(
     quantity: QuantityOfInterest, gradients: Floats, subspace: IdentifiableSubspace, prior: PriorData
 ) -> None:
     """Raise an error for a quantity whose error no measurement reduces."""
-    if not np.abs(gradients / subspace.scale).max() > _SENSITIVITY:
+    if not np.abs(gradients / subspace.scale).max() > 1e-9:  # per newton, to rounding
         raise IdentificationError(
             f"{quantity}: nothing to gain, it does not depend on the law's parameters there (both muscles slack, or "
             "their errors cancel)",
             remedy="choose another angle or other pressures",
         )
     if (subspace.unidentifiable_part(gradients) > _UNIDENTIFIABLE).any():
-        share = np.abs(subspace.null_space).max(axis=1)
-        tied = [name for name, part in zip(prior.names, share, strict=True) if part > 0.05 * share.max()]
         raise IdentificationError(
-            f"{quantity} is not identifiable within the limits: {', '.join(tied)} can change together without changing "
-            "any measurable force",
+            f"{quantity} is not identifiable within the limits: {_tied(prior.names, subspace.null_space)} can change "
+            "together without changing any measurable force",
             remedy="use a law with fewer parameters, or wider limits",
         )

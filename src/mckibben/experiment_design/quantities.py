@@ -68,8 +68,8 @@ class Coefficient(QuantityOfInterest):
     def _parameter(self, law_type: type[ForceLaw]) -> Parameter:
         known = {p.name: p for p in law_type.parameters()}
         if self.name not in known:
-            message = f"{law_type.__name__} has no coefficient {self.name!r}"
-            raise ParameterError(message, value=self.name, remedy=f"it has {', '.join(known)}")
+            remedy = f"give stiffness, torque, force, or a coefficient; {law_type.__name__} has {', '.join(known)}"
+            raise ParameterError(f"{self.name!r} is not a quantity of interest", value=self.name, remedy=remedy)
         return known[self.name]
 
 
@@ -218,7 +218,9 @@ def parse_quantity_of_interest(
     kind, _, place = (part.strip() for part in text.partition(" at "))
     parts = [part.strip() for part in place.split(",")] if place else []
     if kind not in _FORMS:
-        return _coefficient(text, law_type)
+        coefficient = Coefficient(text.strip())
+        coefficient.unit(law_type)  # raises for a name that the law lacks
+        return coefficient
     if len(parts) not in _FORMS[kind]:
         raise ParameterError(f"{text!r} has {len(parts)} values", value=text, remedy=_PLACES[kind == "force"])
     try:
@@ -238,15 +240,3 @@ def parse_quantity_of_interest(
 _FORMS = {"force": (0, 2), "stiffness": (0, 1, 2, 3), "torque": (0, 1, 2, 3)}
 """Numbers of values after "at"."""
 _PLACES = "write an angle and pressures, 'at 5 deg, 2 bar, 4 bar'", "write 'force at 0..10 %, 3..6 bar'"
-
-
-def _coefficient(text: str, law_type: type[ForceLaw]) -> Coefficient:
-    known = {p.name.lower(): p.name for p in law_type.parameters()}
-    if (name := text.strip().lower()) not in known:
-        raise ParameterError(
-            f"{text!r} is not a quantity of interest",
-            value=text,
-            remedy="give stiffness, torque, force, or a coefficient; "
-            f"{law_type.__name__} has {', '.join(known.values())}",
-        )
-    return Coefficient(known[name])

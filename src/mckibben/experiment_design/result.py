@@ -12,14 +12,11 @@ import numpy as np
 from mckibben.dataset import IsobaricDataset
 from mckibben.experiment_design.candidates import StateGrid
 from mckibben.experiment_design.information import Floats, NoiseModel
-from mckibben.experiment_design.prior import PriorData
 from mckibben.experiment_design.quantities import QuantityOfInterest
 from mckibben.muscle import ForceLaw
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.storage.files import atomic_write
 from mckibben.units import bar, factor, percent
-
-_UNCERTAIN = 2.0  # standard errors of the force, relative to the noise of a point
 
 
 @dataclass(frozen=True)
@@ -158,86 +155,3 @@ class ExperimentPlan(Result):
 def _rig_order(point: PlannedPoint) -> tuple[Any, ...]:
     loading = point.direction == "loading"
     return point.repeat, point.pressure, loading, -point.contraction if loading else point.contraction
-
-
-def _contraction(value: float) -> str:
-    """A contraction in percent, rounded to the resolution of a rig."""
-    return f"{round(value / percent, 3) + 0.0:.4g}"
-
-
-def diagnostics(prior: PriorData, free: Floats, errors: Floats, maps: ErrorMap) -> tuple[str, ...]:
-    """Sentences on the limits of the prior data; `free`: combinations of unknowns that do not change any force."""
-    values = np.array(
-        [*(float(getattr(prior.law, name)) for name in prior.parameters), *[prior.half_width] * prior.friction]
-    )
-    return (
-        *_parameter_diagnostics(prior.names, free, values, errors),
-        *_force_diagnostics(maps.states, maps.now, prior.noise.point),
-        *_coverage_diagnostics(prior.points, prior.measured, maps.states),
-    )
-
-
-def _parameter_diagnostics(names: list[str], free: Floats, values: Floats, errors: Floats) -> list[str]:
-    texts = []
-    tied = np.zeros(len(names), bool)
-    if free.shape[1]:
-        share = np.abs(free).max(axis=1)
-        tied = share > 0.05 * share.max()
-        listed = ", ".join(name for name, part in zip(names, tied, strict=True) if part)
-        rank = free.shape[1]
-        texts.append(
-            f"not identifiable: {rank} combination{'s' if rank > 1 else ''} of {listed} affect no measured force"
-        )
-    with np.errstate(invalid="ignore"):
-        vague = np.isfinite(errors) & (errors > np.abs(values)) & ~tied
-    if vague.any():
-        listed = ", ".join(name for name, part in zip(names, vague, strict=True) if part)
-        texts.append(f"{listed}: the standard error exceeds the value")
-    return texts
-
-
-def _force_diagnostics(states: StateGrid, errors: Floats, noise: float) -> list[str]:
-    allowed = states.allowed
-    unknown, uncertain = allowed & np.isinf(errors), allowed & np.isfinite(errors) & (errors > _UNCERTAIN * noise)
-    texts = []
-    if unknown.any():
-        part = np.count_nonzero(unknown) / np.count_nonzero(allowed)
-        texts.append(f"at {part:.0%} of the measurable states the force of the law is not determined")
-    if uncertain.any():
-        row, column = np.unravel_index(np.argmax(np.where(uncertain, errors, 0)), errors.shape)
-        where = f"{_contraction(states.contractions[column])} % and {states.pressures[row] / bar:.4g} bar"
-        texts.append(
-            f"the standard error of the force exceeds {_UNCERTAIN:g} times the noise of a point, {noise:.2g} N; "
-            f"largest {errors[row, column]:.3g} N at {where}"
-        )
-    return texts
-
-
-def _coverage_diagnostics(points: IsobaricDataset, measured: IsobaricDataset, states: StateGrid) -> list[str]:
-    """Missing ends of the range, and missing directions."""
-    texts = []
-    if not len(points):
-        return [*texts, "no point is taut: the force is not determined anywhere"]
-    rows, columns = states.places.T
-    texts += _range_diagnostics(points.contraction, states.contractions[columns], "%", percent)
-    texts += _range_diagnostics(points.levels, states.pressures[rows], "bar", bar)
-    directions = list(measured.directions)
-    if not directions:
-        texts.append("directions are not recorded: friction cannot be identified, and the plan assumes none")
-    elif len(directions) == 1:
-        other = "unloading" if directions[0] == "loading" else "loading"
-        texts.append(f"all points are {directions[0]}: friction is not distinguished from force; measure {other} too")
-    return texts
-
-
-def _range_diagnostics(measured: Floats, allowed: Floats, unit: str, size: float) -> list[str]:
-    """Measurable range beyond the taut points, by more than a step of the rig."""
-    steps = np.diff(np.unique(allowed))
-    step = float(steps.min(initial=np.inf)) if steps.size else 0.0
-    texts = []
-    for name, end, sign in (("below", np.min, -1.0), ("above", np.max, 1.0)):
-        known, possible = float(end(measured)), float(end(allowed))
-        if sign * (possible - known) > step:
-            shown = [f"{round(value / size, 3) + 0.0:.4g} {unit}" for value in (known, possible)]
-            texts.append(f"no taut point {name} {shown[0]}, where {shown[1]} is allowed")
-    return texts

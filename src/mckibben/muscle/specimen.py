@@ -79,7 +79,7 @@ class Domain(Component):
         if any(isinstance(a, Real) and isinstance(b, Real) and a > b for a, b in (bounds[:2], bounds[2:])):
             raise RangeError(
                 f"the domains do not overlap: {self.bounds()}, and {other.bounds()}",
-                remedy="give the law a domain inside the specimen's",
+                remedy="give the law, or the limits, a domain inside the specimen's",
             )
         return Domain(*bounds)
 

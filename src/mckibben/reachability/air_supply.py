@@ -20,7 +20,6 @@ _RATIO = 0.3  # critical pressure ratio of the needed conductance
 _VALVE_MARGIN, _TUBE_MARGIN = 2.0, 4.0  # conductance over that needed by the motion
 _COMPRESSOR_MARGIN = 1.3  # leaks, and the time in which the compressor rests
 _DROP = 0.05  # of the absolute supply in a cycle
-_TUBES = (2.5, 4.0, 5.7, 7.0, 8.0, 9.0, 11.0, 13.0)  # mm, inner diameters of common polyurethane tubes
 
 
 class AirSupply(NamedTuple):
@@ -29,7 +28,7 @@ class AirSupply(NamedTuple):
     needed: float  # largest conductance C of filling and venting in the worse muscle [m^3/(s*Pa)]
     valve: AirValve  # smallest proportional valve of the catalog with twice that
     valve_name: str
-    tube: float  # smallest inner diameter with four times that, for the given length [m]
+    tube: float  # least inner diameter, with four times that for the length [m]
     air: float  # of a cycle [m^3 (ANR)]
     reservoir: float  # volume from which a cycle takes 5 % of the absolute pressure [m^3]
     compressor: float  # flow, 1.3 times the mean consumption [m^3/s (ANR)]
@@ -54,7 +53,7 @@ def air_supply(
 ) -> AirSupply:
     """Size the air supply for a motion whose last cycle [s] is periodic; isothermal air in the muscles.
 
-    Raises `UnreachableError` if no pressures give the motion, or no valve or tube is large enough.
+    Raises `UnreachableError` if no pressures give the motion, or no valve of the catalog is large enough.
     """
     torque = plant.load.required_torque(motion.angle, motion.velocity, motion.acceleration)
     pressures = plant.joint.pressures_for(motion.angle, torque, motion.stiffness)
@@ -95,9 +94,8 @@ def _valve(needed: float, supply: float) -> tuple[str, AirValve]:
 
 
 def _tube(needed: float, length: float) -> float:
-    for diameter in _TUBES:
-        if tube_conductance(diameter * mm, length) >= needed:
-            return diameter * mm
-    message = f"a tube of {length:g} m needs a conductance of {needed / L_PER_S_BAR:.3g} L/(s*bar)"
-    remedy = f"{_TUBES[-1]:g} mm has less: place the valves closer to the muscles, or allow a longer cycle"
-    raise UnreachableError(message, value=needed, upper=tube_conductance(_TUBES[-1] * mm, length), remedy=remedy)
+    """Least inner diameter [m], to 0.1 mm, of a tube of a length [m] with a conductance."""
+    from scipy.optimize import brentq  # 0.2 s
+
+    least = brentq(lambda diameter: tube_conductance(diameter, length) - needed, 1 * mm, 100 * mm)
+    return math.ceil(least / (0.1 * mm)) * 0.1 * mm

@@ -15,10 +15,8 @@ from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.attainable import unattainable
 from mckibben.muscle import Muscle
-from mckibben.plant import JointPlant
 from mckibben.reachability.static import StaticEnvelope, Values, static_envelope
 from mckibben.reachability.trackability import Trackability, TrackabilityChecker, bands_along
-from mckibben.reachability.trajectory import ReferenceTrajectory
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg
@@ -71,7 +69,11 @@ class Envelope(Result):
         remarks = []
         if not self.trackability.trackable:
             nearest = [
-                *([f"with a constant stiffness of {_range(self.stiffness)}"] if self.stiffness else []),
+                *(
+                    ["with a constant stiffness of {:.4g}..{:.4g} N*m/rad".format(*self.stiffness)]
+                    if self.stiffness
+                    else []
+                ),
                 *([f"at {self.amplitude:.3g} of its amplitude"] if self.amplitude > 0 else []),
                 *([f"at {self.speed:.3g} of its speed"] if self.speed > 0 else []),
             ]
@@ -95,35 +97,18 @@ class Envelope(Result):
         }
         for name, (unit, band) in bands.items():
             columns |= {f"{end} {name}": (unit, edge[at]) for end, edge in zip(_ENDS, band, strict=True)}
+        unit = Column("Pa", shown="bar", digits=3)
         for end, pressures in zip(_ENDS, (static.pressures_at_lowest, static.pressures_at_highest), strict=True):
-            pair = {
-                f"p{i + 1} at {end}": (Column("Pa", shown="bar", digits=3), np.round(pressures[i, at]) + 0.0)
-                for i in (0, 1)
-            }
-            columns |= pair
+            columns |= {f"p{i + 1} at {end}": (unit, np.round(pressures[i, at]) + 0.0) for i in (0, 1)}
         return [*super().listings(), Listing("static envelope", columns)]
 
 
-def _range(stiffness: tuple[float, float]) -> str:
-    return f"{stiffness[0]:.4g}..{stiffness[1]:.4g} N*m/rad"
-
-
-_MEASURED = "measured pressure"
 _AT_LIMIT = 1.0  # Pa, N
-
-
-def _remedy(muscle: Muscle, *, highest: bool) -> str | None:
-    """Remedy for a law that ends at the measured pressures; none at the lowest pressure of the specimen."""
-    rated, law = muscle.specimen.domain, muscle.law.domain
-    further = law.pressure_max < rated.pressure_max < math.inf if highest else rated.pressure_min < law.pressure_min
-    if further:
-        return "to apply the law at all pressures of its specimen, give `extrapolate: true` of the muscle"
-    if not highest:
-        return None
-    return (
-        "to apply the law at higher pressures, give the muscle the rated pressure of its specimen, such as `specimen: "
-        "{domain: {pressure_max: 8 bar}}`, and `extrapolate: true`"
-    )
+_MEASURED = "measured pressure"
+_EXTRAPOLATE = (
+    "to apply the law at all pressures of its specimen, give `extrapolate: true` of the muscle; if the specimen has no "
+    "rated pressure, give it, too, such as `specimen: {domain: {pressure_max: 8 bar}}`"
+)
 
 
 def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values) -> dict[str, NDArray[np.bool_]]:
@@ -144,25 +129,20 @@ def _bounds(supplied: Muscle, muscle: Muscle, pressure: Values, tension: Values)
 def active_limits(
     joint: AntagonisticJoint, muscles: Sequence[Muscle], angles: Values, ends: Sequence[NDArray[np.float64]]
 ) -> list[str]:
-    """Return the active limits at both ends of the attainable stiffness over angles, and remedies, as text.
+    """Return the active limits at both ends of the attainable stiffness over angles, and a remedy, as text.
 
     The joint has the muscles with domains within the supply; the ends are pressures at the lowest and at the highest
     stiffness, shape (2, angles) each [Pa].
     """
-    texts, remedies = [], dict[str, None]()
+    texts = []
     for name, pressures in zip(_ENDS, ends, strict=True):
         tensions = joint.tensions(angles, (pressures[0], pressures[1]))
         counts: Counter[str] = Counter()
-        rows = zip((joint.muscle1, joint.muscle2), muscles, pressures, tensions, strict=True)
-        for supplied, muscle, pressure, tension in rows:
-            for reason, active in _bounds(supplied, muscle, pressure, np.asarray(tension)).items():
-                counts[reason] += int(active.sum())
-                remedy = _remedy(muscle, highest="highest" in reason)
-                if _MEASURED in reason and active.any() and remedy:
-                    remedies[remedy] = None
-        reasons = [reason for reason, count in counts.most_common() if count]
+        for row in zip((joint.muscle1, joint.muscle2), muscles, pressures, map(np.asarray, tensions), strict=True):
+            counts += Counter({reason: int(active.sum()) for reason, active in _bounds(*row).items()})
+        reasons = [reason for reason, _ in counts.most_common()]
         texts += [f"{name} stiffness: limited by {' or '.join(reasons)}"] if reasons else []
-    return texts + list(remedies)
+    return [*texts, _EXTRAPOLATE] if _MEASURED in " ".join(texts) else texts
 
 
 @checked_call
@@ -202,16 +182,15 @@ def envelope(scenario: Scenario, *, smoothing: float | None = None) -> Envelope:
     low, high = np.max(checked.bands.rate_limited.lowest), np.min(checked.bands.rate_limited.highest)
 
     def largest(change: str) -> float:
-        return _largest(lambda factor: _is_trackable(plant, checked.trajectory.scaled(**{change: factor})))
+        def trackable(factor: float) -> bool:
+            trajectory = checked.trajectory.scaled(**{change: factor})
+            return bool(np.all(bands_along(plant, trajectory).rate_limited.violation(trajectory.stiffness) == 0))
+
+        return _largest(trackable)
 
     amplitude, speed = (1.0 if checked.trackable else largest(change) for change in ("amplitude", "speed"))
     common = (float(low), float(high)) if low <= high else None
     return Envelope(scenario, static, checked, amplitude, speed, common)
-
-
-def _is_trackable(plant: JointPlant, trajectory: ReferenceTrajectory) -> bool:
-    band = bands_along(plant, trajectory).rate_limited
-    return bool(np.all(band.violation(trajectory.stiffness) == 0))
 
 
 def _largest(trial: Callable[[float], bool]) -> float:

@@ -48,11 +48,9 @@ Floats = NDArray[np.float64]
 _HEADROOM = 0.9  # of the supply: air flows into a muscle only below it
 _TENSION = 5.0  # N: least tension of both muscles
 _ANY = (1e6, -1e6)  # stiffness that every joint attains
-_ANGLES, _RESULT_ANGLES = 25, 61  # of the search and of the result
-_NARROWEST, _STEP = 5 * mm, 5 * mm  # radius, and step of lengths of muscles; radii have steps of 0.5 mm
-_GRID = (80, 24, 12)  # lengths, radii and contractions of the search
-_CYCLES, _SAMPLES, _KNOTS, _PERIOD = 3, 200, 32, 1e-3  # of a run; of a cycle; s
-_REACHED, _HELD = 0.02, 0.05  # relative errors of angle and stiffness of a run that meets the requirement
+_NARROWEST = 5 * mm  # radius of a pulley, and step of the lengths of muscles
+_ANGLES = 41  # of the motion
+_CYCLES, _SAMPLES = 3, 32  # of a run, and of a cycle
 
 
 class Candidate(NamedTuple):
@@ -126,12 +124,11 @@ class Selection(Result):
         columns: dict[str, tuple[Column, Any]] = {
             "muscle": (Column(), [row.name for row in rows]),
             "lengths": (Column(), [_lengths_text(row.lengths) for row in rows]),
-        }
-        for i, name in enumerate(("least torque", "torque beyond gravity", "highest torque")):
-            columns[name] = torque, [row.torque[i] for row in rows]
-        for i, name in enumerate(("lowest stiffness", "highest stiffness")):
-            columns[name] = stiffness, [row.stiffness[1][i] for row in rows]
-        columns |= {
+            "least torque": (torque, [row.torque[0] for row in rows]),
+            "torque beyond gravity": (torque, [row.torque[1] for row in rows]),
+            "highest torque": (torque, [row.torque[2] for row in rows]),
+            "lowest stiffness": (stiffness, [row.stiffness[1][0] for row in rows]),
+            "highest stiffness": (stiffness, [row.stiffness[1][1] for row in rows]),
             "valve": (Column(), [row.supply.valve_name for row in rows]),
             "air per cycle": (Column("m^3", shown="L", digits=3), [row.supply.air for row in rows]),
             "limited by": (Column(), [row.limiting for row in rows]),
@@ -140,10 +137,9 @@ class Selection(Result):
         parts = {"number": (Column(), number), "part": (Column(), part), "size": (Column(), sizes)}
         listings = [Listing("candidates", columns), Listing(f"parts of {self.best.name}", parts)]
         if self.checks:
-            checks = dict(
-                zip(Check._fields, ((Column(), values) for values in zip(*self.checks, strict=True)), strict=True)
-            )
-            listings.append(Listing("simulated with these parts", checks))
+            checks = zip(Check._fields, zip(*self.checks, strict=True), strict=True)
+            columns = {name: (Column(), values) for name, values in checks}
+            listings.append(Listing("simulated with these parts", columns))
         return listings
 
     def write(self, folder: Path) -> None:
@@ -168,12 +164,12 @@ class Selection(Result):
             ("2", "muscle", " and ".join(dict.fromkeys(sizes))),
             ("1", "joint", _lengths_text(chosen.lengths)),
             ("2", "proportional valve", f"{supply.valve_name}, needed C {supply.needed * 1e8:.3g} L/(s*bar)"),
-            ("2", "tube", f"inner diameter {supply.tube / mm:g} mm"),
+            ("2", "tube", f"inner diameter at least {supply.tube / mm:.2g} mm"),
             ("1", "reservoir", f"{supply.reservoir * 1e3:.2g} L"),
             ("1", "compressor", f"{supply.compressor * 60e3:.3g} L/min (ANR), {show(self.requirement.supply, 'bar')}"),
         ]
 
-    def scenario(self, candidate: Candidate | None = None) -> Scenario:
+    def scenario(self, candidate: Candidate | None = None, *, control_period: float = 1e-3) -> Scenario:
         """A scenario of three cycles with a candidate, by default the best; a stiffness range is passed through."""
         chosen, need = candidate or self.best, self.requirement
         reference = _reference(need, chosen.plant)
@@ -185,8 +181,8 @@ class Selection(Result):
             controller=DecouplingControl(chosen.plant.joint, chosen.plant.load, PolePlacement()),  # type: ignore[call-arg]
             reference=reference,
             start=Start(angle=need.angles[0], stiffness=float(reference.stiffness(0.0))),
-            duration=max(round(_CYCLES * need.cycle / _PERIOD), 1) * _PERIOD,
-            control_period=_PERIOD,
+            duration=max(round(_CYCLES * need.cycle / control_period), 1) * control_period,
+            control_period=control_period,
         )
         text = plain(read_document(scenario.dumps()).data)
         text["controller"] = {"class": "decoupling", "feedback": {}}  # its model is the plant's
@@ -197,8 +193,10 @@ class Selection(Result):
         """Return the selection with the checks of a run of the best joint's scenario."""
         return dataclasses.replace(self, checks=tuple(self.verify(self.scenario().simulate())))
 
-    def verify(self, result: SimulationResult) -> list[Check]:
-        """Compare a run of the scenario with the requirement: outcome, angle within 2 %, stiffness within 5 %."""
+    def verify(
+        self, result: SimulationResult, *, angle_error: float = 0.02, stiffness_error: float = 0.05
+    ) -> list[Check]:
+        """Compare outcome, angle and stiffness of a run with the requirement, within relative errors."""
         need, angle = self.requirement, np.asarray(result["angle"])
         error = np.abs(angle - np.asarray(result["desired_angle"])).max()
         checks = [
@@ -206,12 +204,12 @@ class Selection(Result):
             Check(
                 f"{need.angles[0] / deg:g}..{need.angles[1] / deg:g} deg in {need.cycle:g} s",
                 f"{angle.min() / deg:.4g}..{angle.max() / deg:.4g} deg, error at most {error / deg:.2g} deg",
-                bool(error <= _REACHED * 2 * need.amplitude),
+                bool(error <= angle_error * 2 * need.amplitude),
             ),
         ]
         if need.stiffness:
             stiffness, desired = np.asarray(result["stiffness"]), np.asarray(result["desired_stiffness"])
-            met = float(np.abs(stiffness / desired - 1).max()) <= _HELD
+            met = float(np.abs(stiffness / desired - 1).max()) <= stiffness_error
             asked = f"stiffness {need.stiffness[0]:.4g}..{need.stiffness[1]:.4g} N*m/rad"
             checks.append(Check(asked, f"{stiffness.min():.4g}..{stiffness.max():.4g} N*m/rad", met))
         return checks
@@ -379,21 +377,20 @@ def _on_pulleys(muscle: Muscle) -> AntagonisticJoint:
     return AntagonisticJoint(PairedPaths(path, path), muscle, muscle)
 
 
-def _pulley_grid(make: Make, need: Requirement) -> dict[str, Floats]:
+def _pulley_grid(
+    make: Make, need: Requirement, *, lengths: int = 80, radii: int = 24, contractions: int = 12
+) -> dict[str, Floats]:
     """Lengths of muscles, pulleys and paths at angle 0 [m] over a grid, each of shape (candidates,)."""
     domain = make.muscle.domain
     low, high = float(domain.contraction_min), float(domain.contraction_max)
-    count = dict(zip(("lengths", "radii", "contractions"), _GRID, strict=True))
-    lengths = np.geomspace(SHORTEST, max(need.longest, SHORTEST), count["lengths"])
-    radii = np.geomspace(_NARROWEST, max(need.widest, _NARROWEST), count["radii"])
     axes = (
-        np.unique(np.round(lengths / _STEP) * _STEP),
-        np.unique(np.round(radii / mm * 2) / 2 * mm),
-        np.linspace(0.0, 1.0, count["contractions"]),
+        _rounded(np.geomspace(SHORTEST, max(need.longest, SHORTEST), lengths), _NARROWEST),
+        _rounded(np.geomspace(_NARROWEST, max(need.widest, _NARROWEST), radii), mm / 2),
+        np.linspace(0.0, 1.0, contractions),
     )
     length, radius, part = (axis.ravel() for axis in np.meshgrid(*axes, indexing="ij"))
     half = radius * need.amplitude / length
-    path = np.round(length * (1 - (low + half + part * (high - low - 2 * half))) / mm * 2) / 2 * mm
+    path = np.round(length * (1 - (low + half + part * (high - low - 2 * half))) / (mm / 2)) * (mm / 2)
     turned = radius * need.middle
     return {
         "muscle_length": length,
@@ -401,6 +398,11 @@ def _pulley_grid(make: Make, need: Requirement) -> dict[str, Floats]:
         "path1.rest_length": path - turned,
         "path2.rest_length": path + turned,
     }
+
+
+def _rounded(lengths: Floats, step: float) -> Floats:
+    """Different multiples of a step next to lengths, ascending."""
+    return np.unique(np.round(lengths / step) * step)
 
 
 def _candidate(
@@ -412,7 +414,7 @@ def _candidate(
     need: Requirement,
 ) -> Candidate:
     """Torque, stiffness and air supply of a joint with chosen lengths."""
-    angles = np.linspace(need.angles[0], need.angles[1], _RESULT_ANGLES)
+    angles = np.linspace(need.angles[0], need.angles[1], _ANGLES)
     plants = [with_lengths(_template(joint, need, 1 + part * uncertainty), lengths) for part in (-1, 0, 1)]
     stiffness, torque = [], []
     for plant in plants:
@@ -437,7 +439,7 @@ def _reference(need: Requirement, plant: JointPlant) -> Reference:
         low, high = need.stiffness
         held: Signal = Constant(low) if low == high else Ramp(low, high, start=need.cycle, duration=need.cycle)
         return Reference(angle=angle, stiffness=held)
-    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _KNOTS + 1)
+    times = np.linspace(0.0, _CYCLES * need.cycle, _CYCLES * _SAMPLES + 1)
     motion = reference_trajectory(Reference(angle=angle, stiffness=0.0), times, smoothing=0.0)
     torque = plant.load.required_torque(motion.angle, motion.velocity, motion.acceleration)
     low, high = plant.joint.attainable_stiffness(motion.angle, torque, minimum_tension=_TENSION)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.attainable import cocontraction_segment, is_affine
+from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
@@ -25,8 +26,6 @@ Values = NDArray[np.float64]
 SEGMENT_MARGIN = 1e-9  # of a segment of tensions: at its end a muscle is slack
 _SCAN_POINTS = 41  # along the segment of a joint whose stiffness is not affine in tension
 _ANGLE_LIMIT = 80 * deg
-_TABLE_STEPS = (0.25, 0.5, 1.0, 2.0, 2.5, 5.0, 10.0, 20.0)  # deg
-_TABLE_ROWS = 11
 
 
 class AttainableRange(NamedTuple):
@@ -43,11 +42,6 @@ class AttainableRange(NamedTuple):
     def violation(self, value: Values) -> Values:
         """Distance of a value from the range: 0 inside, NaN where nothing is attainable."""
         return distance_from(*self, value)
-
-    def shrunk(self, fraction: float) -> AttainableRange:
-        """The range reduced by a fraction of its width at either end."""
-        margin = fraction * self.width
-        return AttainableRange(self.lowest + margin, self.highest - margin)
 
 
 @dataclass(frozen=True)
@@ -84,14 +78,10 @@ class StaticEnvelope:
         """Mask of the static angles, shape (angles,)."""
         return (self.angles >= self.angle_min) & (self.angles <= self.angle_max)
 
-    def table_rows(self) -> NDArray[np.int_]:
-        """Indices of at most 11 round angles within the static range; empty if there is none."""
-        if not self.exists:
-            return np.empty(0, int)
-        inside = (self.angles >= self.angle_min - 1e-9) & (self.angles <= self.angle_max + 1e-9)
-        degrees = self.angles / deg
-        selections = (inside & (np.abs(degrees / step - np.round(degrees / step)) < 1e-6) for step in _TABLE_STEPS)
-        return next((at for chosen in selections if len(at := np.flatnonzero(chosen)) <= _TABLE_ROWS), np.empty(0, int))
+    def table_rows(self, count: int = 11) -> NDArray[np.int_]:
+        """Indices of some angles, evenly spaced over the static range; empty if there is none."""
+        inside = np.flatnonzero(self.inside)
+        return inside[evenly_spaced(inside.size, min(count, inside.size))]
 
 
 def scan_points(affine: bool) -> Values:

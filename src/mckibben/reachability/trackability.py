@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from mckibben.control import Reference, Step
+from mckibben.control import Reference
 from mckibben.errors import RangeError
 from mckibben.joint.attainable import cocontraction_segment, is_affine, leaves_domain
 from mckibben.numerics.calculus import evenly_spaced
@@ -24,20 +24,17 @@ from mckibben.reachability.trajectory import (
     breakpoints,
     is_near,
     reference_trajectory,
-    smoothed,
 )
 from mckibben.result import Result
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.feasibility import shortcomings, static_bands
-from mckibben.simulation.problem import sampled_signal, sampling_times
-from mckibben.units import deg
+from mckibben.simulation.problem import sampling_times
 
 MAX_SMOOTHING = 0.25
 """s: widest smoothing of a jump or corner before it counts as not trackable."""
 
 _MIN_SMOOTHING = 4e-3  # s
 _SMOOTHING_TRIALS = 13  # geometric series: a wider kernel may do worse where samples move fast
-_DENSE = 20  # corners: with more, the samples describe a smooth signal
 _MAX_SCANNED = 400  # samples, if stiffness or commands have to be scanned
 _PRESSURE_TOLERANCE = 1e-3  # Pa
 
@@ -142,8 +139,6 @@ class Trackability(Result):
         Times of jumps and corners [s].
     smoothing_sufficient
         Whether they are trackable when smoothed.
-    deviation
-        Largest deviation of the angle due to smoothing, away from jumps [rad].
     cause
         The muscle that leaves its domain at the first angle that cannot be held, if one does.
     """
@@ -152,7 +147,6 @@ class Trackability(Result):
     bands: StiffnessBands
     breakpoints: Values
     smoothing_sufficient: bool
-    deviation: float
     cause: str = ""
 
     @property
@@ -166,45 +160,32 @@ class Trackability(Result):
         return not self.violated.any()
 
     def verdict(self) -> str:
-        """Verdict in words: which condition is violated, when and by how much."""
-        bands, desired = self.bands, self.trajectory.stiffness
-        static, dynamic, limited = (b.violation(desired) for b in (bands.static, bands.dynamic, bands.rate_limited))
-        sentences = []
-        at_rest = ~(static == 0) & ~(dynamic == 0)
-        if at_rest.any():
-            violations = self._violations(bands.static, static, at_rest)
-            sentences += filter(None, [f"not even statically trackable: {violations}", self.cause])
-        moving = (static == 0) & ~(dynamic == 0)
-        if moving.any():
-            most = float(np.abs(bands.torque[moving]).max())
-            violations = self._violations(bands.dynamic, dynamic, moving)
-            sentences.append(f"with the torque of the motion, up to {most:.3g} N*m: {violations}")
-        slow = (dynamic == 0) & ~(limited == 0)
-        if slow.any():
-            sentences.append(f"at the rate limit of the valves: {self._violations(bands.rate_limited, limited, slow)}")
+        """Whether, and if not when and by how much, the reference leaves each band."""
+        desired, bands = self.trajectory.stiffness, self.bands
+        static, dynamic, limited = (~(band.violation(desired) == 0) for band in bands[1:])
+        torque = f"with the torque of the motion, up to {np.abs(bands.torque).max():.3g} N*m"
+        stages = (
+            ("not even statically trackable", bands.static, static & dynamic),
+            (torque, bands.dynamic, ~static & dynamic),
+            ("at the rate limit of the valves", bands.rate_limited, ~dynamic & limited),
+        )
+        sentences = [f"{stage}: {self._violations(band, where)}" for stage, band, where in stages if where.any()]
+        sentences += [self.cause] if self.cause and (static & dynamic).any() else []
         if not sentences:
-            only_moving = ~(static == 0)
-            statically = "" if only_moving.any() else "statically, "
-            sentences.append(f"trackable throughout: {statically}dynamically and within the rate limit of the valves")
-            if only_moving.any():
-                sentences.append(f"for {only_moving.mean():.0%} of the run dynamically only, not statically")
-        return "; ".join(sentences) + self._smoothing()
+            part = "" if static.any() else "statically, "
+            sentences.append(f"trackable throughout: {part}dynamically and within the rate limit of the valves")
+            sentences += [f"for {static.mean():.0%} of the run dynamically only, not statically"] * bool(static.any())
+        return "; ".join(sentences + self._smoothing())
 
-    def _smoothing(self) -> str:
-        if not self.breakpoints.size:
-            return ""
-        width = f"{self.trajectory.smoothing * 1e3:.3g} ms"
-        count = self.breakpoints.size
-        what = f"jump or corner at {self.breakpoints[0]:.3g} s" if count == 1 else f"{count} corners"
-        what = "samples" if count > _DENSE else what
-        if not self.smoothing_sufficient:
-            return f"; {what} not trackable even when smoothed over {width}"
-        moved = f", angle changed by up to {self.deviation / deg:.2g} deg" if self.deviation > 0.005 * deg else ""
-        return f"; {what} smoothed over {width}{moved}"
+    def _smoothing(self) -> list[str]:
+        count, width = self.breakpoints.size, f"{self.trajectory.smoothing * 1e3:.3g} ms"
+        text = "smoothed over" if self.smoothing_sufficient else "not trackable even when smoothed over"
+        corners = f"jump or corner at {self.breakpoints[0]:.3g} s" if count == 1 else f"{count} corners"
+        return [f"{corners} {text} {width}"] if count else []
 
-    def _violations(self, band: AttainableRange, violation: Values, where: NDArray[np.bool_]) -> str:
-        """Violations of a band at the given samples, with their times and sizes."""
-        reference, missing = self.trajectory, np.where(where, violation, 0.0)
+    def _violations(self, band: AttainableRange, where: NDArray[np.bool_]) -> str:
+        """Violations of a band at some samples, with their times and sizes."""
+        reference, missing = self.trajectory, np.where(where, band.violation(self.trajectory.stiffness), 0.0)
         run = reference.times, reference.angle, reference.stiffness, band.lowest, band.highest
         failure = f"{'the joint cannot' if self.cause else 'no pressures within limits'} give the torque"
         return " and ".join(shortcomings(*run, missing, failure))
@@ -316,12 +297,7 @@ class TrackabilityChecker:
             raise RangeError(f"the smoothing is {smoothing:g} s", value=smoothing, lower=0.0, unit="s", remedy=remedy)
         width, sufficient = self.smoothing_for(reference) if smoothing is None else (smoothing, True)
         trajectory = self.trajectory(reference, width)
-        at = self.breakpoints(reference)
-        angle = sampled_signal(reference.angle, trajectory.times)
-        jumps = breakpoints(reference.angle, self.times) if isinstance(reference.angle, Step) else np.empty(0)
-        change = np.abs(smoothed(reference.angle, self.times, width)[self.checked] - angle) if at.size else 0 * angle
-        deviation = float(np.max(change, where=~is_near(trajectory.times, jumps, width), initial=0.0))
         bands = bands_along(self.plant, trajectory)
         unheld = np.isnan(bands.static.lowest) & np.isnan(bands.dynamic.lowest)
         cause = leaves_domain(self.plant.supplied_joint, trajectory.angle, unheld)
-        return Trackability(trajectory, bands, at, sufficient, deviation, cause)
+        return Trackability(trajectory, bands, self.breakpoints(reference), sufficient, cause)
