@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from mckibben.joint import AntagonisticJoint
 from mckibben.joint.antagonistic import SMALL_MOTION
 from mckibben.joint.attainable import cocontraction_segment, is_affine
-from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
 from mckibben.plant import JointPlant
@@ -78,10 +77,11 @@ class StaticEnvelope:
         """Mask of the static angles, shape (angles,)."""
         return (self.angles >= self.angle_min) & (self.angles <= self.angle_max)
 
-    def table_rows(self, count: int = 11) -> NDArray[np.int_]:
-        """Indices of some angles, evenly spaced over the static range; empty if there is none."""
+    def table_rows(self) -> NDArray[np.int_]:
+        """Indices of about ten whole angles [deg] of the static range, 0 deg among them; empty if there is none."""
         inside = np.flatnonzero(self.inside)
-        return inside[evenly_spaced(inside.size, min(count, inside.size))]
+        degrees = np.round(self.angles[inside] / deg, 6)
+        return inside[degrees % max(math.ceil(np.ptp(degrees) if degrees.size else 0.0 / 10), 1) == 0]
 
 
 def scan_points(affine: bool) -> Values:
