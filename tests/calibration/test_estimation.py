@@ -1,9 +1,7 @@
 """Calibration on recordings that obey the equation of motion of a known joint exactly, but for noise."""
 
 import dataclasses
-from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,17 +9,12 @@ import pytest
 from mckibben import catalog
 from mckibben.calibration import JointCalibration, JointEstimate, JointPrior, JointRecording, calibrate_joint
 from mckibben.calibration.equations import derivatives, halves_of, parameters, problem_of
-from mckibben.calibration.experiment import with_fits
-from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError, ScenarioError
-from mckibben.identification import identify
 from mckibben.joint import PendulumLoad, ScaledArms
-from mckibben.muscle import ExponentialLaw, ForceCorrection, corrected_law
+from mckibben.muscle import ForceCorrection, corrected_law
 from mckibben.numerics.compiled import jit, numeric
-from mckibben.scenario import Scenario
 from mckibben.units import deg
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
 pytestmark = pytest.mark.usefixtures("optimized")
 NOISE = 2e3  # Pa
 DISTANCE, GRAVITY = 0.2, 9.81
@@ -209,38 +202,6 @@ def test_a_misfit_is_remarked_and_widens_all_deviations(recorded, with_weight):
     assert found.stiffness(0.0, pair)[1] > 3 * with_weight.stiffness(0.0, pair)[1]
 
 
-@pytest.mark.slow
-def test_the_covariance_of_a_fit_is_that_of_the_law_before(recorded, tmp_path):
-    rng, law = np.random.default_rng(3), knee().muscle1.law
-    contraction, pressure = (one.ravel() for one in np.meshgrid(np.linspace(0.0, 0.2, 9), np.linspace(1e5, 6e5, 6)))
-    force = law.force(contraction, pressure) + 8 * rng.standard_normal(contraction.size)
-    fit = identify(
-        ExponentialLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.maximum(force, 0.0))
-    )
-    fit.to_yaml(tmp_path / "fit.yaml")
-    text = EXAMPLE.read_text(encoding="utf-8").replace("law: lei-mas-10-180n", "law: fit.yaml")
-    found = with_fits(Scenario.parse(text, folder=tmp_path), JointPrior()).fits
-    assert [one.law for one in found] == [fit.law, fit.law]
-    joint = dataclasses.replace(knee(), muscle1=dataclasses.replace(knee().muscle1, law=fit.law))
-    prior = JointPrior(strength=0.002, offset=0.002, zero=1e-6, arm_scale=1e-6, fits=(fit, None))
-    problem = problem_of(joint, LOAD, [halves_of(recorded[0][0])], prior)
-    count = parameters(problem)
-    before = JointCalibration({}, joint, LOAD, (), problem, np.zeros(count), np.eye(count), 0.0, 0.0)
-    angle, pair = np.array([-0.05, 0.0, 0.08]), (np.full(3, 4.7e5), np.full(3, 4.9e5))
-
-    @jax.jit
-    @jax.vmap
-    def stiffness(values):
-        drawn = dataclasses.replace(fit.law, **dict(zip(fit.estimates, values, strict=True)))
-        return dataclasses.replace(joint, muscle1=dataclasses.replace(joint.muscle1, law=drawn)).evaluate(angle, pair)[
-            1
-        ]
-
-    draws = rng.multivariate_normal(list(fit.estimates.values()), fit.robust_covariance, 200)
-    expected = np.std(np.asarray(stiffness(draws)), axis=0)
-    assert before.prior_stiffness(angle, pair)[1] == pytest.approx(expected, rel=0.2)
-
-
 def test_nothing_to_calibrate_from():
     with pytest.raises(IdentificationError):
         calibrate_joint(knee(), PendulumLoad(mass=0.3, length=0.2), [], JointPrior())
@@ -273,6 +234,6 @@ def test_a_prior_is_read_from_a_file_with_units(tmp_path):
 
 @pytest.mark.parametrize(("scale", "named"), [(0.93, True), (0.97, False)])
 def test_moment_arms_that_contradict_their_prior_are_named(scale, named):
-    quantities = {"arm_scale": JointEstimate(scale, 0.005, 0.02, "1")}
+    quantities = {"arm_scale": JointEstimate(scale, 0.005, 0.02, "1", expected=1.0)}
     found = JointCalibration(quantities, knee(), LOAD, (), None, np.zeros(1), np.eye(1), 0.0, 0.0)
     assert ("arm_scale" in {remark.field for remark in found.remarks()}) == named

@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,9 +26,6 @@ from mckibben.numerics.compiled import jit, numeric
 from mckibben.simulation.engine import BatchFunction
 from mckibben.units import Quantity, Strength, deg, kPa, mm
 
-if TYPE_CHECKING:
-    from mckibben.identification.fit import Fit
-
 Floats = NDArray[np.float64]
 Samples = Floats | Array
 Number = float | np.float64 | Array
@@ -42,7 +39,6 @@ OF_MUSCLE = 2 * COEFFICIENTS + 2  # parameters: these, friction and presliding
 _BEYOND = 1.2  # half width of the corrections relative to the measured contractions
 _SLIDING = 6.0  # presliding lengths of travel after which the initial friction state is forgotten
 _BAND, _PRESLIDING = 0.02, 2e-3  # friction if the model has none, relative to highest force and initial length
-LEAST_FRICTION = 0.01  # half width relative to the model
 CREEP_TIMES = np.array([1.0, 3.0, 10.0])  # s, of the Maxwell arms of each muscle
 _SHARED = 6  # parameters: the load's mass, the weight, zero, arms, and both load cells
 
@@ -87,7 +83,7 @@ class JointPrior(Checked):
         Pressure-proportional and constant part of a muscle's force, relative to the law's force at its highest pressure
         and the middle contraction; halved for each further power of contraction.
     friction, presliding
-        Half width of the friction band, relative, and logarithm of the presliding length.
+        Logarithms of the half width of the friction band, and of the presliding length.
     creep
         Stiffness of creep relative to the slope of the law: total of three Maxwell arms of 1, 3 and 10 s.
     mass
@@ -106,9 +102,6 @@ class JointPrior(Checked):
     volume, pressure_zero
         For `calibrate_valves`: volume of the air in the muscles, relative; reading of the pressure sensors at 0 bar
         [Pa].
-    fits
-        Fits behind the laws of muscles 1 and 2, if any: their covariance is added to `strength` and `offset`, which
-        then describe the scatter between the tested muscles and those of the joint.
     """
 
     strength: Strength = 0.1
@@ -131,7 +124,6 @@ class JointPrior(Checked):
     critical_ratio: Strength = 0.3
     volume: Strength = 0.05
     pressure_zero: PositiveNoise = 1 * kPa
-    fits: tuple[Any, Any] = (None, None)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> JointPrior:
@@ -165,7 +157,6 @@ class CalibrationProblem(NamedTuple):
     half_width: tuple[float, ...]
     pressure: tuple[float, ...]  # mean of the measured pressures [Pa]
     creep: tuple[float, ...]  # standard deviation of its stiffness [N/m]
-    laws: tuple[Floats, ...]  # Cholesky factor of the covariance of its correction, in prior standard deviations
     prior: dict[str, float]
 
 
@@ -261,17 +252,13 @@ def problem_of(
         warn_outside((muscle, middle, most))
         creep = prior.creep * abs(slope) / float(muscle.specimen.initial_length)
         mean = float(np.mean([half.pressures[len(scales)].mean() for half, _ in recordings]))
-        half_width = _BEYOND * (high - low) / 2
-        factor = _law_factor(prior, prior.fits[len(scales)], muscle, force, middle, half_width)
-        scales.append((force, most, middle, half_width, mean, creep, factor))
+        scales.append((force, most, middle, _BEYOND * (high - low) / 2, mean, creep))
         if not (spring or muscle.has_friction):
             band = MaxwellSlip(_BAND * force, _PRESLIDING * float(muscle.specimen.initial_length))
             muscle = dataclasses.replace(muscle, friction=band)
         muscles.append(muscle)
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    deviations = {field.name: getattr(prior, field.name) for field in dataclasses.fields(prior) if field.name != "fits"}
-    force, highest, centre, half_width, pressure, creep, laws = zip(*scales, strict=True)
-    return CalibrationProblem(joint, load, force, highest, centre, half_width, pressure, creep, laws, deviations)
+    return CalibrationProblem(joint, load, *zip(*scales, strict=True), prior=dataclasses.asdict(prior))
 
 
 def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
@@ -285,25 +272,6 @@ def _sweep(muscle: Muscle, longest: ArrayLike, shortest: ArrayLike) -> tuple[Arr
     low, high = muscle.specimen.contraction_at(longest), muscle.specimen.contraction_at(shortest)
     at = (low + high) / 2, muscle.domain.pressure_max
     return low, high, muscle.tension(*at), muscle.slope(*at)
-
-
-def _law_factor(
-    prior: JointPrior, fit: Fit | None, muscle: Muscle, force: float, centre: float, half_width: float
-) -> Floats:
-    """Cholesky factor of the covariance of a correction: from the prior, and from a fit projected on it."""
-    covariance = np.eye(2 * COEFFICIENTS)
-    if fit is not None:
-        from mckibben.identification.least_squares import force_gradients
-
-        v, p = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 9), np.linspace(0, 1, 7)))
-        powers = np.array([(v / 2) ** i for i in range(COEFFICIENTS)]) * force
-        corrections = np.vstack([prior.offset * powers, prior.strength * p * powers]).T
-        most = float(muscle.domain.pressure_max)
-        strength = float(muscle.law.force(centre, most) / fit.law.force(centre, most))
-        gradients = strength * force_gradients(fit.law, list(fit.estimates), centre + half_width * v, most * p)
-        projected = np.linalg.pinv(corrections) @ gradients
-        covariance = covariance + projected @ fit.robust_covariance @ projected.T
-    return np.asarray(np.linalg.cholesky(covariance), float)
 
 
 def muscle_parameters(problem: CalibrationProblem) -> int:
@@ -321,11 +289,6 @@ def creep_begin(problem: CalibrationProblem) -> int:
     return muscle_parameters(problem) + _SHARED
 
 
-def friction_places(problem: CalibrationProblem) -> slice:
-    """Indices of the friction half widths among the parameters."""
-    return slice(2 * COEFFICIENTS, muscle_parameters(problem), OF_MUSCLE)
-
-
 def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
     """The model for parameters in prior standard deviations from their prior mean."""
     prior, joint, load = problem.prior, problem.joint, problem.load
@@ -336,7 +299,6 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
             muscles.append(muscle)
             continue
         values, force = next(own), problem.force[i]
-        values = jnp.concatenate([problem.laws[i] @ values[: 2 * n], values[2 * n :]])
         correction = ForceCorrection(
             tuple(values[:n] * shrink * (prior["offset"] * force)),
             tuple(values[n : 2 * n] * shrink * (prior["strength"] * force / problem.highest[i])),
@@ -346,7 +308,7 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
         friction: Any = muscle.friction
         friction = dataclasses.replace(
             friction,
-            half_width=friction.half_width * jnp.maximum(1 + prior["friction"] * values[2 * n], LEAST_FRICTION),
+            half_width=friction.half_width * jnp.exp(prior["friction"] * values[2 * n]),
             presliding_length=friction.presliding_length * jnp.exp(prior["presliding"] * values[2 * n + 1]),
         )
         muscles.append(dataclasses.replace(muscle, law=corrected_law(muscle.law, correction), friction=friction))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -16,7 +15,6 @@ from scipy.special import chdtri
 
 from mckibben.calibration.equations import (
     COEFFICIENTS,
-    LEAST_FRICTION,
     OF_MUSCLE,
     RATE,
     CalibrationProblem,
@@ -27,7 +25,6 @@ from mckibben.calibration.equations import (
     corrected,
     creep_begin,
     creep_stiffness,
-    friction_places,
     halves_of,
     linearised,
     muscle_parameters,
@@ -35,7 +32,14 @@ from mckibben.calibration.equations import (
     problem_of,
     sliding_from,
 )
-from mckibben.calibration.fitting import UNEXPLAINED, Calibration, JointEstimate, correlation_time, variance_of
+from mckibben.calibration.fitting import (
+    UNEXPLAINED,
+    Calibration,
+    JointEstimate,
+    correlation_time,
+    remembered,
+    variance_of,
+)
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
@@ -46,17 +50,15 @@ from mckibben.result import Remark, column
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], until residuals are available
 _LEAST_VARIANCE = 1e-8
-_INSIDE = 1e-6  # prior standard deviations from an estimate to its bound, for derivatives
 _NEGLIGIBLE = 1e-3  # ratio of residual to highest torque up to which a misfit is irrelevant
 _CONTRADICTION = 1e-6  # prior probability of estimates as far from the model
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
-CONFLICT = 2.5
-"""Prior standard deviations from the first model above which a quantity is named."""
 _APART = 100  # samples, of the stiffness along recordings
 _EXPECTED = {"added_mass": 1.0, "zero": 0.0, "arm_scale": 1.0}
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, -4.0)  # prior standard deviations of the muscles' strength
 _EXCHANGES = (0.35, -0.35)  # of the friction of muscle 1; the opposite of muscle 2, and of the presliding lengths
-_FIRST, _STAGES, _ITERATIONS, _TOLERANCE = 8, 3, 25, 1e-3
+_FIRST, _STAGES, _ITERATIONS = 8, 3, 25
+_TOLERANCE = 1e-2  # of the gradient, per prior standard deviation
 _FARTHEST = 2.0  # prior standard deviations, of a step
 _UNITS = {"friction": "N", "presliding": "m", "creep": "N/m", "mass": "kg", "zero": "rad"}  # of quantities; else "1"
 
@@ -108,21 +110,12 @@ class CalibratedJoint(Calibration):
         return f"stiffness: standard deviation {after:.2g} N*m/rad, {before:.2g} before; {super().verdict()}"
 
     def remarks(self) -> list[Remark]:
-        """Contradictions of model and recordings, and quantities that are far from the model or not determined."""
+        """Contradictions of model and recordings, and quantities that are far from the model."""
         remarks, distance = [], float(self._estimate @ self._estimate)
         if distance > chdtri(self._estimate.size, _CONTRADICTION):
             text = f"the recordings contradict the model: it is too far from the estimates (chi-squared {distance:.3g})"
             remarks.append(Remark.warning("quantities", text, _CHECK))
-        weighted = any(recording.added_mass for recording in self.recordings)
-        for name, estimate in self.quantities.items():
-            distance = abs(estimate.value - _EXPECTED.get(name, math.nan)) / estimate.prior
-            if distance > CONFLICT:
-                text = f"{name} is {distance:.1f} prior standard deviations from the model: {estimate}"
-                remedy = "check the weight, the dimensions of the joint and the encoder"
-                remarks.append(Remark.warning(name, text, remedy))
-            if not estimate.determined and (weighted or name != "added_mass"):
-                remarks.append(Remark.note(name, f"not determined by the recordings: {name}, {estimate}"))
-        return remarks
+        return remarks + super().remarks()
 
 
 class JointCalibration(CalibratedJoint):
@@ -228,7 +221,8 @@ def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Flo
         deviation = _deviation(np.asarray(slope[name]), covariance)
         wide = _deviation(np.asarray(before[name]), np.eye(estimate.size))
         unit = _UNITS.get(name.rpartition(".")[2], "1")
-        estimates[name] = JointEstimate(float(value[name]), float(deviation), float(wide), unit)
+        numbers = float(value[name]), float(deviation), float(wide)
+        estimates[name] = JointEstimate(*numbers, unit, expected=_EXPECTED.get(name))
     return estimates
 
 
@@ -325,8 +319,6 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[F
         means, apart = ([(a + sign * b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)] for sign in (1, -1))
         variances = np.array([max(variance_of([mean[:, i] for mean in means]), _LEAST_VARIANCE) for i in range(groups)])
     residual, noise = (float(np.sqrt(np.mean(np.concatenate(errors)[:, 0] ** 2))) for errors in (means, apart))
-    bands = friction_places(problem)  # at the bound there is no derivative; the covariance is taken at its edge
-    z[bands] = np.maximum(z[bands], (LEAST_FRICTION - 1) / problem.prior["friction"] + _INSIDE)
     _, gradients, curvature = data(z)
     inverse = np.asarray(np.linalg.inv(curvature + np.eye(count)), float)
     time = float(np.mean([correlation_time(errors[:, i]) for errors in means for i in range(groups)]))
@@ -362,27 +354,8 @@ def _minimised(
     """Minimum, and its value, of an objective with its gradient and second derivatives (trust region)."""
     from scipy.optimize import minimize  # 0.2 s
 
-    last: dict[bytes, tuple[float, Floats, Floats]] = {}
-    path = [z]
-
-    def at(z: Floats) -> tuple[float, Floats, Floats]:
-        if z.tobytes() not in last:
-            last.clear()
-            last[z.tobytes()] = terms(z)
-        return last[z.tobytes()]
-
-    def settled(z: Floats) -> None:
-        path.append(z)
-        if 0 < np.abs(z - path[-2]).max() < _TOLERANCE:
-            raise StopIteration
-
-    fit = minimize(
-        lambda z: at(z)[0],
-        z,
-        jac=lambda z: at(z)[1],
-        hess=lambda z: at(z)[2],
-        method="trust-exact",
-        callback=settled,
-        options={"maxiter": most, "max_trust_radius": _FARTHEST},
-    )
+    at = remembered(terms)
+    options = {"maxiter": most, "max_trust_radius": _FARTHEST, "gtol": _TOLERANCE}
+    derivatives = {"jac": lambda z: at(z)[1], "hess": lambda z: at(z)[2]}
+    fit = minimize(lambda z: at(z)[0], z, method="trust-exact", options=options, **derivatives)
     return fit.x, float(fit.fun)

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
@@ -16,7 +17,7 @@ from jaxtyping import Array, ArrayLike
 from mckibben.calibration.equations import JointPrior, JointRecording, Samples, path_lengths, sliding_length
 from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
-from mckibben.component.schema import ENDINGS, independent, inherited_fields, origin_of, replaced, write_text
+from mckibben.component.schema import independent, inherited_fields, replaced, write_text
 from mckibben.control import Controller, Multisine, Reference, Sine
 from mckibben.errors import ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
@@ -303,18 +304,6 @@ def read_joint_recording(
     )
 
 
-def with_fits(scenario: Scenario, prior: JointPrior) -> JointPrior:
-    """The prior with the fits behind the laws of the controller's model."""
-    model = first_model_of(scenario)
-    files = [origin_of(muscle.law) for muscle in (model.muscle1, model.muscle2)]
-    if not any(file.endswith(ENDINGS) for file in files):
-        return prior
-    from mckibben.identification.fit import find_fit  # 0.1 s
-
-    first, second = (find_fit(Path(file)) if file.endswith(ENDINGS) else None for file in files)
-    return replace(prior, fits=(first, second))
-
-
 def calibrate_scenario(
     scenario: Scenario,
     recordings: Sequence[JointRecording],
@@ -327,7 +316,6 @@ def calibrate_scenario(
     Recordings of commands that are `held_out` are simulated, but not fitted.
     """
     joint, load = first_model_of(scenario), load_of(scenario)
-    prior = with_fits(scenario, prior or JointPrior())
     kinds = {recording.commanded for recording in (*recordings, *held_out)}
     if len(kinds) > 1 or (held_out and kinds == {False}):
         remedy = "give recordings of one kind; only commands (columns command1_bar,command2_bar) can be held out"
@@ -345,7 +333,8 @@ def calibrate_scenario(
     else:
         fit = calibrate_joint(joint, load, recordings, prior)
     after = calibrated_scenario(scenario, fit)
-    writers = {"model.yaml": partial(write_model, scenario, fit), "scenario.yaml": after.to_yaml}
+    write_model = partial(write_section, calibrated_model(scenario, fit), _HEAD)
+    writers = {"model.yaml": write_model, "scenario.yaml": after.to_yaml}
     return replace(fit, writers=writers)
 
 
@@ -379,8 +368,8 @@ def calibrated_scenario(scenario: Scenario, fit: CalibratedJoint) -> Scenario:
     return scenario.model_copy(update={"controller": with_fields(independent(control), fields)})
 
 
-def write_model(scenario: Scenario, fit: CalibratedJoint, path: str | os.PathLike[str]) -> None:
-    """Write the section of the controller's model with the estimates, for ``model: FILE`` of a controller."""
-    text = write_text(calibrated_model(scenario, fit), folder=Path(path).parent)
-    with atomic_write(path, overwrite=True) as part:
-        part.write_bytes(sealed((_HEAD + text).encode()))
+def write_section(part: eqx.Module, comment: str, path: Path, *, base: type | None = None) -> None:
+    """Write a part of a scenario, such as ``model: FILE`` of a controller, below a comment."""
+    text = comment + write_text(part, folder=path.parent, base=base)
+    with atomic_write(path, overwrite=True) as file:
+        file.write_bytes(sealed(text.encode()))

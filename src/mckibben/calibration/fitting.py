@@ -6,20 +6,22 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import Minimum, least_squares
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.units import factor, show
 
 Floats = NDArray[np.float64]
 
-DETERMINED = 0.5
-"""Ratio of posterior to prior standard deviation below which a quantity counts as determined by the recordings."""
+CONFLICT = 2.5
+"""Prior standard deviations from the first model above which a quantity is named."""
 UNEXPLAINED = 2.0
 """Ratio of residual to noise above which a model does not describe the recordings."""
 SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3": "cm^3", "m^3/(s*Pa)": "L/(s*bar)"}
@@ -28,7 +30,9 @@ _NEGLIGIBLE = 2e-3  # ratio of residual to the highest pressure up to which a mi
 _INTERVAL = 1.96  # standard deviations to the bounds of a 95 % interval
 _LEAST_RECORDINGS = 3  # for their scatter
 _STAGES, _BRIEF, _EVALUATIONS = 3, 10, 60  # re-estimations of the variance; evaluations of a start and of a stage
+_TOLERANCE = 1e-7  # relative, of cost and parameters
 
+Answer = TypeVar("Answer")
 Linearised = Callable[[Floats], tuple[Floats, Floats]]
 """Errors, shape (samples,), and their derivatives, shape (samples, parameters), at parameters."""
 
@@ -38,6 +42,7 @@ class JointEstimate:
     """An estimated quantity in SI, with posterior and prior standard deviation.
 
     With `logarithmic` its logarithm is estimated, and the deviations are those of the logarithm times the value.
+    `expected` is its value in the first model, if the estimate is compared with it.
     """
 
     value: float
@@ -45,6 +50,15 @@ class JointEstimate:
     prior: float
     unit: str
     logarithmic: bool = False
+    expected: float | None = None
+
+    @property
+    def distance(self) -> float:
+        """Prior standard deviations between the estimate and its value in the first model."""
+        if self.expected is None:
+            return 0.0
+        ratio = self.value * math.log(self.value / self.expected) if self.logarithmic else self.value - self.expected
+        return abs(ratio) / self.prior
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -57,7 +71,7 @@ class JointEstimate:
     @property
     def determined(self) -> bool:
         """Whether the recordings determine it: its standard deviation is below half of the prior one."""
-        return self.deviation < DETERMINED * self.prior
+        return self.deviation < self.prior / 2
 
     def __str__(self) -> str:
         unit = SHOWN.get(self.unit, self.unit)
@@ -82,6 +96,18 @@ class Calibration(Result):
         """The determined quantities."""
         determined = [name for name, estimate in self.quantities.items() if estimate.determined]
         return f"determined: {', '.join(determined) or 'nothing'}"
+
+    def remarks(self) -> list[Remark]:
+        """Quantities that are more than 2.5 prior standard deviations from the first model."""
+        return [
+            Remark.warning(
+                name,
+                f"{name} is {estimate.distance:.1f} prior standard deviations from the model: {estimate}",
+                "check it in the model, the weight, the sensors, and the class of the valve",
+            )
+            for name, estimate in self.quantities.items()
+            if estimate.distance > CONFLICT
+        ]
 
     def listings(self) -> list[Listing]:
         """Declared numbers, and estimates with deviations in the unit of their row."""
@@ -109,6 +135,40 @@ def estimates_listing(quantities: Mapping[str, JointEstimate]) -> Listing:
         "upper": (Column(title="to"), scaled(upper)),
     }
     return Listing("calibration", columns)
+
+
+class Parameter(NamedTuple):
+    """Uncertain quantity: its prior median, and the standard deviation of its logarithm, or of itself."""
+
+    name: str
+    unit: str
+    median: float
+    deviation: float
+    logarithmic: bool = True
+
+    def at(self, z: Any) -> Any:
+        """Value at a number of prior standard deviations."""
+        return self.median * jnp.exp(self.deviation * z) if self.logarithmic else self.median + self.deviation * z
+
+    def estimate(self, z: float, deviation: float) -> JointEstimate:
+        """Estimate from the number of prior standard deviations and its standard deviation."""
+        value = float(self.at(z))
+        prior = abs(value) * self.deviation if self.logarithmic else self.deviation
+        expected = self.median if self.logarithmic else None
+        return JointEstimate(value, prior * deviation, prior, self.unit, self.logarithmic, expected)
+
+
+def remembered(function: Callable[[Floats], Answer]) -> Callable[[Floats], Answer]:
+    """A function that remembers its last answer, as solvers ask for values and derivatives one after the other."""
+    last: dict[bytes, Answer] = {}
+
+    def at(z: Floats) -> Answer:
+        if z.tobytes() not in last:
+            last.clear()
+            last[z.tobytes()] = function(z)
+        return last[z.tobytes()]
+
+    return at
 
 
 class OutputErrorFit(NamedTuple):
@@ -140,8 +200,8 @@ def fit_output_error(
 
     .. math:: \frac{1}{\sigma^2} \sum_k e_k(z)^2 + \sum_i w_i z_i^2
 
-    by `scipy.optimize.least_squares` (trust region), with sigma^2 the variance of the residuals times their correlation
-    time, re-estimated three times.
+    by `least_squares` of `mckibben.identification.estimator`, with sigma^2 the variance of the residuals times their
+    correlation time, re-estimated three times.
 
     Parameters
     ----------
@@ -168,37 +228,29 @@ def fit_output_error(
     L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (output-error models).
     """
     weights = np.sqrt(prior * np.ones(starts[0].size))
-    lower = np.where(positive, 0.0, -np.inf) if positive is not None else -np.inf
+    lower = np.where(np.zeros(weights.size, bool) if positive is None else positive, 0.0, -np.inf)
     edges = np.cumsum(sizes)[:-1]
 
-    def search(z: Floats, variance: float, evaluations: int) -> Any:
-        from scipy.optimize import least_squares  # 0.2 s
-
-        last: dict[bytes, tuple[Floats, Floats]] = {}
-
+    def search(z: Floats, variance: float, evaluations: int) -> Minimum:
+        @remembered
         def at(z: Floats) -> tuple[Floats, Floats]:
-            if z.tobytes() not in last:
-                error, slope = linearised(z)
-                last.clear()
-                last[z.tobytes()] = (
-                    np.concatenate([error / math.sqrt(variance), weights * z]),
-                    np.concatenate([slope / math.sqrt(variance), np.diag(weights)]),
-                )
-            return last[z.tobytes()]
+            error, slope = linearised(z)
+            stacked = np.concatenate([error / math.sqrt(variance), weights * z])
+            return stacked, np.concatenate([slope / math.sqrt(variance), np.diag(weights)])
 
-        bounds = (lower, np.inf)
+        bounds = lower, np.full(z.size, np.inf)
         return least_squares(
-            lambda z: at(z)[0], z, lambda z: at(z)[1], bounds, x_scale="jac", xtol=1e-6, max_nfev=evaluations
+            lambda z: at(z)[0], z, lambda z: at(z)[1], bounds, tolerance=_TOLERANCE, evaluations=evaluations
         )
 
     finite = [z for z in starts if all(np.isfinite(part).all() for part in linearised(z))]
     if not finite:
         raise IdentificationError("the simulated model diverges", remedy="give a model closer to the recordings")
     evaluations = _BRIEF if len(finite) > 1 else _EVALUATIONS
-    z = min((search(z, variance, evaluations) for z in finite), key=lambda fit: fit.cost).x
+    z = min((search(z, variance, evaluations) for z in finite), key=lambda fit: fit.cost).values
     error = slope = np.zeros(0)
     for _ in range(_STAGES):
-        z = search(z, variance, _EVALUATIONS).x
+        z = search(z, variance, _EVALUATIONS).values
         error, slope = linearised(z)
         variance = max(variance_of(np.split(error, edges)), least)
     hessian = slope.T @ slope / variance + np.diag(weights**2)

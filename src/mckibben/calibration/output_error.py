@@ -12,11 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
+from numpy.typing import NDArray
 
 from mckibben.actuator import FirstOrderValve
 from mckibben.calibration.equations import (
-    COEFFICIENTS,
-    OF_MUSCLE,
     CalibrationProblem,
     Floats,
     JointPrior,
@@ -26,17 +25,12 @@ from mckibben.calibration.equations import (
     Samples,
     check_recording,
     corrected,
+    creep_begin,
     muscle_parameters,
     problem_of,
 )
 from mckibben.calibration.estimation import STARTS, CalibratedJoint, number, quantities_of, start
-from mckibben.calibration.fitting import (
-    JointEstimate,
-    OutputErrorFit,
-    Scatter,
-    fit_output_error,
-    scatter_between,
-)
+from mckibben.calibration.fitting import OutputErrorFit, Parameter, Scatter, fit_output_error, scatter_between
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
@@ -58,16 +52,7 @@ _FIRST_VARIANCE, _LEAST_VARIANCE = 0.1**2, 1e-8  # rad^2
 _DIFFERS = 1e-3  # probability of a larger scatter between recordings
 _RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps; else its derivative is zero
 _STRENGTHS = 3  # starts
-_FRICTION = 2 * COEFFICIENTS  # index of the half width among a muscle's parameters
 _SHARED = 3  # parameters other than the muscles' shared with `corrected`: weight, zero and scale of the arms
-_OWN = {  # units, and fields of the prior
-    "valve.time_constant": ("s", "lag"),
-    "valve.rate": ("Pa/s", "rate"),
-    "delay": ("s", "delay"),
-    "load.damping": ("N*m*s/rad", "damping"),
-    "load.inertia": ("kg*m^2", "mass"),
-    "load.gravity_torque": ("N*m", "mass"),
-}
 
 
 class _Motion(NamedTuple):
@@ -106,12 +91,12 @@ class _Simulated(NamedTuple):
 
 
 class _Problem(NamedTuple):
-    """The model whose joint, load and weight `corrected` corrects, its valve, and prior medians of parameters."""
+    """The model whose joint, load and weight `corrected` corrects, its valve, and quantities of valve and load."""
 
     base: CalibrationProblem
     valve: FirstOrderValve
     friction: JointFriction | None
-    medians: tuple[float, ...]
+    parameters: tuple[Parameter, ...]
 
 
 class CommandedCalibration(CalibratedJoint):
@@ -235,15 +220,27 @@ def calibrate_from_commands(
     base = problem_of(joint, rigid, [(half, half) for half in samples], prior)
     damping = rigid.damping or rigid.inertia / _DAMPING_TIME
     rate = highest / valve.time_constant if valve.rate is None else valve.rate
-    medians = (valve.time_constant, rate, delay or _DELAY, damping, rigid.inertia, rigid.greatest_gravity_torque)
-    problem = _Problem(base, valve, friction, tuple(map(float, medians)))
+    own = (
+        Parameter("valve.time_constant", "s", float(valve.time_constant), prior.lag),
+        Parameter("valve.rate", "Pa/s", float(rate), prior.rate),
+        Parameter("delay", "s", delay or _DELAY, prior.delay),
+        Parameter("load.damping", "N*m*s/rad", float(damping), prior.damping),
+        Parameter("load.inertia", "kg*m^2", rigid.inertia, prior.mass),
+        Parameter("load.gravity_torque", "N*m", rigid.greatest_gravity_torque, prior.mass),
+    )
+    problem = _Problem(base, valve, friction, own)
     fit, covariance, scatter = _solve(problem, motions)
-    z = fit.z
-    full, slope = map(np.asarray, _full_and_slope(base, z))
-    wide = slope @ covariance @ slope.T + np.diag(1.0 * ~slope.any(axis=1))  # keeps what is not estimated
-    model = jax.tree.map(number, _model(problem, jnp.asarray(z)))
+    places = _places(base)
+    full, wide = np.zeros(creep_begin(base)), np.eye(creep_begin(base))  # the prior of what is not estimated
+    full[places], wide[np.ix_(places, places)] = fit.z[: -len(own)], covariance[: -len(own), : -len(own)]
+    model = jax.tree.map(number, _model(problem, jnp.asarray(fit.z)))
     plant, quantities = model.plant, quantities_of(base, full, wide)
-    quantities |= _own_quantities(problem, z, np.sqrt(np.diag(covariance)))
+    deviations = np.sqrt(np.diag(covariance))[-len(own) :]
+    quantities |= {
+        parameter.name: parameter.estimate(float(z), float(deviation))
+        for parameter, z, deviation in zip(own, fit.z[-len(own) :], deviations, strict=True)
+        if parameter.median
+    }
     return CommandedCalibration(
         quantities=quantities,
         joint=plant.joint,
@@ -257,7 +254,7 @@ def calibrate_from_commands(
         delay=model.delay,
         friction=plant.friction,
         _before=_Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
-        _scatter=_differing(scatter),
+        _scatter=_differing(own, scatter),
     )
 
 
@@ -333,30 +330,19 @@ def _angles(problem: _Problem, zs: ArrayLike, motion: _Motion, substeps: int) ->
         return jax.vmap(lambda z: _trajectory(_simulated_by(problem, z), motion, substeps))(zs)
 
 
-def _full(base: CalibrationProblem, z: Array) -> Array:
-    """Parameters of `corrected`, with the friction by its logarithm, and 0 for load mass and load cells."""
-    count, prior = muscle_parameters(base), base.prior["friction"]
-    muscles = z[:count].reshape(-1, OF_MUSCLE)
-    muscles = muscles.at[:, _FRICTION].set(jnp.expm1(prior * muscles[:, _FRICTION]) / prior).ravel()
-    return jnp.concatenate([muscles, jnp.zeros(1), z[count : count + _SHARED], jnp.zeros(2)])
-
-
-@jit
-def _full_and_slope(base: CalibrationProblem, z: Any) -> tuple[Array, Array]:
-    return _full(base, z), jax.jacfwd(lambda z: _full(base, z))(z)
-
-
-def _own_deviations(problem: _Problem) -> Array:
-    return jnp.stack([jnp.asarray(problem.base.prior[name]) for _, name in _OWN.values()])
+def _places(base: CalibrationProblem) -> NDArray[np.int_]:
+    """Indices of the estimated ones: those of the muscles, and weight, zero and scale of the arms."""
+    count = muscle_parameters(base)
+    return np.append(np.arange(count), count + 1 + np.arange(_SHARED))
 
 
 def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     """The model by parameters in prior standard deviations from their prior mean."""
     base, load = problem.base, problem.base.load
-    joint, _, added, zero, _ = corrected(base, _full(base, z))
-    factors = jnp.exp(_own_deviations(problem) * z[-len(_OWN) :])
-    own: list[Any] = [median * factors[i] for i, median in enumerate(problem.medians)]
-    lag, rate, delay, damping, inertia, gravity = own
+    own = len(problem.parameters)
+    joint, _, added, zero, _ = corrected(base, jnp.zeros(creep_begin(base)).at[_places(base)].set(z[:-own]))
+    values = [parameter.at(at) for parameter, at in zip(problem.parameters, z[-own:], strict=True)]
+    lag, rate, delay, damping, inertia, gravity = values
     load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)  # pyrefly: ignore[unexpected-keyword]
     valve = dataclasses.replace(problem.valve, time_constant=lag, rate=rate)
     return _Simulated(JointPlant(joint, load, valve, friction=problem.friction), delay, zero, added)
@@ -365,26 +351,15 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
 _model = jit(_simulated_by)
 
 
-def _own_quantities(problem: _Problem, z: Floats, deviation: Floats) -> dict[str, JointEstimate]:
-    prior, own = np.asarray(_own_deviations(problem)), len(_OWN)
-    rows = zip(_OWN.items(), problem.medians, prior, z[-own:], deviation[-own:], strict=True)
-    estimates = {}
-    for (name, (unit, _)), median, wide, at, narrow in rows:
-        value = median * math.exp(wide * at)
-        if median:
-            estimates[name] = JointEstimate(value, abs(value) * wide * float(narrow), abs(value) * wide, unit)
-    return estimates
-
-
-def _differing(scatter: Scatter) -> dict[str, float]:
+def _differing(own: Sequence[Parameter], scatter: Scatter) -> dict[str, float]:
     """Valve, delay and load that differ between the recordings by more than their intervals allow, and factors."""
-    rows = zip(_OWN, scatter.ratio[-len(_OWN) :], scatter.p_value[-len(_OWN) :], strict=True)
-    return {name: math.sqrt(ratio) for name, ratio, p_value in rows if p_value < _DIFFERS}
+    rows = zip(own, scatter.ratio[-len(own) :], scatter.p_value[-len(own) :], strict=True)
+    return {parameter.name: math.sqrt(ratio) for parameter, ratio, p_value in rows if p_value < _DIFFERS}
 
 
 def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[OutputErrorFit, Floats, Scatter]:
     """The fit, its covariance widened by the scatter between recordings, and this scatter."""
-    muscles, own = muscle_parameters(problem.base), len(_OWN)
+    muscles, own = muscle_parameters(problem.base), len(problem.parameters)
     count, substeps = muscles + _SHARED + own, _substeps(motions)
     padded, sizes = list(map(_padded, motions)), [motion.angle.size for motion in motions]
     measured = np.concatenate([motion.angle for motion in motions])
@@ -399,7 +374,7 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[OutputErrorFi
     def begin(strength: float) -> Floats:
         z = np.zeros(count)
         z[:muscles] = start(problem.base, strength)[:muscles]
-        z[list(_OWN).index("valve.rate") - own] = _RATE_START
+        z[muscles + _SHARED + 1] = _RATE_START
         return z
 
     fit = fit_output_error(linearised, [begin(s) for s in STARTS[:_STRENGTHS]], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE)

@@ -8,16 +8,22 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from mckibben.actuator import Actuator
 from mckibben.calibration.equations import Floats, JointPrior, JointRecording
-from mckibben.calibration.experiment import field_of, holds, load_of, model_of, recording_of, with_fields
+from mckibben.calibration.experiment import (
+    field_of,
+    holds,
+    load_of,
+    model_of,
+    recording_of,
+    with_fields,
+    write_section,
+)
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
-from mckibben.component.schema import write_text
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.joint import AntagonisticJoint
@@ -26,7 +32,6 @@ from mckibben.plant import JointPlant
 from mckibben.rig.bench import JointLimits
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult, simulate
-from mckibben.storage.files import atomic_write, sealed
 from mckibben.units import bar, deg
 
 _INSIDE = 0.05  # part of the stiffness range that is left out at both ends
@@ -189,8 +194,8 @@ def calibrate_scenario_valves(
     delay = field_of(scenario.control(), "command_delay") or scenario.command_delay
     valve = field_of(scenario.control(), "valve") or scenario.valve
     fit = calibrate_valves(model_of(scenario), valve, recordings, prior, delay=delay)
-    after = scenario_with_valves(scenario, fit)
-    writers = {"valve.yaml": partial(write_valve, scenario, fit), "scenario.yaml": after.to_yaml}
+    write_valve = partial(write_section, valve_for(scenario, fit), _HEAD, base=Actuator)
+    writers = {"valve.yaml": write_valve, "scenario.yaml": scenario_with_valves(scenario, fit).to_yaml}
     return dataclasses.replace(fit, writers=writers)
 
 
@@ -211,10 +216,3 @@ def valve_for(scenario: Scenario, fit: ValveCalibration) -> Actuator:
     adapts = field_of(scenario.control(), "actuator_adaptation") is not None
     valve = fit.valve
     return fit.mean_valve if adapts and valve.muscle_count and not valve.holds_air else valve
-
-
-def write_valve(scenario: Scenario, fit: ValveCalibration, path: Path) -> None:
-    """Write the section of the valve with the estimates, for ``valve: FILE``."""
-    text = _HEAD + write_text(valve_for(scenario, fit), folder=path.parent, base=Actuator)
-    with atomic_write(path, overwrite=True) as part:
-        part.write_bytes(sealed(text.encode()))

@@ -26,11 +26,10 @@ from mckibben.calibration.equations import (
     local_cubic,
     sampling_period,
 )
-from mckibben.calibration.estimation import CONFLICT
 from mckibben.calibration.fitting import (
     Calibration,
-    JointEstimate,
     OutputErrorFit,
+    Parameter,
     fit_output_error,
     misfit_remarks,
     noise_of,
@@ -53,29 +52,9 @@ _KNOWN = frozenset({"period", "compensation", "reservoir_volume", "line_conducta
 _PRIORS = {"supply": "supply", "polytropic_index": "polytropic_index", "critical_ratio": "critical_ratio"}
 _SCALES = {"dead_volume": 10 * cm**3, "leak": 3e-11, "delay": 20 * ms, "opening_delay": 2 * ms}
 _DEAD_ZONE = {"1": 0.05, "Pa": 0.1 * bar}  # scale by unit
-NUISANCES = ("pressure_zero", "zero", "arm_scale", "volume")
-_ZEROS = {"pressure_zero": "Pa", "zero": "rad"}  # units of those that are not factors
 _SHOWN = 2.0  # standard deviations from zero of what the first model lacks
-_APART, _DIFFERENT = 3.0, 1.1  # standard deviations and ratio beyond which two valves differ
+_APART = 3.0  # standard deviations beyond which two valves differ
 _BEGIN = 0.3  # scales: start of what the first model lacks
-
-
-class _Parameter(NamedTuple):
-    """Quantity with a normal prior of its logarithm about a median, or of its value about zero with a scale."""
-
-    name: str
-    unit: str
-    median: float  # or scale
-    deviation: float  # of the logarithm; 0 for a scale
-
-    def at(self, z: Any) -> Any:
-        """Value at a number of prior standard deviations."""
-        return self.median * (jnp.exp(self.deviation * z) if self.deviation else z)
-
-    def estimate(self, z: float, deviation: float) -> JointEstimate:
-        value = float(self.at(z))
-        unit = value * self.deviation if self.deviation else self.median
-        return JointEstimate(value, unit * deviation, unit, self.unit, logarithmic=bool(self.deviation))
 
 
 class _Record(NamedTuple):
@@ -119,23 +98,13 @@ class ValveCalibration(Calibration):
     figures = ("valve_calibration",)
 
     def remarks(self) -> list[Remark]:
-        """Misfit, and quantities that differ between the valves, conflict with the prior or are not determined."""
+        """Misfit, quantities that differ between the valves, and those that are far from the first model."""
         remarks = misfit_remarks(self.residual, self.noise, self.highest, "class of the valve, units, which muscle")
         for name in self.differing:
             both = " and ".join(str(self.quantities[f"valve{number}.{name}"]) for number in (1, 2))
             model = "the mean" if name == "delay" else "both valves"
             remarks.append(Remark.warning(name, f"the valves differ: {name} is {both}; the model has {model}"))
-        for (muscle, problem), z in zip(self._problems.items(), self._estimates, strict=True):
-            for parameter, at in zip(problem.parameters, z, strict=False):
-                if parameter.deviation and abs(at) > CONFLICT:
-                    name = f"valve{muscle + 1}.{parameter.name}"
-                    text = f"{name} is {abs(at):.1f} prior standard deviations from the model: {self.quantities[name]}"
-                    remedy = "check its value there, and the class of the valve"
-                    remarks.append(Remark.warning(name, text, remedy))
-        for name, estimate in self.quantities.items():
-            if not estimate.determined and name.partition(".")[2] not in NUISANCES:
-                remarks.append(Remark.note(name, f"not determined by the recordings: {name}, {estimate}"))
-        return remarks
+        return remarks + super().remarks()
 
     @property
     def valve(self) -> Actuator:
@@ -159,14 +128,15 @@ class ValveCalibration(Calibration):
 
     @property
     def differing(self) -> tuple[str, ...]:
-        """Names of the quantities of valve and delay in which the two valves differ significantly."""
+        """Names of the determined quantities in which the two valves differ by more than three standard deviations."""
+        if len(self.valves) == 1:
+            return ()
         names = []
         for name in (parameter.name for parameter in next(iter(self._problems.values())).parameters):
             first, second = (self.quantities.get(f"valve{number}.{name}") for number in (1, 2))
             if first is None or second is None or not (first.determined and second.determined):
                 continue
-            low, high = sorted((first.value, second.value))
-            if high - low > _APART * math.hypot(first.deviation, second.deviation) and high > _DIFFERENT * low:
+            if abs(first.value - second.value) > _APART * math.hypot(first.deviation, second.deviation):
                 names.append(name)
         return tuple(names)
 
@@ -186,22 +156,23 @@ class ValveCalibration(Calibration):
         substeps = _substeps(self._problems, self.valves, [record])
         columns = []
         for (muscle, problem), estimates in zip(self._problems.items(), self._estimates, strict=True):
-            z = np.append(estimates[: problem.size], 0.0)
+            z = np.append(estimates[: len(problem.uncertain)], 0.0)
             columns.append(np.asarray(_sensitivities(_traced(problem), z, numeric(record), muscle, substeps)[0]))
         return np.stack(columns, axis=1)
 
 
 class _Problem(NamedTuple):
-    """First model, its uncertain fields, delay, and what is uncertain about the joint."""
+    """First model, and what is uncertain about its valve and delay (the last one), and about the joint."""
 
     joint: AntagonisticJoint
     valve: Actuator
-    parameters: tuple[_Parameter, ...]  # fields of the valve, and last the delay
-    nuisances: tuple[float, ...]  # standard deviations of `NUISANCES`; only the first for valves without a volume
+    parameters: tuple[Parameter, ...]
+    nuisances: tuple[Parameter, ...]  # only the first for valves without a volume
 
     @property
-    def size(self) -> int:
-        return len(self.parameters) + len(self.nuisances)
+    def uncertain(self) -> tuple[Parameter, ...]:
+        """All parameters."""
+        return self.parameters + self.nuisances
 
 
 def calibrate_valves(
@@ -287,7 +258,11 @@ def calibrate_valves(
     )
     highest = max(float(np.max(pressure)) for record in records for pressure in record.pressures)
     residual = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
-    quantities = _quantities(problems, z, deviations)
+    quantities = {
+        f"valve{muscle + 1}.{parameter.name}": parameter.estimate(at, float(deviation))
+        for (muscle, problem), row, wide in zip(problems.items(), z, deviations, strict=True)
+        for parameter, at, deviation in zip(problem.uncertain, row, wide, strict=False)
+    }
     parts = tuple(recordings), valves, delays, highest, problems, z, deviations
     return ValveCalibration(quantities, *parts, residual, noise_of(errors))
 
@@ -310,17 +285,20 @@ def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, de
     parameters = []
     for name, value, quantity in _numbers(valve):
         own, unit = name.rpartition(".")[2], quantity.unit
-        if own in _KNOWN:
-            continue
         scale = _DEAD_ZONE[unit] if own == "dead_zone" else _SCALES.get(own)
-        if value:
-            deviation = getattr(prior, _PRIORS.get(own, "valve"))
-            parameters.append(_Parameter(name, unit, float(value), deviation))
-        elif scale is not None:
-            parameters.append(_Parameter(name, unit, scale, 0.0))
-    parameters.append(_Parameter("delay", "s", delay or _SCALES["delay"], prior.delay if delay else 0.0))
-    nuisances = tuple(getattr(prior, name) for name in (NUISANCES if valve.holds_air else NUISANCES[:1]))
-    return _Problem(joint, valve, tuple(parameters), nuisances)
+        if value and own not in _KNOWN:
+            parameters.append(Parameter(name, unit, float(value), getattr(prior, _PRIORS.get(own, "valve"))))
+        elif scale is not None and own not in _KNOWN:
+            parameters.append(Parameter(name, unit, 0.0, scale, logarithmic=False))
+    deviation = prior.delay if delay else _SCALES["delay"]
+    parameters.append(Parameter("delay", "s", delay or 0.0, deviation, logarithmic=bool(delay)))
+    nuisances = (
+        Parameter("pressure_zero", "Pa", 0.0, prior.pressure_zero, logarithmic=False),
+        Parameter("zero", "rad", 0.0, prior.zero, logarithmic=False),
+        Parameter("arm_scale", "1", 1.0, prior.arm_scale, logarithmic=False),
+        Parameter("volume", "1", 1.0, prior.volume, logarithmic=False),
+    )
+    return _Problem(joint, valve, tuple(parameters), nuisances if valve.holds_air else nuisances[:1])
 
 
 def _numbers(part: Any, prefix: str = "") -> Iterator[tuple[str, Any, Any]]:
@@ -382,7 +360,7 @@ def _valve_of(problem: _Problem, z: Floats, deviations: Floats) -> Actuator:
     """Valve with the estimates; what the first model lacks and the recordings do not show is left out."""
     own, ranges = {}, {name: quantity for name, _, quantity in _numbers(problem.valve)}
     for parameter, at, wide in zip(problem.parameters[:-1], z, deviations, strict=False):
-        if parameter.deviation or abs(at) > _SHOWN * wide:
+        if parameter.logarithmic or abs(at) > _SHOWN * wide:
             lower, upper = ranges[parameter.name].limits
             own[parameter.name] = float(np.clip(float(parameter.at(at)), lower, upper))
     return _with(problem.valve, own)
@@ -390,13 +368,14 @@ def _valve_of(problem: _Problem, z: Floats, deviations: Floats) -> Actuator:
 
 def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, substeps: int) -> Array:
     """Pressure [Pa] of a muscle at the samples, for parameters in prior standard deviations."""
-    own = [parameter.at(z[number]) for number, parameter in enumerate(problem.parameters)]
-    names = [parameter.name for parameter in problem.parameters[:-1]]
-    valve = _with(problem.valve, dict(zip(names, own[:-1], strict=True)))
+    values = [parameter.at(z[number]) for number, parameter in enumerate(problem.uncertain)]
+    count = len(problem.parameters) - 1
+    fields = {parameter.name: value for parameter, value in zip(problem.parameters[:-1], values, strict=False)}
+    valve, delay, offset = _with(problem.valve, fields), values[count], values[count + 1]
     steps = jnp.arange(record.angle.shape[0])
-    late = steps - own[-1] / record.period  # between two samples a valve gets their mean over the period
+    late = steps - delay / record.period  # between two samples a valve gets their mean over the period
     commands = jnp.interp(late, steps, jnp.asarray(record.commands[muscle]))
-    offset, start = problem.nuisances[0] * z[len(own)], _START_ERROR * z[problem.size + record.number]
+    start = _START_ERROR * z[len(values) + record.number]
     pressure = jnp.asarray(record.pressures[muscle])[0] - offset + start
     step = record.period / substeps
     if not valve.holds_air:
@@ -407,11 +386,11 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
 
         return lax.scan(follow, (pressure, valve.init_states((pressure,))), commands)[1]
 
-    _, zero, arms, volume = (deviation * at for deviation, at in zip(problem.nuisances, z[len(own) :], strict=False))
-    joint = dataclasses.replace(problem.joint, geometry=ScaledArms(problem.joint.geometry, 1 + arms))
+    zero, arms, volume = values[count + 2 :]
+    joint = dataclasses.replace(problem.joint, geometry=ScaledArms(problem.joint.geometry, arms))
     pressures = tuple(map(jnp.asarray, record.pressures))
     air = air_volumes(joint, record.angle - zero, 0.0, pressures)[muscle]  # type: ignore[arg-type]
-    room = air.volume * (1 + volume) + valve.attached_volume
+    room = air.volume * volume + valve.attached_volume
     rate = jnp.diff(room, append=room[-1:]) / record.period  # exactly the changes of the volume: errors do not add up
     air = AirVolume(room, rate, air.by_pressure)
 
@@ -458,8 +437,8 @@ def _solve(problem: _Problem, records: list[_Record], muscle: int, substeps: int
     begins = [round(_START / float(record.period)) for record in records]
     measured = np.concatenate([record.pressures[muscle][begin:] for record, begin in zip(records, begins, strict=True)])
     model, traced = _traced(problem), list(map(numeric, records))
-    others = problem.size + len(records) - len(problem.parameters)
-    lacking = np.array([not parameter.deviation for parameter in problem.parameters] + [False] * others)
+    others = len(problem.nuisances) + len(records)
+    lacking = np.array([not parameter.logarithmic for parameter in problem.parameters] + [False] * others)
 
     def linearised(z: Floats) -> tuple[Floats, Floats]:
         pairs = [_sensitivities(model, z, record, muscle, substeps) for record in traced]
@@ -472,19 +451,3 @@ def _solve(problem: _Problem, records: list[_Record], muscle: int, substeps: int
     sizes = [record.angle.size - begin for record, begin in zip(records, begins, strict=True)]
     start = np.where(lacking, _BEGIN, 0.0)
     return fit_output_error(linearised, [start], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE, positive=lacking)
-
-
-def _quantities(
-    problems: dict[int, _Problem], z: Sequence[Floats], deviations: Sequence[Floats]
-) -> dict[str, JointEstimate]:
-    estimates = {}
-    for (muscle, problem), row, wide in zip(problems.items(), z, deviations, strict=True):
-        for number, parameter in enumerate(problem.parameters):
-            estimate = parameter.estimate(float(row[number]), float(wide[number]))
-            estimates[f"valve{muscle + 1}.{parameter.name}"] = estimate
-        for number, (name, scale) in enumerate(
-            zip(NUISANCES, problem.nuisances, strict=False), len(problem.parameters)
-        ):
-            value, unit = scale * float(row[number]) + (name not in _ZEROS), _ZEROS.get(name, "1")
-            estimates[f"valve{muscle + 1}.{name}"] = JointEstimate(value, scale * float(wide[number]), scale, unit)
-    return estimates
