@@ -38,25 +38,17 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 
-_SLOWEST, _GAP = 10 * ms, 1.5  # longest sampling period, and interval in periods
-_ROUNDING = 1.001  # times in a file are rounded
+_SLOWEST = 10 * ms  # sampling period
 _BLOCK = 5 * ms  # samples are averaged over this time
 _SUBSTEPS = 2
-_SMOOTHING = 20 * ms  # of the rate of the pressure
-_FAST = 0.1  # of the highest rate: faster changes are filling or venting
-_BEGUN = 0.1  # of the slow change after a fast one: a valve that is still open would hold the pressure
-_AFTER = 20 * ms  # left out after that, as noise decides when it is reached
+_FAST = 0.1  # of the highest rate, over 20 ms: faster changes are filling or venting
 _SHORTEST = 0.5  # s, of a phase with a shut valve
 _LOWEST = 0.2 * bar  # of a muscle that is not open to the atmosphere
 _RELAXES, _PART = 5.0, 0.005  # least change in a phase, in noise and in absolute pressure
 _STILL = 0.005  # largest change of the contraction in a phase
-_COMPLETE = 2.0  # time constants that a phase should last
 _APART = 1.1  # ratio of volumes from which the dead volume is estimated
-_CRITICAL = 0.3
-_LEAK = 1e-3 * L_PER_S_BAR  # unit of the leak in the search
-_DEAD = 1 * cm**3
-_LARGEST, _BELOW = 10.0, 0.05  # bounds of the dead volume, in largest volumes and, below 0, in smallest ones
-_FACTOR = 1e4  # of h A, between the start of the search and its result
+_CRITICAL_RATIO = 0.3  # of the leak
+_LEAK, _DEAD = 1e-3 * L_PER_S_BAR, 1 * cm**3  # units of the search
 _FIRST_VARIANCE, _LEAST_VARIANCE = (1 * kPa) ** 2, (10e-3 * kPa) ** 2
 _ZERO = 20e-3 * bar  # prior standard deviation of the zero of the sensor
 _ROOM = 5 / TEMPERATURE  # relative standard deviation of the temperature of the room
@@ -116,8 +108,7 @@ class AirFit(Calibration):
         highest = max(float(phase.pressures.max()) for phase in self.phases)
         remedy = "that the valve was shut, and that length and room stayed the same"
         remarks = misfit_remarks(self.residual, self.noise, highest, remedy)
-        lasted = [phase.end - phase.begin for phase in self.phases]
-        if all(lasted < _COMPLETE * self.time_constants):
+        if all(phase.end - phase.begin < 2 * tau for phase, tau in zip(self.phases, self.time_constants, strict=True)):
             text = f"no phase lasts two time constants of the temperature, {max(self.time_constants):.2g} s"
             remarks.append(Remark.warning("phases", text, "watch the pressure for longer"))
         if self.assumed is not None:
@@ -215,10 +206,9 @@ def identify_air(
     quantities = {
         "wall_conductance": JointEstimate(conductance, conductance * spread[0], math.inf, "W/K", logarithmic=True),
         "leak": JointEstimate(leak, float(spread[1]), math.inf, "m^3/(s*Pa)"),
-        "dead_volume": JointEstimate(dead, float(spread[2]), math.inf, "m^3"),
     }
-    if not observable:
-        del quantities["dead_volume"]
+    if observable:
+        quantities["dead_volume"] = JointEstimate(dead, float(spread[2]), math.inf, "m^3")
     residual = float(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
     assumed = None if observable else dead_volume
     return AirFit(quantities, tuple(phases), at, np.array(constants), residual, noise_of(errors), assumed)
@@ -236,19 +226,15 @@ _CONTRADICTED = (
 
 
 def _check(problem: _Problem, z: Floats, deviations: Floats) -> None:
-    """Raise `IdentificationError` for estimates that no muscle can have."""
-    dead, spread = float(z[2]) * _DEAD, float(deviations[2]) * _DEAD
-    highest = _LARGEST * float(problem.volumes.max())
-    lowest = -max(3 * spread, _BELOW * float(problem.volumes.min()))
-    finite = bool(np.isfinite(z).all() and np.isfinite(deviations).all())
-    known = not problem.estimates_dead_volume or (lowest <= dead and dead + 2 * spread <= highest)
-    if not (finite and known and abs(z[0] - problem.start[0]) < math.log(_FACTOR)):
+    """Raise `IdentificationError` for a dead volume below zero, or that is not determined."""
+    dead, spread, highest = float(z[2]) * _DEAD, float(deviations[2]) * _DEAD, float(problem.volumes.max())
+    if not (np.isfinite(z).all() and -3 * spread <= dead and dead + 2 * spread <= 10 * highest):
         raise IdentificationError(
             "the time constants of the temperature contradict the volumes: dead volume "
             f"{show(dead, 'cm^3', 3)} +- {show(spread, 'cm^3', 3)}",
             value=dead,
             lower=0.0,
-            upper=highest,
+            upper=10 * highest,
             unit="m^3",
             remedy=_CONTRADICTED,
         )
@@ -271,52 +257,50 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
         raise IdentificationError(
             "the contraction is not known", remedy="record the length, or give the contraction (--contraction)"
         )
-    period = float(np.median(np.diff(time)))
-    if period > _ROUNDING * _SLOWEST or np.diff(time).max() > _GAP * period:
-        message = f"the samples of a recording are up to {show(float(np.diff(time).max()), 'ms', 3)} apart"
+    period, longest = float(np.median(np.diff(time))), float(np.diff(time).max())
+    if round(period, 6) > _SLOWEST or longest > 1.5 * period:
+        message = f"the samples of a recording are up to {show(longest, 'ms', 3)} apart"
         remedy = "sample at a constant rate of 100 Hz or more, without gaps"
-        raise IdentificationError(message, value=float(np.diff(time).max()), upper=_SLOWEST, unit="s", remedy=remedy)
-    count = max(round(_BLOCK / period), 1)
-    window = max(round(_SMOOTHING / period), 1)
+        raise IdentificationError(message, value=longest, upper=_SLOWEST, unit="s", remedy=remedy)
+    count, window = max(round(_BLOCK / period), 1), max(round(4 * _BLOCK / period), 1)
     smooth = np.convolve(pressure, np.ones(window) / window, mode="valid")
-    rate = np.abs(smooth[window:] - smooth[:-window]) / (window * period)
-    slow = np.concatenate([np.zeros(window, bool), rate < _FAST * rate.max(initial=0.0), np.zeros(window, bool)])
+    rate = np.pad(np.abs(smooth[window:] - smooth[:-window]), window, mode="constant", constant_values=np.inf)
+    slow = rate < _FAST * rate[np.isfinite(rate)].max(initial=0.0)
     edges = np.flatnonzero(np.diff(slow.astype(int), prepend=0, append=0))
     phases = []
     for first, last in zip(edges[::2], edges[1::2], strict=True):
-        blocks = (last - first) // count
-        if blocks * count * period < _SHORTEST:
+        begin, means = _relaxation(pressure[first:last], count)
+        begin += first
+        if means.size * count * period < _SHORTEST:
             continue
-        means = pressure[first : first + blocks * count].reshape(blocks, count).mean(axis=1)
-        noise = float(np.sqrt(np.mean(np.diff(means) ** 2) / 2))
-        tenth = max(blocks // 10, 1)
-        change = abs(means[:tenth].mean() - means[-tenth:].mean())
-        if means.min() < _LOWEST or change < max(_RELAXES * noise, _PART * (means.mean() + ATMOSPHERE)):
-            continue
-        held = _held(means, tenth) + round(_AFTER / (count * period))
-        first, means = first + held * count, means[held:]
-        if (last - first) * period < _SHORTEST:
-            continue
-        part = slice(first, first + means.size * count)
-        at = contraction if lengths is None else float(lengths[part].mean())
-        assert at is not None
-        if lengths is not None and np.ptp(lengths[part]) > _STILL:
+        part = slice(begin, begin + means.size * count)
+        at = float(lengths[part].mean()) if lengths is not None else contraction
+        moved = 0.0 if lengths is None else float(np.ptp(lengths[part]))
+        if moved > _STILL:
             raise IdentificationError(
-                f"the contraction changes by {np.ptp(lengths[part]) / percent:.2g} % while the valve is shut",
-                value=float(np.ptp(lengths[part])),
+                f"the contraction changes by {moved / percent:.2g} % while the valve is shut",
+                value=moved,
                 upper=_STILL,
                 unit="1",
                 remedy="hold the muscle at a fixed length",
             )
+        assert at is not None
         volume = float(specimen.volume(at))
-        phases.append(ShutPhase(float(time[first]), float(time[last - 1]), at, volume, means, count * period))
+        phases.append(ShutPhase(float(time[begin]), float(time[last - 1]), at, volume, means, count * period))
     return phases
 
 
-def _held(means: Floats, tenth: int) -> int:
-    """Number of means before the slow change towards the last tenth begins."""
-    distance = np.abs(means - means[-tenth:].mean())
-    return int(np.flatnonzero(distance > (1 - _BEGUN) * distance.max())[-1]) + 1
+def _relaxation(pressure: Floats, count: int) -> tuple[int, Floats]:
+    """First sample, and means of `count` samples, from a tenth of a slow change and 20 ms on; none without a change."""
+    means = pressure[: pressure.size // count * count].reshape(-1, count).mean(axis=1)
+    if means.size < 2 or means.min() < _LOWEST:
+        return 0, means[:0]
+    tenth = max(means.size // 10, 1)
+    distance, noise = np.abs(means - means[-tenth:].mean()), noise_of([means])
+    if distance[:tenth].mean() < max(_RELAXES * noise, _PART * (means.mean() + ATMOSPHERE)):
+        return 0, means[:0]
+    held = int(np.flatnonzero(distance > 0.9 * distance.max())[-1]) + 5  # as noise decides when the tenth is reached
+    return held * count, means[held:]
 
 
 class _Problem(NamedTuple):
@@ -360,7 +344,7 @@ def _simulated(z: Array, volumes: Array, areas: Array, periods: Array, blocks: i
     def rates(state: tuple[Array, Array]) -> tuple[Array, Array]:
         gauge, temperature = state
         absolute = gauge + ATMOSPHERE
-        leaking = flow_of_warm_air(-mass_flow(leak, _CRITICAL, absolute, ATMOSPHERE), temperature)
+        leaking = flow_of_warm_air(-mass_flow(leak, _CRITICAL_RATIO, absolute, ATMOSPHERE), temperature)
         filling = leaking * temperature / TEMPERATURE + heat_as_flow(conductance, temperature)
         rate = pressure_rate(HEAT_CAPACITY_RATIO, absolute, filling, room, 0.0)
         return rate, temperature_rate(temperature, absolute, rate, leaking, room, 0.0)
