@@ -387,20 +387,18 @@ def linearised(problem: CalibrationProblem, z: Floats, samples: JointSamples) ->
     return errors[..., 0], slopes
 
 
-def sliding_length(muscle: Muscle) -> float:
-    """Travel [m] after which the friction of a muscle does not depend on its unknown initial state."""
-    return _SLIDING * float(getattr(muscle.friction, "presliding_length", 0.0))
+def sliding_from(joint: AntagonisticJoint, angle: Samples) -> int:
+    """First of the samples [rad] at which the friction does not depend on its unknown initial state.
 
-
-def sliding_from(problem: CalibrationProblem, samples: JointSamples) -> int:
-    """First sample at which the friction does not depend on its unknown initial state."""
-    joint, first = problem.joint, 0
-    for muscle, path in zip((joint.muscle1, joint.muscle2), path_lengths(joint, samples.angle), strict=True):
+    Raises `IdentificationError` if that is not within the first half of them.
+    """
+    first = 0
+    for muscle, path in zip((joint.muscle1, joint.muscle2), path_lengths(joint, angle), strict=True):
         travelled = np.maximum.accumulate(path) - np.minimum.accumulate(path)
-        enough = travelled > sliding_length(muscle)
+        enough = travelled > _SLIDING * float(getattr(muscle.friction, "presliding_length", 0.0))
         if not enough.any() or int(np.argmax(enough)) > len(enough) // 2:
-            message = f"muscle lengths change by no more than {np.max(travelled) / mm:.2g} mm in a recording"
-            remedy = "record sweeps of a larger angle: friction hides the force in small motions"
+            message = f"muscle lengths change by no more than {np.max(travelled) / mm:.2g} mm"
+            remedy = "sweep larger angles: friction hides the force in small motions"
             raise IdentificationError(message, value=float(np.max(travelled)), unit="m", remedy=remedy)
         first = max(first, int(np.argmax(enough)))
     return first

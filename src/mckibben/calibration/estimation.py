@@ -279,7 +279,7 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
 def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[Floats, Floats, float, float]:
     """Estimates and covariance of the parameters, the residual torque [N*m], and its noise."""
     count, edge, stride = parameters(problem), int(4 * _FILTER * RATE), int(_FILTER * RATE / 2)
-    starts = [sliding_from(problem, half) + edge for half, _ in recordings]
+    starts = [sliding_from(problem.joint, half.angle) + edge for half, _ in recordings]
     groups = 1 + len(recordings[0][0].tensions)
     highest = np.asarray(problem.force).max()
     variances = np.full(groups, _START_VARIANCE) * np.array([1.0, highest**2, highest**2])[:groups]

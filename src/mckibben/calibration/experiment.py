@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from mckibben.calibration.equations import JointPrior, JointRecording, Samples, path_lengths, sliding_length
+from mckibben.calibration.equations import JointPrior, JointRecording, Samples, sliding_from
 from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
 from mckibben.component.schema import independent, inherited_fields, replaced, write_text
@@ -29,7 +30,6 @@ from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
 from mckibben.storage.columns import read_columns
 from mckibben.storage.files import atomic_write, sealed
-from mckibben.units import show
 
 _SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness per part
 _LONG = 60.0  # s: longer parts have more of them, as creep hides the inertia in slow motion
@@ -38,7 +38,6 @@ _LEAST, _MOST = (0.15, 1.0), (0.35, 4.0)  # its part of the amplitude, and rad/s
 _BAND = 0.7  # swept fraction of the attainable stiffness
 _TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
 _ANGLES = 41
-_TRAVEL = 1.1  # swept travel relative to the least, as the joint lags behind the sweep
 _TOGETHER = 1000  # periods that a simulated joint computes at once
 _PRESSURES = ("pressure1", "pressure2")
 _HEAD = """\
@@ -72,10 +71,10 @@ class Sweeps:
         Angles are swept slowly, three times a minute or part, with a motion of 1 Hz, from which the inertia follows,
         and the stiffness twice over 70 % of the range attainable at all angles, bare and with the weight (but not with
         a return spring). With a weight the faster motion is larger in the middle of the range. Raises `ParameterError`
-        if there is no such range, or the angles are too small to overcome the friction of the model.
+        if there is no such range, `IdentificationError` if the angles do not overcome the friction of the model.
         """
         middle, amplitude = (self.lowest + self.highest) / 2, (self.highest - self.lowest) / 2
-        self._check_travel(first_model_of(scenario))
+        sliding_from(first_model_of(scenario), np.array([self.lowest, self.highest, self.highest]))
         low, high = self._attainable(scenario)
         if not low <= high:
             raise ParameterError(
@@ -101,16 +100,8 @@ class Sweeps:
         parts = {}
         for name, mass in self.weights.items():
             controller = control if load is None else with_fields(control, {"load": self._weighted(load, mass)})
-            parts[name] = scenario.model_copy(
-                update={
-                    "name": f"{scenario.name[:150]}, calibration with {mass:g} kg",
-                    "controller": controller,
-                    "load": self._weighted(scenario.load, mass),
-                    "signals": signals,
-                    "start": Start(angle=middle),
-                    "duration": duration,
-                }
-            )
+            changes = {"controller": controller, "load": self._weighted(scenario.load, mass), "duration": duration}
+            parts[name] = part_of(scenario, f"calibration with {mass:g} kg", middle, signals=signals, **changes)
         return parts
 
     @property
@@ -134,23 +125,9 @@ class Sweeps:
             recording_of(results[name], added_mass=mass, distance=self.distance) for name, mass in self.weights.items()
         ]
 
-    def _check_travel(self, joint: AntagonisticJoint) -> None:
-        """Raise `ParameterError` if a muscle moves too little for its friction to be known (`sliding_from`)."""
-        ends = path_lengths(joint, np.array([self.lowest, self.highest]))
-        for muscle, path in zip((joint.muscle1, joint.muscle2), ends, strict=True):
-            travel, least = float(np.ptp(path)), _TRAVEL * sliding_length(muscle)
-            if travel < least:
-                raise ParameterError(
-                    f"the angles move a muscle by {show(travel, 'mm', 2)}, its friction needs {show(least, 'mm', 2)}",
-                    value=travel,
-                    lower=least,
-                    unit="m",
-                    remedy="give wider --angles; a model with a shorter presliding_length, if that is only a guess",
-                )
-
     def _weighted(self, load: Load, added_mass: float) -> GeneralLoad:
         """Return a load with the weight."""
-        return _general(_with_weight(load, added_mass, self.distance))
+        return jax.tree.map(float, _with_weight(load, added_mass, self.distance))
 
     def _attainable(self, scenario: Scenario) -> tuple[float, float]:
         """Stiffness range [N*m/rad] attainable at all angles with each weight; reversed if empty."""
@@ -179,13 +156,10 @@ def _with_weight(load: Load, mass: ArrayLike, distance: ArrayLike) -> GeneralLoa
     return load.with_weight(mass, distance)
 
 
-def _general(load: Load) -> GeneralLoad:
-    return GeneralLoad(
-        inertia=float(load.total_inertia),
-        greatest_gravity_torque=float(load.gravity_moment),
-        damping=float(load.damping),
-        hanging_angle=float(load.hanging_angle),
-    )
+def part_of(scenario: Scenario, title: str, angle: float, **changes: object) -> Scenario:
+    """Part of an experiment: the scenario with a title, from rest at an angle [rad], and with other sections."""
+    start = {"name": f"{scenario.name[:150]}, {title}", "start": Start(angle=angle)}
+    return scenario.model_copy(update=start | changes)
 
 
 def field_of(controller: Controller, name: str) -> Any:
@@ -356,10 +330,9 @@ def calibrated_scenario(scenario: Scenario, fit: CalibratedJoint) -> Scenario:
     """
     control, model = scenario.control(), calibrated_model(scenario, fit)
     if isinstance(fit, CommandedCalibration):
-        load = _general(fit.load)
         valve = replaced(scenario.valve, {name: getattr(fit.valve, name) for name in ("time_constant", "rate")})
-        update: dict[str, Any] = {"joint": model, "load": load, "valve": valve, "command_delay": fit.delay}
-        update["controller"] = with_fields(scenario.controller, {"load": load, "model": model})
+        update: dict[str, Any] = {"joint": model, "load": fit.load, "valve": valve, "command_delay": fit.delay}
+        update["controller"] = with_fields(scenario.controller, {"load": fit.load, "model": model})
         return scenario.model_copy(update=update)
     mass, load = fit.load.adapted_mass, field_of(control, "load")
     fields: dict[str, Any] = {"model": model}

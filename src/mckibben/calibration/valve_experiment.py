@@ -19,6 +19,7 @@ from mckibben.calibration.experiment import (
     holds,
     load_of,
     model_of,
+    part_of,
     recording_of,
     with_fields,
     write_section,
@@ -27,10 +28,9 @@ from mckibben.calibration.valves import ValveCalibration, calibrate_valves
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.joint import AntagonisticJoint
-from mckibben.muscle import Muscle
 from mckibben.plant import JointPlant
 from mckibben.rig.bench import JointLimits
-from mckibben.scenario import Scenario, Start
+from mckibben.scenario import Scenario
 from mckibben.simulation import SimulationResult, simulate
 from mckibben.units import bar, deg
 
@@ -72,34 +72,31 @@ class ValveExperiment:
         plant = scenario.model_copy(update={"joint": model, "load": load_of(scenario)}).plant()
         ends, rest = self._ends(plant, middle), plant.equilibrium(middle)
         signals = Reference(middle, float(plant.stiffness(middle, rest.pressures)))
-        share, reason = 1.0, ""
-        for _ in range(_TRIES):
+        centre, reason, duration = ends.mean(axis=0), "", self._half(scenario)
+        for share in _SHRINK ** np.arange(_TRIES):
+            commands = _commands(centre + share * (ends - centre))
             parts = {
-                name: scenario.model_copy(
-                    update={
-                        "name": f"{scenario.name[:150]}, calibration of the valves, {name}",
-                        "controller": OpenLoopControl(*commands, model),
-                        "signals": signals,
-                        "start": Start(angle=middle),
-                        "duration": self._half(scenario),
-                    }
+                name: part_of(
+                    scenario,
+                    f"calibration of the valves, {name}",
+                    middle,
+                    controller=OpenLoopControl(*pair, model),
+                    signals=signals,
+                    duration=duration,
                 )
-                for name, commands in _commands(ends).items()
+                for name, pair in commands.items()
             }
-            tried = (self._excess(part, joint) for joint in self._joints(model) for part in parts.values())
-            excess = next(filter(None, tried), "")
-            if not excess:
+            violations = (self._violation(part, joint) for joint in self._joints(model) for part in parts.values())
+            violation = next(filter(None, violations), "")
+            if not violation:
                 if share < _NARROW:
                     text = (
-                        f"the commands have {share:.0%} of the range of the attainable stiffness, as otherwise {reason}"
+                        f"the commands have {share:.0%} of the attainable range, as otherwise {reason}: wider --angles "
                     )
-                    remedy = (
-                        "wider --angles or a smaller `strength` in --prior may determine more quantities of the valves"
-                    )
-                    warnings.warn(f"{text}: {remedy}", McKibbenWarning, stacklevel=2)
+                    text += "or a smaller `strength` in --prior may determine more quantities of the valves"
+                    warnings.warn(text, McKibbenWarning, stacklevel=2)
                 return parts
-            centre, reason, share = ends.mean(axis=0), excess, _SHRINK * share
-            ends = centre + _SHRINK * (ends - centre)
+            reason = violation
         raise ParameterError(
             f"even commands of {share:.0%} of the range are too wide: {reason}",
             remedy="give wider --angles, a smaller `strength` in --prior, or a valve closer to the real one",
@@ -130,18 +127,16 @@ class ValveExperiment:
 
     def _joints(self, model: AntagonisticJoint) -> list[AntagonisticJoint]:
         """The model, and those in which one muscle is stronger and the other weaker."""
-
-        def scaled(muscle: Muscle, by: float) -> Muscle:
-            return dataclasses.replace(muscle, strength=(muscle.strength or 1.0) * by)
-
-        return [
-            dataclasses.replace(
-                model, muscle1=scaled(model.muscle1, 1 + error), muscle2=scaled(model.muscle2, 1 - error)
+        joints = []
+        for error in (0.0, self.strength, -self.strength):
+            first, second = (
+                dataclasses.replace(muscle, strength=(muscle.strength or 1.0) * (1 + sign * error))
+                for muscle, sign in ((model.muscle1, 1), (model.muscle2, -1))
             )
-            for error in (0.0, self.strength, -self.strength)
-        ]
+            joints.append(dataclasses.replace(model, muscle1=first, muscle2=second))
+        return joints
 
-    def _excess(self, part: Scenario, model: AntagonisticJoint) -> str:
+    def _violation(self, part: Scenario, model: AntagonisticJoint) -> str:
         """Violated limit of a simulated run, as text; empty if there is none."""
         from scipy.signal import lfilter  # 1 s
 
@@ -173,17 +168,10 @@ def _commands(ends: Floats) -> dict[str, tuple[Any, Any]]:
     phases = tuple(math.pi * k * k / count % (2 * math.pi) for k in range(count))  # M. Schroeder, 1970: a low crest
     steps, waves = [], []
     for sign, (low, high) in zip((1.0, -1.0), ends.T.tolist(), strict=True):
-        dwell, longest = _DWELL
         span = high - low
-        steps.append(RandomSteps(low, high, dwell, longest_dwell=longest))
-        waves.append(
-            Sum(
-                (
-                    Multisine((span / 2 / math.sqrt(2 * count),) * count, _FREQUENCIES, phases, (low + high) / 2),
-                    Multisine((sign * share * span,) * len(pitches), pitches),
-                )
-            )
-        )
+        steps.append(RandomSteps(low, high, _DWELL[0], longest_dwell=_DWELL[1]))
+        common = Multisine((span / 2 / math.sqrt(2 * count),) * count, _FREQUENCIES, phases, (low + high) / 2)
+        waves.append(Sum((common, Multisine((sign * share * span,) * len(pitches), pitches))))
     return {"steps": (steps[0], steps[1]), "multisine": (waves[0], waves[1])}
 
 
