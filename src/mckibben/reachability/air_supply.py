@@ -95,7 +95,7 @@ def _valve(needed: float, supply: float) -> tuple[str, AirValve]:
 
 def _tube(needed: float, length: float) -> float:
     """Least inner diameter [m], to 0.1 mm, of a tube of a length [m] with a conductance."""
-    from scipy.optimize import brentq  # 0.2 s
+    from scipy.optimize import root_scalar  # 0.2 s
 
-    least = brentq(lambda diameter: tube_conductance(diameter, length) - needed, 1 * mm, 100 * mm)
+    least = root_scalar(lambda d: tube_conductance(d, length) - needed, bracket=(1 * mm, 100 * mm)).root
     return math.ceil(least / (0.1 * mm)) * 0.1 * mm
