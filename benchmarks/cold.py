@@ -30,7 +30,7 @@ COMMANDS: tuple[tuple[str, ...], ...] = (
     ("identify", DATA),
     ("identify", DATA, "--out"),
     ("envelope", PID),
-    ("calibrate", KNEE, "--weight", "0.5 kg", "--distance", "200 mm", "--out"),
+    ("calibrate", KNEE, "--weight", "0.5 kg, 200 mm", "--out"),
 )
 """Commands of which all programs are in the user's cache; `--out` gets a new folder."""
 

@@ -77,19 +77,8 @@ def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch)
     assert f"{(~contest.started).sum()} runs were infeasible" in found.out
     scenario = Scenario.read(kept / "controllers" / "pid-3-at-equal-air.yaml")
     assert scenario.control().position.kp == contest.at_air.tuned["PID 3"][KP]
-
     with xr.open_dataset(kept / "runs.nc") as runs:
         assert runs.sizes == {"controller": 2, "run": 16}
-        alone = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "PID 3 3")
-        assert (alone.code, alone.err) == (0, "")
-        scenario = Scenario.parse(alone.out)
-        assert scenario == contest.scenario("PID 3", 3)
-        assert scenario.load.mass2 == runs["load.mass2"][3]
-        assert scenario.sensors.seed == runs["sensors.seed"][3]
-        assert scenario.control().position.kp == json.loads(runs.attrs["tuned"])["PID 3"][KP]
-
-    written((DECOUPLING, ""), ("load.mass2=+-50 %", "load.mass2=+-40 %"))  # what was run is what is kept
-    assert cli("compare", "suite.yaml", "--out", "kept", "--repeat", "PID 3 3").out == alone.out
 
 
 @pytest.mark.usefixtures("undrawn")
@@ -106,7 +95,8 @@ def test_what_is_kept_is_gone_on_with_or_left_alone(cli, written, tmp_path):
     assert (tmp_path / "kept" / "results.json").read_bytes() == first
     assert cli("compare", "suite.yaml", "--out", "kept", "--resume").code == 0
     assert (tmp_path / "kept" / "results.json").read_bytes() == first
-    assert cli("compare", "suite.yaml", "--out", "kept", "--resume", "--runs", "20").code == 0
+    written((DECOUPLING, ""), ("evaluation: {runs: 16", "evaluation: {runs: 20"))
+    assert cli("compare", "suite.yaml", "--out", "kept", "--resume").code == 0
     assert Suite.read(tmp_path / "kept" / "suite.yaml").evaluation.runs == 20
     assert "on 20 runs" in results(tmp_path / "kept")["verdict"]
     (tmp_path / "taken").mkdir()
@@ -120,60 +110,29 @@ def test_what_is_kept_is_gone_on_with_or_left_alone(cli, written, tmp_path):
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.slow
-def test_json_fewer_runs_and_a_quick_look(cli, written, tmp_path):
-    written((DECOUPLING, ""), ("generations: 2", "generations: 20"))
-    found = cli("compare", "suite.yaml", "--out", "kept", "--json", "--runs", "20", "--quick")
-    assert found.code == 0
-    numbers = json.loads(found.out)
+def test_a_quick_look_as_json(cli, written, tmp_path):
+    written(
+        (DECOUPLING, ""), ("generations: 2", "generations: 20"), ("evaluation: {runs: 16", "evaluation: {runs: 4096")
+    )
+    looked = cli("compare", "suite.yaml", "--out", "kept", "--json", "--quick")
+    assert looked.code == 0
+    numbers = json.loads(looked.out)
     assert numbers == results(tmp_path / "kept")
-    assert "on 20 runs" in numbers["verdict"]
-    assert found.err.startswith("wrote comparison.html, results.json")
+    assert "on 128 runs" in numbers["verdict"] and looked.err.startswith("wrote results.json")
     kept = Suite.read(tmp_path / "kept" / "suite.yaml")
-    assert (kept.evaluation.runs, kept.tuning.generations, kept.tuning.starts) == (20, 2, 1)
+    assert (kept.evaluation.runs, kept.tuning.generations, kept.tuning.starts) == (128, 2, 1)
     assert 16 <= len(read_trials(tmp_path / "kept" / STUDY, "PID 3")) <= 18
-    alone = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "as it is 19")  # without the options again
-    assert alone.code == 0
-    reference = xr.load_dataset(tmp_path / "kept" / "runs.nc")["reference"].to_numpy()[19]
-    assert Scenario.parse(alone.out).name == f"a small contest: as it is, {reference}"
-    written((DECOUPLING, ""), ("evaluation: {runs: 16", "evaluation: {runs: 4096"), name="large.yaml")
-    quick = json.loads(cli("compare", "large.yaml", "--out", "look", "--json", "--quick").out)
-    assert "on 128 runs" in quick["verdict"]
-
-    for run, said in (("PID 4 3", "known are PID 3"), ("PID 3 20", "give 0 to 19"), ("PID 3 ²", "give 0 to 19")):
-        refused = cli("compare", "suite.yaml", "--out", "kept", "--repeat", run)
-        assert (refused.code, refused.out) == (2, "")
-        assert said in refused.err
-    runs = tmp_path / "kept" / "runs.nc"
-    content = runs.read_bytes()
-    for damaged in (b"", content[:2000], content[:1000] + bytes([content[1000] ^ 4]) + content[1001:]):
-        runs.write_bytes(damaged)
-        refused = cli("compare", "suite.yaml", "--out", "kept", "--repeat", "PID 3 1")
-        assert (refused.code, refused.out) == (2, "")
-        assert "runs.nc" in refused.err
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        ((), "--out DIR"),
-        (("--out", "kept", "--runs", "1"), "give 2 to 1000000"),
-        (("--out", "kept", "--repeat", "PID 3 1"), "kept does not contain a comparison"),
-    ],
-)
-def test_a_mistake_leaves_nothing_behind(cli, written, tmp_path, arguments, said):
-    written()
-    found = cli("compare", "suite.yaml", *arguments)
-    assert (found.code, found.out) == (2, "")
-    assert said in found.err
-    assert "Traceback" not in found.err
-    assert [path.name for path in tmp_path.iterdir()] == ["suite.yaml"]
-
-
-def test_a_scenario_has_a_suite_of_its_own(cli, tmp_path):
-    scenario = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
-    found = cli("compare", str(scenario), "--out", "kept", "--repeat", "PID 3")
-    assert (found.code, found.out) == (2, "") and "kept does not contain a comparison" in found.err
-    assert "scenario, decoupling" in found.err and "load.mass2=+-20 %" in found.err
+def test_a_comparison_needs_a_folder_and_a_scenario_has_a_suite_of_its_own(cli, tmp_path, monkeypatch):
+    monkeypatch.setattr("mckibben.study.compare.compare", lambda suite, **_: pytest.fail(",".join(suite.controllers)))
+    scenario = str(Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml")
+    refused = cli("compare", scenario)
+    assert (refused.code, refused.out) == (2, "") and "--out DIR" in refused.err
+    with pytest.raises(BaseException, match="scenario,"):
+        cli("compare", scenario, "--out", "kept")
+    suite = Suite.read(tmp_path / "kept" / "suite.yaml")
+    assert tuple(suite.controllers) == ("scenario", "PID", "decoupling") or "decoupling" in suite.controllers
 
 
 def test_a_mistake_in_the_suite_names_its_line(cli, tmp_path):

@@ -62,14 +62,3 @@ def test_a_load_that_cannot_be_held(cli, printed):
     found = cli("envelope", "heavy.yaml", "--out", "kept")
     assert found.code == 0 and "cannot hold its load at any angle" in found.out
     assert (printed / "kept" / "envelope.png").stat().st_size > 10_000
-
-
-@pytest.mark.parametrize(
-    ("arguments", "named"),
-    [(("--smoothing", "0 s"), "the smoothing is 0 s"), (("--smoothing", "5 mm"), "--smoothing: ")],
-)
-def test_a_mistake_is_one_error(cli, printed, arguments, named):
-    found = cli("envelope", "s.yaml", *arguments)
-    assert (found.code, found.out) == (2, "")
-    assert found.err.startswith("error: ") and named in found.err
-    assert "Traceback" not in found.err

@@ -156,8 +156,8 @@ def test_validate_a_fit_that_was_kept(cli, tmp_path):
 def test_validate_chou_with_and_without_a_specimen(cli):
     without = cli("validate", "chou", FESTO)
     assert (without.code, without.out) == (2, "")
-    assert "add --specimen, a file or one of MAS-10-180N-AA-MC-O, DMSP-10-250" in without.err
-    found = json.loads(cli("validate", "chou", FESTO, "--specimen", "MAS-10-180N-AA-MC-O", "--json").out)
+    assert "add --read specimen=NAME, a file or one of MAS-10-180N-AA-MC-O, DMSP-10-250" in without.err
+    found = json.loads(cli("validate", "chou", FESTO, "--read", "specimen=MAS-10-180N-AA-MC-O", "--json").out)
     data = catalog.dataset("festo-tool-10mm").taut
     alpha, eps = np.radians(25), data.contraction
     force = np.pi * 0.01**2 / 4 * data.pressure * (3 * (1 - eps) ** 2 / np.tan(alpha) ** 2 - 1 / np.sin(alpha) ** 2)
@@ -262,7 +262,7 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
     for command in (
         ("simulate", "joint.yaml"),
         ("envelope", "joint.yaml"),
-        ("tune", "joint.yaml", "--population", "5", "--iterations", "1", "--out", "tuned"),
+        ("tune", "joint.yaml", "--iterations", "1", "--out", "tuned"),
     ):
         answer = cli(*command, "--details")
         assert answer.code == 0, answer.err

@@ -12,9 +12,8 @@ import pytest
 
 from mckibben import report
 from mckibben.component.columns import labels_of
-from mckibben.errors import FileError, ScenarioError
-from mckibben.scenario import Scenario, run_scenario, with_values
-from mckibben.simulation import Metrics, SimulationResult, unknown_air
+from mckibben.scenario import Scenario, run_scenario
+from mckibben.simulation import Metrics, SimulationResult
 from mckibben.simulation.metrics import METRICS
 from mckibben.units import deg
 
@@ -117,13 +116,6 @@ def test_the_mistakes_of_the_documentation_give_its_words(cli, tmp_path):
     assert flat(found.err) in flat((ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8"))
 
 
-def test_the_scenario_of_the_documentation_is_one(cli):
-    text = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
-    scenario = Scenario.parse(re.search(r"```yaml\n(.*?)```", text, re.DOTALL)[1])
-    assert (scenario.duration, scenario.control_period) == (10.0, 1e-3)
-    scenario.initial(scenario.plant())
-
-
 @pytest.mark.slow
 def test_what_is_infeasible_is_a_warning_beside_the_result(cli, tmp_path, shortened):
     text = shortened("pre-contracted-step-pid").replace("after: 17 N*m/rad", "after: 25 N*m/rad")
@@ -147,14 +139,6 @@ def test_a_start_that_cannot_be_held_is_bad_input(cli, tmp_path, shortened):
     assert (found.code, found.out) == (2, "")
     assert found.err.startswith("error: ")
     assert "99" in found.err
-
-
-@pytest.mark.parametrize("key", ["command_delay", "controller.command_delay"])
-def test_a_delay_of_too_many_periods_is_reported_at_its_key(key):
-    late = with_values(Scenario.read(ROOT / "examples" / "valves" / "itv0050-decoupling.yaml"), {key: 0.15})
-    with pytest.raises(ScenarioError) as caught:
-        run_scenario(late)
-    assert caught.value.problems[0].field == key
 
 
 @pytest.fixture
@@ -213,39 +197,3 @@ def test_a_full_disk_says_what_is_kept_and_a_vanished_folder_that_nothing_is(cli
     found = cli("simulate", "short.yaml", "--out", "kept", "--force")
     assert found.code == 2
     assert "the folder has disappeared" in found.err
-
-
-@pytest.mark.slow
-def test_a_flipped_bit_of_a_result_is_found(kept):
-    path = kept / "result.nc"
-    whole = path.read_bytes()
-    for place in range(0, 8 * (len(whole) - 80), len(whole) // 3):
-        damaged = bytearray(whole)
-        damaged[place // 8] ^= 1 << place % 8
-        path.write_bytes(damaged)
-        with pytest.raises(FileError):
-            SimulationResult.from_netcdf(path)
-
-
-def test_the_accuracy_of_the_command_line_is_that_of_the_run(cli, tmp_path, shortened):
-    text = shortened("pre-contracted-step-pid") + "friction: {torque: 0.3 N*m}\n"
-    (tmp_path / "short.yaml").write_text(text, encoding="utf-8")
-    errors = []
-    for options in ((), ("--accuracy", "1e-8 rad")):
-        out = cli("simulate", "short.yaml", "--details", *options).out
-        errors.append(float(re.search(r"integration error of the angle: (\S+) rad \(\d+ integration steps", out)[1]))
-    assert errors[0] <= 1e-6 and errors[1] <= 1e-8
-
-
-@pytest.mark.parametrize("accuracy", ["1e-15 rad", "1 mm", "0 rad"])
-def test_an_accuracy_that_cannot_be_reached_is_refused(cli, tmp_path, shortened, accuracy):
-    (tmp_path / "short.yaml").write_text(shortened("pre-contracted-step-pid"), encoding="utf-8")
-    found = cli("simulate", "short.yaml", "--accuracy", accuracy)
-    assert found.code == 2 and "accuracy" in found.err
-
-
-def test_why_the_use_of_air_is_unknown_names_the_specimens():
-    text = (ROOT / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
-    assert unknown_air(Scenario.parse(text).joint) == ""
-    own = text.replace("specimen: MAS-10-180N-AA-MC-O", "specimen: {name: mine, initial_length: 180 mm}")
-    assert "mine" in unknown_air(Scenario.parse(own).joint)

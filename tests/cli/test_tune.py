@@ -18,9 +18,9 @@ CHANGES = (
     ("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "2 deg"),
     ("{class: step, before: 13 N*m/rad, after: 17 N*m/rad, at: 5 s}", "15 N*m/rad"),
 )
-START = ("--parameters", "start.angle=-5..8 deg", "--parameters", "start.stiffness=11..20 N*m/rad log")
+START = ("--over", "start.angle=-5..8 deg", "--over", "start.stiffness=11..20 N*m/rad log")
 COST = ("--cost", "angle_rmse/1 deg + stiffness_rmse/1 N*m/rad", "--margin", "1")
-SMALL = (*START, *COST, "--population", "8", "--iterations", "3", "--out", "kept")
+SMALL = (*START, *COST, "--iterations", "3", "--out", "kept")
 
 
 @pytest.fixture
@@ -98,8 +98,8 @@ def test_a_search_over_conditions_costs_their_percentile(cli, scenario, tmp_path
     costs = []
     for percentile in ("50", "100"):
         done = cli(
-            *("tune", "s.yaml", "--parameters", "controller.position.kp=1..4 bar/rad"),
-            *("--conditions", "load.mass2=+-20 %", "--draws", "4", "--percentile", percentile, "--population", "8"),
+            *("tune", "s.yaml", "--over", "controller.position.kp=1..4 bar/rad"),
+            *("--conditions", "load.mass2=+-20 %", "--percentile", percentile),
             *("--iterations", "1", "--json", "--out", f"kept{percentile}"),
         )
         assert done.code == 0, done.err
@@ -110,14 +110,13 @@ def test_a_search_over_conditions_costs_their_percentile(cli, scenario, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
-        (("--draws", "4"), "--conditions"),
         (("--percentile", "50"), "--conditions"),
         (("--conditions", "load.mass2=0.5 kg"), "does not vary"),
         (("--conditions", "load.mass2=+-20 %", "--percentile", "101"), "the percentile is 101"),
     ],
 )
 def test_conditions_that_mean_nothing_are_refused(cli, scenario, arguments, named):
-    found = cli("tune", "s.yaml", "--parameters", "controller.position.kp=1..4 bar/rad", *arguments, "--out", "kept")
+    found = cli("tune", "s.yaml", "--over", "controller.position.kp=1..4 bar/rad", *arguments, "--out", "kept")
     assert (found.code, named in found.err) == (2, True), found.err
 
 
@@ -158,7 +157,7 @@ def test_files_that_scenarios_name_are_found_from_the_new_folder(cli, tmp_path, 
 @pytest.mark.slow
 def test_a_tuned_plant_is_known_to_the_controller_if_asked_alone(cli, scenario, tmp_path, monkeypatch, known, believed):
     monkeypatch.setattr(TuningProblem, "costs", lambda self, values: values[:, 0])  # what is found does not matter here
-    plant = ("--parameters", "joint.geometry.connector_length=206..208 mm", *COST, "--iterations", "1", "--out", "kept")
+    plant = ("--over", "joint.geometry.connector_length=206..208 mm", *COST, "--iterations", "1", "--out", "kept")
     found = cli("tune", "s.yaml", *plant, *known)
     assert found.code == 0, found.err
     tuned = Scenario.read(tmp_path / "kept" / "s-tuned.yaml")
@@ -182,7 +181,7 @@ def test_a_scenario_that_cannot_start_is_mended(cli, scenario, tmp_path, text):
 
 @pytest.mark.slow
 def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
-    narrow = ("--parameters", "start.angle=-2..1 deg", *START[2:], *SMALL[4:])
+    narrow = ("--over", "start.angle=-2..1 deg", *START[2:], *SMALL[4:])
     found = cli("tune", "s.yaml", *narrow, "--method", "cma", "--iterations", "12")
     assert "at a bound of the range: start.angle" in found.out
 
@@ -192,27 +191,26 @@ def test_a_number_at_an_end_of_its_range_is_named(cli, scenario):
     [
         (SMALL[:-2], "--out DIR"),
         (
-            ("--parameters", "controller.positon.kp"),
+            ("--over", "controller.positon.kp"),
             "did you mean 'controller.position.kp'?",
         ),  # before the missing --out
         ((*SMALL, "--method", "newton"), "method is 'newton'"),
-        ((*SMALL, "--parameters", "load.mass9=1..2 kg"), "no parameter 'mass9'"),
-        ((*SMALL, "--parameters", "load.mass2=2..1 kg"), "the range is empty"),
-        ((*SMALL, "--parameters", "load.mass2=1..2 N"), "does not have the dimensions of"),
-        ((*SMALL, "--parameters", "start.angle"), "zero, or not given: there is no range around it"),
+        ((*SMALL, "--over", "load.mass9=1..2 kg"), "no parameter 'mass9'"),
+        ((*SMALL, "--over", "load.mass2=2..1 kg"), "the range is empty"),
+        ((*SMALL, "--over", "load.mass2=1..2 N"), "does not have the dimensions of"),
+        ((*SMALL, "--over", "start.angle"), "zero, or not given: there is no range around it"),
         (
-            (*SMALL, "--parameters", "start.angle=0..1 deg"),
+            (*SMALL, "--over", "start.angle=0..1 deg"),
             "'start.angle=-5..8 deg' and 'start.angle=0..1 deg' are about the same parameter",
         ),
         (
-            (*SMALL, "--parameters", "controller.position.kp", "--parameters", "controller.position.kp"),
+            (*SMALL, "--over", "controller.position.kp", "--over", "controller.position.kp"),
             "'controller.position.kp' and 'controller.position.kp' are about the same parameter; keep one of them",
         ),
-        ((*SMALL, "--parameters", "load.mass2=10 %"), "give a range (0.2 kg..1.0 kg), values"),
+        ((*SMALL, "--over", "load.mass2=10 %"), "give a range (0.2 kg..1.0 kg), values"),
         ((*SMALL, "--cost", "coupling", "--method", "cma"), "coupling is not defined"),
         ((*SMALL, "--cost", "angle_rmse/1 N"), "does not have the dimensions of"),
         ((*SMALL, "--margin", "0.5"), "the gain margin is 0.5"),
-        ((*SMALL, "--population", "3"), "at least 4"),
         ((*SMALL, "--iterations", "0"), "iterations is 0"),
         ((*SMALL, "--seed", "-1"), "seed is -1"),
         ((*SMALL, "--resume"), "no study to continue; leave out --resume"),
@@ -245,7 +243,7 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
         (("--seed", "1"), "started with 0, not 1"),
         (("--margin", "2"), "gain_margin: .* started with 1.0, not 2.0"),
         (("--cost", "angle_rmse"), "cost: the study was started"),
-        (("--parameters", "load.damping"), "parameters: the study was started"),
+        (("--over", "load.damping"), "parameters: the study was started"),
     ):
         refused = cli(*asked, *change, "--resume")
         assert (refused.code, refused.out) == (2, "") and re.search(message, refused.err)
@@ -256,10 +254,10 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
 def test_killed_and_interrupted_it_ends_where_it_would_have(cli, stopped, scenario, tmp_path):
     asked = ("tune", "s.yaml", *SMALL, "--iterations", "8")
     assert stopped(signal.SIGKILL, *asked)[0] == -signal.SIGKILL
-    assert len(read_trials(tmp_path / "kept" / STUDY)) == 24
+    assert len(read_trials(tmp_path / "kept" / STUDY)) == 96
     code, messages = stopped(signal.SIGINT, *asked, "--resume")
     assert code == 130 and "interrupted: what was finished is in kept/study.sqlite; continue with --resume" in messages
-    assert len(read_trials(tmp_path / "kept" / STUDY)) == 48
+    assert len(read_trials(tmp_path / "kept" / STUDY)) == 192
     assert cli(*asked, "--resume").code == 0
     (tmp_path / "kept").rename(tmp_path / "cut")
     assert cli(*asked).code == 0

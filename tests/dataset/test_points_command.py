@@ -43,7 +43,7 @@ def write(name: str, pressure: np.ndarray, lines: str = "", gain: float = 1) -> 
     Path(name).write_text("Time (s),Druck [bar],Force (N)\n" + "".join(rows) + lines)
 
 
-COLUMN = ("--column", "Druck [bar]=pressure_bar", "--contraction", "10 %")
+COLUMN = ("--column", "Druck [bar]=pressure_bar", "--read", "contraction=10 %")
 
 
 def test_plateaus_become_files_that_are_read_as_points(run):

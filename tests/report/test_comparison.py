@@ -100,7 +100,7 @@ def test_its_words_and_numbers(text, result):
     assert "as it is not tuned" in words
     assert "cost 20.5 before, 1.25 tuned" in words
     assert "position.kp 1.2 bar/rad" in words
-    assert "--repeat 'PID 3 15'" in words, "a run that there is"
+    assert "mckibben compare suite.yaml" in words
     assert Suite.parse(html.unescape(re.search(r"<summary>.*<code>(.*)</code>", text, re.S)[1])) == result.suite
 
 

@@ -56,7 +56,7 @@ def test_the_law_of_a_muscle_file_has_its_threshold(tmp_path):
 
 
 def test_chou_needs_a_specimen():
-    with pytest.raises(NotInCatalogError, match="--specimen, a file or one of MAS-10-180N-AA-MC-O, DMSP-10-250"):
+    with pytest.raises(NotInCatalogError, match="specimen=NAME, a file or one of MAS-10-180N-AA-MC-O, DMSP-10-250"):
         law_named("chou")
     with pytest.raises(NotInCatalogError, match="nobody"):
         law_named("chou", specimen="nobody")

@@ -255,7 +255,8 @@ def _shut_phases(recording: Recording, specimen: Specimen, contraction: float | 
     lengths = recording.contraction
     if lengths is None and contraction is None:
         raise IdentificationError(
-            "the contraction is not known", remedy="record the length, or give the contraction (--contraction)"
+            "the contraction is not known",
+            remedy="record the length, or give the contraction (--read 'contraction=10 %')",
         )
     period, longest = float(np.median(np.diff(time))), float(np.diff(time).max())
     if round(period, 6) > _SLOWEST or longest > 1.5 * period:

@@ -13,45 +13,26 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
-from typer import Argument, Option
+from typer import Option
 
 import mckibben
 from mckibben.cli.calibrate import calibrate
 from mckibben.cli.catalog import catalog
 from mckibben.cli.check import check
-from mckibben.cli.command import command
-from mckibben.cli.compare import compare
+from mckibben.cli.command import plain_command
 from mckibben.cli.export import export
 from mckibben.cli.identify import identify, validate
+from mckibben.cli.joint import envelope, margins, simulate, size, stiffness
 from mckibben.cli.leg import leg
-from mckibben.cli.options import (
-    INTERRUPTED,
-    Accuracy,
-    Commands,
-    Extrapolate,
-    Json,
-    echo,
-    keeping,
-    on_command_line,
-    progress,
-    results_folder,
-    table,
-    with_accuracy,
-)
-from mckibben.cli.plan import margins, plan, stiffness
-from mckibben.cli.points import points
-from mckibben.cli.recordings import identify_air, identify_creep
+from mckibben.cli.options import INTERRUPTED, Commands, echo, on_command_line, progress, table
+from mckibben.cli.points import plan, points
 from mckibben.cli.rig import rig
-from mckibben.cli.size import envelope, size
-from mckibben.cli.sweep import sweep, tune
+from mckibben.cli.studies import compare, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
 from mckibben.storage.files import make_folder, to_json
-
-if TYPE_CHECKING:
-    from mckibben.simulation import SimulationResult
 
 _LONGEST_REASON = 1000  # characters of a foreign exception
 
@@ -67,12 +48,19 @@ app = typer.Typer(
 )
 
 
-def reproduce(
-    out: Annotated[Path, Option(metavar="DIR", help="Folder of the report.")] = Path("mckibben-report"),
-    quick: Annotated[bool, Option("--quick", help="Fewer repeats, seeds and tuning steps.")] = False,
-    json: Json = False,
-) -> None:
-    """Reproduce the paper: test, identification, knee and control, with a report and figures."""
+@plain_command
+def reproduce(out: Path = Path("mckibben-report"), quick: bool = False, json: bool = False) -> None:
+    """Reproduce the paper: test, identification, knee and control, with a report and figures.
+
+    Parameters
+    ----------
+    out : DIR
+        Folder of the report.
+    quick
+        Fewer repeats, seeds and tuning steps.
+    json
+        Print machine-readable results instead of a table.
+    """
     make_folder(out)  # fails before the computation
 
     with progress() as report:
@@ -96,40 +84,17 @@ def reproduce(
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 
-@command
-def simulate(
-    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")],
-    animate: Annotated[
-        Path | None, Option(metavar="FILE", help="Write an animation of the joint, as .webp or .gif.")
-    ] = None,
-    accuracy: Accuracy = "",
-    extrapolate: Extrapolate = False,
-    force: bool = False,
-) -> SimulationResult:
-    """Simulate a scenario: a controller on a joint."""
-    if animate:  # report mistakes before the run
-        from mckibben.report.animation import animation_format
-
-        animation_format(animate)
-        results_folder(animate.parent, [animate.name], force)
-    from mckibben.scenario import Scenario, run_scenario
-
-    run = with_accuracy(Scenario.read(scenario), accuracy)
-    run = run.with_extrapolation() if extrapolate else run
-    result = run_scenario(run, source=str(scenario))
-    if animate:
-        from mckibben import report
-
-        with keeping(animate.parent):
-            report.animate(result, animate, run.plant(), overwrite=True)
-    return result
-
-
+@plain_command
 def web(
-    port: Annotated[int, Option(min=1, max=65535, help="Port of the address.")] = 8080,
-    no_browser: Annotated[bool, Option("--no-browser", help="Do not open a browser.")] = False,
+    port: Annotated[int, Option(min=1, max=65535, help="Port of the address.")] = 8080, no_browser: bool = False
 ) -> None:
-    """Serve a page on this machine: identify a muscle, design a joint, run it."""
+    """Serve a page on this machine: identify a muscle, design a joint, run it.
+
+    Parameters
+    ----------
+    no_browser
+        Do not open a browser.
+    """
     try:
         import nicegui  # noqa: F401
     except ImportError as error:
@@ -141,16 +106,7 @@ def web(
 
 _PANELS = {
     "The paper": (reproduce,),
-    "Muscles, data and test rig": (
-        points,
-        identify,
-        identify_creep,
-        identify_air,
-        validate,
-        plan,
-        catalog,
-        rig,
-    ),
+    "Muscles, data and test rig": (points, identify, validate, plan, catalog, rig),
     "Joint, leg and control": (size, simulate, envelope, stiffness, margins, calibrate, leg),
     "Studies": (tune, compare, sweep),
     "Other programs": (web, export, check),

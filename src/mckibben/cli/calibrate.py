@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
-from typer import Argument, Option
 
-from mckibben.cli.command import DETAILS, present
+from mckibben.cli.command import command
 from mckibben.cli.options import (
-    Force,
-    Json,
+    ScenarioFile,
+    check_unused,
     echo,
     keeping,
     parse_limits,
-    parse_optional_quantity,
+    parse_pair,
+    parse_quantity,
     required_folder,
     results_folder,
 )
@@ -25,55 +25,71 @@ from mckibben.cli.rig import run_line
 from mckibben.errors import ParameterError, StoppedError, quoted
 
 if TYPE_CHECKING:
-    from mckibben.calibration import JointRecording, Sweeps, ValveExperiment
+    from mckibben.calibration import Calibration, JointRecording, Sweeps, ValveExperiment
     from mckibben.realtime import JointRig
     from mckibben.scenario import Scenario
 
-_LEAST, _MOST = 20.0, 600.0  # s of an experiment
-_DURATION = 60.0  # s; twice that for valves
+Files = list[Path] | None
+_SHORTEST, _LONGEST = 20.0, 600.0  # s of an experiment
 
 
+@command
 def calibrate(
-    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario with joint, controller and its model.")],
-    weight: Annotated[str, Option(metavar="MASS", help="A known weight to clip on, such as '0.5 kg'.")] = "",
-    distance: Annotated[str, Option(metavar="LENGTH", help="Its distance from the axis, such as '200 mm'.")] = "",
-    valves: Annotated[
-        bool, Option("--valves", help="Identify the valves instead, by steps and a multisine of their commands.")
-    ] = False,
-    angles: Annotated[str, Option(metavar="RANGE", help="Angles to sweep, or to stay within.")] = "-10..10 deg",
-    duration: Annotated[
-        str, Option(metavar="TIME", help="Duration of all parts, 20 to 600 s (default: 60 s, or 120 s with --valves).")
-    ] = "",
-    rig: Annotated[Path | None, Option(metavar="RIG.yaml", help="Rig, see examples/rig/ (default: simulated).")] = None,
-    recording: Annotated[
-        list[Path] | None,
-        Option(metavar="FILE", help="Use a recording (CSV, or result.nc of `rig control`) instead; repeatable."),
-    ] = None,
-    weighted: Annotated[
-        list[Path] | None, Option(metavar="FILE", help="A recording with the weight clipped on; repeatable.")
-    ] = None,
-    held_out: Annotated[
-        list[Path] | None,
-        Option(metavar="FILE", help="A recording of commands to simulate, not used for the estimate; repeatable."),
-    ] = None,
-    prior: Annotated[
-        Path | None, Option(metavar="PRIOR.yaml", help="Standard deviations before, such as `mass: 5 %`.")
-    ] = None,
-    details: DETAILS = False,
-    out: Annotated[Path | None, Option(metavar="DIR", help="Folder of records, model and figure.")] = None,
-    force: Force = False,
-    json: Json = False,
-) -> None:
+    scenario: ScenarioFile,
+    weight: str = "",
+    valves: bool = False,
+    angles: str = "-10..10 deg",
+    duration: str = "",
+    rig: Path | None = None,
+    recording: Files = None,
+    weighted: Files = None,
+    held_out: Files = None,
+    prior: Path | None = None,
+    *,
+    out: Path | None,
+    force: bool,
+    json: bool,
+) -> Calibration:
     """Identify the controller's joint model on the joint, with a known weight, or its valves.
 
     Exit codes: 0 done, 1 stopped (the joint is vented), 2 refused before anything moved.
+
+    Parameters
+    ----------
+    weight : MASS, LENGTH
+        A known weight to clip on, at a distance from the axis: '0.5 kg, 200 mm'.
+    valves
+        Identify the valves instead, by steps and a multisine of their commands.
+    angles : RANGE
+        Angles to sweep, or to stay within.
+    duration : TIME
+        Duration of all parts, 20 to 600 s (default: 60 s, or 120 s with --valves).
+    rig : RIG.yaml
+        Rig, see examples/rig/ (default: simulated).
+    recording : FILE
+        Use a recording (CSV, or result.nc of `rig control`) instead; repeatable.
+    weighted : FILE
+        A recording with the weight clipped on; repeatable.
+    held_out : FILE
+        A recording of commands to simulate, not used for the estimate; repeatable.
+    prior : PRIOR.yaml
+        Standard deviations before, such as `mass: 5 %`.
     """
-    mass = _positive("--weight", weight, "kg")
-    length = _positive("--distance", distance, "m")
-    if (mass is None) != (length is None):
-        raise ParameterError("--weight and --distance go together", remedy="give both, such as '0.5 kg' and '200 mm'")
-    _check_files(weight, valves, recording or [], weighted or [], held_out or [])
-    seconds = _duration(duration, 2 * _DURATION if valves else _DURATION)
+    if valves:
+        check_unused("--valves", weight=weight, held_out=held_out, weighted=weighted)
+    if weighted and not weight:
+        raise ParameterError("--weighted without a weight", remedy="add --weight '0.5 kg, 200 mm'")
+    if held_out and not (recording or weighted):
+        raise ParameterError("--held-out without a recording", remedy="add --recording")
+    parts = parse_pair("--weight", weight, "0.5 kg, 200 mm")
+    mass, length = (
+        parse_quantity("--weight", text, unit, positive=True) if text else 0.0
+        for text, unit in zip(parts, ("kg", "m"), strict=True)
+    )
+    seconds = parse_quantity("--duration", duration or ("120 s" if valves else "60 s"), "s")
+    if not _SHORTEST <= seconds <= _LONGEST:
+        remedy = f"give {_SHORTEST:g} to {_LONGEST:g} s"
+        raise ParameterError(f"--duration is {quoted(duration)}", value=seconds, unit="s", remedy=remedy)
     out = required_folder(out, "calibration")
     from mckibben import calibration
     from mckibben.scenario import Scenario
@@ -81,53 +97,20 @@ def calibrate(
     results_folder(out, calibration.Calibration.file_names(), force)
     low, high = parse_limits("--angles", angles, "rad")
     deviations = calibration.JointPrior() if prior is None else calibration.JointPrior.read(prior)
-    read = Scenario.read(scenario)
-    bare, heavy, unused = (
-        [calibration.read_joint_recording(path, **options) for path in paths or ()]
-        for paths, options in (
-            (recording, {}),
-            (weighted, {"added_mass": mass or 0.0, "distance": length or 0.0}),
-            (held_out, {}),
-        )
-    )
-    experiment: Sweeps | ValveExperiment
+    read, measure = Scenario.read(scenario), calibration.read_joint_recording
+    recordings = [
+        *(measure(path) for path in recording or ()),
+        *(measure(path, added_mass=mass, distance=length) for path in weighted or ()),
+    ]
+    unused = [measure(path) for path in held_out or ()]
     if valves:
         experiment = calibration.ValveExperiment(low, high, seconds, strength=deviations.strength)
-    else:
-        experiment = calibration.Sweeps(low, high, seconds, mass or 0.0, length or 0.0)
-    recordings = [*bare, *heavy] or _measured(read, experiment, out, rig, quiet=json)
-    fit: calibration.Calibration
-    if valves:
-        fit = calibration.calibrate_scenario_valves(read, recordings, deviations)
-    else:
-        fit = calibration.calibrate_scenario(read, recordings, deviations, held_out=unused)
-    present(fit, details=details, json=json, out=out, force=True)
-
-
-def _check_files(weight: str, valves: bool, recording: list[Path], weighted: list[Path], held_out: list[Path]) -> None:
-    """Raise `ParameterError` for recordings that do not go together."""
-    if weighted and not weight:
-        raise ParameterError("--weighted without a weight", remedy="add --weight and --distance")
-    if valves and (weight or held_out or weighted):
-        raise ParameterError("--valves with a weight, or with --held-out", remedy="calibrate joint and valves in turn")
-    if held_out and not (recording or weighted):
-        raise ParameterError("--held-out without a recording", remedy="add --recording")
-
-
-def _positive(option: str, text: str, unit: str) -> float | None:
-    """Return a positive quantity; None without one."""
-    value = parse_optional_quantity(option, text, unit)
-    if value is not None and not value > 0:
-        raise ParameterError(f"{option} is {quoted(text)}", value=value, remedy="give a value above 0")
-    return value
-
-
-def _duration(text: str, default: float) -> float:
-    seconds = parse_optional_quantity("--duration", text, "s") or default
-    if not _LEAST <= seconds <= _MOST:
-        remedy = f"give {_LEAST:g} to {_MOST:g} s"
-        raise ParameterError(f"--duration is {quoted(text)}", value=seconds, unit="s", remedy=remedy)
-    return seconds
+        recordings = recordings or _measured(read, experiment, out, rig, quiet=json)
+        return calibration.calibrate_scenario_valves(read, recordings, deviations)
+    recordings = recordings or _measured(
+        read, calibration.Sweeps(low, high, seconds, mass, length), out, rig, quiet=json
+    )
+    return calibration.calibrate_scenario(read, recordings, deviations, held_out=unused)
 
 
 def _measured(

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
-
-from typer import Argument, Option
+from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
 from mckibben.errors import ParameterError
@@ -15,19 +13,23 @@ if TYPE_CHECKING:
 
 @command
 def check(
-    module: Annotated[str, Argument(metavar="FILE.py|MODULE", help="Module with the classes, which is executed.")],
-    fields: Annotated[
-        list[str] | None,
-        Option("--with", metavar="'NAME=VALUE'", help="Value of a field as in a file, such as 'rate=20 bar/s'."),
-    ] = None,
+    module: str,
+    with_: list[str] | None = None,
 ) -> ContractReport:
     """Check user-defined classes: units, files, batches, derivatives, emitted C, and the promises of their bases.
 
     Instances at the top level of the module are checked; a class without one is made from the defaults of its fields
     and --with. Exit codes: 0 all passed, 1 a check failed, 2 bad input.
+
+    Parameters
+    ----------
+    module : FILE.py|MODULE
+        Module with the classes, which is executed.
+    with_ : 'NAME=VALUE'
+        Value of a field as in a file, such as 'rate=20 bar/s'.
     """
     values = {}
-    for text in fields or []:
+    for text in with_ or []:
         name, equals, value = text.partition("=")
         if not equals:
             raise ParameterError(f"--with {text!r} is not NAME=VALUE", value=text, remedy="write 'rate=20 bar/s'")

@@ -1,74 +1,141 @@
-"""Commands that return a `Result`: what is common to all of them."""
+"""Commands from functions: options from their parameters and docstrings, and what those with a `Result` share."""
 
 from __future__ import annotations
 
 import functools
 import inspect
+import re
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
-from typer import Option
+from typer import Argument, Option
 
-from mckibben.cli.options import Force, Json, Out, echo, keeping, long_job, notify, results_folder, text_width
+from mckibben.cli.options import echo, keeping, long_job, notify, results_folder, text_width
+from mckibben.cli.reading import read_options
+from mckibben.result import Result
 from mckibben.storage.files import to_json
 
-if TYPE_CHECKING:
-    from mckibben.result import Result
+_HEADING = "\nParameters\n----------\n"
+_ENTRY = re.compile(r"^(\w+)(?: : (.+))?\n((?:    .+\n?)+)", re.MULTILINE)
 
-DETAILS = Annotated[bool, Option("--details", help="Print notes and further tables, too.")]
-_ADDED = {"details": (DETAILS, False), "json": (Json, False), "out": (Out, None), "force": (Force, False)}
+
+def options_of(function: Callable[..., object]) -> tuple[str, dict[str, inspect.Parameter]]:
+    """Return help text and parameters of a function, with what its docstring says of them.
+
+    Parameters
+    ----------
+        duration : TIME
+            Duration of all parts.
+
+    is the option `--duration TIME` or, of a parameter without a default, an argument. An underscore at the end of a
+    name is left out.
+    """
+    text, _, section = inspect.cleandoc(function.__doc__ or "").partition(_HEADING)
+    described = {name: (metavar or None, " ".join(words.split())) for name, metavar, words in _ENTRY.findall(section)}
+    parameters = {}
+    for name, parameter in inspect.signature(function, eval_str=True).parameters.items():
+        annotation = parameter.annotation
+        if name in described:
+            metavar, words = described[name]
+            flag = f"--{name.strip('_').replace('_', '-')}"
+            required = parameter.default is inspect.Parameter.empty
+            shown = Argument(metavar=metavar, help=words) if required else Option(flag, metavar=metavar, help=words)
+            annotation = Annotated[annotation, shown]
+        parameters[name] = parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY, annotation=annotation)
+    return re.sub(r"(?<!\n)\n(?!\n)", " ", text.strip()), parameters  # a paragraph is one line
+
+
+def plain_command(function: Callable[..., None], /) -> Callable[..., None]:
+    """Make a command of a function that prints what it does itself."""
+
+    @functools.wraps(function)
+    def run(**values: object) -> None:
+        function(**values)
+
+    text, parameters = options_of(function)
+    return _described(run, text, parameters)
 
 
 def command(function: Callable[..., Result], /) -> Callable[..., None]:
     """Make a command of a function that returns a `Result`.
 
     The command gets the options `--details`, `--json`, `--out` and `--force`, prints the result, writes its files, and
-    exits with 1 if the result is not `ok`. A parameter `progress` gets a progress bar and is not an option; a long
-    computation can be interrupted. A parameter `force` gets the value of that option.
+    exits with 1 if the result is not `ok`. The function may have parameters of these names, too. With a parameter
+
+    - `resume`, the command is a study, which is continued by `--resume`, an option in place of `--force`;
+    - `reading`, it reads files, and has the options of `read_options`;
+    - `progress`, it gets a progress bar; the computation can be interrupted.
 
         @command
-        def margins(scenario: ScenarioFile, points: Points = 20) -> Margins:
+        def margins(scenario: ScenarioFile) -> Margins:
             "Compute the stability margins of the sampled loop at operating points along the reference."
-            return Scenario.read(scenario).margins(points)
+            return Scenario.read(scenario).margins()
     """
     function.__annotations__.pop("return", None)  # its class is imported when the command runs
-    signature = inspect.signature(function, eval_str=True)
-    parameters = [
-        p.replace(kind=p.KEYWORD_ONLY) for p in signature.parameters.values() if p.name not in ("progress", "force")
-    ]
-    parameters += [
-        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, annotation=annotation, default=default)
-        for name, (annotation, default) in _ADDED.items()
-    ]
-    takes_progress = "progress" in signature.parameters
-    takes_force = "force" in signature.parameters
+    text, parameters = options_of(function)
+    names = parameters.keys()
+    resumed, progresses = "resume" in names, "progress" in names
+    shared = options_of(present)[1]
+    for name in ("result", "force" if resumed else "resume"):
+        del shared[name]
+    reading = options_of(read_options)[1] if "reading" in names else {}
+    own = {name: option for name, option in parameters.items() if name not in (*shared, "reading", "progress")}
 
     @functools.wraps(function)
-    def run(*, details: bool, json: bool, out: Path | None, force: bool, **arguments: Any) -> None:
-        results_folder(out, ("results.json",), force)  # before the computation
-        if takes_force:
-            arguments["force"] = force
-        if takes_progress:
-            with long_job(quiet=json, kept="") as progress:
-                result = function(progress=progress, **arguments)
-        else:
-            result = function(**arguments)
-        present(result, details=details, json=json, out=out, force=force)
+    def run(*, details: bool, json: bool, out: Path | None, force: bool = False, **values: Any) -> None:
+        passed: dict[str, object] = {"json": json, "out": out, "force": force}
+        passed = {name: value for name, value in passed.items() if name in names}
+        if not resumed:  # a study looks for itself
+            results_folder(out, ("results.json",), force)  # before the computation
+        if reading:
+            passed["reading"] = read_options(**{name: values.pop(name) for name in reading})
+        kept = f"what was finished is in {out}/study.sqlite; continue with --resume" if resumed and out else ""
+        with long_job(quiet=json, kept=kept) if progresses else nullcontext() as progress:
+            result = function(**values, **passed, **({"progress": progress} if progresses else {}))
+        present(result, details=details, json=json, out=out, force=force or resumed)
 
-    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return _described(run, text, own | reading | shared)
+
+
+def _described(run: Callable[..., None], text: str, parameters: dict[str, inspect.Parameter]) -> Callable[..., None]:
+    run.__doc__ = text
+    run.__signature__ = inspect.Signature(list(parameters.values()))  # type: ignore[attr-defined]
+    run.__annotations__ = {name: parameter.annotation for name, parameter in parameters.items()}
     return run
 
 
-def present(result: Result, *, details: bool = False, json: bool = False, out: Path | None = None, force: bool) -> None:
-    """Write the files of a result, and print it; exit with 1 if it is not `ok`."""
+def present(
+    result: Result,
+    *,
+    details: bool = False,
+    json: bool = False,
+    out: Path | None = None,
+    force: bool = False,
+    resume: bool = False,
+) -> None:
+    """Write the files of a result, and print it; exit with 1 if it is not `ok`.
+
+    Parameters
+    ----------
+    details
+        Print notes and further tables, too.
+    json
+        Print machine-readable results instead of a table.
+    out : DIR
+        Write results, figures and data here.
+    force
+        Replace the results of an earlier run in DIR.
+    resume
+        Continue the study in DIR.
+    """
     names: list[str] = []
     try:
         if out:  # before printing: the reader of the output may be gone
             with keeping(out):
-                names = result.save(out, force=force)
+                names = result.save(out, force=force or resume)
     finally:
         echo(to_json(result.to_dict()) if json else result.to_text(width=text_width(), details=details))
     if out:

@@ -1,107 +1,130 @@
-"""`mckibben identify` and `validate`: force laws, friction, and their validation."""
+"""`mckibben identify` and `validate`: force laws, friction, creep and air, and the validation of laws."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-from typer import Argument, Option
+from typing import TYPE_CHECKING, Any
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Data, Reading, parse_positive, reads_files
-from mckibben.errors import ParameterError, UnitError
+from mckibben.cli.options import check_unused, parse_optional, parse_quantity
+from mckibben.cli.reading import Data, Reading
+from mckibben.errors import ParameterError, UnitError, quoted
 from mckibben.units import quantity, show
 
 if TYPE_CHECKING:
-    from mckibben.cli.identified import Pool
-    from mckibben.dataset import IsobaricDataset
     from mckibben.identification import FrictionForm
+    from mckibben.muscle import ForceLaw
     from mckibben.result import Result
 
 _ALL = "all"
+_FORCE, _CREEP, _AIR = "force", "creep", "air"
 _CHOICES = {"auto": None, "on": True, "off": False}
 
 
-@reads_files("contraction", "sample_rate", "specimen")
 @command
 def identify(
     data: Data,
-    law: Annotated[
-        str, Option(help="Force law, such as exponential (Eq. 2); 'mckibben catalog' lists them; 'all' ranks them.")
-    ] = "exponential",
-    friction: Annotated[
-        str,
-        Option(
-            metavar="FORM",
-            help="Friction and drift with the law: on, off, or a form such as coulomb (default: on if loading and "
-            "unloading differ, in the form that predicts held-out loops best).",
-        ),
-    ] = "auto",
-    inner: Annotated[
-        str,
-        Option(metavar="SIZE", help="Inner diameter or measured volume of air at contraction 0, for muscle.yaml."),
-    ] = "",
-    threshold: Annotated[bool, Option("--threshold", help="Identify a pressure threshold with the law.")] = False,
-    pool: Annotated[
-        bool, Option("--pool", help="Each file is another specimen of one make; one law for all, and errors left out.")
-    ] = False,
-    for_length: Annotated[
-        str, Option(metavar="LENGTH", help="Initial length of a specimen that --pool predicts, for muscle.yaml.")
-    ] = "",
-    keep_outliers: Annotated[
-        bool, Option("--keep-outliers", help="Fit all points, those off the surface through the others, too.")
-    ] = False,
+    of: str = _FORCE,
+    law: str = "exponential",
+    friction: str = "auto",
+    inner: str = "",
+    threshold: bool = False,
+    pool: bool = False,
+    for_length: str = "",
+    keep_outliers: bool = False,
+    dead_volume: str = "",
     *,
     reading: Reading,
     progress: Any = None,
 ) -> Result:
-    """Fit a force law to measured points: estimates with standard errors, and cross-validation errors.
+    """Identify a muscle: a force law with standard errors and cross-validation errors, its creep, or its air.
 
     With --law all, every law is fitted, and laws are ranked by cross-validation over pressures, inner contractions,
     directions and repeats; the error at the highest pressure, predicted from all lower ones, is shown. Where loading
     and unloading differ, friction and drift of the force sensor are identified with the law (--friction off: without).
+
+    Parameters
+    ----------
+    of : force|creep|air
+        What to identify: the force law of measured points; or, of recordings over time, the creep after steps
+        of the pressure at fixed lengths, or heat to the wall, leak and dead volume of the air: fill a muscle
+        fast, shut the valve, watch; vent, shut, watch.
+    law
+        Force law, such as exponential (Eq. 2); 'mckibben catalog' lists them; 'all' ranks them.
+    friction : FORM
+        Friction and drift with the law: on, off, or a form such as coulomb (default: on if loading and
+        unloading differ, in the form that predicts held-out loops best).
+    inner : SIZE
+        Inner diameter or measured volume of air at contraction 0, for muscle.yaml.
+    threshold
+        Identify a pressure threshold with the law.
+    pool
+        Each file is another specimen of one make; one law for all, and errors left out.
+    for_length : LENGTH
+        Initial length of a specimen that --pool predicts, for muscle.yaml.
+    keep_outliers
+        Fit all points, those off the surface through the others, too.
+    dead_volume : VOLUME
+        Air: volume of tube and fittings up to the valve, if all is at one length.
     """
-    from mckibben.cli.identified import Identified, Ranked, Source
+    form = "" if friction == "auto" else friction
+    if of != _FORCE:
+        check_unused(f"--of {of}", inner=inner, threshold=threshold, pool=pool, friction=form)
+        return _of_recordings(of, data, dead_volume, reading)
+    from mckibben.cli.identified import Source, identified, pooled, ranked
+    from mckibben.identification import (
+        identify_pooled,
+        identify_threshold,
+        identify_with_friction,
+        rank,
+        shows_hysteresis,
+    )
     from mckibben.study.inputs import law_type_named
 
     law_type, robust = law_type_named(law) if law != _ALL else None, not keep_outliers
-    form = None if friction in _CHOICES else _friction_form(friction)
-    if law_type is None and (friction != "auto" or threshold or pool):
-        raise ParameterError(
-            "--friction, --threshold and --pool apply to a single law", remedy="choose one, such as --law exponential"
-        )
+    if law_type is None:
+        check_unused("--law all", friction=form, threshold=threshold, pool=pool)
+    given_form = None if friction in _CHOICES else _friction_form(friction)
+    if not pool:
+        check_unused("specimens that are not pooled (--pool)", for_length=for_length)
+    elif law_type is not None:
+        check_unused("--pool", friction=form, threshold=threshold, inner=inner)
+        length = parse_optional("--for-length", for_length, "m", positive=True)
+        return pooled(identify_pooled(law_type, [reading.data([file]) for file in data], robust=robust), length)
     volume = _inner(inner)
-    if pool or for_length:
-        if friction != "auto" or threshold or any(volume) or not pool:
-            raise ParameterError(
-                "--pool fits a single law, and applies to no other option of the fit",
-                remedy="give --pool, --law, --for-length, --keep-outliers and --out alone",
-            )
-        return _pooled(law_type, [reading.data([file]) for file in data], for_length, robust)
     points = reading.data(data)
     _check_inner(volume[0], points.table.attrs.get("initial_length"))
     source = Source(data, points, reading.recipe, volume)
     if law_type is None:
-        from mckibben.identification import rank
-
-        return Ranked(rank(points, robust=robust, progress=progress), source)
-    from mckibben.identification import identify_threshold, identify_with_friction, shows_hysteresis
-
-    asked = True if form else _CHOICES[friction]
+        return ranked(rank(points, robust=robust, progress=progress), source)
+    asked = True if given_form else _CHOICES[friction]
     if threshold and asked is None and shows_hysteresis(points):
         asked = True  # the misfit of the law without its threshold would hide the friction
-    fitted = identify_with_friction(law_type, points, friction=asked, form=form, robust=robust)
+    fitted = identify_with_friction(law_type, points, friction=asked, form=given_form, robust=robust)
     late = identify_threshold(law_type, fitted.points, robust=robust) if threshold else None
-    return Identified(fitted, late, source)
+    return identified(fitted, late, source)
 
 
-def _pooled(law_type: Any, data: list[IsobaricDataset], for_length: str, robust: bool) -> Pool:
-    """Pool of datasets, one per specimen."""
-    from mckibben.cli.identified import Pool
-    from mckibben.identification import identify_pooled
+def _of_recordings(of: str, files: list[str], dead_volume: str, reading: Reading) -> Result:
+    """Creep or air of a muscle, from recordings over time."""
+    if of not in (_CREEP, _AIR):
+        raise ParameterError(
+            f"--of {quoted(of)} cannot be identified", value=of, remedy=f"give {_FORCE}, {_CREEP} or {_AIR}"
+        )
+    if of == _CREEP:
+        from mckibben.identification import identify_pressure_creep
 
-    length = parse_positive("--for-length", for_length, "m") if for_length else None
-    return Pool(identify_pooled(law_type, data, robust=robust), length)
+        return identify_pressure_creep(reading.recordings(files))
+    from mckibben.calibration import identify_air
+    from mckibben.study.inputs import specimen_named
+
+    dead = parse_quantity("--dead-volume", dead_volume or "0 cm^3", "m^3")
+    recordings = reading.recordings(files)
+    name = reading.recipe.specimen or recordings[0].table.attrs.get("specimen")
+    if not name:
+        remedy = "name it, or its file, whose braid gives the volume: --read specimen=NAME"
+        raise ParameterError("the specimen is not known", field="specimen", remedy=remedy)
+    return identify_air(recordings, specimen_named(name), dead_volume=dead)
 
 
 def _inner(text: str) -> tuple[float | None, float | None]:
@@ -111,8 +134,8 @@ def _inner(text: str) -> tuple[float | None, float | None]:
     try:
         quantity(text, "m^3")
     except UnitError:
-        return parse_positive("--inner", text, "m"), None
-    return None, parse_positive("--inner", text, "m^3")
+        return parse_quantity("--inner", text, "m", positive=True), None
+    return None, parse_quantity("--inner", text, "m^3", positive=True)
 
 
 def _check_inner(diameter: float | None, length: float | None) -> None:
@@ -134,20 +157,24 @@ def _friction_form(text: str) -> FrictionForm:
         raise ParameterError(message, value=text, remedy=f"take {forms}") from None
 
 
-@reads_files("contraction", "sample_rate", "specimen")
 @command
 def validate(
-    law: Annotated[
-        str, Argument(metavar="LAW", help="A file of a fit or a muscle, a law from the catalog, or 'chou'.")
-    ],
+    law: str,
     data: Data,
-    specimen: Annotated[str, Option(help="Specimen, or its file, whose braid angle and diameter 'chou' uses.")] = "",
     *,
     reading: Reading,
 ) -> Result:
-    """Validate a force law with measured points: errors by pressure and direction. Friction is not included."""
+    """Validate a force law with measured points: errors by pressure and direction. Friction is not included.
+
+    The law 'chou' takes braid angle and diameter of a specimen, such as --read specimen=DMSP-10-250.
+
+    Parameters
+    ----------
+    law : LAW
+        A file of a fit or a muscle, a law from the catalog, or 'chou'.
+    """
     from mckibben.identification import validate as run
     from mckibben.study.inputs import law_named
 
-    known = law_named(law, specimen=specimen)
+    known: ForceLaw = law_named(law, specimen=reading.recipe.specimen or "")
     return run({Path(law).name if Path(law).is_absolute() else law: known}, reading.data(data))

@@ -12,18 +12,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from typer import Argument, Option
+from typer import Argument
 
+from mckibben.cli.command import plain_command
 from mckibben.cli.options import (
     Commands,
-    Json,
-    check_new,
+    ScenarioFile,
     echo,
-    format_metrics,
     job_progress,
     notify,
-    parse_optional_quantity,
+    parse_optional,
     table,
+    text_width,
     time_text,
 )
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
@@ -37,22 +37,36 @@ if TYPE_CHECKING:
 
 
 _KEPT = ("scenario.yaml", "results.json", "result.nc", "tracking.png", "tracking.svg")
+_RECORDING = "recording.nc"
 _INTERVAL = 0.25  # s
 
 
+@plain_command
 def control(
-    scenario: Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario; see examples/.")],
-    out: Annotated[Path | None, Option(metavar="DIR", help="Folder of record and results.")] = None,
-    rig: Annotated[Path | None, Option(metavar="RIG.yaml", help="Rig, see examples/rig/ (default: simulated).")] = None,
-    unpaced: Annotated[bool, Option("--unpaced", help="Run the simulated joint as fast as possible.")] = False,
-    ideal: Annotated[bool, Option("--ideal", help="Ideal sensors, and the same start as `mckibben simulate`.")] = False,
-    duration: Annotated[str, Option(metavar="TIME", help="Duration, such as '60 s'. Default: the scenario's.")] = "",
-    json: Json = False,
+    scenario: ScenarioFile,
+    out: Path | None = None,
+    rig: Path | None = None,
+    unpaced: bool = False,
+    ideal: bool = False,
+    json: bool = False,
 ) -> None:
     """Run a scenario's controller on a joint in real time, and record it. Ctrl-C stops it and vents.
 
     Exit codes: 0 done, 1 stopped (the reason is printed and recorded), 2 refused before anything moved, and 128 plus
     the signal's number (130 for Ctrl-C).
+
+    Parameters
+    ----------
+    out : DIR
+        Folder of record and results.
+    rig : RIG.yaml
+        Rig, see examples/rig/ (default: simulated).
+    unpaced
+        Run the simulated joint as fast as possible.
+    ideal
+        Ideal sensors, and the same start as `mckibben simulate`.
+    json
+        Print machine-readable results instead of a table.
     """
     if out is None:
         raise ParameterError("there is no folder for the record", remedy="add --out DIR")
@@ -60,8 +74,6 @@ def control(
     from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
-    if (seconds := parse_optional_quantity("--duration", duration, "s")) is not None:
-        read = read.replace(duration=seconds)
     on = None if rig is None else JointRig.read(rig)
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
@@ -115,9 +127,8 @@ def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: boo
     if json:
         echo(to_json(numbers))
     else:
-        table(name, ("metric", "value", "unit"), format_metrics(metrics))
         if result is not None:
-            echo(result.verdict())
+            echo(result.to_text(width=text_width()) + "\n")
         if paced:
             spreads = (
                 ("sample to loop", timing.lateness),
@@ -197,30 +208,42 @@ rig = typer.Typer(
     no_args_is_help=True,
 )
 
-Protocol = Annotated[Path, Argument(metavar="PROTOCOL.yaml", help="Protocol; see examples/rig/paper-protocol.yaml.")]
-
 
 @rig.command()
+@plain_command
 def run(
-    protocol: Protocol,
-    out: Annotated[Path | None, Option(metavar="DIR", help="Folder of protocol, record and dataset.")] = None,
-    resume: Annotated[bool, Option("--resume", help="Resume the test in DIR at the next point.")] = False,
-    dry_run: Annotated[bool, Option("--dry-run", help="Print steps, duration and violations, without moving.")] = False,
-    standing_at: Annotated[
-        str, Option(metavar="CONTRACTION", help="With --resume: position of the motor, if unknown.")
-    ] = "",
-    json: Json = False,
+    protocol: Path,
+    out: Path | None = None,
+    resume: bool = False,
+    dry_run: bool = False,
+    standing_at: str = "",
+    json: bool = False,
 ) -> None:
     """Run a test and record it. Ctrl-C stops it and vents; --resume continues it.
 
     Exit codes: 0 done, 1 stopped (the reason is printed and recorded), 2 refused before anything moved, and 128 plus
     the signal's number (130 for Ctrl-C).
+
+    Parameters
+    ----------
+    protocol : PROTOCOL.yaml
+        Protocol; see examples/rig/paper-protocol.yaml.
+    out : DIR
+        Folder of protocol, record and dataset.
+    resume
+        Resume the test in DIR at the next point.
+    dry_run
+        Print steps, duration and violations, without moving.
+    standing_at : CONTRACTION
+        With --resume: position of the motor, if unknown.
+    json
+        Print machine-readable results instead of a table.
     """
     from mckibben.rig.record import segments
     from mckibben.study.rig.document import read_test
     from mckibben.study.rig.running import check, check_disk_space
 
-    standing = parse_optional_quantity("--standing-at", standing_at, "1")
+    standing = parse_optional("--standing-at", standing_at, "1")
     if standing is not None and not resume:
         raise ParameterError("--standing-at applies to a resumed test", remedy="add --resume")
     test, document = read_test(protocol)
@@ -250,30 +273,30 @@ def run(
         echo(repr(data))
     following = f"mckibben identify {name}"
     if checked.dry_run.shuts:
-        recording, specimen = out / "recording.nc", checked.setup.bench.specimen.name
-        following = (
-            f"mckibben rig data {out} --recording {recording}, then "
-            f"mckibben identify-air {recording} --specimen {specimen}"
-        )
+        following = f"mckibben rig data {out} --recording; mckibben identify {out / _RECORDING} --of air"
     notify(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: {following}", json)
 
 
 @rig.command()
-def data(
-    folder: Annotated[Path, Argument(metavar="DIR", help="A folder of `rig run --out`.")],
-    recording: Annotated[
-        Path | None, Option(metavar="FILE.nc", help="New file: all samples over time, as for `points`.")
-    ] = None,
-) -> None:
-    """Make the dataset of a test from its record, complete or not."""
+@plain_command
+def data(folder: Path, recording: bool = False) -> None:
+    """Make the dataset of a test from its record, complete or not.
+
+    Parameters
+    ----------
+    folder : DIR
+        A folder of `rig run --out`.
+    recording
+        All samples over time, too, as for `points`: recording.nc in DIR.
+    """
     from mckibben.study.rig.running import gather, gather_recording
 
-    if recording is not None:
-        check_new(recording, ".nc")
+    if recording:
+        check_free(folder, [_RECORDING])
     echo(repr(gather(folder)))
-    if recording is not None:
+    if recording:
         whole = gather_recording(folder)
-        whole.to_netcdf(recording)
+        whole.to_netcdf(folder / _RECORDING)
         echo(repr(whole))
 
 

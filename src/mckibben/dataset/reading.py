@@ -39,7 +39,7 @@ _PAUSE = 20  # intervals between two files
 _NAMED = re.compile(r"(HEADER(?:': '|=)-?)(?:force_N|pressure_bar)(_abs)?")  # in a remedy
 _RATE = (
     "name the column of the time: columns={'HEADER': 'time_s'} (command line: --column 'HEADER=time_s'), or give "
-    "sample_rate (command line: --sample-rate '1000 Hz')"
+    "sample_rate (command line: --read 'sample_rate=1000 Hz')"
 )
 Kind = TypeVar("Kind", IsobaricDataset, Recording)
 

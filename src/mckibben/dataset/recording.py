@@ -169,8 +169,8 @@ class Recording(MeasuredTable):
         if self.contraction is None:
             raise RangeError(
                 "the recording has no contraction",
-                remedy="give contraction (command line: --contraction) where it was fixed, or columns of lengths and "
-                "initial_length, when reading it",
+                remedy="give contraction (command line: --read 'contraction=10 %') where it was fixed, or columns of "
+                "lengths and initial_length, when reading it",
             )
         time, pressure, contraction, force = self.time, self.pressure, self.contraction, self.force
         account = SampleAccount(self.table, gap)

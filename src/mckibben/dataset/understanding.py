@@ -102,7 +102,8 @@ class _Reader:
         self.asked += [Question(problem, "layout" if problem.field == "layout" else "") for problem in raw.problems]
         if raw.ambiguous and not self.recipe.decimal:
             text = f"{raw.ambiguous!r} may be a decimal or a thousand" if raw.ambiguous[0].isdigit() else raw.ambiguous
-            self.ask(text, remedy="give the decimal sign: decimal=',' or decimal='.' (command line: --decimal)")
+            remedy = "give the decimal sign: decimal=',' or decimal='.' (command line: --read decimal=. or decimal=,)"
+            self.ask(text, remedy=remedy)
         for entry in chosen:
             self._convert(entry)
         for problem in raw.corrupt:

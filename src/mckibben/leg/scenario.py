@@ -100,7 +100,7 @@ class DrawSettings(ConfigModel):
             if one in others:
                 fail_validation(f"{one} is correlated with itself", "leave this out", field="correlations")
         if np.linalg.eigvalsh(self.air_correlation).min(initial=1.0) <= 0:
-            remedy = "give those of one test, such as `identify-air` prints"
+            remedy = "give those of one test, such as `identify --of air` prints"
             fail_validation("no quantities have these correlations", remedy, field="correlations")
         return self
 

@@ -97,7 +97,7 @@ def write_comparison(result: CompareResult, folder: str | os.PathLike[str]) -> P
 
     Tables are those of the result; the lead says how the controllers were tuned.
     """
-    folder, suite, first = Path(folder), result.suite, next(iter(result.batches))
+    folder, suite = Path(folder), result.suite
     tuning, runs = suite.tuning, int(result.started.sum())
     untuned = f" except {', '.join(tuning.untuned)}" if tuning.untuned else ""
     lead = (
@@ -116,8 +116,7 @@ def write_comparison(result: CompareResult, folder: str | os.PathLike[str]) -> P
         ],
         source_title="The suite",
         source=suite.dumps(folder=folder),
-        again=f"mckibben compare SUITE.yaml --out DIR --repeat '{first} {min(17, result.runs.count - 1)}' > run.yaml\n"
-        "mckibben simulate run.yaml",
+        again="mckibben compare suite.yaml --out DIR",
     )
 
 

@@ -35,7 +35,7 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
                 f"{name} is a dataset of the catalog",
                 value=name,
                 remedy="leave out the options that read files (--read, --column, --initial-length, --ambient, "
-                "--decimal, --accept)",
+                "--accept)",
             )
         return catalog.dataset(name)
     for name in names:
@@ -70,7 +70,7 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
         if not specimen:
             raise NotInCatalogError(
                 "the law 'chou' needs a specimen, whose braid angle and diameter it takes",
-                remedy=f"add --specimen, a file or one of {', '.join(catalog.names('specimens'))}",
+                remedy=f"add --read specimen=NAME, a file or one of {', '.join(catalog.names('specimens'))}",
             )
         return ChouLaw.of(specimen_named(specimen))
     if name in catalog.names("laws"):

@@ -1,0 +1,112 @@
+"""Commands on a joint: `simulate`, `envelope`, `stiffness`, `margins`, and `size`, which finds one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mckibben.cli.command import command
+from mckibben.cli.options import ScenarioFile, keeping, parse_limits, results_folder
+
+if TYPE_CHECKING:
+    from mckibben.reachability import Envelope, Selection
+    from mckibben.simulation import Margins, SimulationResult
+    from mckibben.study.stiffness import StiffnessTests
+
+
+@command
+def simulate(
+    scenario: ScenarioFile,
+    animate: Path | None = None,
+    *,
+    force: bool,
+) -> SimulationResult:
+    """Simulate a scenario: a controller on a joint.
+
+    Parameters
+    ----------
+    animate : FILE
+        Write an animation of the joint, as .webp or .gif.
+    """
+    if animate:  # report mistakes before the run
+        from mckibben.report.animation import animation_format
+
+        animation_format(animate)
+        results_folder(animate.parent, [animate.name], force)
+    from mckibben.scenario import Scenario, run_scenario
+
+    read = Scenario.read(scenario)
+    result = run_scenario(read, source=str(scenario))
+    if animate:
+        from mckibben import report
+
+        with keeping(animate.parent):
+            report.animate(result, animate, read.plant(), overwrite=True)
+    return result
+
+
+@command
+def envelope(scenario: ScenarioFile) -> Envelope:
+    """Show the attainable set, whether the reference is trackable, and what would be."""
+    from mckibben import reachability
+    from mckibben.scenario import Scenario
+
+    return reachability.envelope(Scenario.read(scenario))
+
+
+@command
+def stiffness(
+    scenario: ScenarioFile,
+    amplitude: str = "0.01..10 deg",
+    rate: str = "0.1..10 Hz",
+    *,
+    progress: Any = None,
+) -> StiffnessTests:
+    """Test the stiffness of a joint over amplitude and rate of a motion, at the setpoint held by its controller.
+
+    Parameters
+    ----------
+    amplitude : RANGE
+        Amplitudes of the motion.
+    rate : RANGE
+        Rates of the motion.
+    """
+    amplitudes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
+    from mckibben.component.checks import check_positive
+
+    for option, (low, _), unit in (("--amplitude", amplitudes, "rad"), ("--rate", rates, "Hz")):
+        check_positive(option, unit, lowest=low)
+    import numpy as np
+
+    from mckibben.scenario import Scenario
+    from mckibben.study.stiffness import stiffness_tests
+
+    read = Scenario.read(scenario)
+    return stiffness_tests(
+        read, np.unique(np.geomspace(*amplitudes, 13)), np.unique(np.geomspace(*rates, 5)), progress=progress
+    )
+
+
+@command
+def margins(scenario: ScenarioFile) -> Margins:
+    """Compute the stability margins of the sampled loop at operating points along the reference."""
+    from mckibben.scenario import Scenario
+
+    return Scenario.read(scenario).margins()
+
+
+@command
+def size(
+    requirement: Path,
+) -> Selection:
+    """Size a joint: muscles and pulleys, or lengths of a given joint, with valves and air supply; simulate it.
+
+    Parameters
+    ----------
+    requirement : REQUIREMENT.yaml
+        Load, motion, stiffness and supply, see docs/size.md.
+    """
+    from mckibben.reachability import Requirement
+    from mckibben.reachability import size as run
+
+    return run(Requirement.read(requirement)).simulated()

@@ -1,0 +1,131 @@
+"""Options that read files, the same for all commands: a recipe, and its settings that files most often need."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+
+from typer import Argument
+
+from mckibben.cli.options import echo
+from mckibben.errors import ScenarioError, UnitError
+from mckibben.units import show
+
+if TYPE_CHECKING:
+    from mckibben.dataset import IsobaricDataset, Recipe, Recording
+
+Data = Annotated[
+    list[str], Argument(metavar="DATA...", help="Data files of one test, or the name of a dataset in the catalog.")
+]
+Texts = list[str] | None
+
+
+class Reading(NamedTuple):
+    """Reading options of a command."""
+
+    recipe: Recipe
+
+    def data(self, names: list[str]) -> IsobaricDataset:
+        """Data files or a dataset from the catalog; reading and preprocessing are reported on standard error."""
+        from mckibben.study.inputs import data_named
+
+        dataset = data_named(names, self.recipe)
+        _report(dataset.table.attrs)
+        for note in dataset.table.attrs.get("preprocessing", "").splitlines():
+            echo(f"found in the data: {note}", err=True)
+        return dataset
+
+    def recordings(self, paths: list[str]) -> list[Recording]:
+        """Recordings over time, one per file; reading is reported on standard error."""
+        return [self.recording([path]) for path in paths]
+
+    def recording(self, paths: list[str] | list[Path]) -> Recording:
+        """One recording over time, of one or more files; reading is reported on standard error."""
+        from mckibben.dataset import read_recording
+
+        recording = read_recording(paths, self.recipe)
+        _report(recording.table.attrs)
+        return recording
+
+
+def read_options(
+    *,
+    read: Texts = None,
+    column: Texts = None,
+    initial_length: str = "",
+    ambient: str = "",
+    accept: Texts = None,
+) -> Reading:
+    """Return the recipe of --read with the other options of the command line.
+
+    Parameters
+    ----------
+    read : FILE|NAME=VALUE
+        Recipe, or one of its settings, such as 'sample_rate=1000 Hz', 'contraction=10 %' or decimal=,; repeatable.
+        Options of the command line prevail.
+    column : 'HEADER=NAME'
+        Read the column HEADER as NAME, such as pressure_bar, or ignore it; repeatable.
+    initial_length : LENGTH
+        Length of the deflated muscle, such as '180 mm', if the file has lengths.
+    ambient : PRESSURE
+        Ambient pressure, such as '101.3 kPa', if pressures are absolute.
+    accept : TOPIC
+        Answer the questions of a topic with yes; repeatable.
+    """
+    from mckibben.dataset.recipe import Recipe
+
+    recipe, options = Recipe(), dict[str, object]()
+    for text in read or []:
+        name, equals, value = text.partition("=")
+        if equals and name.isidentifier():
+            options[name] = value.strip()
+        else:
+            recipe = Recipe.read(text)
+    options |= {name: text for name, text in (("initial_length", initial_length), ("ambient", ambient)) if text}
+    if recipe.initial_length is not None and "initial_length" not in options:
+        length = show(recipe.initial_length, "mm")
+        echo(
+            f"initial length {length}, from the recipe; for a muscle of another length, give --initial-length", err=True
+        )
+    if columns := _columns(column or []):
+        asked = {_quantity(name) for name in columns.values()}
+        others = {header: name for header, name in (recipe.columns or {}).items() if _quantity(name) not in asked}
+        options["columns"] = others | columns
+    if accept:
+        options["accept"] = [*recipe.accept, *accept]
+    try:
+        return Reading(recipe.with_options(options))
+    except ScenarioError as error:
+        shown = {name: f"--{name.replace('_', '-')}" for name in ("initial_length", "ambient", "accept", "columns")}
+        problems = [replace(p, field=shown.get(p.field.split("[")[0], f"--read {p.field}=")) for p in error.problems]
+        raise ScenarioError("options of reading", problems) from None
+
+
+def _quantity(name: str) -> str:
+    """The quantity of a name such as force_N, or the name itself if it is unknown."""
+    from mckibben.dataset.vocabulary import parse_header
+
+    return parse_header(name.lstrip("-")).quantity or name
+
+
+def _columns(texts: list[str]) -> dict[str, str]:
+    """Quantity names by column header from --column."""
+    named: dict[str, str] = {}
+    for text in texts:
+        header, equals, name = text.rpartition("=")
+        if not equals:
+            raise UnitError(f"--column {text!r} is not HEADER=NAME", remedy="write --column 'Druck [bar]=pressure_bar'")
+        if named.setdefault(header, name) != name:
+            remedy = "give one --column per header"
+            raise UnitError(f"--column names {header!r} twice: {named[header]} and {name}", remedy=remedy)
+    return named
+
+
+def _report(attributes: Mapping[str, Any]) -> None:
+    """Report how the columns of a file were read, and which were not, on standard error."""
+    if read := attributes.get("columns_read"):
+        echo(read, err=True)
+    if ignored := attributes.get("ignored_columns"):
+        echo(f"ignored columns: {ignored} (read one with --column 'HEADER=NAME')", err=True)

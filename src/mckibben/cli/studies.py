@@ -1,0 +1,289 @@
+"""`mckibben sweep`, `tune` and `compare`: studies of scenarios, kept in one file, which can be resumed."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mckibben.cli.command import command
+from mckibben.cli.options import ScenarioFile, echo, keeping, notify, parse_quantity, required_folder
+from mckibben.errors import ParameterError, ScenarioError
+from mckibben.storage.files import atomic_write, check_free, make_folder
+from mckibben.storage.store import STUDY
+
+if TYPE_CHECKING:
+    from mckibben.result import Result
+    from mckibben.study.compare import CompareResult, Suite
+    from mckibben.study.compare.result import PooledResult
+    from mckibben.study.tune import TuneResult
+
+Texts = list[str] | None
+
+
+@command
+def sweep(
+    scenario: ScenarioFile,
+    over: Texts = None,
+    model_follows: Texts = None,
+    list_: bool = False,
+    design: str | None = None,
+    samples: int | None = None,
+    seed: int | None = None,
+    engine: str = "auto",
+    dask: str | None = None,
+    *,
+    out: Path | None,
+    resume: bool,
+    progress: Any = None,
+) -> Result:
+    """Run a scenario over ranges of its parameters; finished runs are kept, and the sweep can be resumed.
+
+    Parameters
+    ----------
+    over : 'NAME=RANGE'
+        Parameter and its range, such as 'load.mass2=0.2 kg..1.0 kg', 'load.damping=+-50 %' or
+        'controller.position.kp=0.2..20 bar/rad log'; repeatable. `mckibben sweep SCENARIO.yaml --list` lists the names.
+    model_follows : NAME
+        Varied plant parameter that the controller's model follows, or 'all'; repeatable. Default: the controller's
+        model keeps the values of the file.
+    list_
+        List the parameters that can be varied, and exit.
+    design : KIND
+        Design: sobol (default), random or grid.
+    samples : N
+        Number of runs (default 1024), not for a grid.
+    seed : N
+        Seed of the design (default 0).
+    engine : auto|native|xla|cuda
+        auto: the C compiler's programs where possible, else XLA's; cuda: kernels on an NVIDIA GPU (extra gpu).
+    dask : CLUSTER
+        local (processes of this machine), or tcp://HOST:PORT of a dask scheduler.
+    """
+    from mckibben.scenario import Scenario
+
+    if list_:
+        from mckibben.study.parameters.listing import ParameterList
+
+        return ParameterList.of(Scenario.read(scenario))
+    out = required_folder(out, "sweep")
+    from mckibben.study.sweep import SweepResult
+    from mckibben.study.sweep import sweep as run
+
+    _check_results(out, SweepResult, resume)
+    return run(
+        Scenario.read(scenario),
+        over or None,
+        out=out,
+        design=design,
+        samples=samples,
+        seed=seed,
+        model_follows=_followed(model_follows) or None,
+        engine=engine,
+        resume=resume,
+        dask=dask,
+        source=str(scenario),
+        progress=progress,
+    )
+
+
+@command
+def tune(
+    scenarios: list[Path],
+    over: Texts = None,
+    model_follows: Texts = None,
+    cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
+    method: str = "cma",
+    margin: float = 1.5,
+    disk_margin: float | None = None,
+    conditions: Texts = None,
+    percentile: float | None = None,
+    iterations: int = 30,
+    seed: int | None = None,
+    *,
+    out: Path | None,
+    resume: bool,
+    json: bool,
+    progress: Any = None,
+) -> TuneResult:
+    """Minimise a cost over gains or other parameters of scenarios (default: all gains); a search can be resumed.
+
+    Parameters
+    ----------
+    scenarios : SCENARIO.yaml...
+        Scenarios whose costs are combined.
+    over : 'NAME=RANGE'
+        Parameter and its range, such as 'load.mass2=0.2 kg..1.0 kg', 'load.damping=+-50 %' or
+        'controller.position.kp=0.2..20 bar/rad log'; repeatable. `mckibben sweep SCENARIO.yaml --list` lists the names.
+    model_follows : NAME
+        Varied plant parameter that the controller's model follows, or 'all'; repeatable. Default: the controller's
+        model keeps the values of the file.
+    cost : TERMS
+        Sum of metrics, each divided by its scale.
+    method : cma|local
+        Search by CMA-ES, or local refinement of the given values.
+    margin : FACTOR
+        Gain margin: the cost covers gains larger by this factor.
+    disk_margin : ALPHA
+        Least disk margin of the linearised loop in all scenarios and conditions, such as 0.4; 0 for none.
+        Default: that of the given gains, at most 0.2.
+    conditions : 'NAME=RANGE'
+        Parameter, such as 'load.mass2=+-50 %'; 16 draws are simulated for each point; repeatable.
+    percentile : PERCENT
+        Minimise this percentile of the cost over scenarios and conditions, 100 for the worst one, in place of
+        the mean.
+    iterations : N
+        Generations, or steps of the refinement.
+    seed : N
+        Seed of the search (default 0).
+    """
+    from mckibben.scenario import Scenario
+    from mckibben.study.parameters import parse_sweeps, sample
+    from mckibben.study.tune import TuneResult, parse_cost, parse_ranges
+    from mckibben.study.tune import tune as run
+
+    read = [Scenario.read(path) for path in scenarios]
+    ranges, seed = parse_ranges(over or [], read[0]), seed or 0
+    wanted = parse_cost(cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
+    if not conditions and percentile is not None and len(read) == 1:
+        raise ParameterError("--percentile applies to conditions", remedy="add --conditions 'NAME=RANGE'")
+    drawn = sample(parse_sweeps(conditions, read[0]), samples=16, seed=seed) if conditions else {}
+    for name, values in drawn.items():
+        if values.min() == values.max():
+            raise ParameterError(f"the condition {name} does not vary", field=name, remedy="give a range")
+    out = required_folder(out, "search")  # after the mistakes of other options
+    names = _tuned_names(scenarios)
+    _check_results(out, TuneResult, resume, *names)
+    tuned = run(
+        read,
+        ranges,
+        wanted,
+        method=method,
+        iterations=iterations,
+        seed=seed,
+        out=out,
+        resume=resume,
+        model_follows=_followed(model_follows),
+        conditions=drawn,
+        progress=progress,
+    )
+    with keeping(out, "make room, and continue with --resume"):
+        _write_tuned(tuned, scenarios, [out / name for name in names])
+    notify(f"wrote {', '.join(names)} to {out}", json)
+    return tuned
+
+
+@command
+def compare(
+    suite: Path,
+    quick: bool = False,
+    *,
+    out: Path | None,
+    resume: bool,
+    progress: Any = None,
+) -> CompareResult | PooledResult:
+    """Tune controllers with the same budget, and compare them on the same unseen runs.
+
+    Parameters
+    ----------
+    suite : SUITE.yaml
+        Suite file, see examples/comparison; or a scenario, compared with PID loops and decoupling.
+    quick
+        Short searches, at most 128 runs.
+    """
+    out = required_folder(out, "comparison")
+    read = _quick(_suite(suite)) if quick else _suite(suite)
+    from mckibben import report
+    from mckibben.study.compare import CompareResult
+    from mckibben.study.compare import compare as run
+    from mckibben.study.compare.checks import filename
+    from mckibben.study.compare.result import PooledResult
+
+    suites = {name: read.of_setup(name) for name in read.setups} or {"": read}
+    folders = {name: out / filename(name) if name else out for name in suites}
+    for name, folder in folders.items():
+        _check_results(folder, CompareResult, resume, "comparison.html")
+        if not (make_folder(folder) / "suite.yaml").exists():  # before the search, which may be interrupted
+            suites[name].to_yaml(folder / "suite.yaml")
+    results = {}
+    for number, (name, setup) in enumerate(suites.items()):
+
+        def step(task: str, part: float, name: str = name, number: int = number) -> None:
+            if progress:
+                progress(f"{name}: {task}" if name else task, (number + part) / len(suites))
+
+        again = resume and (folders[name] / STUDY).exists()
+        results[name] = run(setup, out=folders[name], resume=again, progress=step)
+        report.write_comparison(results[name], folders[name])
+    if not read.setups:
+        return results[""]
+    for name, result in results.items():
+        result.save(folders[name], force=True)
+    return PooledResult(read.name, results)
+
+
+def _check_results(out: Path, kind: type[Result], resume: bool, *further: str) -> None:
+    """Raise `FileError` if a new study would replace results; an existing study is reported by the study itself."""
+    if not resume and not (out / STUDY).exists():
+        check_free(out, (*kind.file_names(), *further))
+
+
+def _followed(names: list[str] | None) -> list[str] | str:
+    """Parameters that the controller's model follows, or all."""
+    return "all" if names == ["all"] else names or []
+
+
+def _tuned_names(paths: list[Path]) -> list[str]:
+    """Unique file names of the tuned scenarios."""
+    stems = [path.stem for path in paths]
+    return [f"{stem}-tuned{f'-{i}' if stem in stems[: i - 1] else ''}.yaml" for i, stem in enumerate(stems, start=1)]
+
+
+def _write_tuned(tuned: TuneResult, paths: list[Path], targets: list[Path]) -> None:
+    """Write the tuned scenarios, editing the user's text in place if its relative paths remain valid."""
+    from mckibben.scenario import Scenario, edit_scenario
+
+    for scenario, path, target in zip(tuned.scenarios, paths, targets, strict=True):
+        text = edit_scenario(path.read_text(encoding="utf-8-sig"), tuned.values, folder=path.parent)
+        with suppress(ScenarioError):
+            if Scenario.parse(text, folder=target.parent) == scenario:
+                with atomic_write(target, overwrite=True) as part:
+                    part.write_text(text, encoding="utf-8")
+                continue
+        scenario.to_yaml(target)  # a relative path in the text is invalid in the new folder
+
+
+def _suite(file: Path) -> Suite:
+    """Read a suite, or the default one of a scenario."""
+    from mckibben.config.document import read_document
+    from mckibben.config.model import read_text
+    from mckibben.scenario import Scenario
+    from mckibben.study.compare import Suite
+
+    if "controller" not in (read_document(read_text(file)).data or ()):
+        return Suite.read(file)
+    suite = Suite.of(Scenario.read(file))
+    echo(
+        f"suite of the scenario: {', '.join(suite.controllers)}; varied: {', '.join(suite.conditions)}. For other "
+        "controllers and conditions, edit suite.yaml in DIR, and compare that",
+        err=True,
+    )
+    return suite
+
+
+def _quick(suite: Suite) -> Suite:
+    """The suite with fewer runs and a smaller tuning budget."""
+    tuning, evaluation = suite.tuning, suite.evaluation
+    fewer = {
+        "generations": max(tuning.generations // 10, 1),
+        "starts": 1,
+        "starts_of": {name: max(count // tuning.starts, 1) for name, count in tuning.starts_of.items()},
+        "finalist_runs": min(tuning.finalist_runs, 100),
+    }
+    runs = min(evaluation.runs, 128)
+    return suite.model_copy(
+        update={
+            "tuning": tuning.model_copy(update=fewer),
+            "evaluation": evaluation.model_copy(update={"runs": runs}),
+        }
+    )
