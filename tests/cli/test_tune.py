@@ -69,7 +69,7 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method, e
     assert done.code == 0
     kept = tmp_path / "kept"
     names = {"s-tuned.yaml", STUDY, "results.json", "tuning.png", "tuning.svg"}
-    assert {path.name for path in kept.iterdir()} == names and all(name in done.out for name in names)
+    assert {path.name for path in kept.iterdir()} == names and all(name in done.out + done.err for name in names)
     numbers = json.loads((kept / "results.json").read_text(encoding="utf-8"))
     scalars = {name: entry["value"] for name, entry in numbers["scalars"].items()}
     trials = read_trials(kept / STUDY)
@@ -93,20 +93,6 @@ def test_a_search_from_beginning_to_end(cli, scenario, tmp_path, text, method, e
     )
 
 
-@pytest.mark.slow
-def test_a_search_over_conditions_costs_their_percentile(cli, scenario, tmp_path):
-    costs = []
-    for percentile in ("50", "100"):
-        done = cli(
-            *("tune", "s.yaml", "--over", "controller.position.kp=1..4 bar/rad"),
-            *("--conditions", "load.mass2=+-20 %", "--percentile", percentile),
-            *("--iterations", "1", "--json", "--out", f"kept{percentile}"),
-        )
-        assert done.code == 0, done.err
-        costs.append(json.loads(done.out)["scalars"]["cost"]["value"])
-    assert 0 < costs[0] < costs[1]
-
-
 @pytest.mark.parametrize(
     ("arguments", "named"),
     [
@@ -125,7 +111,7 @@ def test_json_alone_on_standard_output(cli, scenario, tmp_path):
     found = cli("tune", "s.yaml", *SMALL, "--json")
     assert found.code == 0
     assert json.loads(found.out) == json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
-    assert re.fullmatch(r"wrote s-tuned.yaml, results.json.* to kept\n", found.err)
+    assert re.fullmatch(r"wrote s-tuned.yaml to kept\nwrote results.json.* to kept\n", found.err)
 
 
 @pytest.mark.slow

@@ -406,7 +406,8 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
     with pytest.raises(FileError):
         check_seal(out / "rot.nc")
     resumed = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out), "--json", "--resume"])
-    finer = [str(file), "--accuracy", "1e-7 rad", "--json"]
+    finer = [str(tmp_path / "finer.yaml"), "--json"]
+    scenario.model_copy(update={"accuracy": 1e-7, "substeps": None}).to_yaml(tmp_path / "finer.yaml")
     assert (
         json.loads(CliRunner().invoke(app, ["leg", "land", *finer]).stdout)["integration"]["error_estimate_rad"]
         < (numbers["integration"]["error_estimate_rad"])
@@ -416,7 +417,7 @@ def test_commands_write_their_results(scenario: LegScenario, tmp_path: Path) -> 
     assert resumed.exit_code == 0
     assert json.loads(resumed.stdout) == numbers
     again = CliRunner().invoke(app, ["leg", "land", str(file), "--out", str(out)])
-    assert again.exit_code != 0  # results are not replaced without --force
+    assert again.exit_code != 0  # results are not replaced
 
 
 @pytest.mark.parametrize("command", ["land", "jump"])

@@ -17,6 +17,7 @@ from mckibben.cli.options import echo, keeping, long_job, notify, results_folder
 from mckibben.cli.reading import read_options
 from mckibben.result import Result
 from mckibben.storage.files import to_json
+from mckibben.storage.store import STUDY
 
 _HEADING = "\nParameters\n----------\n"
 _ENTRY = re.compile(r"^(\w+)(?: : (.+))?\n((?:    .+\n?)+)", re.MULTILINE)
@@ -95,7 +96,7 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
         kept = f"what was finished is in {out}/study.sqlite; continue with --resume" if resumed and out else ""
         with long_job(quiet=json, kept=kept) if progresses else nullcontext() as progress:
             result = function(**values, **passed, **({"progress": progress} if progresses else {}))
-        present(result, details=details, json=json, out=out, force=force or resumed)
+        present(result, details=details, json=json, out=out, force=force, resume=resumed)
 
     return _described(run, text, own | reading | shared)
 
@@ -134,8 +135,9 @@ def present(
     names: list[str] = []
     try:
         if out:  # before printing: the reader of the output may be gone
-            with keeping(out):
+            with keeping(out, "--resume" if resume else "--force"):
                 names = result.save(out, force=force or resume)
+                names += [STUDY] if resume and (out / STUDY).exists() else []
     finally:
         echo(to_json(result.to_dict()) if json else result.to_text(width=text_width(), details=details))
     if out:

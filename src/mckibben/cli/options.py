@@ -201,7 +201,7 @@ def results_folder(out: Path | None, names: Iterable[str], force: bool) -> None:
 
 
 @contextmanager
-def keeping(out: Path, remedy: str = "make room, and run it again with --force") -> Iterator[None]:
+def keeping(out: Path, again: str = "--force") -> Iterator[None]:
     """Report which results are kept if writing fails: the disk is full, or the folder has disappeared."""
     begun = time.time()
 
@@ -209,7 +209,7 @@ def keeping(out: Path, remedy: str = "make room, and run it again with --force")
         names = [path.name for path in sorted(out.iterdir()) if path.is_file() and path.stat().st_mtime >= begun - 1]
         return f"kept are {', '.join(names)}" if names else "nothing is kept"
 
-    with explain_write_errors(out, kept, remedy):
+    with explain_write_errors(out, kept, f"make room, and run it again with {again}"):
         yield
 
 

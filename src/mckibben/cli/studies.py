@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mckibben.cli.command import command
-from mckibben.cli.options import ScenarioFile, echo, keeping, notify, parse_quantity, required_folder
+from mckibben.cli.options import ScenarioFile, echo, keeping, parse_quantity, required_folder
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free, make_folder
 from mckibben.storage.store import STUDY
@@ -103,7 +103,6 @@ def tune(
     *,
     out: Path | None,
     resume: bool,
-    json: bool,
     progress: Any = None,
 ) -> TuneResult:
     """Minimise a cost over gains or other parameters of scenarios (default: all gains); a search can be resumed.
@@ -167,9 +166,9 @@ def tune(
         conditions=drawn,
         progress=progress,
     )
-    with keeping(out, "make room, and continue with --resume"):
+    with keeping(out, "--resume"):
         _write_tuned(tuned, scenarios, [out / name for name in names])
-    notify(f"wrote {', '.join(names)} to {out}", json)
+    echo(f"wrote {', '.join(names)} to {out}", err=True)
     return tuned
 
 
