@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mckibben.cli.command import command
-from mckibben.cli.options import ScenarioFile, echo, keeping, parse_quantity, required_folder
+from mckibben.cli.options import ScenarioFile, echo, keeping, required_folder
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free, make_folder
 from mckibben.storage.store import STUDY
