@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from mckibben.scenario import Scenario
 
 Files = list[Path] | None
-_SHORTEST, _LONGEST = 20.0, 600.0  # s of an experiment
 
 
 @command
@@ -81,15 +80,8 @@ def calibrate(
         raise ParameterError("--weighted without a weight", remedy="add --weight '0.5 kg, 200 mm'")
     if held_out and not (recording or weighted):
         raise ParameterError("--held-out without a recording", remedy="add --recording")
-    parts = parse_pair("--weight", weight, "0.5 kg, 200 mm")
-    mass, length = (
-        parse_quantity("--weight", text, unit, positive=True) if text else 0.0
-        for text, unit in zip(parts, ("kg", "m"), strict=True)
-    )
-    seconds = parse_quantity("--duration", duration or ("120 s" if valves else "60 s"), "s")
-    if not _SHORTEST <= seconds <= _LONGEST:
-        remedy = f"give {_SHORTEST:g} to {_LONGEST:g} s"
-        raise ParameterError(f"--duration is {quoted(duration)}", value=seconds, unit="s", remedy=remedy)
+    mass, length = _weight(weight)
+    seconds = _duration(duration or ("120 s" if valves else "60 s"))
     out = required_folder(out, "calibration")
     from mckibben import calibration
     from mckibben.scenario import Scenario
@@ -111,6 +103,30 @@ def calibrate(
         read, calibration.Sweeps(low, high, seconds, mass, length), out, rig, quiet=json
     )
     return calibration.calibrate_scenario(read, recordings, deviations, held_out=unused)
+
+
+def _weight(text: str) -> tuple[float, float]:
+    """Mass [kg] of a weight, and its distance from the axis [m]; zeros without one."""
+    if not text:
+        return 0.0, 0.0
+    mass, length = parse_pair("--weight", text, "0.5 kg, 200 mm")
+    return parse_quantity("--weight", mass, "kg", positive=True), parse_quantity("--weight", length, "m", positive=True)
+
+
+def _duration(text: str, shortest: float = 20.0, longest: float = 600.0) -> float:
+    """Duration of an experiment [s], from the shortest one to the longest one."""
+    seconds = parse_quantity("--duration", text, "s")
+    if not shortest <= seconds <= longest:
+        raise ParameterError(
+            f"--duration is {quoted(text)}",
+            field="--duration",
+            value=seconds,
+            lower=shortest,
+            upper=longest,
+            unit="s",
+            remedy=f"give {shortest:g} to {longest:g} s",
+        )
+    return seconds
 
 
 def _measured(
