@@ -11,7 +11,6 @@ import pytest
 from mckibben.actuator import Actuator, FirstOrderValve
 from mckibben.calibration import Sweeps
 from mckibben.component.schema import read_component
-from mckibben.errors import ScenarioError
 from mckibben.numerics.batching import batched_program
 from mckibben.plant import PerfectSensors
 from mckibben.scenario import Scenario
@@ -52,32 +51,6 @@ def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
     rows = estimates(numbers)
     assert rows["muscle1.force"]["determined"]
     assert not rows["added_mass"]["determined"]  # the weight is the scale
-
-
-@pytest.mark.slow
-def test_files_name_the_model(calibrated, tmp_path):
-    text = EXAMPLE.read_text(encoding="utf-8").replace("../comparison", str(EXAMPLE.parents[1] / "comparison"))
-    start, end = text.index("  model:"), text.index("  load:")
-    (tmp_path / "s.yaml").write_text(
-        f"{text[:start]}  model: {calibrated / 'model.yaml'}\n{text[end:]}", encoding="utf-8"
-    )
-    read, kept = Scenario.read(tmp_path / "s.yaml"), Scenario.read(calibrated / "scenario.yaml")
-    assert read.controller.model.geometry == kept.controller.model.geometry
-    assert read.controller.model.muscle1.correction == kept.controller.model.muscle1.correction
-    assert "/Pa" not in (calibrated / "model.yaml").read_text(encoding="utf-8"), "one unit a quantity"
-
-
-@pytest.mark.slow
-def test_a_damaged_model_is_refused(calibrated, tmp_path):
-    base, path = type(Scenario.read(EXAMPLE).joint), tmp_path / "model.yaml"
-    content = (calibrated / "model.yaml").read_bytes()
-    digit = content.index(b"half_width: ") + len(b"half_width: ")
-    path.write_bytes(content[:digit] + bytes([content[digit] ^ 1]) + content[digit + 1 :])
-    with pytest.raises(ScenarioError) as caught:
-        read_component(base, path)
-    assert caught.value.source == str(path)
-    path.write_bytes(path.read_bytes().rpartition(b"# sha256")[0])
-    assert read_component(base, path)
 
 
 @pytest.mark.parametrize("finished", [True, False])
@@ -157,22 +130,6 @@ def test_a_muscle_against_a_return_spring_is_calibrated_on_sweeps_of_the_angle(c
     assert "added_mass" not in {remark["field"] for remark in numbers["remarks"]}, "there was none"
 
 
-def test_a_recording_from_a_csv_file(tmp_path):
-    from mckibben.calibration import read_joint_recording
-
-    rows = "\n".join(f"{0.002 * i:.3f},{i % 7},{1 + 0.01 * i},2,{50 + i},60" for i in range(4))
-    head = "time_s,angle_deg,pressure1_bar,pressure2_bar,tension1_N,tension2_N"
-    (tmp_path / "r.csv").write_text(f"{head}\n{rows}\n", encoding="utf-8")
-    found = read_joint_recording(tmp_path / "r.csv", added_mass=0.5, distance=0.2)
-    assert found.pressures[1].tolist() == pytest.approx([1.01e5, 2e5])
-    assert found.tensions[2].tolist() == pytest.approx([52.0, 60.0])
-    assert found.angle[3] == pytest.approx(np.deg2rad(3))
-    (tmp_path / "r.csv").write_text("time_s,angle_deg\n0,1\n", encoding="utf-8")
-    with pytest.raises(ScenarioError) as caught:
-        read_joint_recording(tmp_path / "r.csv")
-    assert "pressure1" in str(caught.value)
-
-
 def written(folder, name, columns):
     """A CSV file of times, angles and two pressures [bar]."""
     head, *rows = columns
@@ -224,25 +181,6 @@ def test_recordings_of_commands(cli, stepped, tmp_path):
     assert kept.load.inertia == pytest.approx(rows["load.inertia"]["estimate"])
     assert kept.controller.model == kept.joint
     assert kept.command_delay == pytest.approx(rows["delay"]["estimate"] / 1e3)
-
-
-@pytest.mark.parametrize(
-    ("change", "arguments"),
-    [
-        ("", ("--held-out", "{0}")),
-        ("", ("--recording", "{0}", "--recording", "{1}")),
-        ("", ("--recording", "{1}", "--held-out", "{0}")),
-        ("valve: ideal", ("--recording", "{0}")),
-    ],
-)
-def test_mixed_recordings_and_other_valves_are_refused(cli, stepped, tmp_path, change, arguments):
-    time = np.arange(0, 8, 0.01)
-    measured = written(tmp_path, "m.csv", ("time_s,angle_rad,pressure1_bar,pressure2_bar", *[time] * 4))
-    text = EXAMPLE.read_text(encoding="utf-8").replace("../comparison", str(EXAMPLE.parents[1] / "comparison"))
-    text = text.replace("valve: {time_constant: 20 ms}", change) if change else text
-    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
-    files = (one.format(stepped[0], measured) for one in arguments)
-    assert cli("calibrate", str(tmp_path / "s.yaml"), *files, "--out", "x").code == 2
 
 
 VALVES = ("--valves", "--duration", "20 s", "--angles", "-8..12 deg")

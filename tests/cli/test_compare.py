@@ -9,7 +9,7 @@ import xarray as xr
 
 from mckibben import report
 from mckibben.scenario import Scenario
-from mckibben.storage.store import STUDY, Job
+from mckibben.storage.store import STUDY
 from mckibben.study.compare import Suite
 from mckibben.study.tune import read_trials
 
@@ -143,29 +143,3 @@ def test_a_mistake_in_the_suite_names_its_line(cli, tmp_path):
     assert "error: suite.yaml: 1 problem" in found.err
     assert f"line {line}, tuning.untuned[0]: there is no controller 'as it iss'" in found.err
     assert not (tmp_path / "kept").exists()
-
-
-@pytest.mark.usefixtures("undrawn")
-@pytest.mark.slow
-def test_an_interrupted_search_is_gone_on_with(cli, written, tmp_path, monkeypatch):
-    written((DECOUPLING, ""))
-    add, counted = Job.add, []
-
-    def interrupted(self, records):
-        add(self, records)
-        counted.append(records)
-        if len(counted) == 3:
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Job, "add", interrupted)
-        found = cli("compare", "suite.yaml", "--out", "kept")
-    assert found.code == 130
-    assert "continue with --resume" in found.err
-    assert not (tmp_path / "kept" / "results.json").exists()
-    refused = cli("compare", "suite.yaml", "--out", "kept")
-    assert refused.code == 2
-    assert "--resume" in refused.err
-    assert cli("compare", "suite.yaml", "--out", "kept", "--resume").code == 0
-    assert cli("compare", "suite.yaml", "--out", "whole").code == 0
-    assert results(tmp_path / "kept") == results(tmp_path / "whole")

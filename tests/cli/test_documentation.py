@@ -4,7 +4,6 @@ import ast
 import importlib
 import inspect
 import re
-import runpy
 from pathlib import Path
 
 import matplotlib
@@ -138,10 +137,6 @@ def test_the_reference_has_every_public_name():
     assert found["mckibben.catalog"] == set(mk.catalog.__all__)
 
 
-def test_the_gallery_has_ten_examples_or_more():
-    assert len(GALLERY) >= 10
-
-
 @pytest.mark.parametrize("script", GALLERY, ids=lambda p: p.stem)
 def test_an_example_of_the_gallery_has_a_title_a_figure_and_only_public_names(script):
     tree = ast.parse(script.read_text(encoding="utf-8"))
@@ -161,17 +156,3 @@ def test_an_example_of_the_gallery_has_a_title_a_figure_and_only_public_names(sc
                 assert node.attr in getattr(mk, node.value.attr).__all__, node.attr
     stored = {node.id for node in ast.walk(tree) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
     assert any(name.startswith("figure") for name in stored)
-
-
-def test_a_link_to_nowhere_and_a_script_of_another_host_are_found_in_a_site(tmp_path):
-    check = runpy.run_path(str(ROOT / "docs" / "check_site.py"))["problems"]
-    head = '<link rel="stylesheet" href="style.css"><script src="https://example.org/x.js"></script>'
-    for name, text in {
-        "a.html": f'{head}<h1 id="top"></h1><a href="#top">a</a><a href="b.html#no">b</a>',
-        "b.html": '<a href="a.html#top">a</a><a href="c.html">c</a><a href="https://example.org">d</a>',
-        "style.css": "@import url('//example.org/font.css');",
-    }.items():
-        (tmp_path / name).write_text(text, encoding="utf-8")
-    found = " ".join(check(tmp_path))
-    assert [part in found for part in ("x.js", "b.html#no", "c.html", "font.css")] == [True] * 4
-    assert len(check(tmp_path)) == 4

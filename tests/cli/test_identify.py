@@ -10,10 +10,8 @@ import pytest
 from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.dataset import IsobaricDataset, Recipe
-from mckibben.errors import ScenarioError
 from mckibben.identification import Fit
 from mckibben.muscle import Muscle, ThresholdLaw, forces
-from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
 
 TABLES = Path(__file__).parents[2] / "src" / "mckibben" / "catalog" / "tables"
@@ -60,16 +58,6 @@ def test_a_table_as_it_stands(cli):
     assert re.search(r"^decay +0\.3398\d+ +0\.0067 .*1/percent", found.out, re.MULTILINE)
 
 
-def test_an_entry_of_the_catalog_is_the_same(cli):
-    by_name = json.loads(cli("identify", "dmsp-10-250-martens2017", "--json").out)
-    by_path = json.loads(cli("identify", str(TABLES / "dmsp-10-250_martens2017.csv"), "--json").out)
-    for column in ("rmse", "max_error", "points_used", "points_slack"):
-        assert values(by_name, "law", column) == pytest.approx(values(by_path, "law", column))
-    assert parameter(by_name, "decay") == pytest.approx(0.400, abs=5e-4)
-    assert values(by_name, "law", "rmse") == [pytest.approx(1.07, abs=5e-3)]
-    assert values(by_name, "law", "points_used") == [40]
-
-
 def test_semicolons_decimal_commas_and_other_headers(cli, german):
     found = cli("identify", german, *COLUMNS, "--json")
     assert found.code == 0
@@ -82,12 +70,6 @@ def test_semicolons_decimal_commas_and_other_headers(cli, german):
     without = cli("identify", german, "--column", "Druck [bar]=force_N")
     assert without.code == 2
     assert "'Kraft [N]'" in without.err or "pressure" in without.err
-
-
-def test_another_law(cli):
-    numbers = json.loads(cli("identify", FESTO, "--law", "Chou", "--json").out)
-    assert numbers["verdict"].startswith("ChouLaw")
-    assert values(numbers, "law", "rmse")[0] > 50
 
 
 def test_lengths_with_the_initial_length(cli, tmp_path):
@@ -143,16 +125,6 @@ def test_validate_a_law_of_the_catalog(cli, paper):
     assert f"{overall['rmse']:.3g} N" in table
 
 
-@pytest.mark.slow
-def test_validate_a_fit_that_was_kept(cli, tmp_path):
-    cli("identify", FESTO, "--out", "kept")
-    numbers = json.loads(cli("validate", "kept/fit.yaml", FESTO, "--json").out)
-    assert values(numbers, "errors", "rmse")[0] == pytest.approx(2.7646, abs=1e-3)
-    again = cli("validate", "kept/fit.yaml", "kept/data.nc", "--json", "--out", "held")
-    assert again.code == 0
-    assert json.loads((tmp_path / "held" / "results.json").read_text(encoding="utf-8")) == json.loads(again.out)
-
-
 def test_validate_chou_with_and_without_a_specimen(cli):
     without = cli("validate", "chou", FESTO)
     assert (without.code, without.out) == (2, "")
@@ -168,12 +140,6 @@ def test_validate_with_what_does_not_exist(cli):
     assert cli("validate", "nobody", FESTO).err.startswith("error: there is no law 'nobody'; give a fit file")
     assert cli("validate", "nobody.yaml", FESTO).code == 2
     assert cli("validate", "lei-mas-10-180n", "nobody.csv").code == 2
-
-
-def test_a_folder_that_cannot_be_made_is_said_before_the_work(cli, tmp_path):
-    (tmp_path / "taken").write_text("a file")
-    found = cli("identify", FESTO, "--out", "taken")
-    assert (found.code, found.out) == (2, "")
 
 
 @pytest.mark.slow
@@ -199,31 +165,6 @@ class TestEveryLaw:
         assert kept == {f"{law}Law" for law in values(numbers, "laws", "law")}
         assert Recipe.read(folder / "recipe.yaml") == Recipe()
         assert (folder / "ranking.png").stat().st_size > 20_000
-
-
-def test_a_law_is_named_with_or_without_hyphens(cli):
-    found = cli("identify", FESTO, "--law", "smooth-affine", "--json")
-    assert values(json.loads(found.out), "law", "rmse")[0] < 2.5
-    assert "tondu-lopez" in cli("identify", FESTO, "--law", "tondu").err
-
-
-@pytest.mark.slow
-def test_hysteresis_is_found_with_the_law(cli, tmp_path):
-    muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
-    protocol = IsobaricProtocol(pressures=[2 * bar, 4 * bar, 6 * bar], step=2 * mm, repeats=2, samples=50)
-    SimulatedIsobaricTest(muscle, force_drift=0.5).run(protocol, seed=4).to_csv(tmp_path / "rig.csv")
-    found = cli("identify", "rig.csv", "--friction", "on", "--json", "--out", "kept")
-    assert found.code == 0
-    numbers = json.loads(found.out)
-    friction = dict(zip(*(values(numbers, "friction", name) for name in ("friction", "estimate")), strict=True))
-    assert friction["half width"] == pytest.approx(12, rel=0.01)
-    assert friction["drift of the sensor"] == pytest.approx(0.5, rel=0.2)
-    assert parameter(numbers, "decay") == pytest.approx(0.3, rel=1e-3)
-    assert (tmp_path / "kept" / "loops.png").stat().st_size > 20_000
-    refused = cli("identify", FESTO, "--friction", "on")
-    assert refused.code == 2
-    assert "the dataset has no directions" in refused.err
-    assert "apply to a single law" in cli("identify", FESTO, "--law", "all", "--friction", "on").err
 
 
 @pytest.mark.parametrize("law", ["exponential", pytest.param("all", marks=pytest.mark.slow)])
@@ -300,15 +241,6 @@ def test_an_impossible_diameter_or_fill_is_refused(cli, german, tmp_path, option
     assert not list((tmp_path / "new").glob("*"))  # the corrected command needs no --force
 
 
-def test_a_recipe_may_be_empty_but_needs_a_sign(tmp_path):
-    assert repr(Recipe(initial_length=0.18)) == "<Recipe: initial_length: 180 mm>"
-    (tmp_path / "recipe.yaml").write_text(Recipe().dumps())
-    assert Recipe.read(tmp_path / "recipe.yaml") == Recipe()
-    with pytest.raises(ScenarioError) as caught:
-        Recipe.parse("decimal: ','\nforce_sign: 0\n")
-    assert [(problem.line, problem.field) for problem in caught.value.problems] == [(2, "force_sign")]
-
-
 @pytest.mark.slow
 def test_threshold_of_the_law_is_found_kept_and_read_back(cli, tmp_path):
     """The law in muscle.yaml has the threshold, and gives the measured forces."""
@@ -331,26 +263,6 @@ def test_threshold_of_the_law_is_found_kept_and_read_back(cli, tmp_path):
     domain, rounding = muscle.law.domain, pytest.approx
     assert (domain.pressure_min, domain.pressure_max) == (rounding(0, abs=1e-3), rounding(3 * bar, rel=1e-9))
     assert "no significant" not in cli(*given).out
-
-
-@pytest.mark.slow
-def test_a_threshold_is_found_together_with_friction(cli, tmp_path):
-    """The misfit of the law without a threshold exceeds the friction of 1.8 N."""
-    law = ThresholdLaw(law=catalog.law("lei-mas-10-180n"), threshold=0.4 * bar)
-    rows, random = ["pressure_bar,contraction_percent,force_N,direction"], np.random.default_rng(1)
-    for pressure in np.arange(1, 13) * 0.25:
-        for sign, direction in ((-1, "unloading"), (1, "loading")):
-            at = np.linspace(-3, 10, 9)[::-sign]
-            force = np.asarray(law.force(at / 100, pressure * bar)) + sign * 1.8 + random.normal(0, 0.3, 9)
-            rows += [f"{pressure},{c},{max(f, 0)},{direction}" for c, f in zip(at, force, strict=True)]
-    (tmp_path / "points.csv").write_text("\n".join(rows))
-    (tmp_path / "recipe.yaml").write_text("slack_force: 2 N\ninitial_length: 180 mm\n")
-    given = ("identify", "points.csv", "--threshold", "--read", "recipe.yaml", "--json")
-    found = cli(*given)
-    assert found.code == 0, found.err
-    numbers = json.loads(found.out)
-    assert values(numbers, "friction", "estimate")[0] > 1
-    assert values(numbers, "threshold", "threshold")[0] == pytest.approx(0.4 * bar, rel=0.1)
 
 
 @pytest.mark.slow

@@ -116,31 +116,6 @@ def test_the_mistakes_of_the_documentation_give_its_words(cli, tmp_path):
     assert flat(found.err) in flat((ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8"))
 
 
-@pytest.mark.slow
-def test_what_is_infeasible_is_a_warning_beside_the_result(cli, tmp_path, shortened):
-    text = shortened("pre-contracted-step-pid").replace("after: 17 N*m/rad", "after: 25 N*m/rad")
-    (tmp_path / "far.yaml").write_text(text, encoding="utf-8")
-    found = cli("simulate", "far.yaml")
-    assert found.code == 0
-    text = "warning: the desired stiffness is not attainable for 50% of the run, between "
-    assert found.err == "" and text in " ".join(found.out.split())
-    numbers = json.loads(cli("simulate", "far.yaml", "--json").out)
-    assert numbers["ok"] and numbers["remarks"][0]["field"] == "reference"
-    assert numbers["scalars"]["stiffness_settling"]["value"] is None
-
-
-def test_a_start_that_cannot_be_held_is_bad_input(cli, tmp_path, shortened):
-    text = shortened("pre-contracted-step-pid")
-    start = "angle: 0 deg, stiffness: 12 N*m/rad"
-    assert start in text
-    text = text.replace(start, "angle: 0 deg, stiffness: 99 N*m/rad")
-    (tmp_path / "far.yaml").write_text(text, encoding="utf-8")
-    found = cli("simulate", "far.yaml")
-    assert (found.code, found.out) == (2, "")
-    assert found.err.startswith("error: ")
-    assert "99" in found.err
-
-
 @pytest.fixture
 def kept(cli, tmp_path, shortened):
     """Folder of a run that was kept."""
