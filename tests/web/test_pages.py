@@ -25,7 +25,6 @@ from nicegui.testing import user_simulation
 
 import mckibben as mk
 from mckibben import Scenario, catalog, read_dataset
-from mckibben.control import Reference, Sine
 from mckibben.errors import McKibbenError, ParameterError, ScenarioError, StoppedError
 from mckibben.identification import identify_with_friction
 from mckibben.identification.fitting import WITH_FRICTION
@@ -104,21 +103,6 @@ def test_the_joint_page_draws_what_the_joint_attains():
     np.testing.assert_allclose(high, expected[1], rtol=1e-4)
 
 
-@pytest.mark.slow
-def test_a_slider_changes_the_joint_and_a_reload_keeps_it():
-    async def visit():
-        async with visitor() as user:
-            await user.open("/")
-            await until(lambda: charts(user)[0].options["series"])
-            slider = the(user, ui.slider, "radius-of-the-anchors")
-            slider.set_value(45)
-            await until(lambda: any("44." in one.text or "45." in one.text for one in user.find(ui.label).elements))
-            await user.open("/")
-            return the(user, ui.slider, "radius-of-the-anchors").value, state(design.JointDesign).dimensions["radius"]
-
-    assert asyncio.run(visit()) == (45, 45)
-
-
 @pytest.mark.parametrize("kind", ["round knee", "between two bones"])
 def test_a_joint_that_cannot_be_is_an_error_with_a_remedy(kind):
     with pytest.raises(McKibbenError) as found:
@@ -136,13 +120,6 @@ def test_the_page_names_the_binding_limits_as_the_command_does():
     assert "the supply (5 bar)" in design.limits_at(made, design.compute(made, MUSCLE))
     made = dataclasses.replace(made, torque=20.0)
     assert design.limits_at(made, design.compute(made, MUSCLE)) == ""
-
-
-@pytest.mark.parametrize("most", [0.4, 0.8, 6.0])
-def test_the_highest_pressure_is_chosen_in_the_domain_of_the_muscle(most):
-    muscle = mk.Muscle(mk.Specimen("x", 0.2, domain=mk.Domain(0.0, 0.2, 0.0, most * bar)), MUSCLE.law)
-    low, high = design.highest_pressures(muscle)
-    assert design.pressure_limits(muscle)[0] < low < high == most
 
 
 @pytest.mark.parametrize("kind", design.KINDS)
@@ -257,14 +234,6 @@ def test_the_page_shows_the_stiffness_of_small_motion_of_muscles_with_friction()
     assert set(scenario.joint.remarks) <= {remark.text for remark in presented.remarks}
 
 
-def test_a_reference_too_fast_for_the_joint_is_a_remark():
-    slow = Scenario.parse(workbench.START).replace(duration=1.0, reference=Reference(Sine(10 * deg, 0.5), 15.0))
-    fast = slow.replace(reference=Reference(Sine(10 * deg, 8.0), 15.0))
-    for scenario, poor in ((slow, False), (fast, True)):
-        _, presented = workbench.compute(scenario, Path())
-        assert any("worse than a joint at rest" in remark.text for remark in presented.remarks) == poor
-
-
 def test_an_outlier_is_named_and_can_be_kept():
     pressure, contraction = (np.ravel(axis) for axis in np.meshgrid(np.arange(3, 7) * bar, np.arange(0, 12, 2) / 100))
     force = np.array(MUSCLE.law.force(contraction, pressure))
@@ -319,24 +288,6 @@ def test_problems_are_listed_by_line_and_shown_as_text():
     (row,) = asyncio.run(visit())
     assert row["0"] == 3
     assert "<img" in row["2"]  # a cell of a table is text
-
-
-@pytest.mark.slow
-def test_a_ranking_can_be_cancelled():
-    async def visit():
-        async with visitor() as user:
-            kept = await points_of_the_rig(user)
-            user.find(marker="rank").click()
-            await until(lambda: kept.jobs.part > 0)
-            user.find(marker="cancel").click()
-            await until(lambda: not kept.jobs.busy)
-            before = kept.jobs.part
-            await asyncio.sleep(0.5)
-            return before, kept.jobs.part, kept.results
-
-    before, after, results = asyncio.run(visit())
-    assert 0 < before == after < 1
-    assert not results
 
 
 def test_a_study_needs_valid_numbers_and_is_grey_once_its_scenario_has_changed(monkeypatch):

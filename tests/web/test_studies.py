@@ -12,7 +12,6 @@ pytest.importorskip("nicegui")
 
 from mckibben import Scenario
 from mckibben.errors import ParameterError
-from mckibben.joint import GeneralLoad, PendulumLoad
 from mckibben.study.tune import parse_cost, tune
 from mckibben.web import studies, workbench
 
@@ -43,14 +42,6 @@ def test_gains_are_tuned_as_by_the_command_and_go_into_the_scenario(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_single_gain_is_tuned_by_the_default_method(tmp_path):
-    request = studies.TuningRequest(over="controller.position.kp", iterations=2)
-    found = studies.tuned(SHORT, request, tmp_path, silent).presented.result
-    assert list(found.values) == ["controller.position.kp"]
-    assert found.cost <= found.cost_before
-
-
-@pytest.mark.slow
 def test_controllers_are_compared_on_the_same_runs(tmp_path):
     kinds = ("model inversion (decoupling)",)
     request = studies.ComparisonRequest(("two PID loops", *kinds), "load.mass2=+-20 %", runs=8, generations=1)
@@ -76,18 +67,6 @@ def test_a_study_that_nobody_can_wait_for_is_refused(tmp_path):
     with pytest.raises(ParameterError) as found:
         studies.tuned(SHORT, studies.TuningRequest(disk_margin="some"), tmp_path, silent)
     assert found.value.field == "disk_margin"
-
-
-def test_the_suggested_conditions_are_those_of_the_load_until_they_are_edited():
-    knee, request = Scenario.parse(SHORT), studies.ComparisonRequest()
-    request.suggest(knee)
-    assert request.conditions == "load.mass2=+-30 %"
-    pendulum = PendulumLoad(mass=0.3, length=0.25)
-    request.suggest(knee.model_copy(update={"load": pendulum}))
-    assert request.conditions == "load.mass=+-30 %"
-    request.conditions = "load.length=+-10 %"
-    request.suggest(knee.model_copy(update={"load": GeneralLoad(0.1, 2.0)}))
-    assert (request.conditions, request.suggested) == ("load.length=+-10 %", "load.inertia=+-30 %")
 
 
 def test_the_kinds_of_a_scenario_are_those_of_its_fields():

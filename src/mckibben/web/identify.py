@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
-import numpy as np
 from nicegui import events, ui
 
 from mckibben import catalog
@@ -25,7 +24,7 @@ from mckibben.muscle import Muscle
 from mckibben.muscle.air import inner_volume
 from mckibben.result import Remark
 from mckibben.scenario import write_muscle
-from mckibben.units import factor, quantity
+from mckibben.units import quantity
 from mckibben.web.layout import (
     JobPage,
     button,
@@ -41,17 +40,24 @@ from mckibben.web.layout import (
     text_area,
     upload,
 )
-from mckibben.web.reading import DISPLACEMENTS, TEXTS, ReadingFields, read, refusal, understood
+from mckibben.web.reading import ReadingFields, read, refusal, understood
 from mckibben.web.results import Presented, show_result
 from mckibben.web.security import LARGEST
 from mckibben.web.session import JobState, session
-from mckibben.web.wording import FRICTION, KEEP, SKIP, on_page
+from mckibben.web.wording import FRICTION, KEEP, on_page
 
 _LONGEST_PASTE = 400_000  # characters: a browser message is limited to a megabyte
-_SHOWN = {"pressure": "bar", "contraction": "%", "force": "N"}
 _READABLE = re.compile(r"\.(csv|txt|tsv|dat|lvm|tdms|xlsx|mat|h5|hdf5|nc)", re.IGNORECASE)
 _MOST_FILES = 64
 NEEDS_MUSCLE = "It needs muscle.yaml and fit.yaml in its folder: “Download muscle” on the page Muscle gives both."
+_FIELDS = {
+    "initial_length": "initial length, such as 180 mm",
+    "ambient": "ambient pressure, such as 101.3 kPa, if pressures are absolute",
+}
+_LINES = {
+    "columns": "columns, one per line: HEADER = pressure_bar",
+    "further": "further settings of a recipe, one per line, such as displacement: lengthening",
+}
 _FRICTION = {"where the data show it": None, "with": True, "without": False}
 
 
@@ -142,18 +148,14 @@ class _Page(JobPage[IdentificationState]):
                     self.pasted = text_area("table of points", _LONGEST_PASTE, 130, placeholder=example).mark("paste")
                     button("Read", self.paste)
                 with ui.expansion("how the file is read").props("dense").classes("w-full") as self.options:
-                    for name, label in TEXTS.items():
+                    for name, label in _FIELDS.items():
                         ui.input(label, validation=partial(refusal, name)).props("dense hide-bottom-space").classes(
                             "w-full"
                         ).mark(name).bind_value(state.reading, name)
-                    select(DISPLACEMENTS, "displacement: positive direction", "displacement").bind_value(
-                        state.reading, "displacement"
-                    )
-                    ui.checkbox("force sign: a pull is negative").props("dense").bind_value(state.reading, "negative")
-                    ui.checkbox(SKIP).props("dense").mark("skip").bind_value(state.reading, "skip")
-                    ui.textarea("columns, one per line: HEADER = pressure_bar").props("dense autogrow").classes(
-                        "w-full mono"
-                    ).bind_value(state.reading, "columns")
+                    for name, label in _LINES.items():
+                        ui.textarea(label).props("dense autogrow").classes("w-full mono").mark(name).bind_value(
+                            state.reading, name
+                        )
                     button("Read again", self.read)
             with panel("Force law"):
                 select(sorted(law_types()), "law", "law").bind_value(state, "law")
@@ -319,16 +321,10 @@ class _Page(JobPage[IdentificationState]):
         attrs = data.table.attrs
         with panel(self.state.name):
             ui.label(f"{len(data)} points, {len(data) - len(data.taut)} slack").classes("number")
-            rows = [
-                (name, unit, f"{low:.4g}", f"{high:.4g}")
-                for name, unit in _SHOWN.items()
-                for low, high in [np.array([f(data.table[name].to_numpy()) for f in (np.min, np.max)]) / factor(unit)]
-            ]
             if cells := understood(data):
                 titles = ("column", "quantity", "unit", "unit from", "range", "remark")
                 table(titles, cells, texts=range(6)).classes("understood").mark("read")
             recorded = [name for name in ("direction", "phase", "repeat", "time", "set_pressure") if name in data.table]
-            table(("column", "unit", "from", "to"), rows, texts=(0, 1))
             lines = [f"also: {', '.join(recorded).replace('_', ' ')}"] if recorded else []
             if ignored := attrs.get("ignored_columns"):
                 lines.append(f"not read: {self.named(ignored)}")

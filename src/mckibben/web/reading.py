@@ -3,80 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from mckibben.dataset import IsobaricDataset, Recipe, read_dataset
 from mckibben.errors import DatasetError, ParameterError, ScenarioError
 from mckibben.units import show
 
-TEXTS = {
-    "initial_length": "initial length, such as 180 mm",
-    "ambient": "ambient pressure, such as 101.3 kPa, if pressures are absolute",
-    "zero_length": "zero length: at displacement 0, if another",
-    "from_name": "from file names, such as {pressure_bar}bar",
-    "slack_force": "slack force, such as 4 N, if not estimated",
-    "largest_force": "largest force, if the sensor is saturated there",
-    "decimal": "decimal sign, if the file does not tell",
-    "specimen": "name of the muscle",
-    "accept": "questions that are answered with yes, such as words",
-}
-"""Labels of the fields for texts, by the names of a recipe."""
-_UNITS = {"ambient": "kPa", "initial_length": "mm", "zero_length": "mm", "slack_force": "N", "largest_force": "N"}
-DISPLACEMENTS = {"": "not given", "shortening": "shortening", "lengthening": "lengthening"}
+_UNITS = {"initial_length": "mm", "ambient": "kPa"}
 
 
 @dataclass
 class ReadingFields:
-    """Reading options, as texts of the fields of the page."""
+    """Reading options, as texts of the fields of the page: the most common ones, and a recipe with all others."""
 
     initial_length: str = ""
-    displacement: str = ""
-    zero_length: str = ""
-    from_name: str = ""
-    slack_force: str = ""
-    largest_force: str = ""
-    decimal: str = ""
-    specimen: str = ""
-    negative: bool = False
-    skip: bool = False
-    columns: str = ""
     ambient: str = ""
-    accept: str = ""
-    others: dict[str, Any] = field(default_factory=dict)
-    """Settings of a recipe without a field, which it keeps: those of recordings only, and a positive sign."""
-
-    def clear(self) -> None:
-        """Empty all fields, to which those of an open page are bound."""
-        vars(self).update(vars(ReadingFields()))
+    columns: str = ""
+    further: str = ""
 
     def take(self, recipe: Recipe) -> None:
-        """Fill all fields from a recipe."""
-        self.clear()
-        for name in (*TEXTS, "displacement"):
-            if (option := getattr(recipe, name)) is not None:
-                text = ", ".join(option) if name == "accept" else option
-                setattr(self, name, show(option, _UNITS[name], 12) if name in _UNITS else text)
-        self.negative = recipe.force_sign == -1
+        """Fill all fields, to which those of an open page are bound, from a recipe."""
+        for name, unit in _UNITS.items():
+            value = getattr(recipe, name)
+            setattr(self, name, "" if value is None else show(value, unit, 12))
         self.columns = "\n".join(f"{header} = {name}" for header, name in (recipe.columns or {}).items())
-        others = {"contraction", "sample_rate", "part", *(["force_sign"] if recipe.force_sign == 1 else [])}
-        self.others = recipe.model_dump(include=others, exclude_none=True)
+        further = recipe.model_copy(update=dict.fromkeys((*_UNITS, "columns")))
+        self.further = "" if further == Recipe() else further.dumps()
 
     def recipe(self) -> Recipe:
         """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
-        texts = {name: getattr(self, name).strip() for name in (*TEXTS, "displacement")}
-        options: dict[str, Any] = {name: text for name, text in texts.items() if text}
+        options: dict[str, object] = {name: text for name in _UNITS if (text := getattr(self, name).strip())}
         options |= {"columns": names} if (names := column_names(self.columns)) else {}
-        options |= self.others | ({"force_sign": -1} if self.negative else {})
-        if accepted := [*_topics(self.accept), *(["corrupt"] if self.skip else [])]:
-            options["accept"] = accepted
-        return Recipe(**options)
-
-
-def _topics(text: str) -> list[str]:
-    """Topics of questions, separated by commas."""
-    return [word.strip() for word in text.split(",") if word.strip()]
+        return Recipe.parse(self.further, source="further settings").with_options(options)
 
 
 def understood(data: IsobaricDataset) -> list[tuple[str, ...]]:
@@ -102,9 +61,7 @@ def column_names(text: str) -> dict[str, str]:
 def refusal(name: str, text: str | None) -> str | None:
     """Reason why a text is not a value of a recipe's field; None if it is valid or empty."""
     try:
-        options: dict[str, Any] = {name: text.strip()} if text and text.strip() else {}
-        options = {"accept": _topics(options["accept"])} if "accept" in options else options
-        Recipe(**options)
+        Recipe().with_options({name: text.strip()} if text and text.strip() else {})
     except ScenarioError as error:
         return "; ".join(filter(None, (error.problems[0].message, error.problems[0].remedy)))
     return None

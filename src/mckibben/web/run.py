@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -91,15 +91,11 @@ class _Page(JobPage[Workbench]):
         self.selects: dict[str, ui.select] = {}
         with side():
             with panel("Controller and references"):
-                for label, options, choose in (
-                    ("controller", list(CONTROLLERS), self.choose_controller),
-                    ("angle", list(SIGNALS), self.choose_angle),
-                    ("stiffness", list(SIGNALS), self.choose_stiffness),
-                ):
-                    self.select(label, options, self.chosen(label, choose))
+                for label, options in {"controller": CONTROLLERS, "angle": SIGNALS, "stiffness": SIGNALS}.items():
+                    self.select(label, options)
             with panel(), _section("Plant").mark("plant"):
                 for label, choice in CHOICES.items():
-                    self.select(label, list(choice.options), self.part(label))
+                    self.select(label, choice.options)
             self.form = ui.column().classes("w-full").style("gap: 16px")
             with panel("Scenario"):
                 self.yaml = text_area("scenario", LONGEST_TEXT, 260).mark("yaml")
@@ -130,11 +126,14 @@ class _Page(JobPage[Workbench]):
         ui.timer(0.0, self.begin, once=True)  # once a browser shows the page: a request alone computes nothing
         ui.timer(0.1, self.refresh)
 
-    def select(
-        self, label: str, options: list[str], changed: Callable[[events.ValueChangeEventArguments], None]
-    ) -> None:
-        """A select with a label."""
-        self.selects[label] = select(options, label, label, on_change=changed)
+    def select(self, label: str, options: Iterable[str]) -> None:
+        """A select that changes the scenario, and shows the kind that runs."""
+
+        def changed(event: events.ValueChangeEventArguments) -> None:
+            if event.value and event.value != self.state.options.get(label):
+                self.choose(label, event.value)
+
+        self.selects[label] = select(list(options), label, label, on_change=changed)
 
     def begin(self) -> None:
         """Run the joint of another page, or the first scenario."""
@@ -217,46 +216,19 @@ class _Page(JobPage[Workbench]):
         if "muscle.yaml" in self.state.text:
             ui.notify(NEEDS_MUSCLE, multi_line=True)
 
-    def chosen(
-        self, label: str, choose: Callable[[events.ValueChangeEventArguments], None]
-    ) -> Callable[[events.ValueChangeEventArguments], None]:
-        """The handler of a select, which shows the kind that runs."""
-
-        def changed(event: events.ValueChangeEventArguments) -> None:
-            if event.value and event.value != self.state.options.get(label):
-                choose(event)
-
-        return changed
-
-    def part(self, label: str) -> Callable[[events.ValueChangeEventArguments], None]:
-        """The handler of a select of the plant."""
-
-        def choose(event: events.ValueChangeEventArguments) -> None:
-            if (scenario := self.state.scenario) is not None:
-                self.change(lambda: CHOICES[label].choose(scenario, event.value))
-
-        return self.chosen(label, choose)
-
-    def section(self, section: str, *place: str) -> None:
-        """Run the scenario with a new section."""
-        text = START if self.state.current is None else self.state.current.text  # the last valid one
-        self.change(lambda: parse(with_section(text, section, place), self.folder))
-
-    def choose_controller(self, event: events.ValueChangeEventArguments) -> None:
-        """Change the kind of controller, with initial gains."""
-        self.section(CONTROLLERS[event.value], "controller")
-
-    def choose_angle(self, event: events.ValueChangeEventArguments) -> None:
-        """Change the kind of angle reference."""
-        self.section(SIGNALS[event.value].format(**ANGLES), "reference", "angle")
-
-    def choose_stiffness(self, event: events.ValueChangeEventArguments) -> None:
-        """Change the kind of stiffness reference, keeping its mean."""
-        now = self.state.current
-        mean = 15.0 if now is None else float(np.mean(now.columns["desired_stiffness"]))
-        low, high = f"{0.9 * mean:.3g} N*m/rad", f"{1.1 * mean:.3g} N*m/rad"
-        parts = {"at": f"{mean:.3g} N*m/rad", "low": low, "high": high, "half": f"{0.1 * mean:.3g} N*m/rad"}
-        self.section(SIGNALS[event.value].format(**parts), "reference", "stiffness")
+    def choose(self, label: str, kind: str) -> None:
+        """Run the scenario with another kind of controller, reference or part of the plant."""
+        now, scenario, folder = self.state.current, self.state.scenario, self.folder
+        if (choice := CHOICES.get(label)) is not None:
+            if scenario is not None:
+                self.change(lambda: choice.choose(scenario, kind))
+            return
+        if label == "controller":
+            section, place = CONTROLLERS[kind], ("controller",)
+        else:
+            section, place = SIGNALS[kind].format(**_levels(label, now)), ("reference", label)
+        text = START if now is None else now.text  # the last valid one
+        self.change(lambda: parse(with_section(text, section, place), folder))
 
     def fields(self, scenario: Scenario) -> None:
         """Fields for the numbers set in a scenario."""
@@ -344,6 +316,15 @@ class _Page(JobPage[Workbench]):
 def _options(scenario: Scenario) -> dict[str, str | None]:
     """Options of a scenario by the label of their select; None if the page does not offer its part."""
     return chosen_kinds(scenario) | {label: choice.chosen(scenario) for label, choice in CHOICES.items()}
+
+
+def _levels(label: str, now: Curves | None) -> dict[str, str]:
+    """Levels of a new reference: of the stiffness, about the mean of the present one."""
+    if label == "angle":
+        return ANGLES
+    mean = 15.0 if now is None else float(np.mean(now.columns["desired_stiffness"]))
+    factors = {"at": 1.0, "low": 0.9, "high": 1.1, "half": 0.1}
+    return {name: f"{factor * mean:.3g} N*m/rad" for name, factor in factors.items()}
 
 
 def _section(title: str, *, opened: bool = False) -> ui.expansion:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mckibben.errors import ParameterError
-from mckibben.scenario import Scenario, list_parameters, with_values
+from mckibben.scenario import Scenario, with_values
 from mckibben.study.compare import Suite, compare
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import parse_cost, parse_ranges, tune
@@ -23,9 +23,6 @@ MOST_RUNS, MOST_GENERATIONS, MOST_ITERATIONS, MOST_SEED = 512, 30, 60, 2**31 - 1
 _TRAINING, _POPULATION = 16, 8
 Progress = Callable[[str, float], None]
 
-AUTOMATIC = "automatic"
-"""The default method of `tune`."""
-
 
 @dataclass
 class TuningRequest:
@@ -37,7 +34,7 @@ class TuningRequest:
     cost: str = DEFAULT_COST
     gain_margin: float = DEFAULT_MARGIN
     over: str = ""
-    method: str = AUTOMATIC
+    method: str = "cma"
     iterations: int = 20
     seed: int = 0
     disk_margin: str = ""
@@ -45,21 +42,15 @@ class TuningRequest:
 
 @dataclass
 class ComparisonRequest:
-    """Input of a comparison; `conditions` has one parameter and its range per line, at first those `suggested`."""
+    """Input of a comparison; `conditions` has one parameter and its range per line.
+
+    Without conditions, those of `Suite.of` vary: the strength of each muscle, and the masses of the load.
+    """
 
     controllers: tuple[str, ...] = ("two PID loops", "model inversion (decoupling)")
     conditions: str = ""
     runs: int = 64
     generations: int = 10
-    suggested: str = ""
-
-    def suggest(self, scenario: Scenario) -> None:
-        """Replace the suggested conditions by those of a scenario: another mass or inertia of its load."""
-        before, name = self.suggested, f"load.{scenario.load.adapted_mass or 'inertia'}"
-        known = any(parameter.name == name for parameter in list_parameters(scenario))
-        self.suggested = f"{name}=+-30 %" if known else ""
-        if self.conditions == before:
-            self.conditions = self.suggested
 
 
 class Study(NamedTuple):
@@ -87,7 +78,6 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     progress("compiling", 0.0)
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
-    method = "cma" if request.method == AUTOMATIC else request.method
     try:
         margin = float(request.disk_margin) if request.disk_margin.strip() else None
     except ValueError:
@@ -97,7 +87,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
         scenario,
         ranges,
         parse_cost(request.cost, gain_margin=request.gain_margin, disk_margin=margin),
-        method=method,
+        method=request.method,
         iterations=request.iterations,
         population=_POPULATION,
         seed=request.seed,
@@ -119,8 +109,8 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     others: dict[str, Any] = {name: parse(section, folder).controller for name, section in sections}
     tuning = TuningSettings(runs=_TRAINING, starts=1, generations=request.generations, population=_POPULATION, seed=99)
     evaluation = EvaluationSettings(runs=request.runs, seed=1)
-    conditions = tuple(_lines(request.conditions))
-    suite = Suite.of(scenario, others, conditions=conditions, tuning=tuning, evaluation=evaluation)
+    varied = {"conditions": conditions} if (conditions := tuple(_lines(request.conditions))) else {}
+    suite = Suite.of(scenario, others, tuning=tuning, evaluation=evaluation, **varied)
     trials = 2 * request.generations * _POPULATION  # two searches: for the lowest cost, and at equal air
     _check_budget(scenario, len(suite.controllers) * (trials * _TRAINING + 2 * request.runs))
     result = compare(suite, progress=progress)

@@ -27,7 +27,6 @@ from mckibben.web.layout import (
 from mckibben.web.results import show_result
 from mckibben.web.session import JobState, session
 from mckibben.web.studies import (
-    AUTOMATIC,
     MOST_GENERATIONS,
     MOST_ITERATIONS,
     MOST_RUNS,
@@ -39,7 +38,7 @@ from mckibben.web.studies import (
     compared,
     tuned,
 )
-from mckibben.web.workbench import CONTROLLERS, START, Workbench, parse
+from mckibben.web.workbench import CONTROLLERS, Workbench, parse
 
 
 @dataclass
@@ -65,7 +64,6 @@ class _Page(JobPage[StudyState]):
         super().__init__(state, folder)
         self.bench, self.drawn = bench, ""
         tuning, comparison = state.tuning, state.comparison
-        comparison.suggest(bench.scenario or Scenario.parse(START))
         with side():
             with panel("Scenario"):
                 self.name = ui.label().classes("number").mark("scenario-name")
@@ -73,8 +71,7 @@ class _Page(JobPage[StudyState]):
             self.progress = progress_row(state.jobs)
             with panel("Tune"):
                 _lines("cost", tuning, "cost")
-                methods = [AUTOMATIC, *SEARCHES]
-                select(methods, "method", "method").bind_value(tuning, "method")
+                select(list(SEARCHES), "method", "method").bind_value(tuning, "method")
                 with ui.element("div").classes("fields"):
                     self.tuning_fields = [
                         _number("gain margin", tuning, "gain_margin", 1.0, 10.0),
@@ -99,7 +96,7 @@ class _Page(JobPage[StudyState]):
                         _number("unseen runs", comparison, "runs", 2, MOST_RUNS),
                         _number("generations", comparison, "generations", 1, MOST_GENERATIONS),
                     ]
-                _lines("conditions, NAME=RANGE per line", comparison, "conditions")
+                _lines("conditions, NAME=RANGE per line, or strengths and masses", comparison, "conditions")
                 button("Compare", self.compare, "compare", main=True)
             quiet(
                 "Both take minutes, part of them for compiling, and more on a busy computer. The time of tuning grows "

@@ -10,14 +10,12 @@ from mckibben.identification.summary import KEEP_OUTLIERS
 from mckibben.scenario.parameters import LISTING
 
 _ELSEWHERE = re.compile(ON_COMMAND_LINE)  # remedies name arguments, as fields do, and options
-_ARGUMENTS = re.compile(r"\b(?:initial_length|zero_length|slack_force|largest_force|force_sign|from_name|ambient)\b")
-_CHOICES = re.compile(r"\b(\w+)='(\w+)'")  # an argument, which the page has as a select
+_SETTING = re.compile(r"\b(\w+)=(?=\[?')")  # an argument, which the page has as a line of a recipe
 _PAIR = re.compile(r"'([^']*)': '([^']*)'")
 _COLUMNS = re.compile(r"columns=\{('[^}]*')\}")  # an argument, which the page has as lines of a field
-KEEP, FRICTION, SKIP = "keep outliers", "friction", "leave out damaged rows"  # labels of what stands for arguments
+KEEP, FRICTION = "keep outliers", "friction"  # labels of what stands for arguments
 _INSTEAD = {
     KEEP_OUTLIERS: f"to keep such points, tick “{KEEP}”",
-    "accept=['corrupt']": f"tick “{SKIP}”",
     WITH_FRICTION: f"to identify the friction, choose “{FRICTION}: with”",
     "(mk.rank, or --law all)": "(Rank all laws)",
     "--disk-margin": "a disk margin of",
@@ -37,8 +35,7 @@ def on_page(text: str) -> str:
         text = text.replace(ours, shown)
     text = _COLUMNS.sub(lambda match: _PAIR.sub(r"\1 = \2", match[1]) + " (columns)", _ELSEWHERE.sub("", text))
     text = text.replace("columns={...}", "a line HEADER = NAME (columns)")
-    text = _CHOICES.sub(r"\1: \2", text)
-    return quotes(_ARGUMENTS.sub(lambda match: match[0].replace("_", " "), text))
+    return quotes(_SETTING.sub(r"\1: ", text).replace("initial_length", "initial length"))
 
 
 def quotes(text: str) -> str:
