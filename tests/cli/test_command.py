@@ -132,7 +132,7 @@ def test_the_catalog_lists_laws_and_entries_at_any_width(cli, monkeypatch):
 def test_a_log_gets_lines_of_progress_with_the_time_left(monkeypatch, capsys):
     clock = itertools.count(100.0, 4.0)
     monkeypatch.setattr(options.time, "monotonic", lambda: next(clock))
-    with options.progress() as report:
+    with options.job_progress() as report:
         for part in range(101):
             report("tuning", part / 100)
     lines = capsys.readouterr().err.splitlines()

@@ -27,7 +27,7 @@ from mckibben.cli.export import export
 from mckibben.cli.identify import identify, validate
 from mckibben.cli.joint import envelope, margins, simulate, size, stiffness
 from mckibben.cli.leg import leg
-from mckibben.cli.options import INTERRUPTED, Commands, echo, on_command_line, progress, table
+from mckibben.cli.options import INTERRUPTED, Commands, echo, job_progress, on_command_line, table
 from mckibben.cli.points import plan, points
 from mckibben.cli.rig import rig
 from mckibben.cli.studies import compare, sweep, tune
@@ -63,7 +63,8 @@ def reproduce(out: Path = Path("mckibben-report"), quick: bool = False, json: bo
     """
     make_folder(out)  # fails before the computation
 
-    with progress() as report:
+    with job_progress() as report:
+        assert report is not None
         from mckibben.paper import reproduce as run
 
         done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -26,7 +24,6 @@ from mckibben.errors import ParameterError, StoppedError, quoted
 
 if TYPE_CHECKING:
     from mckibben.calibration import Calibration, JointRecording, Sweeps, ValveExperiment
-    from mckibben.realtime import JointRig
     from mckibben.scenario import Scenario
 
 Files = list[Path] | None
@@ -132,34 +129,26 @@ def _duration(text: str, shortest: float = 20.0, longest: float = 600.0) -> floa
 def _measured(
     scenario: Scenario, experiment: Sweeps | ValveExperiment, out: Path, rig: Path | None, *, quiet: bool
 ) -> list[JointRecording]:
-    """Recordings of the parts of an experiment, run on a rig."""
+    """Recordings of the parts of an experiment, run on a rig, each after its preparation is confirmed."""
     from mckibben.calibration import run_parts
     from mckibben.realtime import JointRig
-
-    device = None if rig is None else JointRig.read(rig)
-    parts = experiment.scenarios(scenario)
-    with _running(out, experiment.instructions, device, quiet) as options:
-        return experiment.recordings(run_parts(parts, out, **options))
-
-
-@contextmanager
-def _running(out: Path, parts: dict[str, str], rig: JointRig | None, quiet: bool) -> Iterator[dict[str, Any]]:
-    """Options of a run of the parts of an experiment, each with what to confirm before it."""
     from mckibben.rig.record import segments
 
-    if recorded := [name for name in parts if (out / name).is_dir() and segments(out / name)]:
+    device, instructions = None if rig is None else JointRig.read(rig), experiment.instructions
+    if recorded := [name for name in instructions if (out / name).is_dir() and segments(out / name)]:
         results = [out / name / "result.nc" for name in recorded if (out / name / "result.nc").is_file()]
         use = " ".join(f"--recording {path}" for path in results)
         remedy = f"use them with {use}, or choose" if results else "they are incomplete; choose"
         raise ParameterError(f"{out} already contains records", remedy=f"{remedy} another folder")
 
     def ready(name: str) -> None:
-        if rig is not None and rig.physical:
-            typer.confirm(f"{parts[name]}, and nobody is within reach of the joint?", abort=True, err=True)
+        if device is not None and device.physical:
+            typer.confirm(f"{instructions[name]}, and nobody is within reach of the joint?", abort=True, err=True)
 
+    parts = experiment.scenarios(scenario)
     try:
         with keeping(out), run_line(quiet=quiet) as line:
-            yield {"rig": rig, "ready": ready, "progress": line}
+            return experiment.recordings(run_parts(parts, out, rig=device, ready=ready, progress=line))
     except StoppedError as stopped:
         echo(str(stopped), err=True)
         raise typer.Exit(1) from None

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
-from mckibben.cli.options import check_unused, parse_optional, parse_quantity
+from mckibben.cli.options import Progress, check_unused, parse_optional, parse_quantity
 from mckibben.cli.reading import Data, Reading
 from mckibben.errors import ParameterError, UnitError, quoted
 from mckibben.units import quantity, show
@@ -35,7 +35,7 @@ def identify(
     dead_volume: str = "",
     *,
     reading: Reading,
-    progress: Any = None,
+    progress: Progress = None,
 ) -> Result:
     """Identify a muscle: a force law with standard errors and cross-validation errors, its creep, or its air.
 

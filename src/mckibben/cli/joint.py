@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
-from mckibben.cli.options import ScenarioFile, keeping, parse_limits, results_folder
+from mckibben.cli.options import Progress, ScenarioFile, keeping, parse_limits, results_folder
 
 if TYPE_CHECKING:
     from mckibben.reachability import Envelope, Selection
@@ -60,7 +60,7 @@ def stiffness(
     amplitude: str = "0.01..10 deg",
     rate: str = "0.1..10 Hz",
     *,
-    progress: Any = None,
+    progress: Progress = None,
 ) -> StiffnessTests:
     """Test the stiffness of a joint over amplitude and rate of a motion, at the setpoint held by its controller.
 

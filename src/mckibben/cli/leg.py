@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mckibben.cli.command import command
-from mckibben.cli.options import check_unused, required_folder, results_folder
+from mckibben.cli.options import Progress, check_unused, required_folder, results_folder
 from mckibben.cli.report import Report
 from mckibben.errors import ParameterError, closest, quoted
 from mckibben.result import Column, Listing
@@ -24,7 +24,7 @@ def leg(
     *,
     out: Path | None,
     resume: bool,
-    progress: Any = None,
+    progress: Progress = None,
 ) -> Report:
     """Study a leg: drop landings over stiffness, height and valve; the highest jumps; pressures for a stiffness of its
     foot. Landings and jumps are kept in DIR, and can be resumed.
@@ -107,7 +107,7 @@ def _report(
     read: LegScenario,
     text: str,
     rows: tuple[tuple[str, ...], list[tuple[str, ...]]],
-    numbers: dict[str, Any],
+    numbers: dict[str, object],
     write_study: Callable[[Path], None],
 ) -> Report:
     cells = zip(*rows[1], strict=True)

@@ -20,6 +20,8 @@ from mckibben.errors import ON_COMMAND_LINE, ParameterError, UnitError, closest,
 from mckibben.storage.files import check_free, explain_write_errors, make_folder
 from mckibben.units import parse_range, quantity
 
+Progress = Callable[[str, float], None] | None
+"""Function that shows a step of a computation, and the part that is done; None without a progress bar."""
 ScenarioFile = Annotated[Path, Argument(metavar="SCENARIO.yaml", help="Scenario file; see examples/.")]
 _MEANT = {
     "run": "simulate",
@@ -147,26 +149,20 @@ def table(title: str, headers: tuple[str, ...], rows: Sequence[tuple[str, ...]])
 _LOG_INTERVAL, _LOG_SHARE = 10.0, 0.25  # s, and of the elapsed time: between lines of progress in a log
 
 
-@contextmanager
-def progress(*, width: int = 40) -> Iterator[Callable[[str, float], None]]:
-    """Progress bar of `width` columns on standard error; lines, ever less often, in a log."""
+def _bar(stack: ExitStack, width: int) -> Callable[[str, float], None]:
+    """A progress bar of `width` columns on standard error until the stack ends; in a log, lines ever less often."""
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as ProgressBar
 
-    columns = (
-        BarColumn(bar_width=width),
-        TextColumn("{task.percentage:3.0f} %"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        TextColumn("{task.description}"),
-    )
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _log_lines()
-        return
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("starting", total=1.0)
-        yield lambda what, part: bar.update(task, description=what, completed=part)
+        return _log_lines()
+    percent, text = TextColumn("{task.percentage:3.0f} %"), TextColumn("{task.description}")
+    columns = (BarColumn(bar_width=width), percent, TimeElapsedColumn(), TimeRemainingColumn(), text)
+    bar = stack.enter_context(ProgressBar(*columns, console=console))
+    task = bar.add_task("starting", total=1.0)
+    return lambda what, part: bar.update(task, description=what, completed=part)
 
 
 def _log_lines() -> Callable[[str, float], None]:
@@ -218,24 +214,21 @@ INTERRUPTED = 130
 
 
 @contextmanager
-def job_progress(*, quiet: bool, width: int = 40) -> Iterator[Callable[[str, float], None] | None]:
+def job_progress(*, quiet: bool = False, width: int = 40) -> Iterator[Progress]:
     """Progress bar that appears with the first report, after errors in the options; None if `quiet`."""
-    if quiet:
-        yield None
-        return
     with ExitStack() as stack:
         bars: list[Callable[[str, float], None]] = []
 
         def report(what: str, part: float) -> None:
             if not bars:
-                bars.append(stack.enter_context(progress(width=width)))
+                bars.append(_bar(stack, width))
             bars[0](what, part)
 
-        yield report
+        yield None if quiet else report
 
 
 @contextmanager
-def long_job(*, quiet: bool, kept: str) -> Iterator[Callable[[str, float], None] | None]:
+def long_job(*, quiet: bool, kept: str) -> Iterator[Progress]:
     """Skeleton of a long command: progress, and after Ctrl-C exit code 130 with a message on the kept results."""
     try:
         with job_progress(quiet=quiet) as report:

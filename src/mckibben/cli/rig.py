@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import threading
 import time
@@ -344,14 +343,9 @@ def _progress_line(checked: CheckedTest, *, quiet: bool) -> Iterator[ProgressCal
         if bars is None:
             yield None
             return
-        last = [-math.inf]
 
         def report(progress: Progress) -> None:
-            wall, part = time.monotonic(), min(1.0, progress.points / total)
-            if wall - last[0] < 0.1 and part < 1.0:
-                return
-            last[0] = wall
-            latest = progress.latest
+            latest, part = progress.latest, min(1.0, progress.points / total)
             bars(  # fits 80 columns
                 f"{latest.pressure / bar:5.2f} bar {latest.force:6.1f} N {progress.contraction / percent:5.1f} %  "
                 f"{progress.points}/{total}  {time_text(found.duration * (1 - part))} left",

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
-from mckibben.cli.options import ScenarioFile, echo, keeping, required_folder
+from mckibben.cli.options import Progress, ScenarioFile, echo, keeping, required_folder
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.storage.files import atomic_write, check_free, make_folder
 from mckibben.storage.store import STUDY
@@ -35,7 +35,7 @@ def sweep(
     *,
     out: Path | None,
     resume: bool,
-    progress: Any = None,
+    progress: Progress = None,
 ) -> Result:
     """Run a scenario over ranges of its parameters; finished runs are kept, and the sweep can be resumed.
 
@@ -103,7 +103,7 @@ def tune(
     *,
     out: Path | None,
     resume: bool,
-    progress: Any = None,
+    progress: Progress = None,
 ) -> TuneResult:
     """Minimise a cost over gains or other parameters of scenarios (default: all gains); a search can be resumed.
 
@@ -179,7 +179,7 @@ def compare(
     *,
     out: Path | None,
     resume: bool,
-    progress: Any = None,
+    progress: Progress = None,
 ) -> CompareResult | PooledResult:
     """Tune controllers with the same budget, and compare them on the same unseen runs.
 

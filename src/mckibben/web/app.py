@@ -22,7 +22,6 @@ from mckibben.web.security import LOCAL, Access, Guard
 from mckibben.web.session import collect_warnings, end_sessions
 
 HOST = LOCAL[0]
-_SHUTDOWN = 2  # s for open requests
 
 
 def pages() -> None:
@@ -89,7 +88,7 @@ def start(port: int, *, show: bool, ready: Callable[[str], None]) -> None:
             title="mckibben",
             storage_secret=secret,  # of this server alone: cookies of an earlier one are void
             show_welcome_message=False,
-            timeout_graceful_shutdown=_SHUTDOWN,
+            timeout_graceful_shutdown=2,  # s for open requests
         )
     if signals:
         sys.exit(128 + signals[0])

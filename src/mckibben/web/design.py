@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -151,10 +151,14 @@ class _Pose(NamedTuple):
     """Pressures [Pa] at the lowest and at the highest stiffness."""
 
 
+Edges = tuple[Array, Array]
+"""Lowest and highest values over the angles."""
+
+
 @jit
 def _ranges(
     joint: AntagonisticJoint, angles: ArrayLike, torque: ArrayLike, angle: ArrayLike, limits: tuple[float, float]
-) -> tuple[Any, Any, Any, _Pose]:
+) -> tuple[Edges, Edges | None, Edges, _Pose]:
     """Stiffness, that of small motion, and torque over angles and at one of them; compiled once per kind of law."""
     every = jnp.append(jnp.asarray(angles), jnp.asarray(angle))
     stiffness = joint.attainable_stiffness(every, torque, pressure_limits=limits)
@@ -212,9 +216,12 @@ def compute(design: JointDesign, muscle: Muscle) -> Designed:
     """The joint and its ranges."""
     joint = joint_of(design, muscle)
     limits = pressure_limits(muscle)[0] * bar, design.pressure * bar
-    *ranges, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, limits)
-    stiffness, small, torque = (edges and (np.asarray(edges[0]), np.asarray(edges[1])) for edges in ranges)
-    return Designed(joint, stiffness, small, torque, here)
+    stiffness, small, torque, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, limits)
+    return Designed(joint, _arrays(stiffness), small and _arrays(small), _arrays(torque), here)
+
+
+def _arrays(edges: Edges) -> tuple[np.ndarray, np.ndarray]:
+    return np.asarray(edges[0]), np.asarray(edges[1])
 
 
 def muscles(fitted: Muscle | None) -> dict[str, Muscle]:

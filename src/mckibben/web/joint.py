@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any
 
 import numpy as np
 from nicegui import events, ui
@@ -173,7 +172,7 @@ class _Page:
         self.note.text, self.limits.text = _COMPILING, ""
         self.grey(old=True)
 
-    def grey(self, _: Any = None, *, old: bool | None = None) -> None:
+    def grey(self, _: object = None, *, old: bool | None = None) -> None:
         """Grey the results if they are old, or if the value of a field is refused; otherwise show their colours."""
         self.old = self.old if old is None else old
         refused = any(not field.validate() for field in self.fields if not field.is_deleted)

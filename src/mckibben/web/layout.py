@@ -25,6 +25,7 @@ from mckibben.web.session import Jobs, JobState
 from mckibben.web.wording import on_page, quotes
 
 State = TypeVar("State", bound=JobState)
+Value = TypeVar("Value")
 
 Series = dict[str, Any]
 """Options of a curve of a chart."""
@@ -75,7 +76,7 @@ def button(
     return made.mark(mark) if mark else made
 
 
-def select(options: Any, label: str, mark: str = "", **others: Any) -> ui.select:
+def select(options: list[str] | dict[Any, str], label: str, mark: str = "", **others: Any) -> ui.select:
     """A select as wide as its panel."""
     made = ui.select(options, label=label, **others).props("dense").classes("w-full")
     return made.mark(mark) if mark else made
@@ -153,11 +154,15 @@ class JobPage(Generic[State]):
         self.ended = False
 
     def start_job(
-        self, compute: Callable[..., Any], done: Callable[[Any, list[str]], None], *, scroll: bool = True
+        self,
+        compute: Callable[[Callable[[str, float], None]], Value],
+        done: Callable[[Value, list[str]], None],
+        *,
+        scroll: bool = True,
     ) -> None:
         """As `Jobs.start`; an error is stored in the state. The page scrolls to the results, or stays where it is."""
 
-        def end(result: Any, heard: list[str]) -> None:
+        def end(result: Value, heard: list[str]) -> None:
             done(result, heard)
             self.ended = scroll
 
@@ -295,7 +300,7 @@ class NumberField(ui.number):
             return None
         return number if math.isfinite(number) else None
 
-    def _value_to_model_value(self, value: Any) -> str:
+    def _value_to_model_value(self, value: object) -> str:
         return "" if value is None else f"{value:.12g}"
 
 
@@ -391,17 +396,14 @@ def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -
     ]
 
 
-_MANY = 40  # points of one color that would hide a curve
+def dots(name: str, x: ArrayLike, y: ArrayLike, color: str, *, many: int = 40) -> Series:
+    """Points of a chart, below its curves; more than `many` would hide a curve, and are small and pale."""
+    data, crowded = points(x, y), len(np.asarray(x)) > many
+    look = {"color": color, "opacity": 0.35 if crowded else 1}
+    return {"type": "scatter", "name": name, "data": data, "symbolSize": 4 if crowded else 6, "itemStyle": look}
 
 
-def dots(name: str, x: ArrayLike, y: ArrayLike, color: str) -> Series:
-    """Points of a chart, below its curves; many are small and pale."""
-    data, many = points(x, y), len(np.asarray(x)) > _MANY
-    look = {"color": color, "opacity": 0.35 if many else 1}
-    return {"type": "scatter", "name": name, "data": data, "symbolSize": 4 if many else 6, "itemStyle": look}
-
-
-def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, Any]) -> ui.echart:
+def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, object]) -> ui.echart:
     """An empty chart with labels of its axes; `axes` has more options of `xAxis` and `yAxis`."""
     text = {"color": GREY, "fontSize": 12}
     common = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 
@@ -28,7 +28,7 @@ def _section(key: str, sections: Mapping[str, str]) -> Choice:
     """A section of a scenario, from its text."""
 
     @functools.cache
-    def component(name: str) -> Any:
+    def component(name: str) -> object:
         return getattr(Scenario.parse(with_section(START, sections[name], (key,))), key)
 
     def chosen(scenario: Scenario) -> str | None:

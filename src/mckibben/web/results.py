@@ -18,7 +18,6 @@ from mckibben.storage.files import to_json
 from mckibben.web.layout import button, panel, quiet, show_remarks, table
 from mckibben.web.session import in_thread
 
-_RESOLUTION = 150  # dpi
 _drawing = threading.Lock()  # the house style is set for the whole process while a figure is drawn
 
 
@@ -57,10 +56,10 @@ class Presented(NamedTuple):
         return content.getvalue()
 
 
-def _picture_of(result: Result) -> bytes:
-    """The first figure of a result as PNG; empty if it has none."""
+def _picture_of(result: Result, resolution: int = 150) -> bytes:
+    """The first figure of a result as PNG with a resolution [dpi]; empty if it has none."""
     with _drawing:
-        return png_of(result.plot(), _RESOLUTION) if result.figures else b""
+        return png_of(result.plot(), resolution) if result.figures else b""
 
 
 def show_result(presented: Presented, name: str) -> ui.column:

@@ -21,14 +21,12 @@ from mckibben.notebook import stop_check
 
 T = TypeVar("T")
 
-_MOST_SESSIONS = 32
-
 
 class Session:
     """State of the pages of one browser, in memory, and a folder for its files, until its `end`."""
 
     def __init__(self) -> None:
-        self._states: dict[type, Any] = {}
+        self._states: dict[type, object] = {}
         self._folder = tempfile.TemporaryDirectory(prefix="mckibben-web-")
 
     @property
@@ -38,7 +36,9 @@ class Session:
 
     def state(self, kind: type[T]) -> T:
         """The state of a kind, created on first use."""
-        return self._states.setdefault(kind, kind())
+        state = self._states.setdefault(kind, kind())
+        assert isinstance(state, kind)
+        return state
 
     def end(self) -> None:
         """Cancel the jobs, forget the states, and remove the folder."""
@@ -52,12 +52,12 @@ class Session:
 _sessions: OrderedDict[str, Session] = OrderedDict()
 
 
-def session() -> Session:
-    """The session of the requesting browser; the least recently used session gives way to a new one."""
+def session(most: int = 32) -> Session:
+    """The session of the requesting browser; of more than `most`, the least recently used one ends."""
     name = app.storage.browser["id"]
     visitor = _sessions.pop(name, None) or Session()
     _sessions[name] = visitor
-    if len(_sessions) > _MOST_SESSIONS:
+    if len(_sessions) > most:
         _sessions.popitem(last=False)[1].end()
     return visitor
 
@@ -90,7 +90,7 @@ def collect_warnings() -> None:
     warnings.showwarning = heard
 
 
-async def in_thread(function: Callable[..., T], *arguments: Any) -> tuple[T, list[str]]:
+async def in_thread(function: Callable[..., T], *arguments: object) -> tuple[T, list[str]]:
     """Run a function in a thread; return its result and warnings. Any exception becomes a `McKibbenError`."""
     texts: list[str] = []
 
@@ -112,10 +112,10 @@ class Latest(Generic[T]):
 
     def __init__(self, compute: Callable[..., T], show: Callable[[T], None], fail: Callable[[Exception], None]) -> None:
         self._compute, self._show, self._fail = compute, show, fail
-        self._waiting: tuple[Any, ...] | None = None
+        self._waiting: tuple[object, ...] | None = None
         self._busy = False
 
-    async def __call__(self, *arguments: Any) -> None:
+    async def __call__(self, *arguments: object) -> None:
         """Compute and show; if an earlier computation is running, return at once and compute these arguments next."""
         self._waiting = arguments
         if self._busy:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, with_values
@@ -19,7 +19,6 @@ from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, w
 
 MOST_STEPS = 5e9
 """Most integration steps of a study of the page."""
-MOST_RUNS, MOST_GENERATIONS, MOST_ITERATIONS, MOST_SEED = 512, 30, 60, 2**31 - 1
 _TRAINING, _POPULATION = 16, 8
 Progress = Callable[[str, float], None]
 
@@ -106,7 +105,7 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     if not kinds:
         raise ParameterError("there is no controller to compare with", remedy=f"choose one other than {own}")
     sections = [(name, with_section(text, CONTROLLERS[name], ("controller",))) for name in kinds]
-    others: dict[str, Any] = {name: parse(section, folder).controller for name, section in sections}
+    others = {name: parse(section, folder).controller for name, section in sections}
     tuning = TuningSettings(runs=_TRAINING, starts=1, generations=request.generations, population=_POPULATION, seed=99)
     evaluation = EvaluationSettings(runs=request.runs, seed=1)
     varied = {"conditions": conditions} if (conditions := tuple(_lines(request.conditions))) else {}

@@ -27,10 +27,6 @@ from mckibben.web.layout import (
 from mckibben.web.results import show_result
 from mckibben.web.session import JobState, session
 from mckibben.web.studies import (
-    MOST_GENERATIONS,
-    MOST_ITERATIONS,
-    MOST_RUNS,
-    MOST_SEED,
     MOST_STEPS,
     ComparisonRequest,
     Study,
@@ -75,8 +71,8 @@ class _Page(JobPage[StudyState]):
                 with ui.element("div").classes("fields"):
                     self.tuning_fields = [
                         _number("gain margin", tuning, "gain_margin", 1.0, 10.0),
-                        _number("iterations", tuning, "iterations", 1, MOST_ITERATIONS),
-                        _number("seed", tuning, "seed", 0, MOST_SEED),
+                        _number("iterations", tuning, "iterations", 1, 60),
+                        _number("seed", tuning, "seed", 0, 2**31 - 1),
                     ]
                     margin = ui.input("disk margin", placeholder="as now").props("dense stack-label").classes("w-full")
                     margin.mark("disk_margin").bind_value(tuning, "disk_margin")
@@ -93,8 +89,8 @@ class _Page(JobPage[StudyState]):
                 )
                 with ui.element("div").classes("fields"):
                     self.comparison_fields = [
-                        _number("unseen runs", comparison, "runs", 2, MOST_RUNS),
-                        _number("generations", comparison, "generations", 1, MOST_GENERATIONS),
+                        _number("unseen runs", comparison, "runs", 2, 512),
+                        _number("generations", comparison, "generations", 1, 30),
                     ]
                 _lines("conditions, NAME=RANGE per line, or strengths and masses", comparison, "conditions")
                 button("Compare", self.compare, "compare", main=True)

@@ -87,9 +87,6 @@ class Workbench(JobState):
     form: int = 0
 
 
-_ADAPTIVE = 3  # integration steps per control period of a smooth run: with one step, and with two
-
-
 def parse(text: str, folder: Path) -> Scenario:
     """Parse a scenario that names only files of the session, and is short enough for a page."""
     scenario = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
@@ -101,8 +98,8 @@ def parse(text: str, folder: Path) -> Scenario:
 
 
 def steps_of(scenario: Scenario) -> float:
-    """Integration steps of a run, of one without oscillations if they follow from the accuracy."""
-    return scenario.duration / scenario.control_period * (scenario.substeps or _ADAPTIVE)
+    """Integration steps of a run; if they follow from the accuracy, those of one step per period and then of two."""
+    return scenario.duration / scenario.control_period * (scenario.substeps or 1 + 2)
 
 
 def controller_kind(controller: object) -> tuple[type, type]:
