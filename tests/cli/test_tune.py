@@ -203,7 +203,7 @@ def test_killed_and_interrupted_it_ends_where_it_would_have(cli, stopped, scenar
     assert stopped(signal.SIGKILL, *asked)[0] == -signal.SIGKILL
     assert len(read_trials(tmp_path / "kept" / STUDY)) == 96
     code, messages = stopped(signal.SIGINT, *asked, "--resume")
-    assert code == 130 and "interrupted: what was finished is in kept/study.sqlite; continue with --resume" in messages
+    assert code == 130 and "interrupted: what was finished is in kept; continue with --resume" in messages
     assert len(read_trials(tmp_path / "kept" / STUDY)) == 192
     assert cli(*asked, "--resume").code == 0
     (tmp_path / "kept").rename(tmp_path / "cut")

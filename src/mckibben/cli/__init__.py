@@ -197,10 +197,10 @@ def _interrupts() -> Iterator[list[int]]:
 
     During an import it kills the process: compiled modules crash if their import is interrupted.
     """
-    found: list[int] = []
+    received: list[int] = []
 
     def record(number: int, frame: FrameType | None) -> None:
-        found.append(number)
+        received.append(number)
         while frame is not None:
             if frame.f_code.co_filename.startswith("<frozen importlib"):
                 os._exit(INTERRUPTED)
@@ -210,11 +210,11 @@ def _interrupts() -> Iterator[list[int]]:
     before = signal.getsignal(signal.SIGINT)
     ours = before in (signal.SIG_DFL, signal.default_int_handler)
     if not ours or threading.current_thread() is not threading.main_thread():
-        yield found
+        yield received
         return
     signal.signal(signal.SIGINT, record)
     try:
-        yield found
+        yield received
     finally:
         signal.signal(signal.SIGINT, before)
 

@@ -93,7 +93,7 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
             results_folder(out, ("results.json",), force)  # before the computation
         if reading:
             passed["reading"] = read_options(**{name: values.pop(name) for name in reading})
-        kept = f"what was finished is in {out}/study.sqlite; continue with --resume" if resumed and out else ""
+        kept = f"what was finished is in {out}; continue with --resume" if resumed and out else ""
         with long_job(quiet=json, kept=kept) if progresses else nullcontext() as progress:
             result = function(**values, **passed, **({"progress": progress} if progresses else {}))
         present(result, details=details, json=json, out=out, force=force, resume=resumed)

@@ -84,7 +84,7 @@ def identify(
     law_type, robust = law_type_named(law) if law != _ALL else None, not keep_outliers
     if law_type is None:
         check_unused("--law all", friction=form, threshold=threshold, pool=pool)
-    given_form = None if friction in _CHOICES else _friction_form(friction)
+    form_type = None if friction in _CHOICES else _friction_form(friction)
     if not pool:
         check_unused("specimens that are not pooled (--pool)", for_length=for_length)
     elif law_type is not None:
@@ -97,10 +97,10 @@ def identify(
     source = Source(data, points, reading.recipe, volume)
     if law_type is None:
         return ranked(rank(points, robust=robust, progress=progress), source)
-    asked = True if given_form else _CHOICES[friction]
+    asked = True if form_type else _CHOICES[friction]
     if threshold and asked is None and shows_hysteresis(points):
         asked = True  # the misfit of the law without its threshold would hide the friction
-    fitted = identify_with_friction(law_type, points, friction=asked, form=given_form, robust=robust)
+    fitted = identify_with_friction(law_type, points, friction=asked, form=form_type, robust=robust)
     late = identify_threshold(law_type, fitted.points, robust=robust) if threshold else None
     return identified(fitted, late, source)
 

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, check_unused, required_folder, results_folder
+from mckibben.cli.options import Progress, check_unused, required_folder
 from mckibben.cli.report import Report
 from mckibben.errors import ParameterError, closest, quoted
 from mckibben.result import Column, Listing
+from mckibben.storage.files import check_free, make_folder
 
 if TYPE_CHECKING:
     from mckibben.leg.scenario import LegScenario
@@ -49,8 +50,9 @@ def leg(
         required_folder(out, "study to be continued")
     from mckibben.leg.scenario import LegScenario
 
-    if not resume:
-        results_folder(out, ("results.json", *Report.files, f"{study}.journal"), False)
+    if out and not resume:
+        names = ("results.json", *Report.files, f"{study}.journal")
+        check_free(make_folder(out), names, "choose another folder, or continue the study with --resume")
     settings = {"journal": out / f"{study}.journal" if out else None, "resume": resume, "progress": progress}
     return _STUDIES[study](LegScenario.read(file), str(file), settings | ({"limit": limit} if study == "jump" else {}))
 

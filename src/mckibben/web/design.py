@@ -113,7 +113,21 @@ KINDS = {
 
 @dataclass
 class JointDesign:
-    """Numbers of the page, in shown units; `dimensions` belong to the kind."""
+    """Numbers of the page, in shown units.
+
+    Attributes
+    ----------
+    muscle, kind
+        Names of the muscle, and of the kind of joint in `KINDS`.
+    dimensions
+        Dimensions of that kind by name, in the units of their `JointDimension`; default: its initial values.
+    contraction
+        Contraction of both muscles at 0 deg [%].
+    torque, pressure
+        Torque of the load [N*m], and highest pressure [bar].
+    angle
+        Angle [deg] of the drawing.
+    """
 
     muscle: str = next(iter(_MUSCLES))
     kind: str = next(iter(KINDS))
@@ -130,7 +144,16 @@ class JointDesign:
 
 
 class Designed(NamedTuple):
-    """A joint with its ranges over the angle, and at the drawn angle; `small_motion` is None without friction."""
+    """A joint with its ranges over `ANGLES`, and at the drawn angle.
+
+    Attributes
+    ----------
+    stiffness, torque
+        Lowest and highest attainable stiffness [N*m/rad] at the torque of the load, and torque [N*m]; arrays of the
+        shape of `ANGLES`, NaN where the load is not held.
+    small_motion
+        As `stiffness`, of a motion by 0.1 deg; None for muscles without friction.
+    """
 
     joint: AntagonisticJoint
     stiffness: tuple[np.ndarray, np.ndarray]
@@ -213,7 +236,7 @@ def pressure_limits(muscle: Muscle) -> tuple[float, float]:
 
 
 def compute(design: JointDesign, muscle: Muscle) -> Designed:
-    """The joint and its ranges."""
+    """The joint and its ranges; raises a `RangeError` for lengths that do not fit."""
     joint = joint_of(design, muscle)
     limits = pressure_limits(muscle)[0] * bar, design.pressure * bar
     stiffness, small, torque, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, limits)
@@ -239,7 +262,10 @@ def scenario_lines(design: JointDesign, muscle: Muscle) -> str:
 
 
 def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[ArrayLike, ArrayLike]) -> str:
-    """SVG of a joint at an angle [rad], to scale; contains only numbers."""
+    """SVG of a joint at an angle [rad], to scale; the contractions [-] of both muscles give their thickness.
+
+    It contains only numbers, no text of the user.
+    """
     mechanism = Mechanism(joint.geometry, (-POSE * deg, POSE * deg))
     strands, height = mechanism.strands(angle), mechanism.height / mm
     bone, shank = 0.016 * height, 0.55 * mechanism.height

@@ -146,7 +146,11 @@ def _message(message: str, remedy: str) -> None:
 
 
 class JobPage(Generic[State]):
-    """One visit of a page, which shows the results of its jobs as they appear."""
+    """One visit of a page, which shows the results of its jobs as they appear.
+
+    A subclass builds its panels in `__init__`, starts jobs by `start_job`, and calls `refresh` by a timer; what a job
+    returns is kept in the state of the session, so that a reloaded page shows it again.
+    """
 
     def __init__(self, state: State, folder: Path) -> None:
         self.state, self.folder, self.shown = state, folder, -1
@@ -311,7 +315,10 @@ class PageSlider(ui.slider):
 
 
 class NumberSlider:
-    """A number with a slider and a field, in its shown unit."""
+    """A number with a slider and a field, in its shown unit, between limits.
+
+    `changed` gets each new value, once: the field follows the slider later, so that curves are drawn first.
+    """
 
     def __init__(
         self,
@@ -350,7 +357,7 @@ class NumberSlider:
 
 
 def points(x: ArrayLike, y: ArrayLike, most: int = 1500) -> list[list[float | None]]:
-    """Pairs for a chart, limited in number, with gaps where a value is not finite."""
+    """Pairs for a chart, at most `most` of arrays of equal length, with gaps where a value is not finite."""
     x, y = np.asarray(x, float), np.asarray(y, float)
     step = max(1, -(-len(x) // most))
     pairs = zip(x[::step].tolist(), y[::step].tolist(), strict=True)

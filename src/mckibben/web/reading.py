@@ -15,7 +15,17 @@ _UNITS = {"initial_length": "mm", "ambient": "kPa"}
 
 @dataclass
 class ReadingFields:
-    """Reading options, as texts of the fields of the page: the most common ones, and a recipe with all others."""
+    """Reading options, as texts of the fields of the page.
+
+    Attributes
+    ----------
+    initial_length, ambient
+        Quantities with a unit; empty for none.
+    columns
+        Lines ``HEADER = NAME``, see `column_names`.
+    further
+        All other settings, as the YAML text of a `Recipe`.
+    """
 
     initial_length: str = ""
     ambient: str = ""
@@ -32,7 +42,11 @@ class ReadingFields:
         self.further = "" if further == Recipe() else further.dumps()
 
     def recipe(self) -> Recipe:
-        """The recipe; a `ParameterError` or `ScenarioError` lists mistakes."""
+        """The recipe of all fields.
+
+        Raises `ParameterError` for a line of `columns` that is not a pair, and `ScenarioError` with all mistakes of
+        the settings.
+        """
         options: dict[str, object] = {name: text for name in _UNITS if (text := getattr(self, name).strip())}
         options |= {"columns": names} if (names := column_names(self.columns)) else {}
         return Recipe.parse(self.further, source="further settings").with_options(options)

@@ -53,7 +53,21 @@ class Measured(Result):
 
 @dataclass
 class RigState(JobState):
-    """State of the page; `rows` are time [s], pressure [bar], force [N] and contraction [%] of each cycle."""
+    """State of the page.
+
+    Attributes
+    ----------
+    text, pace
+        Protocol in YAML, and how many times as fast as the rig the test runs; 0: as fast as possible.
+    rows
+        Time [s], pressure [bar], force [N] and contraction [%] of each cycle.
+    points, total
+        Points that were measured, and all of the test.
+    result, presented, source
+        Points of the last finished test, and the file with them.
+    vent
+        Event that stops the test.
+    """
 
     text: str = _START
     pace: int = 100
@@ -68,7 +82,11 @@ class RigState(JobState):
 
 
 def checked(text: str, folder: Path) -> CheckedTest:
-    """A test on the simulated rig, checked by a dry run."""
+    """A test on the simulated rig, checked by a dry run.
+
+    Raises `ScenarioError` with all violations at their lines, and `ParameterError` for a physical rig or a test of more
+    than 5 million samples.
+    """
     test, document = parse_model(RigTest, text, source="protocol", folder=folder, confined=True)
     if test.rig.physical:
         raise ParameterError("this page runs the simulated rig only", remedy="use `mckibben rig run` for a card")

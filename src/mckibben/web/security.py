@@ -85,7 +85,11 @@ def navigates(headers: Headers) -> bool:
 
 
 class Guard:
-    """Refuses other sites, requests without access and oversized bodies; pages cannot load external content."""
+    """Refuses other sites, requests without access and oversized bodies; pages cannot load external content.
+
+    It stands in front of all routes, also of NiceGUI's websocket and uploads: answers are 403 without access, 413 for a
+    body of more than `largest` bytes, and 400 for an upload that is not a form.
+    """
 
     def __init__(self, app: ASGIApp, access: Access, largest: int = LARGEST) -> None:
         self._app, self._access, self._largest = app, access, largest

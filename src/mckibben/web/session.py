@@ -23,7 +23,10 @@ T = TypeVar("T")
 
 
 class Session:
-    """State of the pages of one browser, in memory, and a folder for its files, until its `end`."""
+    """State of the pages of one browser, in memory, and a folder for its files, until its `end`.
+
+    Each page has one state, an instance of its class, which is created at the first visit and outlives the tab.
+    """
 
     def __init__(self) -> None:
         self._states: dict[type, object] = {}
@@ -108,7 +111,10 @@ async def in_thread(function: Callable[..., T], *arguments: object) -> tuple[T, 
 
 
 class Latest(Generic[T]):
-    """A computation for rapidly changing input: it uses the newest arguments and skips intermediate ones."""
+    """A computation for rapidly changing input: it uses the newest arguments and skips intermediate ones.
+
+    `show` gets each result, `fail` each `McKibbenError`, both on the event loop.
+    """
 
     def __init__(self, compute: Callable[..., T], show: Callable[[T], None], fail: Callable[[Exception], None]) -> None:
         self._compute, self._show, self._fail = compute, show, fail

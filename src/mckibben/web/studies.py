@@ -25,9 +25,14 @@ Progress = Callable[[str, float], None]
 
 @dataclass
 class TuningRequest:
-    """Input of a tuning; `over` has one parameter and its range per line, all gains if empty.
+    """Input of a tuning, as `mckibben tune` has it.
 
-    The disk margin is that of the first gains if empty.
+    Attributes
+    ----------
+    over
+        One parameter and its range per line; all gains if empty.
+    disk_margin
+        Least disk margin [-]; that of the first gains if empty.
     """
 
     cost: str = DEFAULT_COST
@@ -73,7 +78,7 @@ def _check_budget(scenario: Scenario, runs: float) -> None:
 
 
 def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Study:
-    """Tune a scenario as `mckibben tune` does."""
+    """Tune a scenario as `mckibben tune` does; raises `McKibbenError` for mistakes of text or request."""
     progress("compiling", 0.0)
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
@@ -97,7 +102,10 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
 
 
 def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Study:
-    """Compare the controller of a scenario with other kinds as `mckibben compare` does, on its joint and reference."""
+    """Compare the controller of a scenario with other kinds as `mckibben compare` does, on its joint and reference.
+
+    Raises `ParameterError` if there is no other kind, or the runs have more than `MOST_STEPS` integration steps.
+    """
     progress("compiling", 0.0)
     scenario = parse(text, folder)
     own = chosen_kinds(scenario)["controller"]

@@ -60,7 +60,19 @@ _COLUMNS = ("time", "angle", "desired_angle", "stiffness", "desired_stiffness", 
 
 @dataclass(frozen=True)
 class Curves:
-    """Curves, metrics and file of a run."""
+    """Curves, metrics and file of a run.
+
+    Attributes
+    ----------
+    columns
+        Samples by the name of the column in SI, at most 2400 of each.
+    band
+        Lowest and highest attainable stiffness [N*m/rad] at the samples.
+    metrics
+        Metrics in shown units, see `mckibben.simulation.metrics`.
+    text
+        The scenario in YAML.
+    """
 
     name: str
     columns: dict[str, np.ndarray]
@@ -72,8 +84,22 @@ class Curves:
 
 @dataclass
 class Workbench(JobState):
-    """State of the page; `options` are those of its selects, `joint` is a scenario section to be adopted, `waiting` a
-    scenario to be run.
+    """State of the page.
+
+    Attributes
+    ----------
+    scenario, current, presented
+        The last scenario that ran, with its curves and result.
+    options
+        Option of each select by its label; None if the scenario has a part that the page does not offer.
+    text
+        Text of the scenario on the page, which may be invalid.
+    overlays
+        Kept runs.
+    joint, waiting
+        A section `joint` from the page Joint, and a scenario from the page Tune, to be run when this page opens.
+    form
+        Number of the present fields, which are made again when it changes.
     """
 
     scenario: Scenario | None = None
