@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import http.client
-import json
 import os
 import re
 import signal
@@ -247,12 +246,6 @@ def test_a_server_that_is_ended_removes_the_folders_of_its_sessions(tmp_path, na
         process.send_signal(signal.Signals[name])
         assert process.wait(timeout=20) == 128 + signal.Signals[name]
     assert not list(tmp_path.iterdir())
-
-
-def test_the_help_imports_neither_the_page_nor_numpy():
-    code = "import json, sys, mckibben.cli; print(json.dumps([m for m in ('nicegui', 'numpy') if m in sys.modules]))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=OUTSIDE)
-    assert json.loads(done.stdout) == []
 
 
 def test_without_nicegui_the_error_names_the_extra():
