@@ -26,7 +26,7 @@ def muscle(friction: float = 0.0, noise: float = 0.0, slack: bool = False, seed:
 
 
 def topics(pressure: np.ndarray, contraction: np.ndarray, force: np.ndarray, slack_force: float = 0.0) -> set[str]:
-    points = Points(pressure, contraction, force, np.arange(2, len(force) + 2), force, slack_force)
+    points = Points(pressure, contraction, force, np.arange(2, len(force) + 2), slack_force)
     return {question.topic for question in questions_of_points(points)}
 
 
@@ -90,7 +90,7 @@ MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
     "kilonewtons named newtons": (changed(force=lambda f: f / 1000), "range"),
     "a wrong initial length": (changed(contraction=lambda c: 1 - 1.3 * (1 - c)), "range"),
     "a contraction of lengthening": (changed(contraction=lambda c: 0.14 - c), "order"),
-    "millimetres named percent": (changed(contraction=lambda c: 2.9 * c), "zero"),
+    "millimetres named percent": (changed(contraction=lambda c: 2.9 * c), "range"),
     "absolute pressures": (changed(pressure=lambda p: p + 101300), "gauge"),
     "an offset of the load cell": (changed(force=lambda f: f + 150), "zero"),
     "a saturated load cell": (changed(force=lambda f: np.minimum(f, 700.3)), "saturation"),
@@ -100,12 +100,12 @@ MISTAKES: dict[str, tuple[Callable[[Arrays], Arrays], str]] = {
     "a median below the table": (summary(np.median), "rows"),
     "a mean of each pressure": (summary(np.mean, 15), "rows"),
     "numbers of channels": (row(0, 1, 2, 3), "rows"),
-    "full scales": (row(0, 10, 30, 5000), "rows"),
+    "full scales": (row(0, 10, 30, 5000), "order"),
     "zeros after a restart": (row(20, 0, 0, 0), "rows"),
-    "a force of a lost sample": (changed(force=lambda f: np.where(np.arange(len(f)) == 31, 0.0, f)), "rows"),
+    "a force of a lost sample": (changed(force=lambda f: np.where(np.arange(len(f)) == 31, 0.0, f)), "order"),
     "a force that stands still": (
         changed(force=lambda f: np.where((np.arange(len(f)) > 31) & (np.arange(len(f)) < 37), f[31], f)),
-        "rows",
+        "order",
     ),
     "a digit lost": (changed(force=lambda f: np.where(np.arange(len(f)) == 47, f - 300, f)), "order"),
     "rows of two muscles": (changed(force=lambda f: f * np.where(np.arange(len(f)) % 2, 0.5, 1.0)), "order"),

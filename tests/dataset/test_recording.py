@@ -395,14 +395,6 @@ def test_a_large_excursion_before_a_plateau_is_venting():
     assert record.plateaus().dataset.table["phase"].values.tolist() == ["", "venting"]
 
 
-def test_small_steps_are_several_pressures():
-    """Plateaus of 601 to 623 kPa that follow each other by steps are not one level; equal ones are."""
-    levels = [3.0, 6.01, 6.06, 6.12, 6.18, 6.23, 3.002]
-    data = regulated(levels, 0.1).plateaus(dwell=0.5).dataset
-    assert np.unique(data.levels).size == 6
-    np.testing.assert_allclose(data.levels / bar, [3.0, *levels[1:-1], 3.0], atol=0.006)
-
-
 def test_the_scatter_of_a_regulator_over_lengths_is_one_pressure():
     """The length changes between the plateaus, so that 601 to 607 kPa are one level."""
     pressure = np.repeat([6.01, 6.04, 6.07, 6.02], 300) * bar

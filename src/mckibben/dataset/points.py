@@ -201,7 +201,7 @@ def _questions(dataset: IsobaricDataset) -> list[Question]:
     """Questions that the numbers of points raise."""
     force, rows = dataset.force, np.arange(1, len(dataset) + 1)
     slack = dataset.table.attrs["slack_force"]
-    points = Points(dataset.pressure, dataset.contraction, force, rows, force, slack)
+    points = Points(dataset.pressure, dataset.contraction, force, rows, slack)
     return [*questions_of_points(points), *questions_of_labels(dataset)]
 
 

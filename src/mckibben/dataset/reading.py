@@ -85,10 +85,9 @@ def read_dataset(path: FilePaths, recipe: Recipe | None = None, **options: objec
         return dataset
     known = recipe.slack_force is not None or bool(dataset.table.attrs["slack_force"])
     files = np.repeat(np.arange(len(parts)), [len(part) for part, _ in parts])
-    measured = dataset.force
     dataset = replace(dataset, table=preprocess(dataset.table, slack_known=known, files=files))
     if not own:
-        check_points(dataset, source, recipe.accept, measured=measured)
+        check_points(dataset, source, recipe.accept)
     return dataset
 
 
@@ -119,7 +118,6 @@ def check_points(
     source: str,
     accept: Sequence[str],
     specimen: Specimen | None = None,
-    measured: np.ndarray | None = None,
 ) -> None:
     """Raise a `DatasetError` with the questions that the points raise and `accept` does not answer."""
     lines = (
@@ -127,10 +125,7 @@ def check_points(
         if dataset.lines
         else np.arange(1, len(dataset) + 1)
     )
-    force = dataset.force if measured is None else measured
-    points = Points(
-        dataset.pressure, dataset.contraction, dataset.force, lines, force, dataset.table.attrs["slack_force"]
-    )
+    points = Points(dataset.pressure, dataset.contraction, dataset.force, lines, dataset.table.attrs["slack_force"])
     asked = [*questions_of_points(points, specimen), *questions_of_labels(dataset)]
     if problems := [question.problem for question in asked if question.topic not in accept or not question.topic]:
         raise DatasetError(source, [_with_header(problem, dataset) for problem in problems])

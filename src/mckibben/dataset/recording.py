@@ -10,8 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.checks import check_positive
 from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_points
+from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
-from mckibben.dataset.segmentation import FEW, approaches, levels_of, shorter_dwell, steady_segments
+from mckibben.dataset.segmentation import FEW, approaches, shorter_dwell, steady_segments
 from mckibben.errors import DatasetError, RangeError
 from mckibben.result import draw
 from mckibben.units import bar, kPa, percent
@@ -139,8 +140,7 @@ class Recording(MeasuredTable):
             Initial part of a segment excluded from the means [s], in addition to a twentieth of `dwell` at either end.
         level_tolerance
             Plateau pressures closer to each other than this [Pa] belong to one level, whose mean (in whole kPa) is
-            their set pressure, if the recording has no set pressures. Where the pressure was changed from one of them
-            to the next at a fixed length, they are several levels, told apart by twice the `pressure_tolerance`.
+            their set pressure, if the recording has no set pressures.
         gap
             Samples further apart than this [s] are not joined. Default: 10 times the usual interval.
 
@@ -234,13 +234,10 @@ class Recording(MeasuredTable):
         if "set_pressure" in self.table:
             set_pressure = mean(self.table["set_pressure"].to_numpy())
         else:
-            finer = 2 * pressure_tolerance
-            stepped = (phase != "") & (np.abs(np.diff(p, prepend=p[0])) > finer)
-            set_pressure, wide = levels_of(p, level_tolerance, stepped, finer)
-            if wide:
-                account.notes.append(
-                    f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
-                )
+            set_pressure = pressure_levels(p, level_tolerance)
+            if wide := np.count_nonzero(np.isnan(set_pressure)):
+                text = f"the pressures of {wide} plateaus follow each other without a step: they get no set pressure"
+                account.notes.append(text)
         return extracted_points(
             self.table,
             account,

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.units import kPa
-
 if TYPE_CHECKING:
     import xarray as xr
 
@@ -121,33 +119,6 @@ def _trimmed(
     order = np.lexsort((spans, owner))
     best = order[np.searchsorted(owner[order], np.arange(len(first)), side="right") - 1]
     return blocks[begins[best]], blocks[begins[best]] + spans[best]
-
-
-_WIDE = 3  # level tolerances that a level may span
-
-
-def levels_of(
-    pressures: NDArray[np.float64], tolerance: float, stepped: NDArray[np.bool_], finer: float
-) -> tuple[NDArray[np.float64], int]:
-    """Mean pressure of each cluster [whole kPa], NaN in too wide ones, and the number of points in these.
-
-    A cluster that holds both sides of a step of the pressure (mask of its second points) has a finer tolerance.
-    """
-    order = np.argsort(pressures, kind="stable")
-    ranked, gaps = pressures[order], np.diff(pressures[order])
-    group = np.concatenate([[0], np.cumsum(gaps > tolerance)])
-    of = np.empty_like(group)
-    of[order] = group
-    several = of[1:][stepped[1:] & (of[1:] == of[:-1])]
-    group = np.concatenate([[0], np.cumsum(gaps > np.where(np.isin(group[1:], several), finer, tolerance))])
-    count = np.bincount(group)
-    mean = np.bincount(group, ranked) / count
-    starts = np.concatenate([[0], np.cumsum(count)[:-1]])
-    wide = ranked[starts + count - 1] - ranked[starts] > _WIDE * tolerance
-    level = np.where(wide, np.nan, np.round(mean / kPa) * kPa)
-    levels = np.empty(len(pressures))
-    levels[order] = level[group]
-    return levels, int(count[wide].sum())
 
 
 _OVERSHOOT = 1.0  # of a step, that of an undamped second-order system: a larger excursion is a deliberate move

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.preprocessing import group_pressures, nominal_pressures
+from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import (
     CONDITION_LIMIT,
@@ -88,15 +88,16 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
         return None, "there is only one pressure"
     if 2 * count <= len(points) and count <= MOST_BLOCKS:
         return levels, ""
-    if (groups := group_pressures(levels)) is not None and groups.any():
-        return nominal_pressures(levels, groups)[0][groups], ""
-    blocks = min(len(points) // _IN_BLOCK, _BLOCKS)
-    if blocks < 2:
+    blocks = pressure_levels(levels)
+    if np.isfinite(blocks).all() and 1 < len(np.unique(blocks)) <= len(points) // 3:
+        return blocks, ""
+    number = min(len(points) // _IN_BLOCK, _BLOCKS)
+    if number < 2:
         return None, f"the {len(points)} points have {count} different pressures; record the set pressure of each point"
-    edges = np.linspace(levels.min(), levels.max(), blocks + 1)[1:-1]
+    edges = np.linspace(levels.min(), levels.max(), number + 1)[1:-1]
     part = np.searchsorted(edges, levels, side="right")
-    medians = {number: np.median(levels[part == number]) for number in np.unique(part).tolist()}
-    return np.array([medians[number] for number in part.tolist()]), ""
+    medians = {block: np.median(levels[part == block]) for block in np.unique(part).tolist()}
+    return np.array([medians[block] for block in part.tolist()]), ""
 
 
 _CONTRACTION_BLOCKS = 8

@@ -31,7 +31,7 @@ from numpy.polynomial import legendre, polynomial
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.dataset.preprocessing import group_pressures
+from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import CONDITION_LIMIT, Bools, Floats, condition_number
 from mckibben.identification.least_squares import FitProblem, Solution, project, solve
@@ -112,8 +112,8 @@ class SurfacePrior(Prior):
     @classmethod
     def of(cls, levels: Floats) -> SurfacePrior:
         """Hyperparameters: logarithms of the amplitude and of both lengths, in half ranges of the points."""
-        groups = group_pressures(levels)  # measured pressures scatter about a level
-        spacing = 2 / max(len(np.unique(levels if groups is None else groups)) - 1, 1)
+        grouped = pressure_levels(levels)  # measured pressures scatter about a level
+        spacing = 2 / max(len(np.unique(np.where(np.isnan(grouped), levels, grouped))) - 1, 1)
         shortest = max(_SHORTEST, float(np.log(_SPACINGS * spacing)))
         starts = ((3.0, 0.0, 0.0), (3.0, 1.0, 0.0), (0.0, 0.0, 0.0), (6.0, 1.0, 1.0))
         return cls(np.eye(ORDER**2), tuple(map(np.array, starts)), ((-6.0, 14.0), (_SHORTEST, 3.0), (shortest, 3.0)))
