@@ -106,17 +106,3 @@ def test_too_few_levels_or_plateaus_are_refused(levels):
     assert refused.value.lower == 6 and refused.value.remedy
 
 
-def test_what_the_form_lacks_is_noticed():
-    """A constant force per pressure is another share at each length; two time constants; filling unlike venting."""
-    venting = np.repeat(np.diff(LEVELS, prepend=0.0) < 0, int(8 / STEP))
-    mixed = [
-        Recording(one.table.assign(force=("sample", np.where(venting, other.force, one.force))))
-        for one, other in zip(recordings_at(), recordings_at(shares=((0.1, 4.0),)), strict=True)
-    ]
-    for recordings, word in (
-        (recordings_at((0.0, 0.1), gain=5e-5), "contraction"),
-        (recordings_at(shares=((0.03, 0.6), (0.03, 6.0))), "more than one time constant"),
-        (mixed, "direction"),
-    ):
-        found = identify_pressure_creep(recordings)
-        assert found.is_significant and any(word in note.text for note in found.notes), word

@@ -66,7 +66,7 @@ def test_growth_and_drift_are_found_with_their_errors(drifting):
     assert found.correlations.shape == (len(order), len(order))
     known = [np.isfinite(errors[name]) for name in order]
     assert [name for name, has in zip(order, known, strict=True) if not has] == [
-        *("tension_growth", "viscous", "rate_growth", "rate_speed"),
+        *("tension_growth", "viscous"),
     ]
     np.testing.assert_allclose(np.diag(found.correlations)[known], 1.0)
 
@@ -89,16 +89,6 @@ def test_a_static_fit_to_the_corrected_points_is_the_same_law(drifting):
     assert off(identify(ExponentialLaw, corrected).law) < 1.5 * off(found.law) + 0.01
     with pytest.raises(IdentificationError, match="is not the dataset"):
         found.corrected(corrected)
-
-
-def test_friction_that_is_subtracted_is_not_advised_again(drifting):
-    data, found = drifting
-    corrected = found.corrected(data)
-    side = np.where(corrected.table["direction"].to_numpy() == "loading", 3.0, -3.0) * ~corrected.slack
-    left = IsobaricDataset(corrected.table.assign(force=("point", corrected.force + side)))
-    for points, advised in ((data, True), (left, False)):
-        (warning,) = (one for one in identify(ExponentialLaw, points).warnings if "differ by" in one)
-        assert ("--friction on" in warning) == advised
 
 
 def test_a_known_law_may_be_given(drifting):
@@ -170,46 +160,6 @@ def model(drifting):
     return PathDependentModel(LAW, strokes, data, line, np.ones(len(data), bool), 3 * bar, 6, 200.0, rate)
 
 
-def test_a_path_begins_at_the_edge_of_the_band_of_its_direction(drifting, model):
-    data, _ = drifting
-    loading = data.table["direction"].to_numpy() == "loading"
-    later = np.zeros(len(data), bool)
-    for rows in model.paths.rows:
-        later[rows[np.argmax(loading[rows]) :]] = True
-    unit = dict.fromkeys(model.law_names, 1.0) | dict.fromkeys(FRICTION, 0.0) | {"log_presliding": np.log(1e-3)}
-    for test, side in ((data, 1.0), (data.select(later), -1.0)):
-        along = dataclasses.replace(model, paths=LoadingPaths.of(test), means=test, rate=None)
-        np.testing.assert_array_equal(along.paths.side, side)
-        first = [rows[0] for rows in along.paths.rows]
-        np.testing.assert_allclose(along.band_side(unit)[first], side, atol=1e-6)
-
-
-def test_the_longest_presliding_length_is_a_quarter_of_the_range(model):
-    lower, upper = model.bounds(["log_presliding", "half_width"])
-    assert np.exp(upper[0]) == pytest.approx(0.25 * np.ptp(model.paths.length), rel=1e-12)
-    assert lower[0] < upper[0] and lower[1] < upper[1]
-
-
-def test_a_path_of_two_points_has_the_rate_between_them(drifting):
-    """Paths of one point have none."""
-    data, _ = drifting
-    paths, means = LoadingPaths.of(data), data.table.copy()
-    first = paths.rows[0]
-    rows = [first[:2], *paths.rows[1:]]
-    place = np.zeros_like(paths.place)
-    for number, each in enumerate(rows):
-        place[: len(each), number] = each
-    short = dataclasses.replace(paths, place=place, counts=np.array([len(each) for each in rows]))
-    time = np.zeros(len(data))
-    for each in rows:
-        time[each] = np.cumsum(np.where(np.arange(len(each)) < len(each) / 2, 1.0, 3.0))  # two speeds
-    means["time"] = ("point", time)
-    rate = short.rate(IsobaricDataset(means))
-    assert rate is not None
-    np.testing.assert_allclose(rate[first[:2]], np.diff(paths.length[first[:2]])[0] / 3.0)
-    np.testing.assert_array_equal(rate[first[2:]], 0.0)
-
-
 def test_the_force_along_the_way_is_that_of_the_rig(model):
     quiet = {"force_noise": 0, "pressure_noise": 0, "regulator_offset": 0}
     own = MaxwellSlip(9.0, 1 * mm, growth=1 / bar, reference_pressure=3 * bar)
@@ -229,8 +179,6 @@ def test_the_jacobian_is_that_of_small_changes(model):
         "growth": 1 / bar,
         "tension_growth": 0.01,
         "viscous": 500.0,
-        "rate_growth": 0.2,
-        "log_rate_speed": float(np.log(5e-3)),
         "log_presliding": float(np.log(1.3e-3)),
     }
     offsets = np.array([0.2, 0.4])
@@ -330,9 +278,6 @@ def test_noise_of_the_length_larger_than_its_steps_is_no_reversal_of_the_frictio
     found = identify_hysteresis(LAW, noisy)
     assert found.friction.presliding_length == pytest.approx(0.5 * mm, rel=0.15)
     assert found.friction.half_width == pytest.approx(12.0, rel=0.02)
-    assert LoadingPaths.of(data).against == 0.0
-    assert LoadingPaths.of(noisy).against == pytest.approx(0.06, abs=0.01)  # normal noise below -1.1 steps
-    assert any("presliding length" in warning for warning in found.warnings)
 
 
 @pytest.mark.slow
@@ -373,11 +318,3 @@ def test_the_side_of_the_first_branch_does_not_depend_on_the_first_fit_of_the_la
     found = identify_hysteresis(ExponentialLaw, data, drift=False, form=FrictionForm.CONSTANT)
     assert found.friction.half_width == pytest.approx(12.0, rel=0.03)
     assert found.rmse < 1.5
-
-
-def test_rows_out_of_order_are_refused_whatever_their_directions_say():
-    data = SimulatedIsobaricTest(MUSCLE).run(PROTOCOL, seed=1).plateau_means()
-    shuffled = IsobaricDataset(data.table.drop_vars("time").isel(point=np.lexsort((data.contraction, data.levels))))
-    with pytest.raises(IdentificationError) as refused:
-        LoadingPaths.of(shuffled)
-    assert refused.value.remedy

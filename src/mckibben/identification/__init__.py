@@ -4,10 +4,9 @@ from mckibben.identification.creep import CreepFit, identify_pressure_creep
 from mckibben.identification.estimator import Interval, IntervalEstimate
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
-from mckibben.identification.friction import identify_hysteresis
+from mckibben.identification.friction import HysteresisFit, SensorDrift, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import Grouping
-from mckibben.identification.hysteresis import FormComparison, HysteresisFit, LackOfFit, SensorDrift
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled
@@ -26,13 +25,11 @@ __all__ = [
     "Fit",
     "FitWithFriction",
     "ForceIntervals",
-    "FormComparison",
     "FrictionForm",
     "Grouping",
     "HysteresisFit",
     "Interval",
     "IntervalEstimate",
-    "LackOfFit",
     "LeaveOnePressureOut",
     "LeftOutSpecimen",
     "Outlier",

@@ -1,24 +1,51 @@
-"""Identification of creep: the course of the force within plateaus of the pressure at fixed lengths."""
+"""Identification of creep: the course of the force within plateaus of the pressure at fixed lengths.
+
+The blocks of all plateaus, less what is free for each of them, are y = beta c(tau) + v t with an amplitude beta, the
+column c of one time constant, and a common rate v such as that of sensor drift. Errors are correlated within plateaus.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from mckibben.dataset import Recording
-from mckibben.identification.estimator import Floats, t_quantile
-from mckibben.identification.pressure_plateaus import DelayedForce, RecordedBins
-from mckibben.identification.relaxation import RelaxationFit
+from mckibben.dataset.segmentation import steady_segments
+from mckibben.errors import IdentificationError
+from mckibben.identification.estimator import (
+    ClusterRobustErrors,
+    Floats,
+    Ints,
+    common_error,
+    profile_interval,
+    t_quantile,
+)
 from mckibben.muscle import MaxwellCreep, NoCreep
+from mckibben.muscle.creep import retained_fraction
 from mckibben.result import Remark, Result, column
-from mckibben.units import percent
+from mckibben.units import kPa, percent
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
 
 _SIGNIFICANT = 0.01
-_WIDE = 2.5  # ratio of the ends of its interval above which a time constant is not determined
 _ROUNDS = 2
 _LARGEST = 0.5  # share of the form
+_FEWEST_LEVELS = 3  # of the pressure at a length
+_FEWEST_PLATEAUS = 6
+_MOVED = 0.001  # change of the contraction between two lengths [-]
+_BINS = 20_000  # a recording is averaged to this number of bins at most
+_BLOCKS = 16  # of a plateau, narrower at its start
+_STEADY = 2 * kPa  # largest deviation of the pressure in a plateau from its middle
+_LEVEL = 10 * kPa  # distance of two levels of the pressure
+_PARTS = 20  # of a plateau: the valve settles in the first, and no time constant is shorter
+_GRID = 61  # time constants of a search
 
 
 class CreepFit(Result):
@@ -79,37 +106,6 @@ class CreepFit(Result):
         return self.notes
 
 
-def _result(fit: RelaxationFit, notes: Sequence[Remark]) -> CreepFit:
-    """Result of a fit, with the creep if it is significant."""
-    share, rate, residuals, _ = fit.solution
-    tau, (low, high) = fit.time_constant, fit.time_constant_interval
-    half = float(t_quantile(0.95, fit.error[2])) * fit.error[0] if 0 < low and high < math.inf else math.inf
-    significant = fit.p_value < _SIGNIFICANT
-    notes = list(notes)
-    if significant and not high < _WIDE * low:
-        bounds = f"at least {low:.3g} s" if high == math.inf else f"{low:.3g} to {high:.3g} s"
-        bounds = f"at most {high:.3g} s" if low == 0 else bounds
-        remedy = "record longer plateaus, sooner after the step, or more of them"
-        notes.append(Remark.warning("time_constant", f"the time constant is not determined: {bounds}", remedy))
-    return CreepFit(
-        creep=MaxwellCreep(0.0, tau, pressure_share=min(max(share, -_LARGEST), _LARGEST)) if significant else NoCreep(),
-        p_value=fit.p_value,
-        share=share,
-        share_interval=(share - half, share + half),
-        time_constant=tau,
-        time_constant_interval=(low, high),
-        residual=fit.root_mean_square(residuals),
-        creep_force=fit.root_mean_square(share * fit.columns(np.array([tau]))[:, 0]),
-        common_rate=rate,
-        plateaus=int(fit.owner.max()) + 1,
-        notes=tuple(notes),
-    )
-
-
-_STRUCTURED, _LEAST_PART = 1e-3, 0.05  # p-value, and part of the creep, of a dependence that is reported
-_FURTHER = 4.0  # ratio to the time constant of further ones that are tested
-
-
 def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> CreepFit:
     r"""Identify the share of the force that follows steps of the pressure with a delay, at fixed lengths.
 
@@ -152,34 +148,392 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Cree
         delayed = delayed.corrected(fit)
         fit = delayed.fit()
     share = fit.solution[0]
-    notes = [] if fit.p_value >= _SIGNIFICANT else list(_structure(fit, delayed.conditions()))
+    notes = []
     if abs(share) > _LARGEST and fit.p_value < _SIGNIFICANT:
         text = f"the share of {share / percent:.3g} % is beyond the 50 % of the form"
         notes.append(Remark.warning("creep", text))
     return _result(fit, notes)
 
 
-def _structure(fit: RelaxationFit, conditions: dict[str, Floats]) -> Iterable[Remark]:
-    """Remarks on significant dependences that the residuals show, and that the form lacks."""
-    from scipy.special import fdtrc
+def _result(fit: RelaxationFit, notes: Sequence[Remark]) -> CreepFit:
+    """Result of a fit, with the creep if it is significant."""
+    share, rate, residuals = fit.solution
+    tau, (low, high) = fit.time_constant, fit.time_constant_interval
+    error, freedom = fit.error
+    half = float(t_quantile(0.95, freedom)) * error if 0 < low and high < math.inf else math.inf
+    significant = fit.p_value < _SIGNIFICANT
+    notes = list(notes)
+    if significant and half == math.inf:
+        bounds = f"at least {low:.3g} s" if high == math.inf else f"at most {high:.3g} s"
+        remedy = "record longer plateaus, sooner after the step, or more of them"
+        notes.append(Remark.warning("time_constant", f"the time constant is not determined: {bounds}", remedy))
+    return CreepFit(
+        creep=MaxwellCreep(0.0, tau, pressure_share=min(max(share, -_LARGEST), _LARGEST)) if significant else NoCreep(),
+        p_value=fit.p_value,
+        share=share,
+        share_interval=(share - half, share + half),
+        time_constant=tau,
+        time_constant_interval=(low, high),
+        residual=fit.root_mean_square(residuals),
+        creep_force=fit.root_mean_square(share * fit.columns(np.array([tau]))[:, 0]),
+        common_rate=rate,
+        plateaus=int(fit.owner.max()) + 1,
+        notes=tuple(notes),
+    )
 
-    base = fit.columns(np.array([fit.time_constant]))
-    base = np.column_stack([base, fit.line])
-    creep, scale = base[:, 0], fit.root_mean_square(fit.solution[0] * base[:, 0])
-    further = {
-        f"the share depends on the {name}": creep[:, None] * (values - values.mean())[fit.owner][:, None]
-        for name, values in conditions.items()
-    }
-    tau = fit.time_constant
-    others = np.array([tau * math.exp(1e-3), tau / _FURTHER, tau * _FURTHER])
-    further["the relaxation has more than one time constant"] = fit.columns(others)
-    for text, columns in further.items():
-        every = np.column_stack([base, columns])
-        values, residuals, _ = fit.least_squares(every)
-        variance, freedom = fit.errors(every, residuals)
-        chances = fdtrc(1, freedom[2:], values[2:] ** 2 / variance[2:])
-        p_value = min(1.0, len(chances) * float(chances.min()))
-        part = fit.root_mean_square(columns @ values[2:]) / scale
-        if p_value < _STRUCTURED and part > _LEAST_PART:
-            size = f"({part / percent:.2g} % of the creep, p = {p_value:.1g})"
-            yield Remark.warning("creep", f"the residuals are structured: {text}, which the form lacks {size}")
+
+@dataclass(frozen=True, eq=False)
+class RelaxationFit:
+    """Least-squares fit of an amplitude, a common rate and a time constant to blocks of plateaus.
+
+    Attributes
+    ----------
+    values, line
+        Force [N] and time [s] by block, shape (blocks,), without what is free for each plateau; multiplied by the root.
+    root, owner
+        Square root of the weight, and plateau of each block.
+    columns
+        Function of time constants [s], shape (m,), that returns the columns times the root, shape (blocks, m).
+    grid
+        Ascending time constants [s] of the search.
+    removed
+        Number of directions that are free for each plateau, such as its mean.
+    """
+
+    values: Floats = field(repr=False)
+    line: Floats = field(repr=False)
+    root: Floats = field(repr=False)
+    owner: Ints = field(repr=False)
+    columns: Callable[[Floats], Floats]
+    grid: Floats
+    removed: int
+
+    @property
+    def freedom(self) -> int:
+        """Number of blocks less that of free parameters."""
+        return max(len(self.owner) - self.removed * (int(self.owner.max()) + 1) - 3, 1)
+
+    @cached_property
+    def grid_costs(self) -> Floats:
+        """Sum of squares [N^2] at each time constant of the search."""
+        return self._costs(self.grid)
+
+    @cached_property
+    def time_constant(self) -> float:
+        """Least-squares time constant [s], from a grid and two finer ones."""
+        grid, costs = self.grid, self.grid_costs
+        for _ in range(2):
+            at = int(np.argmin(costs))
+            grid = np.geomspace(grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)], _GRID)
+            costs = self._costs(grid)
+        return float(grid[np.argmin(costs)])
+
+    @cached_property
+    def solution(self) -> tuple[float, float, Floats]:
+        """Amplitude, rate [N/s], and residuals by block times the root [N]."""
+        columns = self._jacobian[:, 1:]
+        rate, amplitude = np.linalg.lstsq(columns, self.values, rcond=None)[0]
+        return float(amplitude), float(rate), self.values - columns @ (rate, amplitude)
+
+    @cached_property
+    def error(self) -> tuple[float, float]:
+        """Standard error of the amplitude and its degrees of freedom, with errors correlated in a plateau."""
+        model = ClusterRobustErrors.of(self._jacobian, self.solution[2], self.owner)
+        variance, freedom = model.variance(np.eye(3)[-1:])
+        return math.sqrt(variance[0]), max(float(freedom[0]), 1.0)
+
+    @cached_property
+    def scale(self) -> float:
+        """Variance [N^2] of independent errors with which the amplitude has its variance."""
+        residuals = self.solution[2]
+        inflation = common_error(self._jacobian[:, 1:], residuals, self.owner, self.freedom)[1]
+        return inflation * float(residuals @ residuals) / self.freedom
+
+    @cached_property
+    def p_value(self) -> float:
+        """Upper bound of the probability of the reduction of the squares by creep, over all time constants.
+
+        The time constant does not exist without creep: R. B. Davies, "Hypothesis testing when a nuisance parameter is
+        present only under the alternative", Biometrika 74 (1987) 33-43. Its bound holds for squares of normal
+        variables: each F statistic is replaced by the one of equal probability.
+        """
+        from scipy.special import chdtri, fdtrc
+
+        without, residuals = self._without_line(self.values), self.solution[2]
+        reductions = without @ without - np.append(self.grid_costs, residuals @ residuals)
+        chances = fdtrc(1, self.error[1], np.maximum(reductions, 0) / self.scale)
+        equivalents = chdtri(1, np.maximum(chances, 1e-300))
+        variation = float(np.abs(np.diff(np.sqrt(equivalents[:-1]))).sum())
+        return min(float(chances[-1]) + variation * math.exp(-equivalents[-1] / 2) / math.sqrt(2 * math.pi), 1.0)
+
+    @cached_property
+    def time_constant_interval(self) -> tuple[float, float]:
+        """95 % profile interval of the time constant [s]; 0 or infinite where the data impose no bound."""
+        residuals, place = self.solution[2], int(np.searchsorted(self.grid, self.time_constant))
+        least = float(residuals @ residuals)
+        grid, costs = np.insert(self.grid, place, self.time_constant), np.insert(self.grid_costs, place, least)
+        roots = np.sqrt(np.maximum(costs - least, 0) / self.scale)
+        limit = float(t_quantile(0.95, self.error[1]))
+        low, high = profile_interval(np.log(grid), roots, limit, place, -math.inf)
+        return math.exp(low), math.exp(high)
+
+    def root_mean_square(self, values: Floats) -> float:
+        """Weighted root mean square of values by block times the root."""
+        return math.sqrt(float(values @ values) / float(self.root @ self.root))
+
+    def _costs(self, time_constants: Floats) -> Floats:
+        values, columns = self._without_line(self.values), self._without_line(self.columns(time_constants))
+        return values @ values - (values @ columns) ** 2 / np.sum(columns**2, axis=0)
+
+    def _without_line(self, values: Floats) -> Floats:
+        """Values by block, shape (blocks, ...), orthogonal to the line."""
+        line = self.line / np.linalg.norm(self.line)
+        return values - np.multiply.outer(line, line @ values)
+
+    @cached_property
+    def _jacobian(self) -> Floats:
+        """Columns of the logarithm of the time constant, the rate and the amplitude."""
+        small = 1e-3
+        centre, after, before = self.columns(self.time_constant * np.exp([0.0, small, -small])).T
+        amplitude = np.linalg.lstsq(np.column_stack([centre, self.line]), self.values, rcond=None)[0][0]
+        return np.column_stack([amplitude * (after - before) / (2 * small), self.line, centre])
+
+
+class PressurePlateau(NamedTuple):
+    """Bins of a steady pressure: recording, first and one past the last bin, contraction, and direction of the step."""
+
+    recording: int
+    first: int
+    last: int
+    contraction: float
+    step: float
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedBins:
+    """Means of a recording over equal times, empty ones left out."""
+
+    time: Floats
+    pressure: Floats
+    force: Floats
+    contraction: Floats
+    samples: Floats
+
+    @classmethod
+    def of(cls, recording: Recording) -> RecordedBins:
+        time = recording.time
+        intervals = np.sort(np.diff(time))
+        if not len(intervals) or not time[-1] > time[0]:
+            raise IdentificationError("the time of a recording does not advance", remedy="check its time column")
+        at = np.searchsorted(np.cumsum(intervals), (time[-1] - time[0]) / 2)  # half of the time has shorter intervals
+        width = max(float(intervals[at]), (time[-1] - time[0]) / _BINS)
+        number = np.floor((time - time[0]) / width * (1 + 1e-9)).astype(np.int64)
+        of = np.cumsum(np.diff(number, prepend=number[0]) > 0)
+        samples = np.bincount(of).astype(float)
+        contraction = recording.contraction
+        columns = (
+            time,
+            recording.pressure,
+            recording.force,
+            np.zeros(len(time)) if contraction is None else contraction,
+        )
+        means = [np.bincount(of, column) / samples for column in columns]
+        if contraction is None:
+            means[3] = np.full(len(samples), math.nan)
+        return cls(means[0], means[1], means[2], means[3], samples)
+
+    def plateaus(self, number: int) -> list[PressurePlateau]:
+        """Plateaus of the pressure at one length, with the direction of the step before each."""
+        held = np.where(np.isfinite(self.contraction), self.contraction, 0.0)
+        signals = [(self.pressure, _STEADY), (held, _MOVED / 2)]
+        segments = steady_segments(signals, np.zeros(len(held), bool), _PARTS)
+        before, plateaus = None, []
+        for start, last in zip(segments.first.tolist(), segments.last.tolist(), strict=True):
+            first = start + max(1, (last - start) // _PARTS)
+            pressure = float(self.pressure[first:last].mean())
+            step = 0.0 if before is None else pressure - before
+            if before is None or abs(step) >= _LEVEL:
+                contraction = float(self.contraction[first:last].mean())
+                plateaus.append(PressurePlateau(number, first, last, contraction, float(np.sign(step))))
+            before = pressure
+        return plateaus
+
+    def smoothed(self, plateaus: Sequence[PressurePlateau]) -> RecordedBins:
+        """The bins with the mean pressure of its block in each bin of a plateau, as noise would bias the lag."""
+        pressure = self.pressure.copy()
+        for plateau in plateaus:
+            edges = _block_edges(plateau)
+            samples = self.samples[: plateau.last]
+            means = np.add.reduceat(self.pressure[: plateau.last] * samples, edges[:-1])
+            means /= np.add.reduceat(samples, edges[:-1])
+            pressure[plateau.first : plateau.last] = np.repeat(means, np.diff(edges))
+        return dataclasses.replace(self, pressure=pressure)
+
+    def lags(self, time_constants: Floats) -> Floats:
+        """Lag of the delayed pressure behind the pressure [Pa], shape (bins, time constants)."""
+        elapsed = np.diff(self.time)[:, None]
+        decay = np.exp(-elapsed / time_constants)
+        added = np.diff(self.pressure)[:, None] * retained_fraction(elapsed, time_constants)
+        lags = np.zeros((len(self.time), len(time_constants)))
+        for k in range(len(added)):
+            np.multiply(lags[k], decay[k], out=lags[k + 1])
+            lags[k + 1] += added[k]
+        return lags
+
+
+class LengthGroup(NamedTuple):
+    """Plateaus at one length: their numbers, and the force [N] interpolated over the levels of the pressure."""
+
+    contraction: float
+    members: Ints
+    interpolant: PchipInterpolator
+
+    def force(self, pressure: Floats) -> Floats:
+        """Force [N] over the pressure, constant outside the levels."""
+        levels = self.interpolant.x
+        return self.interpolant(np.clip(pressure, levels[0], levels[-1]))
+
+
+def _block_edges(plateau: PressurePlateau) -> Ints:
+    """Edges of the blocks of a plateau, in bins; narrower at its start."""
+    count = plateau.last - plateau.first
+    return plateau.first + np.unique(np.rint(count * np.linspace(0, 1, _BLOCKS + 1) ** 2).astype(np.int64))
+
+
+def _mean_forces(bins: Sequence[RecordedBins], plateaus: Sequence[PressurePlateau]) -> Floats:
+    """Mean force [N] of each plateau."""
+    return np.array([bins[p.recording].force[p.first : p.last].mean() for p in plateaus])
+
+
+def _length_groups(
+    bins: Sequence[RecordedBins], plateaus: Sequence[PressurePlateau], forces: Floats
+) -> list[LengthGroup]:
+    """Plateaus by length, those at lengths with too few levels of the pressure left out."""
+    contraction = np.array([p.contraction if math.isfinite(p.contraction) else -1.0 - p.recording for p in plateaus])
+    pressure = np.array([bins[p.recording].pressure[p.first : p.last].mean() for p in plateaus])
+    from scipy.interpolate import PchipInterpolator  # 0.3 s
+
+    steps = np.array([p.step for p in plateaus])
+    groups = []
+    for members in _clusters(contraction, _MOVED):
+        levels = [members[cluster] for cluster in _clusters(pressure[members], _LEVEL)]
+        if len(levels) >= _FEWEST_LEVELS:
+            at = float(np.mean([plateaus[k].contraction for k in members]))
+            pressures = np.array([pressure[level].mean() for level in levels])
+            interpolant = PchipInterpolator(pressures, _midway(levels, pressures, forces, steps))
+            groups.append(LengthGroup(at, members, interpolant))
+    return groups
+
+
+def _midway(levels: Sequence[Ints], pressures: Floats, forces: Floats, steps: Floats) -> Floats:
+    """Force [N] at each level midway between filling and venting, also at levels that were reached in one way only."""
+
+    def means(side: float) -> Floats:
+        chosen = [forces[level[steps[level] == side]] for level in levels]
+        return np.array([values.mean() if len(values) else math.nan for values in chosen])
+
+    filling, venting = means(1.0), means(-1.0)
+    half, known = (filling - venting) / 2, np.isfinite(filling - venting)
+    half = np.interp(pressures, pressures[known], half[known]) if known.any() else np.zeros(len(levels))
+    middle = np.where(np.isfinite(filling), filling - half, venting + half)
+    start = np.array([forces[level].mean() for level in levels])  # reached by no step
+    return np.where(np.isfinite(middle), middle, start)
+
+
+def _clusters(values: Floats, distance: float) -> list[Ints]:
+    """Indices of values whose neighbours are closer than a distance."""
+    order = np.argsort(values, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(values[order]) > distance) + 1) if len(order) else []
+
+
+@dataclass(frozen=True, eq=False)
+class DelayedForce:
+    """Plateaus of the pressure by length, and the force that follows a delayed pressure."""
+
+    bins: Sequence[RecordedBins]
+    plateaus: Sequence[PressurePlateau]
+    groups: Sequence[LengthGroup]
+
+    @classmethod
+    def of(cls, bins: Sequence[RecordedBins]) -> DelayedForce:
+        """Plateaus of recordings; an `IdentificationError` if there are too few."""
+        plateaus = [plateau for number, recorded in enumerate(bins) for plateau in recorded.plateaus(number)]
+        groups = _length_groups(bins, plateaus, _mean_forces(bins, plateaus))
+        used = sorted(int(k) for group in groups for k in group.members)
+        if len(used) < _FEWEST_PLATEAUS:
+            message = f"{len(used)} plateaus of the pressure, at lengths with at least {_FEWEST_LEVELS} levels"
+            remedy = "step the pressure up and down over several levels at a fixed length, and wait at each"
+            raise IdentificationError(message, value=len(used), lower=_FEWEST_PLATEAUS, remedy=remedy)
+        place = {k: number for number, k in enumerate(used)}
+        plateaus = [plateaus[k] for k in used]
+        groups = [group._replace(members=np.array([place[int(k)] for k in group.members])) for group in groups]
+        smoothed = [recorded.smoothed([p for p in plateaus if p.recording == n]) for n, recorded in enumerate(bins)]
+        return cls(smoothed, plateaus, groups)
+
+    def fit(self) -> RelaxationFit:
+        """Fit of the share of the force that follows with a delay."""
+        edges = [_block_edges(plateau) for plateau in self.plateaus]
+        weight = [
+            np.add.reduceat(self.bins[plateau.recording].samples[: plateau.last], edge[:-1])
+            for plateau, edge in zip(self.plateaus, edges, strict=True)
+        ]
+        owner = np.repeat(np.arange(len(edges)), [len(edge) - 1 for edge in edges])
+        times = [self.bins[p.recording].time[p.first : p.last] for p in self.plateaus]
+        longest = float(max(time[-1] - time[0] for time in times))
+        grid = np.geomspace(longest / _PARTS, 5 * longest, _GRID)
+        root = np.sqrt(np.concatenate(weight))
+        values = self._blocks(
+            self._by_plateau(lambda group, bins, at, _: bins.force[at] - group.force(bins.pressure[at]))
+        )
+        return RelaxationFit(
+            values * root,
+            self._blocks(times) * root,
+            root,
+            owner,
+            lambda time_constants: self._blocks(self._delayed(time_constants)) * root[:, None],
+            grid,
+            removed=2,
+        )
+
+    def corrected(self, fit: RelaxationFit) -> DelayedForce:
+        """The same with levels without the creep that is left in the means of the plateaus."""
+        delayed = self._delayed(np.array([fit.time_constant]))
+        left = np.array([fit.solution[0] * float(values.mean()) for values in delayed])
+        means = _mean_forces(self.bins, self.plateaus)
+        return dataclasses.replace(self, groups=_length_groups(self.bins, self.plateaus, means - left))
+
+    def _delayed(self, time_constants: Floats) -> list[Floats]:
+        """Derivative of the force of each bin of each plateau with respect to the share [N], (bins, time constants)."""
+        lags = [recorded.lags(time_constants) for recorded in self.bins]
+
+        def delayed(group: LengthGroup, bins: RecordedBins, at: slice, recording: int) -> Floats:
+            pressure = bins.pressure[at, None]
+            return group.force(pressure - lags[recording][at]) - group.force(pressure)
+
+        return self._by_plateau(delayed)
+
+    def _by_plateau(self, compute: Callable[[LengthGroup, RecordedBins, slice, int], Floats]) -> list[Floats]:
+        """Values of the bins of each plateau, from its group and its slice of bins."""
+        values: dict[int, Floats] = {}
+        for group in self.groups:
+            for k in group.members.tolist():
+                p = self.plateaus[k]
+                values[k] = compute(group, self.bins[p.recording], slice(p.first, p.last), p.recording)
+        return [values[k] for k in range(len(self.plateaus))]
+
+    def _blocks(self, values: Sequence[Floats]) -> Floats:
+        """Values of the bins by block, (blocks, ...), without the mean and the part affine in pressure of a plateau."""
+        parts = []
+        for plateau, own in zip(self.plateaus, values, strict=True):
+            bins, edges = self.bins[plateau.recording], _block_edges(plateau)[:-1]
+            samples = bins.samples[: plateau.last]
+            sizes = np.add.reduceat(samples, edges)
+            pressure = np.add.reduceat(bins.pressure[: plateau.last] * samples, edges) / sizes
+            weighted = (own.T * samples[plateau.first :]).T
+            means = (np.add.reduceat(weighted, edges - plateau.first).T / sizes).T
+            for direction in (np.ones(len(sizes)), pressure - np.average(pressure, weights=sizes)):
+                scale = float(sizes @ direction**2)
+                if scale > 0:
+                    means = means - np.multiply.outer(direction, (sizes * direction) @ means / scale)
+            parts.append(means)
+        return np.concatenate(parts)

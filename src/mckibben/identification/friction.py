@@ -4,37 +4,178 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.estimator import (
-    CONDITION_LIMIT,
-    Bools,
-    Floats,
-    Ints,
-    condition_number,
-    robust_errors,
-)
-from mckibben.identification.fit import Fit
+from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors
+from mckibben.identification.fit import Fit, warning_texts
 from mckibben.identification.fitting import identify
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
-from mckibben.identification.hysteresis import FormComparison, HysteresisFit, LackOfFit, SensorDrift
+from mckibben.identification.least_squares import UnitCube
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths, clipped, loop_half_width
 from mckibben.identification.outliers import find_outliers
 from mckibben.identification.summary import DatasetSummary, domain_of, left_out
-from mckibben.muscle import ForceLaw
-from mckibben.result import Remark
-from mckibben.units import show
+from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, Specimen
+from mckibben.result import Column, Listing, Remark, Result, column, draw
+from mckibben.units import factor, mm, show
 
-_AT_BOUND = 1e-2  # of the logarithm of the presliding length
-_EDGE = 1e-6  # of the range of a shape parameter
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 _MISFIT = 0.1  # of half the loop width: larger systematic residuals bias the friction
-_NOISY = 0.01  # share of moves against their stroke: the noise of the length is a third of a step or more
 _ROUNDS = 2
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
+
+
+@dataclass(frozen=True, eq=False)
+class SensorDrift:
+    """Zero offset of the force sensor and its errors [N], linear between knots [s]; shape (knots,) each."""
+
+    time: Floats
+    offset: Floats
+    standard_errors: Floats
+    rate: float
+    """Mean rate [N/s]: slope of the least-squares line through the knots."""
+    rate_error: float
+    """Standard error of the mean rate [N/s], robust to errors common to a level."""
+
+
+class HysteresisFit(Result):
+    """Law and friction identified together, by `identify_hysteresis`.
+
+    Attributes
+    ----------
+    law
+        Static law, midway between loading and unloading; its domain is the range of the points.
+    friction
+        Hysteresis, with the parameters of its form.
+    form
+        Form of the friction.
+    comparison
+        Error [N] by form at the loops of a pressure (of a path with fewer than three pressures) left out of the fit, to
+        first order in the parameters, with the drift of all loops; empty if the form was given.
+    standard_errors, correlations
+        By parameter, in SI, in this order: the law's parameters (unless the law was given), ``half_width``, ``growth``,
+        ``tension_growth``, ``viscous`` and ``presliding_length``; NaN if the form lacks it or the data do not
+        determine it.
+    drift
+        Drift of the force sensor; None if not significant (1 %).
+    rmse, max_error
+        Root mean square and largest absolute residual [N].
+    tension, friction_force, offset, residuals
+        Shape (points,), in dataset order: force of the law, of friction, offset of the sensor, and measured minus
+        modelled force [N]. Slack points count only if there is drift.
+    points_used, points_slack, dataset
+        Number of points used and of slack points; summary of the data.
+    notes
+        Reasons not to rely on the results.
+    """
+
+    law: ForceLaw
+    friction: MaxwellSlip
+    form: FrictionForm
+    comparison: Mapping[FrictionForm, float]
+    standard_errors: dict[str, float]
+    correlations: Floats
+    drift: SensorDrift | None
+    rmse: float = column("N", "RMSE of law and friction", digits=3)
+    max_error: float = column("N", "largest residual", digits=3)
+    tension: Floats
+    friction_force: Floats
+    offset: Floats
+    residuals: Floats
+    points_used: int
+    points_slack: int
+    notes: tuple[Remark, ...]
+    dataset: DatasetSummary
+
+    def verdict(self) -> str:
+        """Return half width and presliding length."""
+        friction, names = self.friction, f"{type(self.law).__name__} with friction of the form {self.form.value!r}"
+        return (
+            f"{names}: half width {friction.half_width:.3g} N, presliding length "
+            f"{friction.presliding_length / mm:.3g} mm, RMSE {self.rmse:.3g} N"
+        )
+
+    def remarks(self) -> Iterable[Remark]:
+        """Return the notes."""
+        return self.notes
+
+    def listings(self) -> Iterable[Listing]:
+        """Return the parameters of the friction and the drift, and the comparison of forms."""
+        yield from super().listings()
+        rows = []
+        for name, (unit, at) in _SHOWN.items():
+            if value := getattr(self.friction, name):
+                error, size = self.standard_errors[name], factor(unit)
+                reference = (
+                    show(getattr(self.friction, at), "bar" if at == "reference_pressure" else "N", 3) if at else ""
+                )
+                rows.append((name.replace("_", " "), value / size, error / size, unit, reference))
+        if self.drift:
+            rows.append(("drift of the sensor", 3600 * self.drift.rate, 3600 * self.drift.rate_error, "N/h", ""))
+        titles = ("friction", "estimate", "standard error", "unit", "at")
+        columns = zip(titles, zip(*rows, strict=True), strict=True)
+        yield Listing("friction", {title: (Column(digits=3), values) for title, values in columns})
+        if self.comparison:
+            errors = sorted(self.comparison.items(), key=lambda item: item[1])
+            forms = {
+                "form": (Column("", "form of friction"), [form.value for form, _ in errors]),
+                "rmse": (Column("N", "error at held-out loops", digits=3), [rmse for _, rmse in errors]),
+            }
+            yield Listing("forms of friction", forms, detail=True)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Texts of the notes that are not mere details."""
+        return tuple(warning_texts(self.notes))
+
+    @property
+    def force(self) -> Floats:
+        """Modelled force at each point [N], shape (points,)."""
+        return self.tension + self.friction_force + self.offset
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Parameters of the friction that a simulation needs and the data do not determine."""
+        return ("presliding_length",) if np.isnan(self.standard_errors["presliding_length"]) else ()
+
+    def plot(self, data: IsobaricDataset) -> Figure:  # pyrefly: ignore[bad-override]
+        """Return a figure of the loops of the identified points, see `mckibben.report.loops`."""
+        return draw("loops", data, self)
+
+    def muscle(self, specimen: Specimen) -> Muscle:
+        """Muscle with the law and its friction."""
+        return Muscle(specimen, self.law, self.friction)
+
+    def corrected(self, dataset: IsobaricDataset) -> IsobaricDataset:
+        """Plateau means of the identified dataset without friction and drift, for fitting a static law.
+
+        Points that are slack, as measured or by the law, remain slack.
+        """
+        means = dataset.plateau_means()
+        if len(means) != len(self.residuals) or not np.allclose(means.force, self.force + self.residuals):
+            raise IdentificationError(
+                f"{means!r} is not the dataset that the hysteresis was identified from", remedy="give the whole dataset"
+            )
+        force = np.where(means.slack, means.force, means.force - self.friction_force - self.offset)
+        force = np.where(self.tension > 0, force, np.minimum(force, means.table.attrs["slack_force"]))
+        return IsobaricDataset(means.table.assign(force=("point", force)).assign_attrs(friction="subtracted"))
+
+
+_SHOWN = {
+    "half_width": ("N", "reference_pressure"),
+    "growth": ("N/bar", ""),
+    "tension_growth": ("1", "reference_tension"),
+    "viscous": ("N*s/m", ""),
+    "presliding_length": ("mm", ""),
+}
+"""Unit of the parameters of the friction in tables, and the quantity that they refer to."""
 
 
 @checked_call
@@ -112,31 +253,16 @@ def identify_hysteresis(
         of_law = tuple(other for other in of_law if other != name)
         text = f"{name} is held at the bound of its range"
         notes.append(Remark.warning(name, text, "the law is probably misspecified: see how others fit"))
-    comparison = None
+    comparison: Mapping[FrictionForm, float] = {}
     if form is None:
-        comparison, start = _compare_forms(dataclasses.replace(model, drift=bases[-1]), start, of_law)
-        form = comparison.chosen
+        form, comparison, start = _compare_forms(dataclasses.replace(model, drift=bases[-1]), start, of_law)
     else:
         start = model.start(start, form)
     model, solution = _with_drift(model, bases, start, (*of_law, *form.free))
     solution, about_presliding = _presliding(model, solution)
-    lack, rejected = _rejected(model, solution, form, of_law, half_gap)
-    result = _result(model, solution, taut, form, comparison, lack)
-    notes += [*about_presliding, *_doubts(model, solution, result, half_gap, rejected)]
+    result = _result(model, solution, taut, form, comparison)
+    notes += [*about_presliding, *_doubts(model, solution, result, half_gap)]
     return dataclasses.replace(result, notes=tuple(notes))
-
-
-def _rejected(
-    model: PathDependentModel, solution: PathSolution, form: FrictionForm, of_law: tuple[str, ...], half_gap: float
-) -> tuple[LackOfFit | None, FrictionForm]:
-    """Dependence that a form lacks, and the form that is rejected for it."""
-    lack = _lack_of_fit(model, solution, half_gap)
-    if lack is not None or form not in (FrictionForm.PRESSURE, FrictionForm.TENSION):
-        return lack, form
-    # A dependence on contraction may be mistaken for growth, which hides it if there are few paths.
-    simpler = model.fit(model.start(solution.values, FrictionForm.CONSTANT), (*of_law, *FrictionForm.CONSTANT.free))
-    lack = _lack_of_fit(model, simpler, half_gap)
-    return (lack, FrictionForm.CONSTANT) if lack and lack.remedy is None else (None, form)
 
 
 def _check(model: PathDependentModel, form: FrictionForm | None, of_law: int, drift: DriftBasis) -> None:
@@ -153,7 +279,7 @@ def _check(model: PathDependentModel, form: FrictionForm | None, of_law: int, dr
         message = f"friction of the form {form.value!r} needs three pressures, not {levels}"
         remedy = "measure at more pressures, or choose another form"
         raise IdentificationError(message, value=levels, lower=3, remedy=remedy)
-    if form.follows_rate and model.rate is None:
+    if form is FrictionForm.VISCOUS and model.rate is None:
         raise IdentificationError(
             f"friction of the form {form.value!r} needs times at which the speed varies",
             remedy="give the times of motions at several speeds, or choose another form",
@@ -190,11 +316,9 @@ def _branched(model: PathDependentModel, start: dict[str, float]) -> tuple[PathD
 
 
 def _shapes_at_bound(law: ForceLaw) -> set[str]:
-    return {
-        p.name
-        for p in law.shape_parameters
-        if not _EDGE < (float(getattr(law, p.name)) - p.lower) / (p.upper - p.lower) < 1 - _EDGE
-    }
+    cube, names = UnitCube(law.shape_parameters), [p.name for p in law.shape_parameters]
+    position = cube.position([float(getattr(law, name)) for name in names])
+    return {name for name, out in zip(names, cube.at_bound(position), strict=True) if out}
 
 
 _DRIFT_LEVEL = 0.01  # probability of a false detection of drift
@@ -257,22 +381,22 @@ _UNDETERMINED = 1e-8  # of the information in a direction outside a block
 
 def _compare_forms(
     model: PathDependentModel, start: Mapping[str, float], law: tuple[str, ...]
-) -> tuple[FormComparison, dict[str, float]]:
-    """Compare the forms that the data can distinguish; also return the values of the chosen one."""
+) -> tuple[FrictionForm, Mapping[FrictionForm, float], dict[str, float]]:
+    """Form with the fewest parameters that is as good as the best; errors of those that the data tell apart; values."""
     levels = model.means.levels[model.used]
     many = len(np.unique(levels)) >= 3
     blocks = levels if many else model.paths.label[model.used]
     squares: dict[FrictionForm, Floats] = {}
     solutions: dict[FrictionForm, PathSolution] = {}
     for form in FrictionForm:
-        if ("growth" in form.free and not many) or (form.follows_rate and model.rate is None):
+        if ("growth" in form.free and not many) or (form is FrictionForm.VISCOUS and model.rate is None):
             continue
         solutions[form] = model.fit(model.start(start, form), (*law, *form.free), evaluations=50)
         squares[form] = _held_out_squares(solutions[form], blocks)
     known = np.isfinite(list(squares.values())).all(axis=0)
     rows = sum(int(np.count_nonzero(blocks == block)) for block in np.unique(blocks)[known])
     if not rows:
-        return FormComparison({}, FrictionForm.CONSTANT), dict(start)
+        return FrictionForm.CONSTANT, {}, dict(start)
     squares = {form: square[known] for form, square in squares.items()}
     rmse = {form: float(np.sqrt(square.sum() / rows)) for form, square in squares.items()}
     best = squares[min(rmse, key=lambda form: rmse[form])]
@@ -283,7 +407,7 @@ def _compare_forms(
         return worse.sum() <= max(scatter, (_AS_GOOD**2 - 1) * best.sum())
 
     chosen = min(filter(as_good, rmse), key=lambda form: (len(form.free), rmse[form]))
-    return FormComparison(rmse, chosen), solutions[chosen].values
+    return chosen, rmse, solutions[chosen].values
 
 
 def _held_out_squares(solution: PathSolution, blocks: Floats | Ints) -> Floats:
@@ -305,84 +429,23 @@ def _held_out_squares(solution: PathSolution, blocks: Floats | Ints) -> Floats:
     return np.array(squares)
 
 
-_LACK_LEVEL = 1e-3
-_LEAST_LACK = 0.03  # of the half width
-_TAUT = 4.0  # half widths of tension, above which the band is 96 % of the half width
-_LEAST_ROWS = 20
-_DEPENDENCES = {
-    "pressure": ("growth", FrictionForm.PRESSURE),
-    "tension": ("tension_growth", FrictionForm.TENSION),
-    "contraction": ("", None),
-    "rate": ("viscous", FrictionForm.VISCOUS),
-}
-"""Parameter that a form with a dependence estimates, and the form that has it."""
-
-
-def _lack_of_fit(model: PathDependentModel, solution: PathSolution, scale: float) -> LackOfFit | None:
-    """Score test of dependences that the form lacks, robust to errors common to a group of points; `scale` in N."""
-    from scipy.special import stdtr
-
-    means, used, residuals = model.means, model.used, -solution.minimum.residuals
-    tension = model.components(solution.values)[0]
-    side = model.band_side(solution.values)
-    taut = tension > _TAUT * scale
-    side = np.where(taut if np.count_nonzero(taut & used) >= _LEAST_ROWS else tension > 0, side, 0.0)
-    rate = np.zeros(len(side)) if model.rate is None else model.rate
-    quantities = {
-        "pressure": (means.pressure - model.reference_pressure) * side,
-        "tension": (tension - tension[tension > 0].mean()) * side,
-        "contraction": (means.contraction - means.contraction[tension > 0].mean()) * side,
-        "rate": rate * np.abs(side),
-    }
-    jacobian = solution.minimum.jacobian[:, solution.inside]
-    lengths = np.linalg.norm(jacobian, axis=0)
-    jacobian = jacobian[:, lengths > 0] / lengths[lengths > 0]
-    candidates: list[tuple[float, LackOfFit]] = []
-    for quantity, (parameter, remedy) in _DEPENDENCES.items():
-        whole = quantities[quantity][used]
-        length = float(np.linalg.norm(whole))
-        if parameter in solution.free or (quantity == "rate" and "rate_growth" in solution.free) or not length:
-            continue
-        extended = np.column_stack([jacobian, whole / length])
-        if not condition_number(extended) < np.sqrt(CONDITION_LIMIT):
-            continue
-        amount = np.linalg.lstsq(extended, residuals, rcond=None)[0]
-        rest = residuals - extended @ amount
-        variance, freedom = robust_errors(extended, rest, model.labels).variance(np.eye(len(amount))[-1:])
-        p_value = 2 * float(stdtr(freedom[0], -abs(amount[-1]) / np.sqrt(variance[0])))
-        force = float(abs(amount[-1])) / np.sqrt(np.count_nonzero(whole))
-        if p_value < _LACK_LEVEL and force > _LEAST_LACK * scale:
-            candidates.append((float(rest @ rest), LackOfFit(quantity, float(force), p_value, remedy)))
-    return min(candidates, key=lambda candidate: candidate[0])[1] if candidates else None
-
-
 def _presliding(model: PathDependentModel, solution: PathSolution) -> tuple[PathSolution, list[Remark]]:
     """Solution with the presliding length held if the points do not determine it, and a remark on it."""
-    paths, log_presliding = model.paths, solution.values["log_presliding"]
-    determined = log_presliding >= model.shortest + _AT_BOUND and solution.error("log_presliding") < _VAGUE
-    if determined and paths.against <= _NOISY:
+    name, step = "log_presliding", model.paths.step
+    if name in solution.free and solution.error(name) < _VAGUE:  # unknown at a bound
         return solution, []
-    if determined:
-        text = (
-            f"{100 * paths.against:.2g} % of the moves are against their stroke: the noise of the length is a third of "
-            f"a step ({show(paths.step, 'mm', 3)}) or more, which biases the presliding length by about its standard "
-            "error"
-        )
-        remedy = "record the mean of more samples at each point, or take larger steps"
-        return solution, [Remark.warning("presliding_length", text, remedy)]
-    if "log_presliding" in solution.free:
-        value = min(max(log_presliding, model.shortest), float(np.log(paths.step)))
-        free = tuple(name for name in solution.free if name != "log_presliding")
-        solution = model.solve({**solution.values, "log_presliding": value}, free)
+    if name in solution.free:
+        value = min(max(solution.values[name], model.shortest), float(np.log(step)))
+        solution = model.solve({**solution.values, name: value}, tuple(free for free in solution.free if free != name))
     text = (
-        f"the presliding length is not determined (steps of {show(paths.step, 'mm', 3)}): no point lies where friction "
+        f"the presliding length is not determined (steps of {show(step, 'mm', 3)}): no point lies where friction "
         "reverses"
     )
     return solution, [Remark.warning("presliding_length", text, "measure a reversal in smaller steps")]
 
 
 def _doubts(
-    model: PathDependentModel, solution: PathSolution, result: HysteresisFit, half_gap: float, rejected: FrictionForm
+    model: PathDependentModel, solution: PathSolution, result: HysteresisFit, half_gap: float
 ) -> Iterable[Remark]:
     """Remarks on the pressures, the half width, parameters at a bound, the form, and the misfit of the law."""
     if len(np.unique(model.means.levels[~model.means.slack])) < 3:
@@ -396,14 +459,6 @@ def _doubts(
     bounded = zip(solution.free, solution.minimum.at_bound, strict=False)
     for name in [name for name, out in bounded if out and name != "log_presliding"]:
         yield Remark.warning(name, f"{name} is at the bound of its range")
-    if lack := result.lack_of_fit:
-        offered = f"the form {lack.remedy.value!r} includes this" if lack.remedy else "no form includes this"
-        instead = "" if rejected is result.form else f", and {result.form.value!r} takes its place"
-        text = (
-            f"the form {rejected.value!r} of the friction is rejected: {lack.force:.2g} N of it depend on the "
-            f"{lack.quantity} (p = {lack.p_value:.1g})"
-        )
-        yield Remark.warning("form", text, offered + instead)
     pairs = [rows[model.used[rows]] for rows in model.paths.rows]
     first, second = (
         np.concatenate([result.residuals[rows[part]] for rows in pairs]) for part in (slice(-1), slice(1, None))
@@ -423,8 +478,7 @@ def _result(
     solution: PathSolution,
     taut: Bools,
     form: FrictionForm,
-    comparison: FormComparison | None,
-    lack: LackOfFit | None,
+    comparison: Mapping[FrictionForm, float],
 ) -> HysteresisFit:
     means, used, basis = model.means, model.used, model.drift
     tension, force = model.components(solution.values)
@@ -434,7 +488,6 @@ def _result(
     friction = model.friction(solution.values)
     names = [name for name in solution.free if name in model.law_names]
     errors = {name: solution.error(name) for name in (*names, *FRICTION) if not name.startswith("log_")}
-    errors["rate_speed"] = solution.error("log_rate_speed") * (friction.rate_speed or 1.0)
     errors["presliding_length"] = solution.error("log_presliding") * friction.presliding_length
     order = [*names, *FRICTION]
     correlations = np.full((len(order), len(order)), np.nan)
@@ -451,7 +504,6 @@ def _result(
         friction=friction,
         form=form,
         comparison=comparison,
-        lack_of_fit=lack,
         standard_errors=errors,
         correlations=correlations,
         drift=drift,

@@ -38,17 +38,11 @@ class FrictionForm(enum.Enum):
     PRESSURE = "pressure"
     TENSION = "tension"
     VISCOUS = "viscous"
-    RATE = "rate"
 
     @property
     def free(self) -> tuple[str, ...]:
         """Parameters of the friction that the form estimates."""
         return _FREE[self]
-
-    @property
-    def follows_rate(self) -> bool:
-        """Whether the friction depends on the rate of the length."""
-        return self in (FrictionForm.VISCOUS, FrictionForm.RATE)
 
 
 _FREE = {
@@ -57,18 +51,14 @@ _FREE = {
     FrictionForm.PRESSURE: ("half_width", "growth", "log_presliding"),
     FrictionForm.TENSION: ("half_width", "tension_growth", "log_presliding"),
     FrictionForm.VISCOUS: ("half_width", "viscous", "log_presliding"),
-    FrictionForm.RATE: ("half_width", "growth", "rate_growth", "log_rate_speed", "log_presliding"),
 }
-FRICTION = ("half_width", "growth", "tension_growth", "viscous", "rate_growth", "log_rate_speed", "log_presliding")
-"""Friction parameters in SI, as in `MaxwellSlip`, with the logarithms of rate speed [m/s] and presliding length [m]."""
+FRICTION = ("half_width", "growth", "tension_growth", "viscous", "log_presliding")
+"""Friction parameters in SI, as in `MaxwellSlip`, with the logarithm of the presliding length [m]."""
 
 _TENSION_STEP = 1e-4  # N: of difference quotients
 _RELATIVE_STEP = 1e-6
 _WIDEST = 1e5  # N
-_FASTEST_GROWTH = 100.0  # of the half width
-_BEYOND = 3.0  # times the rates of the points
 _LONGEST = 0.25  # of the range of lengths: with a longer presliding length friction would never fully reverse
-_RATE_GROWTH = 0.3  # at the start of a fit
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +99,6 @@ class PathDependentModel:
             tension_growth=values["tension_growth"] or None,
             reference_tension=self.reference_tension if values["tension_growth"] else 0.0,
             viscous=values["viscous"],
-            rate_growth=values["rate_growth"] or None,
-            rate_speed=float(np.exp(values["log_rate_speed"])) if values["rate_growth"] else None,
             elements=self.elements,
         )
 
@@ -125,24 +113,17 @@ class PathDependentModel:
         start = {**values, **dict.fromkeys(set(FRICTION) - {"half_width", "log_presliding"}, 0.0)}
         if "log_presliding" not in form.free:
             start["log_presliding"] = self.shortest
-        if form.follows_rate and self.rate is not None:
-            speed = float(np.median(moving_rates(self.rate[self.used])))
-            if form is FrictionForm.RATE:
-                return start | {"rate_growth": _RATE_GROWTH, "log_rate_speed": float(np.log(speed))}
-            start["viscous"] = 0.1 * start["half_width"] / speed
+        if form is FrictionForm.VISCOUS and self.rate is not None:
+            start["viscous"] = 0.1 * start["half_width"] / float(np.median(moving_rates(self.rate[self.used])))
         return start
 
     def bounds(self, names: Sequence[str]) -> tuple[Floats, Floats]:
         """Lower and upper bounds of the named parameters."""
-        rates = np.ones(1) if self.rate is None else moving_rates(self.rate[self.used])
-        slow, fast = np.quantile(rates, [0.05, 1.0])
         ranges = {p.name: (p.lower, p.upper) for p in type(self.template).shape_parameters}
         ranges |= {
             "half_width": (MIN_HALF_WIDTH, _WIDEST),
             "tension_growth": (-1.0, 1.0),
             "viscous": (0.0, np.inf),
-            "rate_growth": (0.0, _FASTEST_GROWTH),
-            "log_rate_speed": (float(np.log(slow / _BEYOND)), float(np.log(_BEYOND * fast))),
             "log_presliding": (self.shortest, float(np.log(_LONGEST * np.ptp(self.paths.length)))),
         }
         lower, upper = zip(*(ranges.get(name, (-np.inf, np.inf)) for name in names), strict=True)
@@ -152,12 +133,6 @@ class PathDependentModel:
         """Tension of the law and friction force [N] at each row, shape (rows,)."""
         tension = self._tension(values)
         return tension, self._friction(tension[:, None], [values])[:, 0]
-
-    def band_side(self, values: Mapping[str, float]) -> Floats:
-        """Friction of a taut muscle relative to its half width at each row, from -1 to 1, shape (rows,)."""
-        # Half width and presliding length determine the stiffness of the elements.
-        unit = dict.fromkeys(FRICTION, 0.0) | {"half_width": 1.0, "log_presliding": values["log_presliding"]}
-        return self._friction(np.full((len(self.means), 1), _WIDEST), [unit])[:, 0]
 
     def residuals(self, values: Mapping[str, float], offsets: Floats) -> Floats:
         """Modelled minus measured force [N] at the points used."""
@@ -194,7 +169,7 @@ class PathDependentModel:
 
     def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
-        half_width, growth, by_tension, viscous, by_rate, log_speed, log_presliding = (
+        half_width, growth, by_tension, viscous, log_presliding = (
             np.array([values[name] for values in sets]) for name in FRICTION
         )
         above = (self.means.pressure - self.reference_pressure)[:, None]
@@ -206,11 +181,10 @@ class PathDependentModel:
             self.paths.travel[..., None], limit[self.paths.place], stiffness, share, side=self.paths.side[:, None]
         )
         force = self.paths.scattered(np.einsum("pwse,se->pws", deflections, stiffness))
-        if self.rate is None or not (viscous.any() or by_rate.any()):
+        if self.rate is None or not viscous.any():
             return force
-        rate, most = self.rate[:, None], np.maximum(tension - limit, 0.0)
-        drag = viscous * rate + by_rate * limit * np.tanh(rate / np.exp(log_speed))
-        return force + np.clip(drag, -most, most)
+        most = np.maximum(tension - limit, 0.0)
+        return force + np.clip(viscous * self.rate[:, None], -most, most)
 
     def fit(self, start: Mapping[str, float], free: tuple[str, ...], *, evaluations: int = 200) -> PathSolution:
         """Bounded least squares from a start; the drift amplitudes are always free."""

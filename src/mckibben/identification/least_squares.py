@@ -163,6 +163,10 @@ class UnitCube:
             ]
         )
 
+    def at_bound(self, position: Floats) -> Bools:
+        """Mask of the parameters at a bound of their range, shape (parameters,)."""
+        return (position < _AT_BOUND) | (position > 1 - _AT_BOUND)
+
     def grid(self) -> Floats:
         """Positions that cover the cube, none on a face; shape (positions, parameters)."""
         count = len(self.parameters)
@@ -252,8 +256,7 @@ class FitProblem:
 
     def at_bound(self, position: Floats) -> Bools:
         """Mask of parameters at a bound of their range, shape (parameters,); linear ones are unbounded."""
-        shape = (position < _AT_BOUND) | (position > 1 - _AT_BOUND)
-        return np.concatenate([np.zeros(self.linear, bool), shape])
+        return np.concatenate([np.zeros(self.linear, bool), self.cube.at_bound(position)])
 
     @cached_property
     def _factors(self) -> Floats:

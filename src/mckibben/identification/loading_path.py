@@ -12,24 +12,15 @@ from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints
 from mckibben.units import show
 
-_SAME_LEVEL = 1.0  # Pa
 _FEWEST = 4  # fewest points of a path that show friction
-_BACKWARDS = (
-    0.01  # of the range of the lengths, allowed against the direction: noise, and ambiguous labels at reversals
-)
+_BACKWARDS = 0.01  # of the range of the lengths, against the direction: noise, and ambiguous labels at reversals
 _REVERSALS = 0.3  # per move; a stroke has a few moves at least
 _SIGNIFICANT = 0.99865  # one-sided level of a difference: three standard errors of many pairs
 _SPEEDS = 1.3  # ratio of the upper to the lower quartile that distinguishes viscous from dry friction
 _CLIPPED = 0.25  # of the slack points at exactly the lowest force
-_REPEATED = 0.01  # of a step: a smaller move does not count
-_REPEATED_HERE = 0.2  # of both neighbouring moves: the same, with noise of the length
-_PAIRED = 0.5  # share of the points of a direction that were measured at positions of the other
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
-_AGAINST = 0.1  # of a step: a smaller move against the stroke may be a position measured twice
 _FAR = 1.0  # m: exceeds any presliding length
-_MOVED = 1e-9  # m
 _AT_REST = 1e-3  # of the highest rate
-_SLACK = 2  # fewest slack points that determine the sensor's zero of a path
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
 
 
@@ -50,8 +41,6 @@ class LoadingPaths:
     """1 or -1 at a loading or unloading row at the same position as a row of the other direction, else 0."""
     overshot: bool = False
     """Whether the muscle overshot these points and came back, which reverses its friction."""
-    against: float = 0.0
-    """Share of the measured moves within strokes that are against their direction, by a tenth of a step or more."""
 
     @property
     def travel(self) -> Floats:
@@ -136,7 +125,7 @@ class LoadingPaths:
             )
         length = table.attrs["initial_length"] * (1 - means.contraction)
         order = np.argsort(table["time"].to_numpy(), kind="stable") if "time" in table else np.arange(len(means))
-        ends = np.flatnonzero(np.abs(np.diff(means.levels[order])) > _SAME_LEVEL) + 1
+        ends = np.flatnonzero(np.diff(means.levels[order])) + 1
         paths = np.split(order, ends)
         if np.median([len(path) for path in paths]) < _FEWEST:
             raise IdentificationError(
@@ -152,17 +141,13 @@ class LoadingPaths:
         place = np.stack([np.pad(path, (0, longest - len(path)), mode="edge") for path in paths], axis=1)
         side = np.array([-1.0 if loading[path[0]] else 1.0 for path in paths])
         counts = np.array([len(path) for path in paths])
-        step = float(np.median(np.abs(moves[np.abs(moves) > _MOVED])))
-        turns = _turns(length, paths, loading, step)
-        strokes = [part for path in paths for part in np.split(path, np.flatnonzero(np.diff(loading[path])) + 1)]
-        forwards = np.concatenate([np.diff(measured[part]) * (1 if loading[part[0]] else -1) for part in strokes])
-        against = float(np.mean(forwards < -_AGAINST * step)) if forwards.size else 0.0
-        return cls(place, counts, side, length, step, turns, against=against)
+        step = float(np.median(np.abs(moves[moves != 0])))
+        return cls(place, counts, side, length, step, _turns(length, paths, loading))
 
 
 def _check_order(measured: Floats, length: Floats, paths: Sequence[Ints], loading: Bools) -> None:
     """Refuse rows whose lengths or directions are not in the order of a test; `length` is monotone along strokes."""
-    count = sum(int(np.count_nonzero(np.abs(np.diff(length[path])) > _MOVED)) for path in paths)
+    count = sum(int(np.count_nonzero(np.diff(length[path]))) for path in paths)
     backwards = float(np.sqrt(np.mean((length - measured) ** 2)))
     reversals = sum(int(np.count_nonzero(np.diff(loading[path]))) for path in paths)
     text = ""
@@ -174,13 +159,13 @@ def _check_order(measured: Floats, length: Floats, paths: Sequence[Ints], loadin
         raise IdentificationError(f"{text}: the rows are not in the order of the test", remedy=_ORDER_REMEDY)
 
 
-def _turns(length: Floats, paths: Sequence[Ints], loading: Bools, step: float) -> Floats:
+def _turns(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
     """1 or -1 at a row at the same position as the row of the other direction before it, else 0."""
     turns = np.zeros(len(length))
     for path in paths:
         size = np.abs(np.diff(length[path]))
-        beside = np.minimum(np.append(size[:1], size[:-1]), np.append(size[1:], size[-1:]))
-        repeated = size < np.maximum(_REPEATED * step, _REPEATED_HERE * beside)
+        neighbours = np.minimum(np.append(size[:1], size[:-1]), np.append(size[1:], size[-1:]))
+        repeated = size <= _NEAR * neighbours
         turns[path[1:]] = np.where(repeated, np.diff(loading[path].astype(float)), 0.0)
     return turns
 
@@ -220,8 +205,7 @@ class DriftBasis:
         ends = np.array([time.min(), time.max()])
         if ends[0] == ends[1]:
             return [none]
-        zeroed = [path for path in paths.rows if np.count_nonzero(slack[path]) >= _SLACK]
-        knots = np.unique([float(time[path][slack[path]].mean()) for path in zeroed])
+        knots = np.unique([float(time[path][slack[path]].mean()) for path in paths.rows if slack[path].any()])
         if len(knots) < 2:
             return [none, cls((time - ends[0])[:, None], ends, ends[:, None] - ends[0])]
         return [none, cls(_hats(time, ends), ends, np.eye(2)), cls(_hats(time, knots), knots, np.eye(len(knots)))]
@@ -249,8 +233,10 @@ def clipped(means: IsobaricDataset) -> bool:
     return bool(len(slack)) and int(np.count_nonzero(slack == slack.min())) > max(1.0, _CLIPPED * len(slack))
 
 
-def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools, tolerance: float) -> Floats:
-    """Force of loading minus that of unloading [N], at each level and contraction [-] within a tolerance."""
+def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools) -> Floats:
+    """Force of loading minus that of unloading [N], at each level and contraction, up to noise of the length."""
+    moves = np.abs(np.diff(means.contraction))
+    tolerance = _NEAR * float(np.median(moves[moves > 0]))
     order = np.lexsort((means.contraction, means.levels.round(-2)))
     apart = (np.diff(means.contraction[order]) > tolerance) | (np.diff(means.levels[order].round(-2)) != 0)
     place = np.empty(len(order), np.int64)
@@ -264,11 +250,7 @@ def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools, tolerance: float)
 
 def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
     """Median half-difference [N] between the directions at the same pressure and contraction."""
-    loading = means.table["direction"].to_numpy() == "loading"
-    gaps = _gaps(means, taut, loading, 1e-5)
-    if len(gaps) < _PAIRED * min(np.count_nonzero(taut & loading), np.count_nonzero(taut & ~loading)):
-        moves = np.abs(np.diff(means.contraction))
-        gaps = _gaps(means, taut, loading, _NEAR * float(np.median(moves[moves > 0])))  # positions with noise
+    gaps = _gaps(means, taut, means.table["direction"].to_numpy() == "loading")
     if len(gaps) < 2:
         message = f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions"
         remedy = "measure the same positions in both directions, and give nominal pressures (set_pressure)"

@@ -11,7 +11,7 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.estimator import ClusterRobustErrors, Floats, minimum_near, profile_interval, t_quantile
+from mckibben.identification.estimator import Floats, common_error, minimum_near, profile_interval, t_quantile
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
 from mckibben.identification.grouping import finest_grouping, group_labels
@@ -27,7 +27,6 @@ _LOWEST = 1 * kPa
 _HIGHEST = 0.5  # of the highest pressure
 _GRID = 40
 _SIGNIFICANT = 0.01
-_MOST_FREEDOM = 1e6
 _ONE_GROUP = 1e3  # ratio of variances above which one group determines the threshold
 _STEP = 1e-3  # of the threshold, of a derivative
 
@@ -177,17 +176,9 @@ class _Profile:
             for sign in (1, -1)
         )
         slope = (earlier - later)[: len(self.points)] / (2 * step)
-        free = ~best.at_bound
-        columns = np.column_stack([best.jacobian[:, free], slope])
-        sizes = np.linalg.norm(columns, axis=0)
-        scaled = columns / np.where(sizes > 0, sizes, 1.0)
+        columns = np.column_stack([best.jacobian[:, ~best.at_bound], slope])
         labels = group_labels(self.points, finest_grouping(self.points))
-        direction = np.zeros((1, columns.shape[1]))
-        direction[0, -1] = 1.0
-        variance, freedom = ClusterRobustErrors.of(scaled, best.residuals, labels).variance(direction)
-        squares = best.cost / max(len(self.points) - columns.shape[1], 1)
-        independent = squares * float(np.linalg.pinv(scaled.T @ scaled)[-1, -1])
-        return float(np.clip(freedom[0], 1.0, _MOST_FREEDOM)), max(float(variance[0]) / independent, 1.0)
+        return common_error(columns, best.residuals, labels, max(len(self.points) - columns.shape[1], 1))
 
     def _points(self, threshold: float) -> IsobaricDataset:
         return _shifted(self.points, threshold) if threshold > 0 else self.points

@@ -14,9 +14,8 @@ from mckibben.errors import IdentificationError, RangeError, no_attribute
 from mckibben.identification.estimator import Floats
 from mckibben.identification.fit import Fit, warning_texts
 from mckibben.identification.fitting import WITH_FRICTION, fit_means, identify
-from mckibben.identification.friction import identify_hysteresis
+from mckibben.identification.friction import HysteresisFit, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
-from mckibben.identification.hysteresis import HysteresisFit
 from mckibben.identification.loading_path import ReversedDirectionsError, loop_half_width
 from mckibben.identification.outliers import find_outliers
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
