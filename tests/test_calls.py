@@ -20,16 +20,15 @@ LAW = mk.catalog.law("lei-mas-10-180n")
     [
         (lambda: mk.simulate(SCENARIO), "scenario.simulate()"),  # type: ignore[arg-type]
         (lambda: mk.simulate(SCENARIO.plant(), SCENARIO.control()), "simulate(plant, controller, reference)"),
-        (lambda: mk.identify(DATA), "identify(ExponentialLaw"),  # type: ignore[arg-type]
-        (lambda: mk.identify(mk.ExponentialLaw), "identify(ExponentialLaw, read_dataset"),
+        (lambda: mk.identify(DATA), "identify(law_type, dataset"),  # type: ignore[call-arg, arg-type]
         (lambda: mk.Step(0.0, "10 deg", 1.0), "0.174533 or 10 * deg"),  # type: ignore[arg-type]
         (lambda: mk.PID("2 bar/rad", 0.0, 0.0), "200000 or 2 * bar/rad"),  # type: ignore[arg-type]
         (lambda: mk.Specimen("mine", "300 mm"), "0.3 or 300 * mm"),  # type: ignore[arg-type]
         (lambda: mk.Specimen("mine", "3 bar"), "3 * mm"),  # type: ignore[arg-type]
-        (lambda: mk.identify(DATA, mk.SmoothLaw), "identify(SmoothLaw, data)"),  # type: ignore[arg-type]
+        (lambda: mk.identify(DATA, mk.SmoothLaw), "identify(ExponentialLaw, data)"),  # type: ignore[arg-type]
         (lambda: mk.identify(mk.SmoothLaw(), DATA), "identify(SmoothLaw, data)"),  # type: ignore[call-arg, arg-type]
         (lambda: mk.identify(LAW, DATA), "identify(ExponentialLaw, data)"),  # type: ignore[arg-type]
-        (lambda: mk.rank(mk.ExponentialLaw, DATA), "rank(read_dataset"),  # type: ignore[arg-type]
+        (lambda: mk.rank(mk.ExponentialLaw, DATA), "swapped"),  # type: ignore[arg-type]
         (lambda: mk.identify(mk.ExponentialLaw, DATA, robust="no"), "True or False"),  # type: ignore[arg-type]
         (lambda: mk.read_dataset(3), "path"),  # type: ignore[arg-type]
         (lambda: mk.report.tracking(SCENARIO), "result.plot()"),  # type: ignore[arg-type]

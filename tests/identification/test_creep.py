@@ -104,5 +104,3 @@ def test_too_few_levels_or_plateaus_are_refused(levels):
     with pytest.raises(IdentificationError) as refused:
         identify_pressure_creep(recordings_at((0.0,), levels=levels))
     assert refused.value.lower == 6 and refused.value.remedy
-
-

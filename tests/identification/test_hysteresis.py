@@ -181,7 +181,7 @@ def test_the_jacobian_is_that_of_small_changes(model):
         "viscous": 500.0,
         "log_presliding": float(np.log(1.3e-3)),
     }
-    offsets = np.array([0.2, 0.4])
+    offsets = np.linspace(0.2, 0.4, model.drift.points.shape[1])
     columns = model.jacobian(values, names)
     for k, name in enumerate(names):
         small = 1e-6 * max(abs(values[name]), 1e-9)
@@ -189,24 +189,20 @@ def test_the_jacobian_is_that_of_small_changes(model):
         quotient = (model.residuals(up, offsets) - model.residuals(down, offsets)) / (2 * small)
         smooth = np.abs(columns[:, k] - quotient) < 1e-3 * np.abs(quotient).max()
         assert smooth.mean() > 0.98  # but at points where a slider just gives way
-    drift = model.residuals(values, np.array([0.2, 1.4])) - model.residuals(values, offsets)
+    drift = model.residuals(values, offsets + np.eye(len(offsets))[-1]) - model.residuals(values, offsets)
     np.testing.assert_allclose(columns[:, -1], drift, atol=1e-9)
 
 
-def test_the_drift_is_straight_between_its_knots():
+def test_the_drift_is_straight_between_its_knots_and_beyond_them():
     data = SimulatedIsobaricTest(MUSCLE).run(PROTOCOL, seed=1).plateau_means()
-    none, line, bent = DriftBasis.candidates(LoadingPaths.of(data), data)
-    time = data.table["time"].to_numpy()
-    assert none.points.shape[1] == 0 and line.points.shape[1] == 2
-    assert bent.points.shape[1] == len(bent.time) == 6  # one a pressure, where its muscle is slack
-    paths = LoadingPaths.of(data).rows
-    np.testing.assert_allclose(bent.time, sorted(float(time[path][data.slack[path]].mean()) for path in paths))
-    np.testing.assert_allclose(line.points @ [1.0, 3.0], np.interp(time, line.time, [1.0, 3.0]))
-    inside = (time >= bent.time[0]) & (time <= bent.time[-1])
-    values = np.array([0.0, 1.0, -1.0, 2.0, 0.0, 1.0])
-    np.testing.assert_allclose((bent.points @ values)[inside], np.interp(time[inside], bent.time, values))
-    straight = 2 + 0.1 * bent.time
-    np.testing.assert_allclose(bent.points @ straight, 2 + 0.1 * time)  # and goes on as it is beyond them
+    paths, time = LoadingPaths.of(data), data.table["time"].to_numpy()
+    none, bent = DriftBasis.candidates(paths, data)
+    assert none.points.shape[1] == 0
+    knots = np.sort([time[path][data.slack[path]].mean() for path in paths.rows])  # one a pressure
+    inside, values = (time >= knots[0]) & (time <= knots[-1]), np.array([0.0, 1.0, -1.0, 2.0, 0.0, 1.0])
+    np.testing.assert_allclose((bent.points @ values)[inside], np.interp(time[inside], knots, values))
+    np.testing.assert_allclose(bent.points @ (2 + 0.1 * knots), 2 + 0.1 * time)
+    assert bent.slope @ values == pytest.approx(np.polyfit(knots, values, 1)[0])
 
 
 @pytest.mark.slow

@@ -1,6 +1,4 @@
 import dataclasses
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -12,7 +10,6 @@ from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import find_outliers, identify, read_law
 from mckibben.identification.estimator import standard_errors
-from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.summary import unphysical
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, HuntLaw, Parameter, PressureAffineLaw, SarosiLaw
 from mckibben.result import Severity
@@ -35,9 +32,6 @@ def grid(law, pressures=None, contractions=None, noise=0.0, seed=1, **more) -> I
     force = np.asarray(law.force(contraction, pressure))
     force = force + noise * np.random.default_rng(seed).normal(size=force.shape)
     return IsobaricDataset.of(pressure=pressure, contraction=contraction, force=np.maximum(force, 0), **more)
-
-
-# --- warnings ---
 
 
 # --- outliers ---
@@ -102,20 +96,6 @@ def test_a_good_point_where_the_law_differs_from_a_smooth_surface_is_no_outlier(
 
 
 @pytest.mark.slow
-def test_leaving_outliers_out_costs_no_efficiency_with_good_data():
-    errors, points = [], grid(EQ_3, np.arange(1, 7) * bar, np.linspace(0, 20, 11) * percent)
-    points = points.select(points.force > 5)  # noise leaves all of them taut
-    for seed in range(16):
-        noise = np.random.default_rng(seed).normal(size=len(points))
-        data = IsobaricDataset(points.table.assign(force=("point", points.force + noise)))
-        fits = [identify(ExponentialLaw, data, robust=True)]
-        fits.append(identify(ExponentialLaw, data, robust=False) if fits[0].outliers else fits[0])
-        errors.append([np.asarray(fit.law.force(points.contraction, points.pressure)) - points.force for fit in fits])
-    robust, plain = np.mean(np.square(errors), axis=(0, 2))
-    assert plain / robust > 0.95
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("clipped", [False, True])
 def test_good_points_are_named_in_one_data_set_of_a_hundred(clipped):
     """Slack readings scatter about 0 N, or are clipped there: three of 40 have a probability of 1 %."""
@@ -132,16 +112,6 @@ def test_good_points_are_named_in_one_data_set_of_a_hundred(clipped):
 
 
 # --- recovery -----------------------------------------------------------------------------------------------
-
-
-def test_recovers_eq_3_from_noise_free_data():
-    fit = identify(ExponentialLaw, grid(EQ_3))
-    for name, estimate in fit.estimates.items():
-        assert estimate == pytest.approx(getattr(EQ_3, name), rel=1e-8), name
-    assert fit.max_error < 1e-9
-    assert fit.leave_one_pressure_out is not None
-    assert fit.leave_one_pressure_out.max_error < 1e-8
-    assert fit.warnings == ()
 
 
 @settings(max_examples=15, deadline=None)
@@ -191,12 +161,9 @@ def test_sizing_chart():
     assert fit.leave_one_pressure_out.rmse == pytest.approx(3.423, abs=5e-4)
 
 
-def test_domain_is_the_range_of_the_points_used_or_what_is_given():
+def test_domain_is_the_range_of_the_points_used():
     data = catalog.dataset("dmsp-10-250-martens2017")
-    found = identify(ExponentialLaw, data).law.domain
-    assert found == Domain(0.0, 0.184, 68750.0, 650000.0)
-    given_domain = Domain(0.0, 0.2, 0.0, 8e5)
-    assert identify(ExponentialLaw, data, domain=given_domain).law.domain == given_domain
+    assert identify(ExponentialLaw, data).law.domain == Domain(0.0, 0.184, 68750.0, 650000.0)
 
 
 # --- against other solvers ----------------------------------------------------------------------------------
@@ -221,7 +188,6 @@ def test_estimates_errors_and_correlations_are_those_of_curve_fit():
     np.testing.assert_allclose(list(fit.estimates.values()), values * scales, rtol=1e-5)
     np.testing.assert_allclose(list(fit.standard_errors.values()), errors * scales, rtol=1e-4)
     np.testing.assert_allclose(fit.correlations, covariance / np.outer(errors, errors), atol=1e-4)
-    np.testing.assert_allclose(fit.covariance, covariance * np.outer(scales, scales), rtol=1e-3)
 
 
 class PlaneLaw(PressureAffineLaw):
@@ -265,21 +231,6 @@ def test_a_straight_line_has_its_textbook_errors():
     s2 = residuals @ residuals / 3
     np.testing.assert_allclose(errors, [np.sqrt(s2 * (0.2 + 9 / 10)), np.sqrt(s2 / 10)])
     assert correlations[0, 1] == pytest.approx(-3 / np.sqrt(11))
-
-
-def test_standard_errors_cover_the_truth():
-    inside = total = 0
-    for seed in range(20):
-        data = grid(ExponentialLaw(50.0, 1e-3, 200.0, -2e-3, 250.0, 1e-4, 30.0))
-        noisy = data.force + np.random.default_rng(seed).normal(size=len(data))
-        points = IsobaricDataset.of(pressure=data.pressure, contraction=data.contraction, force=noisy, slack_force=-1e9)
-        problem = FitProblem.of(ExponentialLaw, points)
-        solution = solve(problem, grid_search(problem))
-        errors, _ = standard_errors(solution.jacobian, solution.residuals, np.zeros(7, bool))
-        truth = np.array([50.0, 1e-3, 200.0, -2e-3, 250.0, 1e-4, 30.0])
-        inside += np.count_nonzero(np.abs(solution.values - truth) < 2 * errors)
-        total += 7
-    assert 0.88 < inside / total <= 1.0
 
 
 # --- errors at unseen pressures -----------------------------------------------------------------------------
@@ -379,15 +330,6 @@ def test_the_domain_is_that_of_measured_pressures_that_the_set_ones_are_far_from
     assert float(identify(ExponentialLaw, near).law.domain.pressure_max) == 8 * bar
 
 
-@pytest.mark.parametrize(("decay", "bound"), [(1.0, "at the bound"), (0.6, "at the bound")])
-def test_a_decay_at_its_bound_is_said(decay, bound):
-    law = ExponentialLaw(100.0, 1e-3, 200.0, -2e-3, 4e4, 1e-2, decay=decay)
-    fit = identify(ExponentialLaw, grid(law))
-    assert fit.law.decay == pytest.approx(1.0)
-    assert any(f"decay is {bound}" in warning for warning in texts(fit))
-    assert any("a1 and c1" in warning for warning in texts(fit))
-
-
 def test_a_linear_parameter_outside_its_range_is_said():
     fit = identify(PlaneLaw, grid(PlaneLaw(900.0, -1e-4, -900.0)))
     assert any(warning.startswith("b = -10 N/bar is outside its range") for warning in texts(fit))
@@ -413,12 +355,6 @@ def test_raw_samples_count_as_their_means():
     )
 
 
-def test_a_fit_cannot_be_changed():
-    fit = identify(ExponentialLaw, grid(EQ_3))
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        fit.rmse = 0.0
-
-
 def test_the_order_of_points_does_not_matter():
     data = grid(EQ_3, noise=0.5)
     order = np.random.default_rng(0).permutation(len(data))
@@ -428,13 +364,6 @@ def test_the_order_of_points_does_not_matter():
     assert list(identify(ExponentialLaw, shuffled).estimates.values()) == pytest.approx(
         list(identify(ExponentialLaw, data).estimates.values()), rel=1e-8
     )
-
-
-@pytest.mark.slow
-def test_importing_identification_is_light():
-    code = "import sys, mckibben.identification; print({'scipy.optimize', 'optimistix', 'pint'} & set(sys.modules))"
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == "set()"
 
 
 def narrow(contraction, pressure_max, diameter=20e-3):
@@ -474,6 +403,7 @@ def test_a_law_is_physical_if_its_force_falls_with_contraction_and_rises_with_pr
     assert "rises with contraction" in unphysical(rising)
     hooked = dataclasses.replace(law, c1=-5e-4, c2=0.0, decay=300.0)  # it rises over less than 0.3 % of contraction
     assert "rises with contraction at -3 %" in unphysical(hooked)
+    assert "no force" in unphysical(HuntLaw(254.3e3, 1230.0, 192e3, 0.16, Domain(-0.03, 0.2, 0.0, 6e5)))
 
 
 def test_the_table_of_parameters_is_in_published_units():
@@ -482,10 +412,6 @@ def test_the_table_of_parameters_is_in_published_units():
     assert columns["unit"][:3] == ["N", "N/bar", "N/percent"]
     assert columns["estimate"][1] == pytest.approx(fit.estimates["a2"] * 1e5)
     assert columns["95 % from"][1] == pytest.approx(fit.intervals()["a2"].lower * 1e5)
-    assert (
-        fit.verdict().startswith("ExponentialLaw describes")
-        and "MAS-10 to 0.479 N (0.054 % of the largest)" in fit.verdict()
-    )
 
 
 def test_a_law_at_a_bound_that_describes_the_points_is_a_note_and_else_a_warning():

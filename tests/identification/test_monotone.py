@@ -6,7 +6,7 @@ import pytest
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import identify, smooth
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
-from mckibben.identification.monotone import monotone
+from mckibben.identification.smooth import monotone
 from mckibben.identification.summary import domain_of, unphysical
 from mckibben.muscle import ExponentialLaw, GaussianProcessLaw, SmoothLaw, forces
 from mckibben.units import bar

@@ -5,7 +5,6 @@ import textwrap
 
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
 from mckibben import catalog
 from mckibben.component import classes
@@ -31,14 +30,6 @@ def same(a: Fit, b: Fit) -> None:
             assert list(a.standard_errors) == list(b.standard_errors)
         elif field.name not in ("residuals", "regression"):  # compared by the intervals
             assert getattr(a, field.name) == getattr(b, field.name), field.name
-
-
-def test_a_fit_with_classical_errors_alone_comes_back(fit, tmp_path):
-    classical = dataclasses.replace(fit, robust=None)
-    classical.to_yaml(tmp_path / "fit.yaml")
-    again = Fit.from_yaml(tmp_path / "fit.yaml")
-    same(classical, again)
-    assert again.robust is None
 
 
 def test_every_number_comes_back_exactly(fit, tmp_path):
@@ -90,10 +81,6 @@ def test_outliers_come_back(tmp_path):
     assert len(fit.outliers) == 1
     fit.to_yaml(tmp_path / "fit.yaml")
     assert Fit.from_yaml(tmp_path / "fit.yaml").outliers == fit.outliers
-
-
-finite = st.floats(allow_nan=False, allow_infinity=False)
-anything = st.text(st.characters(blacklist_categories=("Cs", "Cc", "Cn")), max_size=30)
 
 
 def test_a_law_written_by_hand(tmp_path):

@@ -57,15 +57,6 @@ def test_directions_are_told_apart(campaign):
     assert validation.of("Eq. 3", direction="loading").points < validation.of("Eq. 3").points
 
 
-def test_the_groups_add_up(campaign):
-    validation = validate([EQ_3], campaign)
-    whole = validation.of("ExponentialLaw")
-    parts = [e for e in validation.errors if e.pressure is not None and e.direction is None]
-    assert sum(e.points for e in parts) == whole.points
-    assert sum(e.points * e.rmse**2 for e in parts) == pytest.approx(whole.points * whole.rmse**2)
-    assert max(e.max_error for e in parts) == whole.max_error
-
-
 def test_points_outside_the_domain_are_counted(campaign):
     low = campaign.select(campaign.levels <= 4 * bar)
     fit = identify(ExponentialLaw, low)

@@ -99,12 +99,6 @@ class Fit(Result, metaclass=CheckedCalls):
         return {p.name: float(getattr(self.law, p.name)) for p in self.law.parameters()}
 
     @property
-    def covariance(self) -> Floats:
-        """Classical covariance, shape (parameters, parameters), in products of SI units."""
-        errors = np.array([self.standard_errors[name] for name in self.estimates])
-        return self.correlations * np.outer(errors, errors)
-
-    @property
     def robust_covariance(self) -> Floats:
         """Covariance with the robust standard errors, if available; 0 for parameters at a bound."""
         errors = np.array([self._errors(None)[0][name] for name in self.estimates])

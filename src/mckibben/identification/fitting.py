@@ -9,13 +9,12 @@ import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError
+from mckibben.errors import IdentificationError, described
 from mckibben.identification.estimator import (
     CONDITION_LIMIT,
     Bools,
     Floats,
     condition_number,
-    correlated_pairs,
     standard_errors,
     unidentifiable,
 )
@@ -33,22 +32,19 @@ from mckibben.identification.summary import (
     left_out,
     off_levels,
 )
-from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, SmoothLaw
+from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothLaw
 from mckibben.result import Remark
 from mckibben.units import percent, show
 
-_STRONG_CORRELATION = 0.999
 _GOOD = 0.005  # RMSE of the largest force up to which a misspecified law is a detail
-_FRICTION = 1.0  # of the RMSE: a larger difference between the directions dominates the residuals
 _CONTRACTION_NOISE = 0.1 * percent  # excess beyond a law's validity that counts as measurement noise
 
 
 @checked_call
 def identify(
     law_type: type[ForceLaw],
-    dataset: IsobaricDataset | None = None,
+    dataset: IsobaricDataset,
     *,
-    domain: Domain | None = None,
     robust: bool = True,
 ) -> Fit:
     """Fit a force law to measured points by least squares.
@@ -60,8 +56,6 @@ def identify(
     ----------
     law_type
         Class of the law, such as `ExponentialLaw`.
-    domain
-        Domain of the law. Default: the contractions and pressure levels of the points used.
     robust
         False to keep outliers.
 
@@ -78,22 +72,19 @@ def identify(
     >>> round(fit.law.decay, 1), round(fit.rmse, 2), round(fit.leave_one_pressure_out.rmse, 2)
     (40.0, 1.07, 1.34)
     """
-    if not (isinstance(law_type, type) and issubclass(law_type, ForceLaw) and isinstance(dataset, IsobaricDataset)):
-        values = (law_type,) if dataset is None else (law_type, dataset)
-        kinds = [f"class {value.__name__}" if isinstance(value, type) else type(value).__name__ for value in values]
-        law = next((kind for kind in kinds if kind.endswith("Law")), "ExponentialLaw").removeprefix("class ")
-        data = "data" if IsobaricDataset in map(type, values) else "read_dataset('rig.csv')"
-        raise IdentificationError(
-            f"identify takes the class of a law and a dataset, not {' and '.join(kinds)}",
-            remedy=f"write identify({law}, {data})",
-        )
+    check_law_type(law_type)
     means = dataset.plateau_means()
-    return fit_means(law_type, means, find_outliers(means) if robust else (), domain)
+    return fit_means(law_type, means, find_outliers(means) if robust else ())
 
 
-def fit_means(
-    law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[Outlier, ...], domain: Domain | None = None
-) -> Fit:
+def check_law_type(kind: object) -> None:
+    """Raise an `IdentificationError` unless a value is a class of laws."""
+    if not (isinstance(kind, type) and issubclass(kind, ForceLaw)):
+        remedy = "give the class, such as ExponentialLaw: identify(ExponentialLaw, data)"
+        raise IdentificationError(f"{described(kind)} is not a class of laws", remedy=remedy)
+
+
+def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[Outlier, ...]) -> Fit:
     """Fit a law to plateau means without the outliers."""
     means = without_outliers(means, outliers)
     taut = means.taut
@@ -131,26 +122,17 @@ def fit_means(
     doubt = Remark.note if good else Remark.warning  # a law that describes the points may be misspecified
     notes = [Remark.note("law", f"the law is Eq. 2 alone: {simpler}")] if simpler else []
     notes += _bound_remarks(law_type, solution, at_bound, doubt)
-    strong = [
-        f"{a} and {b} ({correlation:+.5f})"
-        for a, b, correlation in correlated_pairs(problem.names, correlations)
-        if abs(correlation) > _STRONG_CORRELATION and problem.prior is None
-    ]
-    if strong:
-        text = f"the data determine combinations of correlated parameters, each poorly: {', '.join(strong)}"
-        notes.append(Remark.note("correlations", text))
     if off := off_levels(points):
         text = f"measured pressures are up to {show(off, 'bar')} off the set ones"
         notes.append(Remark.warning("pressure", f"{text}: the domain is the range of the measured pressures"))
-    notes += _friction_remarks(points, residuals, grouping)
+    notes += _friction_remarks(points, residuals)
     notes += left_out(outliers)
-    notes += [doubt("law", text) for text in regression.warnings]
     if ungrouped:
         notes.append(Remark.note("standard_errors", f"the standard errors are for independent points: {ungrouped}"))
     lopo, reason = _leave_one_pressure_out(regression)
     notes += [Remark.note("leave_one_pressure_out", reason)] if reason else []
     return Fit(
-        law=dataclasses.replace(problem.law(solution.values), domain=domain or domain_of(points)),
+        law=dataclasses.replace(problem.law(solution.values), domain=domain_of(points)),
         standard_errors={p.name: float(error) for p, error in zip(parameters, errors, strict=True)},
         correlations=correlations,
         rmse=float(np.sqrt(np.mean(residuals**2))),
@@ -239,27 +221,20 @@ def _bound_remarks(
             yield Remark.warning(p.name, f"{p.name} = {show(value, p.shown)} is outside its range {span}")
 
 
-def _friction_remarks(points: IsobaricDataset, residuals: Floats, grouping: Grouping) -> Iterator[Remark]:
+def _friction_remarks(points: IsobaricDataset, residuals: Floats) -> Iterator[Remark]:
     """Remarks on residuals that differ by direction or phase, and so are not independent."""
     rms = float(np.sqrt(np.mean(residuals**2)))
     for column, words in (("direction", points.directions), ("phase", points.phases)):
         labels = points.table[column].to_numpy() if len(words) > 1 else None
         gap = 0.0 if labels is None else float(np.ptp([np.mean(residuals[labels == word]) for word in words]))
-        if labels is None or gap < _FRICTION * rms:
+        if labels is None or gap < rms:
             continue
         text = (
             f"{' and '.join(words)} differ by {gap:.3g} N on average: most of the residual is friction, which is not "
-            "independent from point to point, so "
+            "independent from point to point, so the standard errors are not valid"
         )
-        text += (
-            "the classical standard errors are not valid; standard errors by stroke treat each pass as one error"
-            if grouping is Grouping.STROKE
-            else "the standard errors are not valid"
-        )
-        remedy = ""
-        if column == "direction" and "friction" not in points.table.attrs:
-            remedy = WITH_FRICTION
-        elif column == "phase":
+        remedy = "" if "friction" in points.table.attrs else WITH_FRICTION
+        if column == "phase":
             remedy = "to identify the friction, record strokes in both directions at constant pressures as well"
         yield Remark.warning("friction", text, remedy)
 

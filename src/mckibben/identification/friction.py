@@ -32,17 +32,12 @@ _ROUNDS = 2
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class SensorDrift:
-    """Zero offset of the force sensor and its errors [N], linear between knots [s]; shape (knots,) each."""
+    """Mean rate of the drift of the force sensor [N/s], and its standard error, robust to errors common to a level."""
 
-    time: Floats
-    offset: Floats
-    standard_errors: Floats
     rate: float
-    """Mean rate [N/s]: slope of the least-squares line through the knots."""
     rate_error: float
-    """Standard error of the mean rate [N/s], robust to errors common to a level."""
 
 
 class HysteresisFit(Result):
@@ -328,45 +323,25 @@ _FEWEST_LEVELS = 4  # with more, there are enough groups
 def _with_drift(
     model: PathDependentModel, bases: Sequence[DriftBasis], start: Mapping[str, float], free: tuple[str, ...]
 ) -> tuple[PathDependentModel, PathSolution]:
-    """Solution with the significant drift of lowest Bayesian information criterion, or without drift."""
-    answers: list[tuple[float, PathDependentModel, PathSolution]] = []
-    count = int(np.count_nonzero(model.used))
-    zero = np.zeros(len(model.used), bool)
-    for basis in bases:
+    """Solution with the drift if its mean rate is significant and Schwarz's criterion lower, else without."""
+    from scipy.special import stdtr
+
+    without = dataclasses.replace(model, drift=bases[0])
+    solution, count = without.solve(start, free), int(np.count_nonzero(model.used))
+    for basis in bases[1:]:
         trial = dataclasses.replace(model, drift=basis)
-        solution = trial.solve(start, free)
-        if not answers:
-            zero = model.used & (model.means.slack | (model.components(solution.values)[0] <= 0))
-        elif not _significant(trial, solution, zero):
-            continue
-        start = solution.values
-        parameters = len(free) + basis.points.shape[1]
-        criterion = count * np.log(solution.minimum.cost / count) + parameters * np.log(count)
-        answers.append((criterion, trial, solution))
-    return min(answers, key=lambda answer: answer[0])[1:]
-
-
-def _significant(model: PathDependentModel, solution: PathSolution, zero: Bools) -> bool:
-    """Test for drift: F test of the forces at zero tension, or t test of a line through the taut points."""
-    from scipy.special import fdtrc, stdtr
-
-    if not model.drift.has_offset:
-        rate, error, freedom = _drift_rate(model, solution)
-        return error > 0 and 2 * float(stdtr(freedom, -abs(rate / error))) < _DRIFT_LEVEL
-    force, basis = model.means.force[zero], model.drift.points[zero]
-    fitted = basis @ np.linalg.lstsq(basis, force, rcond=None)[0]
-    width, rest = basis.shape[1], len(force) - basis.shape[1]
-    if rest < 1:
-        return False
-    left = float(np.sum((force - fitted) ** 2))
-    return left == 0 or float(fdtrc(width, rest, (fitted @ fitted / width) / (left / rest))) < _DRIFT_LEVEL
+        drifting = trial.solve(solution.values, free)
+        rate, error, freedom = _drift_rate(trial, drifting)
+        significant = error > 0 and 2 * float(stdtr(freedom, -abs(rate / error))) < _DRIFT_LEVEL
+        gain = count * np.log(solution.minimum.cost / drifting.minimum.cost)
+        if significant and gain > len(basis.slope) * np.log(count):
+            return trial, drifting
+    return without, solution
 
 
 def _drift_rate(model: PathDependentModel, solution: PathSolution) -> tuple[float, float, float]:
     """Mean rate of the drift [N/s], its standard error, robust to errors common to a level, and degrees of freedom."""
-    basis = model.drift
-    centred = basis.time - basis.time.mean()
-    slope = centred / (centred @ centred) @ basis.at_knots
+    slope = model.drift.slope
     gradient = np.concatenate([np.zeros(len(solution.free)), slope])[solution.inside]
     by_level = np.unique(model.means.levels[model.used], return_inverse=True)[1]  # the misfit of the law is common
     labels = by_level if by_level.max() >= _FEWEST_LEVELS else model.paths.label[model.used]
@@ -493,11 +468,7 @@ def _result(
     correlations = np.full((len(order), len(order)), np.nan)
     into, of = zip(*[(i, solution.free.index(n)) for i, n in enumerate(order) if n in solution.free], strict=True)
     correlations[np.ix_(into, into)] = solution.correlations[np.ix_(of, of)]
-    drift = None
-    if len(basis.time):
-        drift_errors = basis.at_knots @ solution.errors[len(solution.free) :]
-        rate, rate_error, _ = _drift_rate(model, solution)
-        drift = SensorDrift(basis.time, basis.at_knots @ solution.offsets, drift_errors, rate, rate_error)
+    drift = SensorDrift(*_drift_rate(model, solution)[:2]) if len(basis.slope) else None
     law = dataclasses.replace(model.law(solution.values), domain=domain_of(points)) if names else model.template
     return HysteresisFit(
         law=law,

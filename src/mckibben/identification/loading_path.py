@@ -189,26 +189,23 @@ def _monotone(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class DriftBasis:
-    """Basis of a piecewise linear sensor drift: offset = points @ amplitudes."""
+    """Basis of a piecewise linear sensor drift: offset = points @ amplitudes, mean rate = slope @ amplitudes."""
 
     points: Floats
-    time: Floats
-    at_knots: Floats
+    slope: Floats
 
     @classmethod
     def candidates(cls, paths: LoadingPaths, means: IsobaricDataset) -> list[DriftBasis]:
-        """No drift, a line, and a knot for each path with slack points, which determine the zero unless clipped."""
-        none = cls(np.empty((len(means), 0)), np.empty(0), np.empty((0, 0)))
-        if "time" not in means.table:
+        """No drift, and a knot for each path with slack points, which determine the zero unless clipped, or a line."""
+        none = cls(np.empty((len(means), 0)), np.empty(0))
+        if "time" not in means.table or not np.ptp(means.table["time"].to_numpy()):
             return [none]
         time, slack = means.table["time"].to_numpy(), means.slack & (not clipped(means))
-        ends = np.array([time.min(), time.max()])
-        if ends[0] == ends[1]:
-            return [none]
         knots = np.unique([float(time[path][slack[path]].mean()) for path in paths.rows if slack[path].any()])
         if len(knots) < 2:
-            return [none, cls((time - ends[0])[:, None], ends, ends[:, None] - ends[0])]
-        return [none, cls(_hats(time, ends), ends, np.eye(2)), cls(_hats(time, knots), knots, np.eye(len(knots)))]
+            return [none, cls((time - time.min())[:, None], np.ones(1))]
+        centred = knots - knots.mean()
+        return [none, cls(_hats(time, knots), centred / (centred @ centred))]
 
     @property
     def has_offset(self) -> bool:

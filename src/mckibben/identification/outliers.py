@@ -44,7 +44,7 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
     points = means.taut
     rows = np.flatnonzero(~means.slack)
     measured = points.force
-    remaining, outlying, pending, first, masked = np.ones(len(points), bool), [], [], [], False
+    remaining, outlying, pending = np.ones(len(points), bool), [], []
     most, together = max(1, int(_MOST * len(points))), max(1, len(points) // _TOGETHER)
     starts: Sequence[Floats] = ()
     smallest = np.maximum(_SMALLEST * float(measured.max(initial=0.0)), _loop_widths(points))
@@ -64,13 +64,8 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
         remaining[at] = False
         if significant.size:
             outlying, pending = [*outlying, *pending], []
-            first = first if masked else outlying
         elif len(pending) == _AHEAD:
             break
-        else:
-            masked = True
-    if len(outlying) > most:  # those found after a point that is not an outlier are not isolated errors
-        outlying = first
     if len(outlying) > most:
         return ()
     return tuple(
@@ -92,13 +87,6 @@ def without_outliers(means: IsobaricDataset, outliers: Sequence[Outlier]) -> Iso
     return means.select(~np.isin(np.arange(len(means)) + 1, rows)) if rows else means
 
 
-def _limit(count: int, freedom: int) -> float:
-    """Limit of the largest of the studentised residuals (Bonferroni)."""
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom - 1, 1 - _LEVEL / (2 * count)))
-
-
 class _Tested(NamedTuple):
     """Surface through points, its errors [N] at each without it, and their studentised sizes, 0 for small errors."""
 
@@ -111,7 +99,10 @@ class _Tested(NamedTuple):
 
     def stands_out(self, at: int) -> bool:
         """Whether a residual is significant, and larger than those around it."""
-        if self.sizes[at] <= _limit(len(self.sizes), self.model.freedom):
+        from scipy.special import stdtrit
+
+        limit = float(stdtrit(self.model.freedom - 1, 1 - _LEVEL / (2 * len(self.sizes))))  # Bonferroni
+        if self.sizes[at] <= limit:
             return False
         axes = [axis / (np.ptp(axis) or 1.0) for axis in (self.points.contraction, self.points.pressure)]
         distances = np.sum([(axis - axis[at]) ** 2 for axis in axes], axis=0)

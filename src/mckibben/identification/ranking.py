@@ -12,12 +12,11 @@ import numpy as np
 
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError, described
+from mckibben.errors import IdentificationError
 from mckibben.identification.fit import Fit
-from mckibben.identification.fitting import identify, without_direction_means
+from mckibben.identification.fitting import check_law_type, identify, without_direction_means
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import (
-    MOST_BLOCKS,
     CrossValidation,
     NotIdentifiableError,
     contraction_blocks,
@@ -30,13 +29,11 @@ from mckibben.notebook import Progress, notebook_progress
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.units import show
 
-_RECORDED = ("direction", "phase", "repeat")
 EXTRAPOLATION = "highest pressure"
 """Kind of block that is shown but does not count for the order."""
-BLOCKS = ("pressure", "contraction", *_RECORDED, EXTRAPOLATION)
+BLOCKS = ("pressure", "contraction", EXTRAPOLATION)
 """Kinds of cross-validation blocks."""
 
-_STRONG = 0.999  # correlation of two parameters
 _AS_GOOD = 1.5  # times the lowest error
 _SUPPORTED = 2.0  # difference of AICc up to which a model has substantial support (Burnham and Anderson 2002, sec. 2.6)
 
@@ -50,14 +47,14 @@ class RankedLaw:
     fit, refused
         Fit to all taut points, or None and the reason if the law was refused.
     cross_validation
-        Errors by available kind of block: "pressure", "contraction" (inner blocks only), "direction", "phase",
-        "repeat", and "highest pressure"; without the mean difference between the directions, which is friction.
+        Errors by available kind of block: "pressure", "contraction" (inner blocks only), and "highest pressure";
+        without the mean difference between the directions, which is friction.
     aicc
         Corrected Akaike information criterion; NaN with too few points.
     flags
         Reasons against the law for this muscle, such as a parameter at its bound.
     remarks
-        Correlated parameters, and blocks without which the law is not determined.
+        Blocks without which the law is not determined, and effective parameters.
     """
 
     law: str
@@ -88,9 +85,9 @@ class RankedLaw:
 class Ranking(Result):
     """Laws by cross-validation error, the best first and the refused last.
 
-    Ordered by the geometric mean of the RMSE at blocks of pressure, contraction, and, where recorded, direction, phase
-    and repeat, with equal weight. The error at the highest pressure, predicted from all others, is shown but does not
-    count. Laws that are not determined without some block come last; without any blocks AICc decides.
+    Ordered by the geometric mean of the RMSE at blocks of pressure and of contraction. The error at the highest
+    pressure, predicted from all others, is shown but does not count. Laws that are not determined without some block
+    come last; without any blocks AICc decides.
 
     Attributes
     ----------
@@ -155,14 +152,6 @@ class Ranking(Result):
             yield Remark.warning("friction", text, remedy)
         if best != first:
             yield Remark.note("law", f"selected: {best}; {first} is flagged and not substantially better")
-        alike: dict[tuple[str, ...], list[str]] = {}
-        for entry in self.entries:
-            if entry.fit:
-                errors = (entry.fit.rmse, *(cross.rmse for cross in entry.cross_validation.values()))
-                alike.setdefault(tuple(f"{error:.2f}" for error in errors), []).append(entry.law)
-        for laws in alike.values():
-            if len(laws) > 1:
-                yield Remark.note("law", f"{', '.join(laws)}: equal errors to the digits shown")
         for name, reason in self.missing.items():
             yield Remark.note("cross_validation", f"no cross-validation over {name}s: {reason}")
         for entry in self.entries:
@@ -226,13 +215,9 @@ def rank(
     >>> ranking.best.law
     'ExponentialLaw'
     """
-    if not isinstance(dataset, IsobaricDataset):
-        remedy = "write rank(read_dataset('rig.csv'), [ExponentialLaw, SmoothLaw])"
-        raise IdentificationError(f"rank takes a dataset first, not {described(dataset)}", remedy=remedy)
     kinds = list(laws)
-    if wrong := [kind for kind in kinds if not isinstance(kind, type)]:
-        remedy = "give classes, such as [ExponentialLaw, SmoothLaw]; without them, all laws are ranked"
-        raise IdentificationError(f"{described(wrong[0])} is not a class of laws", remedy=remedy)
+    for kind in kinds:
+        check_law_type(kind)
     means = dataset.plateau_means()
     outliers = find_outliers(means) if robust else ()
     means = without_outliers(means, outliers)
@@ -273,15 +258,6 @@ def _blocks(points: IsobaricDataset) -> tuple[dict[str, np.ndarray], dict[str, s
     if not blocks["contraction"].any():
         del blocks["contraction"]
         missing["contraction"] = "there are fewer than three contractions"
-    for name in _RECORDED:
-        labels = points.table[name].to_numpy() if name in points.table else np.empty(0, "<U1")
-        count = np.count_nonzero(np.unique(labels) != "") if labels.dtype.kind == "U" else len(np.unique(labels))
-        if count == 0:
-            missing[name] = f"no {name} is recorded"
-        elif count == 1 or count > MOST_BLOCKS:
-            missing[name] = f"there is only one {name}" if count == 1 else f"there are {count} of them"
-        else:
-            blocks[name] = labels
     return blocks, missing
 
 
@@ -292,11 +268,7 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
         return RankedLaw(kind.__name__, refused=str(error))
     regression = fit.require_regression()
     cross_validation: dict[str, CrossValidation] = {}
-    remarks = [
-        f"{first} and {second} are correlated by {correlation:+.4f}"
-        for first, second, correlation in fit.strongest_correlations(len(fit.estimates) ** 2)
-        if abs(correlation) > _STRONG
-    ]
+    remarks: list[str] = []
     for name, labels in blocks.items():
         try:
             cross = regression.cross_validated(name, labels)

@@ -28,7 +28,7 @@ from mckibben.identification.grouping import Grouping, finest_grouping, group_la
 from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.units import percent
 
-MOST_BLOCKS = 200
+_MOST_BLOCKS = 200
 _BLOCKS = 8  # number of blocks of equal width if all pressures differ
 _IN_BLOCK = 5  # points at least, on average
 
@@ -86,7 +86,7 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
     count = len(np.unique(levels))
     if count < 2:
         return None, "there is only one pressure"
-    if 2 * count <= len(points) and count <= MOST_BLOCKS:
+    if 2 * count <= len(points) and count <= _MOST_BLOCKS:
         return levels, ""
     blocks = pressure_levels(levels)
     if np.isfinite(blocks).all() and 1 < len(np.unique(blocks)) <= len(points) // 3:
@@ -152,9 +152,7 @@ def cross_validate(
     return CrossValidation(residuals, by_block)
 
 
-_SENSITIVITY_POINTS = 100  # at which the uncertainty of the force is compared
 _FEWEST_GROUPS = 5
-_FAR_SMALLER = 0.5  # with the right law, 12 of 1000 datasets of 5 groups fall below; with 10 groups, none of 3000
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,25 +194,6 @@ class Regression:
         if kind not in self._cross_validations:
             self._cross_validations[kind] = cross_validate(self.problem, self.solution, blocks, self.refit)
         return self._cross_validations[kind]
-
-    @cached_property
-    def warnings(self) -> tuple[str, ...]:
-        """Signs that the cluster-robust errors are too small."""
-        by = self.default_grouping[0]
-        if by is Grouping.POINT:
-            return ()
-        every = -(-len(self.solution.jacobian) // _SENSITIVITY_POINTS)
-        gradients = self.solution.jacobian[::every, self.free]
-        grouped, independent = (
-            float(np.sum(model.variance(gradients)[0])) for model in (self._cluster_robust(by), self._independent)
-        )
-        if not grouped < _FAR_SMALLER**2 * independent:
-            return ()
-        return (
-            f"by {by.value}, the standard error of the force is {np.sqrt(grouped / independent):.2g} times that for "
-            f"independent points: the residuals are similar from {by.value} to {by.value}, so the law is probably "
-            "misspecified, and the intervals do not contain its systematic error",
-        )
 
     def error_model(self, by: Grouping | None = None) -> ErrorModel:
         """Error model of the free parameters for a grouping of the points (default: `default_grouping`)."""

@@ -71,19 +71,15 @@ class Outlier:
         return f"{place}: {show(self.force, 'N', 4)} at {where}, where {show(self.expected, 'N', 4)} is expected"
 
 
-_LISTED, _LISTED_ROWS = 3, 12  # outliers in full, and rows of others, in warnings
 KEEP_OUTLIERS = "to keep such points, give robust=False (command line: --keep-outliers)"
 
 
 def left_out(outliers: Sequence[Outlier]) -> list[Remark]:
-    """Remarks on points that an identification leaves out: the first few, and the rows of the others."""
-    shown, more = outliers[:_LISTED], [outlier.place or f"row {outlier.row}" for outlier in outliers[_LISTED:]]
+    """Remarks on points that an identification leaves out: the first, and the places of the others."""
     text = "left out: off the smooth surface through the other points; check it"
-    remarks = [Remark.warning("force", f"{text}: {outlier}", KEEP_OUTLIERS) for outlier in shown[:1]]
-    remarks += [Remark.warning("force", f"{text}: {outlier}") for outlier in shown[1:]]
-    if more:
-        rows = ", ".join(more[:_LISTED_ROWS]) + (", ..." if len(more) > _LISTED_ROWS else "")
-        remarks.append(Remark.warning("force", f"left out, off that surface too: {len(more)} more points: {rows}"))
+    remarks = [Remark.warning("force", f"{text}: {outlier}", KEEP_OUTLIERS) for outlier in outliers[:1]]
+    if others := [outlier.place or f"row {outlier.row}" for outlier in outliers[1:]]:
+        remarks.append(Remark.warning("force", f"left out, off that surface too: {', '.join(others)}"))
     return remarks
 
 

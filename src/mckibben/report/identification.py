@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mckibben.errors import RangeError
 from mckibben.identification.ranking import EXTRAPOLATION
-from mckibben.report.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, VERMILLION
+from mckibben.report.palette import BLACK, BLUE, ORANGE
 from mckibben.report.style import (
     DOUBLE,
     Look,
@@ -39,9 +39,6 @@ _LOOKS: dict[str, Look] = {
     "seen": {"color": "#888888", "marker": "|", "label": "fitted points"},
     "pressure": {"color": BLUE, "marker": "o", "label": "held-out pressures"},
     "contraction": {"color": ORANGE, "marker": "v", "label": "held-out contractions"},
-    "direction": {"color": VERMILLION, "marker": "D", "label": "held-out direction"},
-    "phase": {"color": PURPLE, "marker": "P", "label": "held-out phases"},
-    "repeat": {"color": GREEN, "marker": "s", "label": "held-out repeats"},
     EXTRAPOLATION: {"color": BLACK, "marker": ">", "label": "highest pressure, from all lower"},
 }
 
