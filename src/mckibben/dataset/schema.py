@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -454,10 +454,3 @@ def _cells(values: np.ndarray) -> list[str]:
     if values.dtype.kind == "f":
         return ["" if value != value else repr(value) for value in values.tolist()]
     return [str(value) or "unknown" for value in values.tolist()]  # directions and phases
-
-
-def text_table(rows: Sequence[Sequence[str]], left: Iterable[int]) -> list[str]:
-    """Lines of a table, the columns in `left` left-aligned and the others right-aligned."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    aligned = ["<" if i in left else ">" for i in range(len(widths))]
-    return ["  ".join(f"{c:{a}{w}}" for c, a, w in zip(row, aligned, widths, strict=True)).rstrip() for row in rows]
