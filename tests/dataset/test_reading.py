@@ -251,7 +251,7 @@ def test_what_this_program_wrote_is_read_as_it_is(tmp_path):
 def test_the_time_of_a_recording(put):
     header, time = "Time [s];Pressure [bar];Force [N]", np.arange(18) * 0.01
     path = put(table(header.partition(";")[2], P, F))
-    assert any("--sample-rate" in problem for problem in problems_of(path, read_recording))
+    assert any("sample_rate" in problem for problem in problems_of(path, read_recording))
     assert read_recording(path, sample_rate=100.0, contraction=0.1).time == pytest.approx(time)
     timed = put(table(header, time, P, F))
     assert read_recording(timed).contraction is None
