@@ -89,8 +89,8 @@ def tune(
         If `out` has a study and `resume` is not set; with `resume`, if it has none or another one; if another process
         is using it; or if the disk is full.
     """
-    if isinstance(method, str) and method not in SEARCHES:
-        remedy = suggest(method, list(SEARCHES))
+    if not callable(method) and method not in SEARCHES:
+        remedy = suggest(str(method), list(SEARCHES))
         raise ParameterError(f"method is {method!r:.60}", field="method", value=method, remedy=remedy)
     search = SEARCHES[method] if isinstance(method, str) else method
     check_count("iterations", iterations, 1, 10**9)
