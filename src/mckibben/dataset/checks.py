@@ -313,9 +313,9 @@ def questions_of_labels(dataset: IsobaricDataset) -> Iterator[Question]:
         yield question("order", text, field="set_pressure", remedy="check its unit, or ignore the column")
     if "direction" in table:
         label = table["direction"].to_numpy()
-        moved = np.where((np.diff(level) == 0) & (label[1:] == label[:-1]), np.diff(dataset.contraction), 0.0)
-        growing, falling = moved > 0.2 * percent, moved < -0.2 * percent
-        wrong = (label[1:] == "loading") & growing | (label[1:] == "unloading") & falling
-        if np.count_nonzero(wrong) > max(5, 0.9 * np.count_nonzero(growing | falling)):
+        steps = np.where(np.diff(level) == 0, np.diff(dataset.contraction), 0.0)
+        used = (label[1:] == label[:-1]) & (np.abs(steps) > 0.2 * percent)
+        signs = [sign * steps[used & (label[1:] == word)] > 0 for word, sign in (("loading", 1), ("unloading", -1))]
+        if all(len(wrong) > 2 and wrong.mean() > 0.9 for wrong in signs):  # of one direction they may be sorted
             text = "the contraction grows in loading and falls in unloading, but loading is being stretched"
             yield question("order", text, field="direction", remedy="exchange the words")
