@@ -82,7 +82,7 @@ def outputs(errors, kp, ki, period):
     pid = mk.PID(kp=kp, ki=ki, kd=0.0)
     state, integral, found, expected = pid.init(0.0, 0.0, 0.0), 0.0, [], []
     for error in errors:
-        state, output = pid.step(state, error, 0.0, 0.0, period)
+        state, output = pid.step(state, error, 0.0, period)
         integral, mine = pi_step(integral, error, kp, ki, period)
         found.append(float(mine))
         expected.append(float(output))
