@@ -217,8 +217,8 @@ def slack_force(
     """Force of the slack muscle, which depends neither on the contraction nor on the pressure; None if not detectable.
 
     The mode of the lowest forces is the offset, and the forces below it give the noise. They are slack if they are at
-    two pressures or more and do not change with the contraction within a stroke, or are without pressure, and lie
-    beyond the taut points of their strokes.
+    two pressures or more and change neither with the contraction nor from stroke to stroke, or are without pressure,
+    and lie beyond the taut points of their strokes.
 
     Parameters
     ----------
@@ -249,17 +249,19 @@ def slack_force(
     if (slack & beyond).sum() < 0.8 * beyond.sum():
         return None
     vented = pressure[slack].max() <= 0.05 * bar
-    level = len(np.unique(pressure[slack])) > 1 and not _falls(force[slack], contraction[slack], strokes[slack])
+    level = len(np.unique(pressure[slack])) > 1 and not _depends(force[slack], contraction[slack], strokes[slack])
     return Slack(offset, noise, points) if vented or level else None
 
 
-def _falls(force: Floats, contraction: Floats, strokes: Ints) -> bool:
-    """Whether the force changes with the contraction within strokes; also if too few points tell."""
+def _depends(force: Floats, contraction: Floats, strokes: Ints) -> bool:
+    """Whether the force changes with the contraction within strokes, or between them; also if too few points tell."""
     counts = np.bincount(strokes)
     x, y = (values - (np.bincount(strokes, values) / np.maximum(counts, 1))[strokes] for values in (contraction, force))
     freedom = len(force) - np.count_nonzero(counts) - 1
-    explained = (x @ y) ** 2 / ((x @ x) * (y @ y) or np.inf)
-    return bool(freedom < 2 or np.ptp(x) < 1e-3 or explained > 0.5)
+    if freedom < 2 or np.ptp(x) < 1e-3:
+        return True
+    residual = y @ y - (x @ y) ** 2 / (x @ x)
+    return bool(residual < 0.5 * (y @ y) or residual / freedom < 0.5 * np.var(force, ddof=1))
 
 
 def _beyond(marked: NDArray[np.bool_], contraction: Floats, strokes: Ints) -> NDArray[np.bool_]:
