@@ -84,7 +84,7 @@ def test_a_second_of_three_joints_and_a_muscle_over_two_agrees(tmp_path):
 
 def test_the_command_writes_model_and_module_of_a_leg(tmp_path, capsys):
     plant = LegScenario.read(LEG).plant()
-    export(LEG, to="warp", out=tmp_path, name="knee")
+    export(scenario=LEG, to="warp", out=tmp_path, name="knee")
     assert sorted(one.name for one in tmp_path.iterdir()) == ["knee.xml", "knee_warp.py"]
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "knee.xml"))
     assert [model.actuator(one).name for one in range(4)] == list(plant.leg.muscle_names)
@@ -93,5 +93,5 @@ def test_the_command_writes_model_and_module_of_a_leg(tmp_path, capsys):
     (names,) = (one.value for one in tree.body if isinstance(one, ast.Assign) and one.targets[0].id == "ACTUATORS")
     assert ast.literal_eval(names) == plant.leg.muscle_names
     with pytest.raises(ParameterError) as caught:
-        export(LEG, to="osim", out=tmp_path)
+        export(scenario=LEG, to="osim", out=tmp_path)
     assert caught.value.field == "to"
