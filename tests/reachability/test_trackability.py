@@ -169,7 +169,7 @@ def test_jumps_are_smoothed_no_more_than_necessary(plant):
 def test_samples_may_be_many(plant):
     dense = Samples(TIMES, np.asarray(Sine(10 * deg, 0.5)(TIMES)))
     found = on(plant, Reference(dense, 15.0))
-    assert found.trackable and "; samples smoothed over 40 ms" in found.verdict()
+    assert found.trackable and "; 197 corners smoothed over 40 ms" in found.verdict()
 
 
 def test_static_envelope_over_the_angle(plant, paper_precontracted):

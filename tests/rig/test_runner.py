@@ -33,7 +33,6 @@ from mckibben.rig.steps import (
 )
 from mckibben.units import bar, mm, percent
 
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
 EXACT = Regulator(hysteresis=0.0, repeatability=0.0)
@@ -42,8 +41,8 @@ QUICK = {"dwell": 0.2, "acquisition": 0.1, "samples": 100, "speed": 4 * mm}
 
 @pytest.fixture
 def trials(monkeypatch):
-    """The benchmarks that kill and break."""
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    """Kills and faults of a test on the simulated rig."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
     return SimpleNamespace(**{name: importlib.import_module(name) for name in ("kill", "faults")})
 
 
