@@ -113,7 +113,8 @@ def test_commands_on_their_way_are_no_lack_of_supply():
     """A step to the limit of the pressures, with enough supply, must not lower the estimate during the delay."""
     steps = "  angle: {class: step, before: 0 deg, after: 14 deg, at: 0.3 s}\n"
     steps += "  stiffness: {class: step, before: 10 N*m/rad, after: 18.5 N*m/rad, at: 0.2 s}\n"
-    controller = "  class: supply_limit\n  controller:\n    class: decoupling\n    feedback: {bandwidth: 25 rad/s}\n"
+    controller = "  class: supply_limit\n  controller:\n    class: decoupling\n    minimum_tension: 0 N\n"
+    controller += "    feedback: {bandwidth: 25 rad/s}\n"
     text = f"{BEFORE}command_delay: 12 ms\ncontroller:\n{controller}reference:\n{steps}"
     text += "duration: 0.6 s\ncontrol_period: 1 ms\n"
     result = Scenario.parse(text).simulate()

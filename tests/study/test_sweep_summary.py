@@ -173,6 +173,6 @@ def test_the_figure(made, panels, tmp_path):
 def test_the_figure_shows_the_four_inputs_that_matter_most():
     figure = report.sweep(made_up(count=2000))
     shown = " ".join(axes.get_xlabel().replace("\n", "") for axes in figure.axes)
-    assert "load.mass2[kg]" in shown
-    assert "controller.position.kp[bar/rad]" in shown
+    assert "load.mass2 [kg]" in shown
+    assert "controller.position.kp [bar/rad]" in shown
     assert "1 input with weaker correlation" in figure._suptitle.get_text()

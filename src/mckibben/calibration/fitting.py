@@ -137,7 +137,7 @@ def estimates_listing(quantities: Mapping[str, JointEstimate]) -> Listing:
     return Listing("calibration", columns)
 
 
-class Parameter(NamedTuple):
+class UncertainParameter(NamedTuple):
     """Uncertain quantity: its prior median, and the standard deviation of its logarithm, or of itself."""
 
     name: str

@@ -30,7 +30,7 @@ from mckibben.calibration.equations import (
     problem_of,
 )
 from mckibben.calibration.estimation import STARTS, CalibratedJoint, number, quantities_of, start
-from mckibben.calibration.fitting import OutputErrorFit, Parameter, Scatter, fit_output_error, scatter_between
+from mckibben.calibration.fitting import OutputErrorFit, Scatter, UncertainParameter, fit_output_error, scatter_between
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
@@ -96,7 +96,7 @@ class _Problem(NamedTuple):
     base: CalibrationProblem
     valve: FirstOrderValve
     friction: JointFriction | None
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[UncertainParameter, ...]
 
 
 class CommandedCalibration(CalibratedJoint):
@@ -221,12 +221,12 @@ def calibrate_from_commands(
     damping = rigid.damping or rigid.inertia / _DAMPING_TIME
     rate = highest / valve.time_constant if valve.rate is None else valve.rate
     own = (
-        Parameter("valve.time_constant", "s", float(valve.time_constant), prior.lag),
-        Parameter("valve.rate", "Pa/s", float(rate), prior.rate),
-        Parameter("delay", "s", delay or _DELAY, prior.delay),
-        Parameter("load.damping", "N*m*s/rad", float(damping), prior.damping),
-        Parameter("load.inertia", "kg*m^2", rigid.inertia, prior.mass),
-        Parameter("load.gravity_torque", "N*m", rigid.greatest_gravity_torque, prior.mass),
+        UncertainParameter("valve.time_constant", "s", float(valve.time_constant), prior.lag),
+        UncertainParameter("valve.rate", "Pa/s", float(rate), prior.rate),
+        UncertainParameter("delay", "s", delay or _DELAY, prior.delay),
+        UncertainParameter("load.damping", "N*m*s/rad", float(damping), prior.damping),
+        UncertainParameter("load.inertia", "kg*m^2", rigid.inertia, prior.mass),
+        UncertainParameter("load.gravity_torque", "N*m", rigid.greatest_gravity_torque, prior.mass),
     )
     problem = _Problem(base, valve, friction, own)
     fit, covariance, scatter = _solve(problem, motions)
@@ -351,7 +351,7 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
 _model = jit(_simulated_by)
 
 
-def _differing(own: Sequence[Parameter], scatter: Scatter) -> dict[str, float]:
+def _differing(own: Sequence[UncertainParameter], scatter: Scatter) -> dict[str, float]:
     """Valve, delay and load that differ between the recordings by more than their intervals allow, and factors."""
     rows = zip(own, scatter.ratio[-len(own) :], scatter.p_value[-len(own) :], strict=True)
     return {parameter.name: math.sqrt(ratio) for parameter, ratio, p_value in rows if p_value < _DIFFERS}

@@ -29,7 +29,7 @@ from mckibben.calibration.equations import (
 from mckibben.calibration.fitting import (
     Calibration,
     OutputErrorFit,
-    Parameter,
+    UncertainParameter,
     fit_output_error,
     misfit_remarks,
     noise_of,
@@ -166,11 +166,11 @@ class _Problem(NamedTuple):
 
     joint: AntagonisticJoint
     valve: Actuator
-    parameters: tuple[Parameter, ...]
-    nuisances: tuple[Parameter, ...]  # only the first for valves without a volume
+    parameters: tuple[UncertainParameter, ...]
+    nuisances: tuple[UncertainParameter, ...]  # only the first for valves without a volume
 
     @property
-    def uncertain(self) -> tuple[Parameter, ...]:
+    def uncertain(self) -> tuple[UncertainParameter, ...]:
         """All parameters."""
         return self.parameters + self.nuisances
 
@@ -287,16 +287,16 @@ def _problem_of(joint: AntagonisticJoint, valve: Actuator, prior: JointPrior, de
         own, unit = name.rpartition(".")[2], quantity.unit
         scale = _DEAD_ZONE[unit] if own == "dead_zone" else _SCALES.get(own)
         if value and own not in _KNOWN:
-            parameters.append(Parameter(name, unit, float(value), getattr(prior, _PRIORS.get(own, "valve"))))
+            parameters.append(UncertainParameter(name, unit, float(value), getattr(prior, _PRIORS.get(own, "valve"))))
         elif scale is not None and own not in _KNOWN:
-            parameters.append(Parameter(name, unit, 0.0, scale, logarithmic=False))
+            parameters.append(UncertainParameter(name, unit, 0.0, scale, logarithmic=False))
     deviation = prior.delay if delay else _SCALES["delay"]
-    parameters.append(Parameter("delay", "s", delay or 0.0, deviation, logarithmic=bool(delay)))
+    parameters.append(UncertainParameter("delay", "s", delay or 0.0, deviation, logarithmic=bool(delay)))
     nuisances = (
-        Parameter("pressure_zero", "Pa", 0.0, prior.pressure_zero, logarithmic=False),
-        Parameter("zero", "rad", 0.0, prior.zero, logarithmic=False),
-        Parameter("arm_scale", "1", 1.0, prior.arm_scale, logarithmic=False),
-        Parameter("volume", "1", 1.0, prior.volume, logarithmic=False),
+        UncertainParameter("pressure_zero", "Pa", 0.0, prior.pressure_zero, logarithmic=False),
+        UncertainParameter("zero", "rad", 0.0, prior.zero, logarithmic=False),
+        UncertainParameter("arm_scale", "1", 1.0, prior.arm_scale, logarithmic=False),
+        UncertainParameter("volume", "1", 1.0, prior.volume, logarithmic=False),
     )
     return _Problem(joint, valve, tuple(parameters), nuisances if valve.holds_air else nuisances[:1])
 
