@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import IdealValve
-from mckibben.control import PID, Constant, Jacobian, Sine
+from mckibben.control import PID, Constant, Sine
 from mckibben.numerics.program_cache import FingerprintError, code_fingerprint, fingerprint, structure_fingerprint
+from mckibben.simulation.outcome import Outcome
 
 VALUES = (
     *(None, True, False, 1, 0, 1.0, 0.0, -0.0, 1e-300, "1", "", b"1", 1j),
     *((1,), [1], {1}, frozenset({1}), (1, 2), (1, (2,)), {"a": 1}, {"a": 1.0}, {"b": 1}, ()),
-    *(np.dtype("f4"), np.dtype("f8"), Jacobian.SIGN, IdealValve, PID, IdealValve(), Constant(1.0), Constant(2.0)),
+    *(np.dtype("f4"), np.dtype("f8"), Outcome.COMPLETED, IdealValve, PID, IdealValve(), Constant(1.0), Constant(2.0)),
     *(Sine(1.0, 2.0), Sine(2.0, 1.0), code_fingerprint, fingerprint),
 )
 

@@ -15,7 +15,6 @@ from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.control import (
     PID,
     BackpropPID,
-    Jacobian,
     Multisine,
     PositionStiffnessControl,
     Reference,
@@ -274,7 +273,7 @@ KNOTS = np.array(  # constant; rises, then rests; changes to the end; falls; cha
 )
 
 
-def learning(base: PID, scales, *, seed, jacobian=Jacobian.SIGN) -> BackpropPID:
+def learning(base: PID, scales, *, seed) -> BackpropPID:
     signal, error, output = scales
     return BackpropPID(
         base,
@@ -283,7 +282,6 @@ def learning(base: PID, scales, *, seed, jacobian=Jacobian.SIGN) -> BackpropPID:
         output_scale=output,
         gain_ratio=2.0,
         learning_rate=3.0,
-        jacobian=jacobian,
         seed=seed,
     )
 
