@@ -54,3 +54,26 @@ def test_force_laws_of_the_documentation_pull_more_at_a_higher_pressure_and_less
     for text in laws:
         law = in_whole(plain(read_document(text).data)).joint.muscle2.law
         assert law.force(0.1, 3e5) < law.force(0.0, 3e5) < law.force(0.0, 4e5)
+
+
+PAGES = [DOCS.parent / "README.md", DOCS.parent / "CONTRIBUTING.md", *sorted(DOCS.rglob("*.md"))]
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as on GitHub and in the site."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    slugs = {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
+    return slugs | set(re.findall(r"^\((.*)\)=$", text, re.MULTILINE))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(DOCS.parent)))
+def test_links_of_the_documentation_lead_somewhere(page):
+    text = re.sub(r"^```.*?^```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    for link in re.findall(r"\]\(<?([^)>\s]+)", text):
+        path, _, anchor = link.partition("#")
+        target = (page.parent / path).resolve() if path else page
+        if ":" in link or "api/" in link or "gallery/" in link:  # elsewhere, or made with the site
+            continue
+        assert target.exists(), link
+        assert not anchor or anchor in anchors(target), link
