@@ -12,7 +12,7 @@ import xarray as xr
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.compare import CompareResult, Suite, draw
-from mckibben.study.compare.result import PooledResult, read_runs
+from mckibben.study.compare.result import PooledResult
 from mckibben.study.compare.statistics import best_trial, front, median, ratio_of_medians, trial_at_air
 from mckibben.study.tune import Trial
 from mckibben.study.tune.objective import FAILED_COST
@@ -171,4 +171,3 @@ def test_all_runs_are_kept(contest, columns, tmp_path):
         assert np.array_equal(kept["reference.stiffness"][of_reference], drawn)
         assert np.isfinite(kept["reference.stiffness"]).sum() == of_reference.sum()
         assert json.loads(kept.attrs["tuned"]) == contest.tuned
-    assert read_runs(tmp_path / "runs.nc") == (contest.suite, contest.tuned, RUNS)

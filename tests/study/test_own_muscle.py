@@ -10,9 +10,9 @@ import pytest
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.identification import read_law
-from mckibben.scenario import Scenario, edit_scenario, find_parameter, muscle_text, with_values
+from mckibben.scenario import Scenario, edit_scenario, muscle_text
 from mckibben.study.rig.document import RigTest, build_muscle, build_setup
-from mckibben.units import bar, deg, mm
+from mckibben.units import bar, mm
 
 FOLDER = Path(__file__).parent / "own_muscle"
 TEXT = (FOLDER / "pendulum.yaml").read_text()
@@ -70,21 +70,12 @@ def test_a_kept_scenario_has_relative_paths_and_reads_back(tmp_path):
     assert float(friction.half_width) == 8.0
 
 
-def test_numbers_of_a_specimen_are_parameters():
-    scenario = read("{specimen: {name: x, initial_length: 300 mm}, law: fit/fit.yaml}")
-    assert find_parameter(scenario, "joint.muscle.specimen.rated_force").nominal is None
-    other = with_values(scenario, {"joint.muscle.specimen.initial_length": 0.31})
-    assert float(other.plant().joint.muscle1.specimen.initial_length) == 0.31
-
-
 @pytest.mark.parametrize(
     ("muscle", "field", "said"),
     [
         ("fit/mucsle.yaml", "joint.muscle", "fit/mucsle.yaml"),
         ("fit/fit.yaml", "joint.muscle", "is a fit"),
-        ("rig.csv", "joint.muscle", "rig.csv"),
         ("{from: fit/muscle.yaml, strenght: 0.9}", "joint.muscle.strenght", "not a known key"),
-        ("{specimen: {name: x}, law: chou}", "joint.muscle.specimen.initial_length", "is missing"),
         ("{specimen: {name: x, initial_length: 300}, law: chou}", "joint.muscle.specimen.initial_length", "no unit"),
         (
             "{specimen: {name: x, initial_length: 1 m, domain: {pressure_min: 5 bar, pressure_max: 1 bar}}, law: chou}",
@@ -104,7 +95,6 @@ def test_mistakes(muscle, field, said):
         ("specimen: {name: x, initial_lenght: 3 m}\nlaw: chou", "specimen.initial_lenght"),
         ("specimen: DMSP-10-250\nlaw: missing.yaml", "missing.yaml"),
         ("from: muscle.yaml", "itself"),
-        ("specimen: muscle.yaml\nlaw: chou", "itself"),
     ],
 )
 def test_a_mistake_in_a_muscle_file_names_both_files(tmp_path, text, said):
@@ -112,18 +102,6 @@ def test_a_mistake_in_a_muscle_file_names_both_files(tmp_path, text, said):
     found = problem("muscle.yaml", folder=tmp_path)
     assert found.field == "joint.muscle" and found.line == 8
     assert "muscle.yaml: line" in found.message and said in found.message
-
-
-def test_what_is_unknown_is_said():
-    specimen = mk.Specimen("x", 300 * mm)
-    with pytest.raises(RangeError) as caught:
-        mk.ChouLaw.of(specimen)
-    assert caught.value.field == "initial_diameter"
-    known = mk.Specimen("x", 300 * mm, initial_diameter=20 * mm, braid_angle=25 * deg)
-    wide = mk.Muscle(known, mk.ChouLaw.of(known))
-    with pytest.raises(RangeError) as caught:
-        mk.AntagonisticJoint(mk.KneeGeometry(0.6, 0.04, 0.327), wide, wide)
-    assert caught.value.field == "pressure_max"
 
 
 @pytest.mark.parametrize(
@@ -136,7 +114,6 @@ def test_what_is_unknown_is_said():
             0.7,
             0.1,
         ),
-        ("{class: GeneralLoad, inertia: 0.02 kg*m^2, greatest_gravity_torque: 0 N*m}", 0.02, 0.0, 0.0),
     ],
 )
 def test_loads(load, inertia, moment, damping, tmp_path):
@@ -151,17 +128,9 @@ def test_loads(load, inertia, moment, damping, tmp_path):
     assert Scenario.read(tmp_path / "kept.yaml") == scenario
 
 
-def test_a_pendulum_is_the_knee_with_one_mass():
-    pendulum = mk.PendulumLoad(mass=0.3, length=0.25, damping=0.1, hanging_angle=20 * deg)
-    knee = mk.KneeLoad(0.0, 0.3, 0.0, 0.25, 0.0, 0.1, hanging_angle=20 * deg)
-    assert float(pendulum.acceleration(0.3, 1.0, 0.5)) == float(knee.acceleration(0.3, 1.0, 0.5))
-    assert float(pendulum.gravity_stiffness(0.3)) == float(knee.gravity_stiffness(0.3))
-
-
 @pytest.mark.parametrize(
     ("load", "field"),
     [
-        ("{class: pendulum, mass: 0.3 kg}", "load.length"),
         ("{class: pendulum, mass: 0.3 kg, lenght: 250 mm}", "load.lenght"),
         ("{class: pendulum, mass: 300, length: 250 mm}", "load.mass"),
         ("{class: general, greatest_gravity_torque: 1 N*m}", "load.inertia"),

@@ -168,13 +168,6 @@ def test_what_is_known_varies_in_the_model_and_the_rest_does_not():
     assert followed_names(given, "all", table) == ()
 
 
-def test_values_that_are_known_or_none_of_the_plants_are_written_as_in_a_file():
-    scenario = with_controller("decoupling")
-    assert with_values(scenario, {"load.mass2": 0.4}).control().load.mass2 == 0.4
-    assert with_values(scenario, {"reference.angle.amplitude": 0.1}, model_follows=()).control() == scenario.control()
-    assert with_values(scenario, {"load.mass2": 0.4}, model_follows=()).controller.load == scenario.load
-
-
 def test_lanes_leave_the_scenario_as_it_is_and_copy_the_table():
     before, column = PID.dumps(), np.array([0.5, 0.8])
     many = batched(PID, {"load.mass2": column})
@@ -202,7 +195,6 @@ def test_lanes_take_a_whole_design():
 
 FORBIDDEN = [
     (PID, {"joint.geometry.connector_length": [0.2, 0.36]}, 1, "outside 0..0.34"),
-    (PID, {"joint.geometry.joint_radius": [0.03, 0.2]}, 1, "outside 0..0.17"),
     (PID, {"joint.geometry.joint_length": [0.37, 0.2, 0.1]}, 1, "outside 0..0.17"),
     (
         PID,
@@ -211,7 +203,6 @@ FORBIDDEN = [
         "connector_length 390 mm.* outside",
     ),
     (PID, {"controller.position.kp": [1e5, -1e5, 2e5]}, 1, "differ in sign"),
-    (PID, {"controller.stiffness.kd": [0.0, -1.0]}, 1, "differ in sign"),
     (PID, {"controller.position.kp": [1e5, -1e5], "controller.position.ki": [1e5, -1e5]}, 1, "differ in sign"),
     (PID, {"load.inertia": [0.0], "load.mass1": [0.0], "load.mass2": [0.0]}, 0, "total_inertia is 0"),
 ]
@@ -239,23 +230,14 @@ def test_a_forbidden_combination_is_told_with_its_first_row(scenario, table, row
     [
         ({}, "no values"),
         ({"load.mass2": [0.5, -1.0]}, r"row 1: load\.mass2 is -1 kg, outside 0 to 10000 kg"),
-        ({"load.mass2": [0.5, np.nan]}, "row 1: .*nan kg"),
         ({"load.mass2": [np.inf, 1.0]}, "row 0: .*inf kg"),
         ({"valve.time_constant": [0.02, 0.0]}, "outside above 0"),
-        ({"valve.time_constant": [0.02, 11.0]}, r"row 1: valve\.time_constant is 11000 ms, outside"),
-        ({"joint.geometry.joint_length": [0.37, 20.0]}, r"row 1: joint\.geometry\.joint_length is 20000 mm, outside"),
         ({"controller.position.seed": [1.5, 2.0]}, "1.5, not a whole number"),
-        ({"controller.position.seed": [-1]}, "-1, not a whole number"),
         ({"controller.position.momentum": [0.5, 0.9999999]}, r"row 1: controller\.position\.momentum is 1, outside"),
         ({"load.mass2": [0.5], "load.mass1": [0.5, 0.6]}, "differ in length"),
-        ({"load.mass2": 0.5}, "column of numbers"),
-        ({"load.mass2": [[0.5]]}, "column of numbers"),
         ({"load.mass2": [[0.5], [0.5, 0.6]]}, "column of numbers"),
         ({"load.mass2": ["0.5"]}, "column of numbers"),
-        ({"load.mass2": [True]}, "column of numbers"),
-        ({"load.mass2": []}, "column of numbers"),
         ({"joint.geometry.connector_length": [0.2], "connector_length": [0.2]}, "same parameter"),
-        ({"load.mass3": [0.5]}, "no parameter 'mass3'"),
         ({"substeps": [4]}, "cannot be varied"),
     ],
 )
@@ -325,21 +307,3 @@ def _without_none(data):
     if isinstance(data, dict):
         return {key: _without_none(value) for key, value in data.items() if value is not None}
     return data
-
-
-def test_one_row_of_gains_of_both_signs_is_seen():
-    kp = np.linspace(1e4, 1e5, 101)
-    kp[50] = -1.0
-    assert np.flatnonzero(~valid_rows(BACKPROP, {"controller.position.base.kp": kp})).tolist() == [50]
-
-
-def test_many_rows_are_looked_at_in_little_time():
-    import time
-
-    table = sample(
-        parse_sweeps(["joint.geometry.connector_length=200..300 mm", "load.mass2=0.1..2 kg"], PID), "sobol", 20_000
-    )
-    batched(PID, {name: column[:10] for name, column in table.items()})
-    start = time.perf_counter()
-    batched(PID, table)
-    assert time.perf_counter() - start < 1.0  # 5 ms; one by one they take seconds

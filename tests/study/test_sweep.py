@@ -20,7 +20,7 @@ from mckibben.simulation.software import software
 from mckibben.storage.store import STUDY, Store, open_store, read_store
 from mckibben.study.parameters import Normal, Uniform, parse_sweeps, sample, sweep_parameters
 from mckibben.study.study import InterruptedStudy
-from mckibben.study.sweep import Sweep, SweepResult, sweep
+from mckibben.study.sweep import Sweep, sweep
 from mckibben.study.sweep.feasibility import feasibility
 from mckibben.study.sweep.sweep import _sizes
 from mckibben.units import deg
@@ -28,7 +28,7 @@ from mckibben.units import deg
 sweep_module = sys.modules[Sweep.__module__]
 ROOT = Path(__file__).parents[2]
 OVER = ("load.mass2=0.2 kg..1.0 kg", "reference.stiffness.after=15..22 N*m/rad", "controller.position.kp=+-50 %")
-SOME = {"samples": 72, "seed": 1, "block": 16}
+SOME = {"samples": 72, "seed": 1}
 
 
 @pytest.fixture(scope="module")
@@ -80,22 +80,18 @@ def test_the_numbers_are_those_of_single_runs(kept, scenario):
 @pytest.mark.slow
 def test_the_table_says_what_made_it(kept, scenario, tmp_path):
     swept, folder = kept
-    swept.to_netcdf(tmp_path / "sweep.nc")
-    again = SweepResult.from_netcdf(tmp_path / "sweep.nc")
-    assert again.table.identical(swept.table)
-    mass = again.table["load.mass2"]
-    assert mass.dims == ("run",)
-    assert (mass.attrs["units"], mass.attrs["shown_units"]) == ("kg", "kg")
-    gain = again.table["controller.position.kp"].attrs
-    assert (gain["units"], gain["shown_units"]) == ("Pa/rad", "bar/rad")
-    assert again.table["angle_rmse"].attrs["units"] == "rad"
-    assert again.table["outcome"].attrs["flag_meanings"].split() == [outcome.name for outcome in Outcome]
-    manifest = begun(folder)
-    assert json.loads(again.table.attrs["manifest"]) == manifest
-    assert Scenario.parse(again.table.attrs["scenario"], folder=folder) == scenario
-    assert (manifest["design"], manifest["samples"], manifest["seed"], manifest["block"]) == ("sobol", 72, 1, 16)
-    with xr.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as plain:
-        assert plain.sizes == {"run": 72}
+    swept.write(tmp_path)
+    with xr.open_dataset(tmp_path / "sweep.nc", engine="h5netcdf") as again:
+        mass, gain = again["load.mass2"], again["controller.position.kp"].attrs
+        assert mass.dims == ("run",) and again.sizes == {"run": 72}
+        assert (mass.attrs["units"], mass.attrs["shown_units"]) == ("kg", "kg")
+        assert (gain["units"], gain["shown_units"]) == ("Pa/rad", "bar/rad")
+        assert again["angle_rmse"].attrs["units"] == "rad"
+        assert again["outcome"].attrs["flag_meanings"].split() == [outcome.name for outcome in Outcome]
+        manifest = json.loads(again.attrs["manifest"])
+        assert Scenario.parse(again.attrs["scenario"], folder=folder) == scenario
+    assert manifest == begun(folder)
+    assert (manifest["design"], manifest["samples"], manifest["seed"]) == ("sobol", 72, 1)
 
 
 @pytest.mark.slow
@@ -145,7 +141,7 @@ def test_damaged_blocks_are_computed_again(kept, scenario, tmp_path):
     (tmp_path / STUDY).write_bytes(content)
     with pytest.warns(McKibbenWarning, match="1 damaged records will be computed again"):
         swept = sweep(scenario, OVER, out=tmp_path, resume=True, **SOME)
-    assert swept.computed in (8, 16)
+    assert swept.computed == 16
     assert swept.table.identical(kept[0].table)
 
 
@@ -171,7 +167,6 @@ def test_a_full_disk_loses_nothing_that_was_computed(kept, scenario, tmp_path, m
         ({"design": "random"}, "design", "started with sobol, not random"),
         ({"metrics": ["angle_rmse"]}, "metrics", "started with"),
         ({"precision": 32}, "precision", "started with 64, not 32"),
-        ({"block": 32}, "block", "started with 16, not 32"),
         ({"over": [OVER[0], "reference.stiffness.after=15..21 N*m/rad", OVER[2]]}, "over", "15 N*m/rad..21 N*m/rad"),
         ({"over": OVER[:2]}, "over", "controller.position.kp=1 bar/rad..3 bar/rad, not"),
         ({"over": [*OVER, "load.mass1=1..2 kg"]}, "over", "load.mass1=1 kg..2 kg"),
@@ -257,17 +252,6 @@ def test_a_sweep_by_xla_goes_on_by_xla(scenario, tmp_path):
     assert swept.table.identical(whole.table)
 
 
-def test_a_run_of_a_model_that_has_changed_is_refused(kept):
-    swept = kept[0]
-    text = swept.table.attrs["scenario"]
-    other = SweepResult(
-        swept.table.assign_attrs(scenario=text.replace("connector_length: 208 mm", "connector_length: 207 mm"))
-    )
-    assert other.table.attrs["scenario"] != text
-    with pytest.raises(FileError):
-        other.scenario(0)
-
-
 def test_a_draw_that_cannot_run_is_refused_before_anything_is_written(scenario, tmp_path):
     with pytest.raises(SimulationError) as refused:
         sweep(scenario, ["reference.angle.frequency=0.5..600 Hz"], out=tmp_path / "out", samples=16)
@@ -293,6 +277,12 @@ def test_there_must_be_a_sweep_to_continue(scenario, tmp_path):
         sweep(scenario, OVER, out=tmp_path, resume=True)
 
 
+def test_an_unknown_metric_is_refused(scenario):
+    with pytest.raises(SimulationError) as caught:
+        Sweep.of(scenario, OVER, metrics=["angle_rms"])
+    assert caught.value.value == "angle_rms"
+
+
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -309,10 +299,7 @@ def test_there_must_be_a_sweep_to_continue(scenario, tmp_path):
         ({"design": "grid", "samples": 5}, "leave the number of samples out"),
         ({"design": "grid"}, "no number of grid points"),
         ({"precision": 16}, "choose 64 or 32"),
-        ({"metrics": ["angle_rms"]}, "did you mean 'angle_rmse'"),
-        ({"metrics": []}, "no metric is chosen"),
-        ({"block": 0}, "a block of 0 runs"),
-        ({"dask": "here"}, "give local, or an address like tcp"),
+        ({"dask": "here"}, "give an address like tcp"),
     ],
 )
 def test_what_makes_no_sense_is_refused_before_anything_is_written(scenario, tmp_path, asked, said):
@@ -324,42 +311,19 @@ def test_what_makes_no_sense_is_refused_before_anything_is_written(scenario, tmp
 def test_without_dask_it_says_what_to_install(scenario, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ParameterError, match=r"pip install 'mckibben\[sweep\]'"):
-        sweep(scenario, OVER, dask="local")
+        sweep(scenario, OVER, dask="tcp://127.0.0.1:1")
 
 
-@pytest.mark.parametrize(
-    ("name", "dask", "error"),
-    [
-        ("Client", "tcp://127.0.0.1:1", OSError("Timed out trying to connect")),
-        ("LocalCluster", "local", RuntimeError("Nanny failed to start.")),
-    ],
-)
-def test_a_cluster_that_does_not_answer(scenario, monkeypatch, tmp_path, name, dask, error):
+def test_a_cluster_that_does_not_answer(scenario, monkeypatch, tmp_path):
     distributed = pytest.importorskip("distributed")
 
     def failing(*_, **__):
-        raise error
+        raise OSError("Timed out trying to connect")
 
-    monkeypatch.setattr(distributed, name, failing)
-    with pytest.raises(SimulationError, match=rf"no answer of the cluster {dask} \({error}\)") as caught:
-        sweep(scenario, OVER, dask=dask, out=tmp_path)
+    monkeypatch.setattr(distributed, "Client", failing)
+    with pytest.raises(SimulationError, match=r"no answer of the cluster tcp://.* \(Timed out") as caught:
+        sweep(scenario, OVER, dask="tcp://127.0.0.1:1", out=tmp_path)
     assert "--resume" in caught.value.remedy
-
-
-def test_the_path_of_the_scenario_is_kept_in_short(scenario):
-    study = Sweep.of(scenario, OVER, samples=8, source="/home/me/caf\udce9.yaml")
-    assert study.about()["source"] == "caf\\udce9.yaml"
-
-
-def test_a_flipped_bit_of_the_table_is_found(kept, tmp_path):
-    kept[0].to_netcdf(tmp_path / "sweep.nc")
-    whole = (tmp_path / "sweep.nc").read_bytes()
-    for place in range(0, 8 * (len(whole) - 80), len(whole) // 3):
-        damaged = bytearray(whole)
-        damaged[place // 8] ^= 1 << place % 8
-        (tmp_path / "sweep.nc").write_bytes(damaged)
-        with pytest.raises(FileError):
-            SweepResult.from_netcdf(tmp_path / "sweep.nc")
 
 
 def test_a_grid_has_every_combination(scenario):
@@ -373,12 +337,12 @@ def test_a_grid_has_every_combination(scenario):
 def test_random_values_and_spreads_made_in_python(scenario):
     spreads = {"load.mass2": Uniform(0.3, 0.5), "load.damping": Normal(0.015, 0.001)}
     options = {"design": "random", "samples": 5, "seed": 3}
-    study = Sweep.of(scenario, spreads, metrics="angle_rmse,coupling", **options)
+    study = Sweep.of(scenario, spreads, metrics=("angle_rmse", "coupling"), **options)
     assert study.metrics == ("angle_rmse", "coupling")
     swept = sweep_parameters(scenario, spreads)
     for name, column in sample(swept, "random", 5, 3).items():
         np.testing.assert_array_equal(study.rows()[name], column)
-    assert Sweep.of(scenario, swept, metrics="coupling_deg,angle_rmse", **options).about() == study.about()
+    assert Sweep.of(scenario, swept, metrics=["angle_rmse", "coupling"], **options).about() == study.about()
     assert Sweep.of(scenario, spreads, **options | {"seed": 4}).about() != study.about()
 
 
@@ -404,7 +368,8 @@ def test_what_cannot_be_held_is_told(scenario):
 
 
 @pytest.mark.slow
-def test_a_sweep_on_cuda_is_continued_there_and_nowhere_else(scenario, kept, tmp_path, cuda_here):
+def test_a_sweep_on_cuda_is_continued_there_and_nowhere_else(scenario, kept, tmp_path, cuda_here, monkeypatch):
+    monkeypatch.setattr(sweep_module, "ON_ACCELERATOR", 16)  # several blocks
     stopped(scenario, tmp_path, engine="cuda")
     before = begun(tmp_path)["software"]
     assert (before["engine"], before["device"]) == ("cuda", "this processor") and before["compiler"]
@@ -429,31 +394,17 @@ def test_the_reach_is_that_of_all_where_the_controller_alone_is_varied(scenario)
 
 
 def test_the_program_depends_on_nothing_but_the_number_of_runs(monkeypatch):
-    assert _sizes(72, 16) == (16, 16)
-    assert _sizes(100, None) == (16, 16)
-    assert _sizes(20_000, None) == (256, 256)
-    lanes, block = _sizes(1_000_000, None)
+    assert _sizes(72) == (16, 16)
+    assert _sizes(20_000) == (256, 256)
+    lanes, block = _sizes(1_000_000)
     assert (lanes, block % lanes) == (256, 0)
     assert block <= 64 * 256
-    assert _sizes(20_000, None, "cuda") == (10_000, 10_000)
+    assert _sizes(20_000, "cuda") == (10_000, 10_000)
     monkeypatch.setattr(sweep_module.jax, "default_backend", lambda: "gpu")
-    assert _sizes(20_000, None) == (10_000, 10_000)
+    assert _sizes(20_000) == (10_000, 10_000)
 
 
-def test_a_file_that_is_no_sweep(tmp_path, kept):
-    with pytest.raises(FileError, match="no such file"):
-        SweepResult.from_netcdf(tmp_path / "nowhere.nc")
-    (tmp_path / "text.nc").write_text("text")
-    with pytest.raises(FileError, match="cannot be read as NetCDF"):
-        SweepResult.from_netcdf(tmp_path / "text.nc")
-    xr.Dataset({"x": ("run", [1.0])}).to_netcdf(tmp_path / "other.nc", engine="h5netcdf")
-    with pytest.raises(FileError, match="it is not a sweep"):
-        SweepResult.from_netcdf(tmp_path / "other.nc")
-    odd = kept[0].table.copy()
-    odd["outcome"] = ("run", np.full(72, 99, np.int8))
-    odd.to_netcdf(tmp_path / "odd.nc", engine="h5netcdf")
-    with pytest.raises(FileError, match="it has unknown outcomes"):
-        SweepResult.from_netcdf(tmp_path / "odd.nc")
+def test_there_is_no_such_run(kept):
     with pytest.raises(ParameterError, match="there is no run 72; choose 0 to 71"):
         kept[0].scenario(72)
 
@@ -470,8 +421,12 @@ def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(scenario, tmp_
                 killed.append(child.pid)
                 return
 
+    distributed = pytest.importorskip("distributed")
     asked = {**SOME, "metrics": ["angle_rmse"]}
     here = sweep(scenario, OVER, **asked)
-    there = sweep(scenario, OVER, out=tmp_path, dask="local", workers=2, progress=kill, **asked)
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": None, "silence_logs": 50}
+    with distributed.LocalCluster(**options) as cluster:
+        address = cluster.scheduler_address
+        there = sweep(scenario, OVER, out=tmp_path, dask=address, progress=kill, **asked)
     assert killed
     assert there.table.identical(here.table)

@@ -8,6 +8,7 @@ import pytest
 import xarray as xr
 
 from mckibben import report
+from mckibben.scenario import Scenario
 from mckibben.simulation import Metrics
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES, Outcome
@@ -65,7 +66,8 @@ def made_up(count=400, lost=0.1, inputs=5, seed=0, metrics=Metrics._fields):
         "error_estimate": ("run", np.full(count, 1e-9)),
         "chaotic": ("run", np.zeros(count, np.int8)),
     }
-    return SweepResult(xr.Dataset(table, attrs={"title": "made up", "kind": "mckibben sweep"}))
+    scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    return SweepResult(xr.Dataset(table, attrs={"title": "made up"}), scenario)
 
 
 def tables(swept):
@@ -94,7 +96,7 @@ def test_numbers_of_failed_runs_count_for_nothing():
     lively = swept.table.copy()
     for name in Metrics._fields:
         lively[name] = ("run", np.where(swept.failed, 1e9, swept[name]))
-    assert SweepResult(lively).to_dict() == swept.to_dict()
+    assert SweepResult(lively, swept.nominal).to_dict() == swept.to_dict()
 
 
 def test_what_matters_comes_first():

@@ -57,8 +57,8 @@ def sweep(
         Seed of the design (default 0).
     engine : auto|native|xla|cuda
         auto: the C compiler's programs where possible, else XLA's; cuda: kernels on an NVIDIA GPU (extra gpu).
-    dask : CLUSTER
-        local (processes of this machine), or tcp://HOST:PORT of a dask scheduler.
+    dask : ADDRESS
+        tcp://HOST:PORT of a dask scheduler, to whose workers the runs go. Default: threads.
     """
     from mckibben.scenario import Scenario
 
@@ -82,7 +82,6 @@ def sweep(
         engine=engine,
         resume=resume,
         dask=dask,
-        source=str(scenario),
         progress=progress,
     )
 

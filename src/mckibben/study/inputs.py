@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,33 +26,24 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
 
     recipe = recipe or Recipe()
     names = [names] if isinstance(names, str) else names
-    name = names[0]
     known = catalog.names("datasets")
-    if len(names) == 1 and name in known and not Path(name).is_file():
-        if recipe != Recipe():
-            raise NotInCatalogError(
-                f"{name} is a dataset of the catalog",
-                value=name,
-                remedy="leave out the options that read files (--read, --column, --initial-length, --ambient, "
-                "--accept)",
-            )
-        return catalog.dataset(name)
+    entry = next((name for name in names if name in known and not Path(name).is_file()), None)
+    if entry and len(names) > 1:
+        message = f"{entry} is a dataset of the catalog, which cannot be joined with others"
+        raise NotInCatalogError(message, value=entry, remedy="give one dataset of the catalog, or files only")
+    if entry and recipe != Recipe():
+        options = "--read, --column, --initial-length, --ambient, --accept"
+        remedy = f"leave out the options that read files ({options})"
+        raise NotInCatalogError(f"{entry} is a dataset of the catalog", value=entry, remedy=remedy)
+    if entry:
+        return catalog.dataset(entry)
     for name in names:
-        if Path(name).exists():
-            continue
-        if name in known:
-            message = f"{name} is a dataset of the catalog, which cannot be joined with others"
-            raise NotInCatalogError(message, value=name, remedy="give one dataset of the catalog, or files only")
-        close = difflib.get_close_matches(name, known, 1) or [
-            known_name for known_name in known if name and known_name.startswith(name)
-        ]
-        if close or not re.search(r"[./\\]", name):
+        if not Path(name).exists() and not re.search(r"[./\\]", name):
             message = f"there is no file {name!r}, and no dataset of that name"
-            remedy = f"did you mean {' or '.join(map(repr, close))}?" if close else f"datasets: {', '.join(known)}"
-            raise NotInCatalogError(message, value=name, remedy=remedy)
+            raise NotInCatalogError(message, value=name, remedy=suggest(name, known))
     dataset = read_dataset(names, recipe)
     if (kind := dataset.table.attrs["specimen"]) in catalog.names("specimens"):
-        check_points(dataset, name, recipe.accept, catalog.specimen(kind))
+        check_points(dataset, names[0], recipe.accept, catalog.specimen(kind))
     return dataset
 
 
@@ -95,14 +85,10 @@ def law_type_named(name: str) -> type[ForceLaw]:
     laws: dict[str, type[ForceLaw]] = {}
     for installed in (False, True):
         laws = law_types(installed=installed)
-        known = {
-            key: {_plain(key), _plain(law.__name__), _plain(law.__name__.removesuffix("Law"))}
-            for key, law in laws.items()
-        }
-        if keys := [key for key, words in known.items() if _plain(name) in words]:
-            if len(keys) > 1:
-                raise _unknown("law", name, f"it could be {' or '.join(keys)}")
-            return laws[keys[0]]
+        words = {_plain(law.__name__).removesuffix("law"): law for law in laws.values()}
+        words |= {_plain(key): law for key, law in laws.items()}
+        if law := words.get(_plain(name)) or words.get(_plain(name).removesuffix("law")):
+            return law
     short = [re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws]
     broken = "".join(f"; {problem}" for problem in load_installed())
     remedy = f"{suggest(name.lower(), short)}; load the module of a user-defined law first (--extension){broken}"

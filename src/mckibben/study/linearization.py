@@ -79,9 +79,6 @@ def linearize(scenario: Scenario, time: float = 0.0, *, closed: bool = False) ->
     ParameterError
         If the time is not within the run.
     """
-    if not hasattr(scenario, "needed_substeps"):
-        remedy = "write linearize(Scenario.read('scenario.yaml'))"
-        raise ParameterError(f"linearize takes a Scenario, not {scenario!r:.60}", value=scenario, remedy=remedy)
     substeps = scenario.needed_substeps()
     loop, sampled, names = with_run(scenario, linear_loop, substeps=substeps, time=time)
     a, b, c = (np.asarray(matrix, float) for matrix in loop)

@@ -1,4 +1,4 @@
-"""Studies: rows in, records out, kept in one SQLite file, on threads of this process or on a dask cluster."""
+"""Studies: rows in, records out, kept in one SQLite file, on threads or on a dask cluster."""
 
 from __future__ import annotations
 
@@ -61,8 +61,6 @@ class Study(abc.ABC):
 
     unit: ClassVar[str] = "rows"
     """Noun for the rows in messages."""
-    ignore: ClassVar[tuple[str, ...]] = ()
-    """Settings that a continuation may change."""
 
     @abc.abstractmethod
     def about(self) -> dict[str, Any]:
@@ -98,9 +96,9 @@ class Study(abc.ABC):
         resume
             Continue the study in `out`.
         workers
-            Threads or local processes. Default: one per core.
+            Threads. Default: one per core.
         dask
-            "local" for processes of this machine, or the address of a dask scheduler. Default: threads.
+            Address of a dask scheduler. Default: threads of this process.
         progress
             Called with the current step and the completed fraction, 0 to 1. Default: a progress bar in notebooks.
 
@@ -114,7 +112,7 @@ class Study(abc.ABC):
         """
         rows = self.rows()
         with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
-            job = store.job(self.about(), ignore=self.ignore)
+            job = store.job(self.about())
             return self._finish(job, rows, workers, dask, progress or notebook_progress())
 
     def _finish(
@@ -128,7 +126,15 @@ class Study(abc.ABC):
             return sum(len(range(count)[spans[number]]) for number in numbers)
 
         before = counted(job.numbers)
-        report = _Rate(progress, self.unit, before, count)
+        began = time.monotonic()
+
+        def report(done: int) -> None:
+            seconds, new = time.monotonic() - began, done - before
+            rate = f", {new / seconds:.4g} {self.unit}/s" if new and seconds > 1 else ""
+            if progress:
+                progress(f"{done} of {count} {self.unit}{rate}", done / count)
+
+        report(before)
         missing = {n: select(rows, span) for n, span in spans.items() if n not in job.numbers}
         try:
             if missing:
@@ -150,7 +156,7 @@ class Study(abc.ABC):
         if dask is not None:
             from mckibben.study.cluster import compute_on_cluster
 
-            yield from compute_on_cluster(self.compute, blocks, keep, dask, workers)
+            yield from compute_on_cluster(self.compute, blocks, keep, dask)
             return
         numbers = list(blocks)
 
@@ -185,21 +191,3 @@ def digest(tree: PyTree) -> str:
 def select(rows: Table, span: slice) -> Table:
     """Return some of the rows."""
     return {name: column[span] for name, column in rows.items()}
-
-
-class _Rate:
-    """Report of finished rows and of their rate, without the first block, which includes compilation."""
-
-    def __init__(self, progress: Progress | None, unit: str, before: int, count: int) -> None:
-        self._progress, self._unit, self._count = progress, unit, count
-        self._calls, self._began = 0, (0.0, 0)
-        self(before)
-
-    def __call__(self, done: int) -> None:
-        self._calls, now = self._calls + 1, time.monotonic()
-        if self._calls <= 2:
-            self._began = (now, done)
-        seconds, new = now - self._began[0], done - self._began[1]
-        rate = f", {new / seconds:.4g} {self._unit}/s" if new and seconds > 1 else ""
-        if self._progress:
-            self._progress(f"{done} of {self._count} {self._unit}{rate}", done / self._count)

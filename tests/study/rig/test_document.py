@@ -12,7 +12,7 @@ from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
 from mckibben.study.rig.document import MuscleCardSettings, RigTest, read_test
 from mckibben.study.rig.running import check
-from mckibben.units import bar, mm, percent
+from mckibben.units import bar
 
 MUSCLE = catalog.joint("knee-table-2").muscle1
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -42,29 +42,6 @@ STEPS = (
           - repeat: {times: 2, steps: [vent]}
 """
 )
-
-
-def test_steps_are_read_as_typed_steps():
-    steps = typed.steps_of(RigTest.parse(STEPS).protocol, MUSCLE)
-    assert steps == (
-        typed.Vent(),
-        typed.Move(to=10 * percent),
-        typed.Move(to=5 * percent, speed=1 * mm),
-        typed.Dwell(duration=5.0),
-        typed.Pressurise(pressure=2 * bar),
-        typed.Pressurise(pressure=3 * bar, rate=0.5 * bar, holding=100.0),
-        typed.HoldForce(force=100.0),
-        typed.Acquire(),
-        typed.Acquire(samples=500, direction="loading", keep=False),
-        typed.Repeat(
-            times=3,
-            steps=(
-                typed.Walk(to=20 * percent, step=2 * mm, acquire=typed.Acquire(direction="unloading")),
-                typed.Walk(to=None),
-                typed.Repeat(times=2, steps=(typed.Vent(),)),
-            ),
-        ),
-    )
 
 
 @pytest.mark.parametrize(
@@ -212,17 +189,6 @@ def test_what_exceeds_the_rig_is_told_with_its_line_before_anything_moves(tmp_pa
     assert "line 19, protocol.steps[9].repeat.steps[0].walk.step: 2.0001 mm are 800.04 pulses; take a mult" in said
 
 
-def test_a_test_of_too_many_steps_is_told_with_line_field_value_and_limit(tmp_path):
-    path = tmp_path / "p.yaml"
-    path.write_text(STEPS.replace("times: 3", "times: 10000").replace("{times: 2, ", "{times: 10000, "))
-    test, document = read_test(path)
-    with pytest.raises(ScenarioError) as found:
-        check(test, document, source="p.yaml")
-    (problem,) = found.value.problems
-    assert (problem.line, problem.field) == (17, "protocol.steps[9].repeat.times")
-    assert "100020009 steps" in problem.message and "1000000" in problem.message
-
-
 def test_a_whole_test_that_does_not_suit_the_muscle_is_told_with_its_line():
     text = f"{HEAD}protocol:\n  isobaric: {{pressures: [0 bar, 9 bar]}}\n"
     test = RigTest.parse(text)
@@ -255,3 +221,14 @@ def test_a_card_and_its_calibrations(tmp_path):
         check(test)
     assert "pressure: is missing" in str(found.value) and "'much'" in str(found.value)
     assert {problem.field for problem in found.value.problems} == {"force", "pressure", "valve"}
+
+
+def test_a_test_of_too_many_steps_is_told_with_line_field_value_and_limit(tmp_path):
+    path = tmp_path / "p.yaml"
+    path.write_text(STEPS.replace("times: 3", "times: 10000").replace("{times: 2, ", "{times: 10000, "))
+    test, document = read_test(path)
+    with pytest.raises(ScenarioError) as found:
+        check(test, document, source="p.yaml")
+    (problem,) = found.value.problems
+    assert (problem.line, problem.field) == (17, "protocol.steps[9].repeat.times")
+    assert "100020009 steps" in problem.message and "1000000" in problem.message

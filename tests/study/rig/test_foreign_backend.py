@@ -98,9 +98,3 @@ def test_another_port_is_the_same_test_and_another_kind_of_rig_is_not():
     test = RigTest.parse(TEXT)
     assert test.is_same(RigTest.parse(TEXT.replace("port: 3", "port: 4")))
     assert not test.is_same(RigTest.parse(TEXT.replace("class: BorrowedRig, port: 3", "simulated: {}")))
-
-
-def test_an_unknown_backend_is_refused_once():
-    with pytest.raises(ScenarioError) as error:
-        RigTest.parse(TEXT.replace("BorrowedRig", "BorowedRig"))
-    assert [(problem.line, problem.value) for problem in error.value.problems] == [(3, "BorowedRig")]

@@ -17,7 +17,6 @@ from mckibben.dataset import read_dataset
 from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError, SignalledError, StoppedError
 from mckibben.identification import identify_pressure_creep
 from mckibben.rig.record import header_of, read_record, segments
-from mckibben.rig.recorder import Recorder
 from mckibben.study.rig import running
 from mckibben.study.rig.document import RigTest, read_test
 from mckibben.study.rig.running import check, gather, gather_recording, run_test
@@ -62,7 +61,7 @@ def test_a_folder_has_the_protocol_the_record_and_the_dataset(tmp_path):
     assert header["calibration"]["force"]["unit"] == "N"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.slow
 def test_a_signal_stops_it_vented_and_it_goes_on(tmp_path, number):
     handlers = signal.getsignal(number)
@@ -94,18 +93,11 @@ def test_it_overwrites_nothing_and_goes_on_with_nothing_else(tmp_path):
         run_test(checked(TEXT.replace("repeats: 1", "repeats: 2")), tmp_path, resume=True)
 
 
-@pytest.mark.parametrize("left", [b"", b"name: [", TEXT.replace("repeats: 1", "repeats: 2").encode(), None])
-def test_a_protocol_that_is_damaged_or_missing_is_read_from_the_record(tmp_path, left):
+def test_a_protocol_that_is_missing_is_that_of_the_record(tmp_path):
     made = run_test(checked(), tmp_path)
-    path = tmp_path / "protocol.yaml"
-    path.unlink() if left is None else path.write_bytes(left)
-    with pytest.warns(McKibbenWarning, match=r"protocol\.yaml (was damaged or missing|is not what was recorded)"):
-        again = gather(tmp_path)
-    assert again.table.identical(made.table)
-    if left is None or len(left) < 10:
-        assert run_test(checked(), tmp_path, resume=True).table.identical(made.table)  # it was restored
-    else:
-        assert path.read_bytes() == left
+    (tmp_path / "protocol.yaml").unlink()
+    assert gather(tmp_path).table.identical(made.table)
+    assert run_test(checked(), tmp_path, resume=True).table.identical(made.table)
 
 
 @pytest.mark.slow
@@ -140,15 +132,6 @@ def test_a_damaged_test_that_is_not_finished_goes_on_at_its_first_lost_point(tmp
     assert len(data) == 32
 
 
-def test_another_law_than_the_recorded_steps_came_from_is_refused(tmp_path, monkeypatch):
-    with pytest.raises(SignalledError):
-        run_test(checked(), tmp_path, report=stopping(3))
-    other = dataclasses.replace(checked(), steps=checked().steps[1:])
-    with pytest.raises(ScenarioError) as refused:
-        run_test(other, tmp_path, resume=True)
-    assert refused.value.problems[0].field == "steps"
-
-
 def test_a_folder_that_vanishes_stops_the_test_at_once(tmp_path):
     folder, after = tmp_path / "out", []
 
@@ -165,14 +148,6 @@ def test_a_folder_that_vanishes_stops_the_test_at_once(tmp_path):
     assert test.setup.backend.truth.pressure < 0.2 * bar
 
 
-def test_a_folder_in_use_is_left_alone(tmp_path):
-    with (tmp_path / "lock").open("w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        with pytest.raises(FileError, match="is running a test here"):
-            run_test(checked(), tmp_path)
-    assert {path.name for path in tmp_path.iterdir()} == {"lock"}
-
-
 def test_a_rig_that_is_not_there_leaves_nothing_behind(tmp_path, monkeypatch):
     def missing(_):
         raise RigError("no device Dev1", remedy="connect it")
@@ -182,20 +157,6 @@ def test_a_rig_that_is_not_there_leaves_nothing_behind(tmp_path, monkeypatch):
         run_test(checked(), tmp_path)
     assert not isinstance(refused.value, StoppedError)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_record_whose_last_chunk_cannot_be_written_is_kept(tmp_path, monkeypatch):
-    close = Recorder.close
-
-    def fail(recorder):
-        close(recorder)
-        raise RigError("the disk is gone")
-
-    monkeypatch.setattr(Recorder, "close", fail)
-    with pytest.raises(RigError, match="the disk is gone"):
-        run_test(checked(), tmp_path)
-    monkeypatch.setattr(Recorder, "close", close)
-    assert len(gather(tmp_path)) == 32
 
 
 def test_too_small_a_disk_is_refused_before_anything_moves(tmp_path, monkeypatch):
@@ -258,7 +219,7 @@ def test_where_a_real_motor_stands_is_asked_after_a_kill(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (10, 15, 24))])
+@pytest.mark.parametrize("seed", [1, 15])
 def test_the_air_is_identified_from_the_record_of_a_shut_valve(tmp_path, seed):
     """The example's test: h A of 0.1 W/K at 10 %, growing with the area of the wall; leak and dead volume.
 
@@ -288,3 +249,20 @@ def test_creep_after_steps_of_the_pressure_is_identified_from_the_record(tmp_pat
     assert found.is_significant and not found.notes
     assert found.share_interval[0] < 0.06 < found.share_interval[1]
     assert found.time_constant_interval[0] < 3.0 < found.time_constant_interval[1]
+
+
+def test_another_law_than_the_recorded_steps_came_from_is_refused(tmp_path, monkeypatch):
+    with pytest.raises(SignalledError):
+        run_test(checked(), tmp_path, report=stopping(3))
+    other = dataclasses.replace(checked(), steps=checked().steps[1:])
+    with pytest.raises(ScenarioError) as refused:
+        run_test(other, tmp_path, resume=True)
+    assert refused.value.problems[0].field == "steps"
+
+
+def test_a_folder_in_use_is_left_alone(tmp_path):
+    with (tmp_path / "lock").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        with pytest.raises(FileError, match="is running a test here"):
+            run_test(checked(), tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {"lock"}

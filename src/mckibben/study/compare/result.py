@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.dataset.schema import load_netcdf, write_netcdf
-from mckibben.errors import FileError, Problem
+from mckibben.dataset.schema import write_netcdf
 from mckibben.result import Listing, Remark, Result
 from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Batch, Outcome, SimulationResult
@@ -149,8 +148,7 @@ class CompareResult(Result):
 
     def write(self, folder: Path) -> None:
         """Write runs.nc, suite.yaml, and each tuned controller as a scenario with the plant of its model."""
-        suite = self.suite.dumps(folder=folder)
-        write_netcdf(self.to_dataset().assign_attrs(suite=suite), folder / "runs.nc")
+        write_netcdf(self.to_dataset().assign_attrs(suite=self.suite.dumps(folder=folder)), folder / "runs.nc")
         self.suite.to_yaml(folder / "suite.yaml")
         controllers, reference = make_folder(folder / "controllers"), next(iter(self.suite.references))
         at_air = self.at_air.tuned if self.at_air else {}
@@ -159,16 +157,6 @@ class CompareResult(Result):
                 scenario = self.suite.scenario(name, reference)
                 scenario = with_values(scenario, values) if values else scenario
                 scenario.to_yaml(controllers / f"{filename(name + suffix)}.yaml")
-
-
-def read_runs(path: Path) -> tuple[Suite, dict[str, dict[str, float]], int]:
-    """Return suite, tuned values and number of runs from the runs.nc of a comparison; `FileError` if it is not one."""
-    table = load_netcdf(path)
-    if not {"suite", "tuned"} <= table.attrs.keys():
-        remedy = "run the comparison again in another folder"
-        raise FileError(str(path), [Problem("it is not a result of a comparison", remedy=remedy)])
-    suite = Suite.parse(table.attrs["suite"], source=str(path), folder=path.parent)
-    return suite, json.loads(table.attrs["tuned"]), table.sizes["run"]
 
 
 class PooledResult(Result):

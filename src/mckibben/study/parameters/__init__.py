@@ -1,6 +1,6 @@
 """Distributions of scenario parameters, and samples of them."""
 
-from mckibben.study.parameters.distributions import Distribution, IntegerRange, LogUniform, Normal, Uniform, Values
+from mckibben.study.parameters.distributions import Distribution, LogUniform, Normal, Range, Uniform, Values
 from mckibben.study.parameters.sampling import (
     SamplingMethod,
     SweptParameter,
@@ -13,9 +13,9 @@ from mckibben.study.parameters.sampling import (
 
 __all__ = [
     "Distribution",
-    "IntegerRange",
     "LogUniform",
     "Normal",
+    "Range",
     "SamplingMethod",
     "SweptParameter",
     "Table",

@@ -14,8 +14,6 @@ from mckibben.errors import ParameterError
 MAX_ROWS = 10_000_000
 """Largest number of values on one axis, and of rows of a table."""
 
-_EPSILON = 2.0**-54  # quantiles of 0 and 1 stand for this far inside: a normal distribution has no ends
-
 
 class Distribution(abc.ABC):
     """Distribution of a parameter [SI].
@@ -34,17 +32,13 @@ class Distribution(abc.ABC):
         """Value at each quantile, 0 to 1 (percent point function): float64, or int64 for integers."""
 
     @abc.abstractmethod
-    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
-        """Quantile of each value, 0 to 1, the inverse of `ppf`; of the nearest value where values are discrete."""
-
-    @abc.abstractmethod
     def grid(self) -> NDArray:
         """Values on a grid; raises ParameterError where the distribution does not determine them."""
 
 
 @dataclass(frozen=True)
-class _Range(Distribution):
-    """Range with a number of points on a grid, bounds included."""
+class Range(Distribution):
+    """Range of values [SI], with so many `points` on a grid, bounds included."""
 
     low: float
     high: float
@@ -54,8 +48,9 @@ class _Range(Distribution):
         if not (math.isfinite(self.low) and math.isfinite(self.high)):
             raise ParameterError(f"{self.low:g} to {self.high:g} is no range", remedy="give two finite numbers")
         if not self.low < self.high:
-            message = f"the range is empty: {self.low:g} is not below {self.high:g}"
-            raise ParameterError(message, remedy="write the lower end first")
+            raise ParameterError(
+                "the range is empty", value=self.high, lower=self.low, remedy="write the lower end first"
+            )
         if self.points is not None and not 2 <= self.points <= MAX_ROWS:
             raise ParameterError(f"a grid cannot have {self.points} points", remedy=f"choose 2 to {MAX_ROWS} points")
 
@@ -68,9 +63,13 @@ class _Range(Distribution):
             raise ParameterError("the range has no number of grid points", remedy="write it like `... in 9`")
         return self.ppf(np.linspace(0.0, 1.0, self.points))
 
+    @abc.abstractmethod
+    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
+        """Quantile of each value, 0 to 1, the inverse of `ppf`."""
+
 
 @dataclass(frozen=True)
-class Uniform(_Range):
+class Uniform(Range):
     """Uniform distribution between bounds [SI], with so many `points` on a grid, bounds included."""
 
     def ppf(self, quantile: ArrayLike) -> NDArray[np.float64]:
@@ -82,7 +81,7 @@ class Uniform(_Range):
 
 
 @dataclass(frozen=True)
-class LogUniform(_Range):
+class LogUniform(Range):
     """Log-uniform distribution between bounds [SI] of one sign, with so many `points` on a grid, bounds included.
 
     >>> LogUniform(1.0, 100.0, points=3).grid()
@@ -92,10 +91,8 @@ class LogUniform(_Range):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.low <= 0 <= self.high:
-            raise ParameterError(
-                f"a range from {self.low:g} to {self.high:g} has no logarithm",
-                remedy="give two ends of one sign, neither of them zero, or leave `log` out",
-            )
+            remedy = "give two ends of one sign, neither of them zero, or leave `log` out"
+            raise ParameterError("a range that contains zero has no logarithm", value=self.low, remedy=remedy)
 
     def ppf(self, quantile: ArrayLike) -> NDArray[np.float64]:
         u = np.clip(np.asarray(quantile, float), 0.0, 1.0)
@@ -134,28 +131,16 @@ class Normal(Distribution):
         return self.lower, self.upper
 
     def ppf(self, quantile: ArrayLike) -> NDArray[np.float64]:
-        from scipy.special import ndtri
+        from scipy.special import ndtr, ndtri
 
-        low, high = self._truncation
+        low, high = (float(ndtr((end - self.mean) / self.deviation)) for end in self.bounds)
+        inside = 2.0**-54  # quantiles of 0 and 1 stand for this far inside: a normal distribution has no ends
         u = low + np.clip(np.asarray(quantile, float), 0.0, 1.0) * (high - low)
-        value = self.mean + self.deviation * ndtri(np.clip(u, _EPSILON, 1 - 2 * _EPSILON))
+        value = self.mean + self.deviation * ndtri(np.clip(u, inside, 1 - 2 * inside))
         return np.clip(value, self.lower, self.upper)
-
-    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
-        from scipy.special import ndtr
-
-        low, high = self._truncation
-        return np.clip((ndtr((np.asarray(value, float) - self.mean) / self.deviation) - low) / (high - low), 0.0, 1.0)
 
     def grid(self) -> NDArray[np.float64]:
         raise ParameterError("a normal distribution has no grid", remedy="list values, or give a range `in 9`")
-
-    @property
-    def _truncation(self) -> tuple[float, float]:
-        """Cumulative probabilities of both bounds before truncation."""
-        from scipy.special import ndtr
-
-        return tuple(float(ndtr((end - self.mean) / self.deviation)) for end in self.bounds)  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)
@@ -180,51 +165,8 @@ class Values(Distribution):
         return min(self.values), max(self.values)
 
     def ppf(self, quantile: ArrayLike) -> NDArray:
-        return self.grid()[_indices(quantile, len(self.values))]
-
-    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
-        nearest = np.argmin(np.abs(np.asarray(value, float)[..., None] - np.asarray(self.values, float)), axis=-1)
-        return (nearest + 0.5) / len(self.values)
+        u, count = np.clip(np.asarray(quantile, float), 0.0, 1.0), len(self.values)
+        return self.grid()[np.minimum((u * count).astype(np.int64), count - 1)]
 
     def grid(self) -> NDArray:
         return np.asarray(self.values, np.int64 if all(isinstance(value, int) for value in self.values) else float)
-
-
-@dataclass(frozen=True)
-class IntegerRange(Distribution):
-    """Integers from one to another, of equal probability.
-
-    >>> IntegerRange(0, 19).ppf([0.0, 0.5, 0.99])
-    array([ 0, 10, 19])
-    """
-
-    low: int
-    high: int
-
-    def __post_init__(self) -> None:
-        if not self.low < self.high:
-            raise ParameterError(
-                f"the range is empty: {self.low} is not below {self.high}", remedy="write the lower end first"
-            )
-
-    @property
-    def bounds(self) -> tuple[float, float]:
-        return self.low, self.high
-
-    def ppf(self, quantile: ArrayLike) -> NDArray[np.int64]:
-        return self.low + _indices(quantile, self.high - self.low + 1)
-
-    def quantile(self, value: ArrayLike) -> NDArray[np.float64]:
-        inside = np.clip(np.asarray(value), self.low, self.high)
-        return (inside - self.low + 0.5) / (self.high - self.low + 1)
-
-    def grid(self) -> NDArray[np.int64]:
-        if self.high - self.low >= MAX_ROWS:
-            raise ParameterError(f"{self.low} to {self.high} are more than {MAX_ROWS} values", remedy="choose fewer")
-        return np.arange(self.low, self.high + 1, dtype=np.int64)
-
-
-def _indices(quantile: ArrayLike, count: int) -> NDArray[np.int64]:
-    """Indices of equally probable values."""
-    u = np.clip(np.asarray(quantile, float), 0.0, 1.0)
-    return np.minimum((u * count).astype(np.int64), count - 1)

@@ -17,9 +17,9 @@ from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, find_
 from mckibben.study.parameters.distributions import (
     MAX_ROWS,
     Distribution,
-    IntegerRange,
     LogUniform,
     Normal,
+    Range,
     Uniform,
     Values,
 )
@@ -57,14 +57,14 @@ class SweptParameter:
         """
         write, distribution = self.parameter.write, self.distribution
         match distribution:
-            case Uniform() | LogUniform():
+            case Range():
                 log = " log" if isinstance(distribution, LogUniform) else ""
                 points = "" if distribution.points is None else f" in {distribution.points}"
                 text = f"{write(distribution.low)}..{write(distribution.high)}{log}{points}"
-            case IntegerRange():
-                text = f"{distribution.low}..{distribution.high}"
-            case Values():
-                text = ", ".join(write(value) for value in distribution.values)
+            case Values(values=(int() as low, *_, int() as high) as values) if values == (*range(low, high + 1),):
+                text = f"{low}..{high}"
+            case Values(values=values):
+                text = ", ".join(map(write, values))
             case Normal(deviation=deviation):  # a percentage would be relative to the nominal value
                 text = f"normal {deviation if self.parameter.shown == '%' else write(deviation)}"
             case _:
@@ -98,14 +98,12 @@ def sweep_parameters(scenario: Scenario, distributions: Mapping[str, Distributio
 
 def _fitted(parameter: ScenarioParameter, distribution: Distribution) -> Distribution:
     """The distribution with integers for an integer parameter, and truncated at the parameter's range."""
-    if isinstance(distribution, IntegerRange) and not parameter.is_integer:
-        raise ParameterError(f"{parameter.name} is not a whole number", remedy="give a Uniform range or Values")
-    if isinstance(distribution, Values) and not parameter.is_integer:
-        return Values(tuple(float(value) for value in distribution.values))
-    if isinstance(distribution, Values) and all(float(value).is_integer() for value in distribution.values):
-        return Values(tuple(int(value) for value in distribution.values))
-    if parameter.is_integer and not isinstance(distribution, IntegerRange):
+    values = distribution.values if isinstance(distribution, Values) else ()
+    whole = parameter.is_integer and bool(values) and all(float(value).is_integer() for value in values)
+    if parameter.is_integer and not whole:
         raise ParameterError(f"{parameter.name} is a whole number", remedy="give some, like `0..19` or `0, 1, 5`")
+    if values:
+        return Values(tuple(map(int if whole else float, values)))
     return _truncated(parameter, distribution) if isinstance(distribution, Normal) else distribution
 
 
@@ -119,8 +117,6 @@ def _truncated(parameter: ScenarioParameter, normal: Normal) -> Normal:
         upper = math.nextafter(upper, -math.inf)
     return replace(normal, lower=max(normal.lower, lower), upper=min(normal.upper, upper))
 
-
-_MAX_TEXT = 10_000  # characters
 
 _NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _POINTS = re.compile(r"(.*\S)\s+in\s+(\S+)", re.DOTALL)
@@ -161,19 +157,17 @@ def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
     >>> parse_sweep("load.mass2=1 kg..0.2 kg", scenario)
     Traceback (most recent call last):
         ...
-    mckibben.errors.ParameterError: 'load.mass2=1 kg..0.2 kg': the range is empty: 1 kg is not below
-    0.2 kg; write the lower end first
+    mckibben.errors.ParameterError: 'load.mass2=1 kg..0.2 kg': the range is empty; write the lower end first
     """
     name, equals, definition = text.partition("=")
     try:
-        if len(text) > _MAX_TEXT:
-            _fail(f"is longer than {_MAX_TEXT} characters", "shorten it")
         if not equals:
             _fail("is not a parameter and its range", "write it like 'load.mass2=0.2 kg..1.0 kg'")
         parameter = find_parameter(scenario, name)
         return SweptParameter(parameter, _parse_distribution(definition.strip().replace("±", "+-"), parameter))
     except ParameterError as error:
-        raise _prefixed(text, error) from None
+        fields = {"value": error.value, "lower": error.lower, "upper": error.upper, "unit": error.unit}
+        raise ParameterError(f"{quoted(text)}: {error.message}", remedy=error.remedy, **fields) from None
 
 
 def parse_sweeps(texts: Iterable[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
@@ -211,24 +205,15 @@ def _parse_range(text: str, parameter: ScenarioParameter) -> Distribution:
     text, log = _split_ending(_LOG, text)
     low_text, high_text = split_range(text)
     high, low = _read(parameter.mark, high_text), _read(parameter.mark, low_text)
-    if not low < high:
-        message = f"the range is empty: {parameter.show(low)} is not below {parameter.show(high)}"
-        _fail(message, "write the lower end first")
     if parameter.is_integer:
         if log is not None or points is not None:
             _fail("a range of whole numbers is all of them", "leave `log` and `in ...` out, or list values")
-        return IntegerRange(int(low), int(high))
+        if high - low >= 100_000:
+            _fail("more than 100000 whole numbers", "choose fewer")
+        return Values(tuple(range(low, high + 1))) if low < high else Uniform(low, high)  # which is empty
     if points is not None and not re.fullmatch(r"[0-9]{1,9}", points):
         _fail(f"{quoted(points)} is not a number of points", "write it like `in 9`")
-    count = None if points is None else int(points)
-    if log is None:
-        return Uniform(low, high, count)
-    if low <= 0 <= high:
-        _fail(
-            f"a range from {parameter.show(low)} to {parameter.show(high)} has no logarithm",
-            "give two ends of one sign, neither of them zero, or leave `log` out",
-        )
-    return LogUniform(low, high, count)
+    return (Uniform if log is None else LogUniform)(low, high, None if points is None else int(points))
 
 
 def _parse_values(text: str, parameter: ScenarioParameter) -> Values:
@@ -281,12 +266,6 @@ def _split_ending(ending: re.Pattern[str], text: str) -> tuple[str, str | None]:
 
 def _fail(message: str, remedy: str) -> NoReturn:
     raise ParameterError(message, remedy=remedy)
-
-
-def _prefixed(text: str, error: ParameterError) -> ParameterError:
-    """The same error with its text in front."""
-    fields = {"value": error.value, "lower": error.lower, "upper": error.upper, "unit": error.unit}
-    return ParameterError(f"{quoted(text)}: {error.message}", remedy=error.remedy, **fields)
 
 
 Table = dict[str, NDArray]

@@ -219,31 +219,19 @@ def gather_recording(folder: str | os.PathLike[str]) -> Recording:
 
 
 def _kept_test(folder: Path) -> RigTest:
-    """Test of a folder, by its record, which has checksums; a protocol file that is damaged or missing is restored."""
+    """Test of a folder: that of its record, or of its protocol if nothing is recorded yet."""
     path = folder / PROTOCOL
-    if not segments(folder):
-        if not path.exists():
-            raise FileError(str(folder), [Problem("contains no test", remedy="give the folder of `rig run --out`")])
-        return RigTest.read(path)
-    recorded = RigTest.parse(header_of(folder)[0]["protocol"], source=f"the record in {folder}", folder=folder)
-    try:
-        written = RigTest.read(path)
-    except FileError:
-        recorded.to_yaml(path)
-        warnings.warn(f"{path} was damaged or missing: it is restored from the record", McKibbenWarning, stacklevel=3)
-        return recorded
-    if written.is_same(recorded):
-        return written
-    warnings.warn(f"{path} is not what was recorded: the test of the record is used", McKibbenWarning, stacklevel=3)
-    return recorded
+    if segments(folder):
+        return RigTest.parse(header_of(folder)[0]["protocol"], source=f"the record in {folder}", folder=folder)
+    if not path.exists():
+        raise FileError(str(folder), [Problem("contains no test", remedy="give the folder of `rig run --out`")])
+    return RigTest.read(path)
 
 
 def _warn_of_calibration(checked: CheckedTest, folder: Path) -> None:
     for path in segments(folder):
-        stored = read_header(path)[0]["header"]["calibration"]
-        if {name: Calibration.from_json(form) for name, form in stored.items()} != dict(
-            checked.setup.bench.calibrations
-        ):
+        stored = read_header(path)[0]["header"]["calibration"].items()
+        if {name: Calibration.from_json(form) for name, form in stored} != dict(checked.setup.bench.calibrations):
             message = f"{path} was recorded with another calibration; the dataset is made with the present one"
             warnings.warn(message, McKibbenWarning, stacklevel=3)
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,27 +12,22 @@ import jax
 import numpy as np
 
 from mckibben.component.calls import checked_call
-from mckibben.errors import FileError, ParameterError, Problem, SimulationError, suggest
+from mckibben.errors import FileError, ParameterError, Problem, SimulationError
 from mckibben.notebook import Progress
 from mckibben.scenario import ModelFollows, Scenario, batched, followed_names, run_many
 from mckibben.simulation import Batch, Metrics
 from mckibben.simulation.accuracy import STEP_COLUMNS
 from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
-from mckibben.simulation.metrics import METRICS
-from mckibben.simulation.problem import check_frequencies
+from mckibben.simulation.problem import check_frequencies, check_names
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.store import STUDY, check_no_study, read_store
 from mckibben.study.cluster import check_cluster
 from mckibben.study.parameters import Distribution, SweptParameter, parse_sweeps, sample, sweep_parameters
-from mckibben.study.study import Study, Table, select
+from mckibben.study.study import Study, Table, digest, select
 from mckibben.study.sweep.feasibility import feasibility
-from mckibben.study.sweep.result import SweepResult, digest_of_model
+from mckibben.study.sweep.result import SweepResult
 
 FORMAT = "mckibben sweep"
-_SAMPLES = 1024
-_MIN_BATCHES = 16  # of a sweep on a CPU, as long as they fill a vector
-_MAX_BLOCKS = 256
-_MAX_BATCHES = 64  # per block: an interruption loses one block per thread
 
 Sweepable = Sequence[str | SweptParameter] | Mapping[str, Distribution]
 """Parameters and their distributions: texts for `parse_sweep`, or objects."""
@@ -52,14 +45,12 @@ class Sweep(Study):
     metrics: tuple[str, ...]
     precision: int  # bits
     model_follows: tuple[str, ...]  # varied plant parameters that the controller's model follows
-    batch_size: int  # tables are padded to a multiple: a result must not depend on the number of runs
     software: Mapping[str, str]  # versions, engine and compiler, required of all processes
+    batch_size: int  # tables are padded to a multiple: a result must not depend on the number of runs
     block: int
     folder: str = "."  # base of paths in the settings
-    source: str = ""  # origin of the scenario
 
     unit = "runs"
-    ignore = ("source",)
 
     @classmethod
     def of(
@@ -72,10 +63,9 @@ class Sweep(Study):
         seed: int | None = None,
         metrics: Sequence[str] | None = None,
         precision: int | None = None,
-        block: int | None = None,
         model_follows: ModelFollows | None = None,
         engine: str = "auto",
-        **about: Any,
+        folder: str = ".",
     ) -> Sweep:
         """Return a sweep with the arguments of `sweep`; raises `ParameterError` for invalid ones."""
         method: Any = "sobol" if design is None else design
@@ -87,21 +77,24 @@ class Sweep(Study):
         swept = _swept(over, scenario)
         followed = followed_names(scenario, model_follows or (), [parameter.name for parameter in swept])
         seed = 0 if seed is None or method == "grid" else seed
-        table = sample(swept, method, _SAMPLES if samples is None else samples, seed)
+        table = sample(swept, method, 1024 if samples is None else samples, seed)
         rows = len(next(iter(table.values())))
         many = batched(scenario, table)  # find invalid combinations before the computation
         check_frequencies(many.reference(), scenario.control_period)
-        size, block = _sizes(rows, block, engine)
-        chosen, bits = parse_metrics(metrics), precision or 64
-        return cls(scenario, swept, method, rows, seed, chosen, bits, followed, size, software(engine), block, **about)
+        sizes = _sizes(rows, engine)
+        chosen = Metrics._fields if metrics is None else tuple(metrics)
+        check_names("metric", chosen, Metrics._fields)
+        return cls(
+            scenario, swept, method, rows, seed, chosen, precision or 64, followed, software(engine), *sizes, folder
+        )
 
     def about(self) -> dict[str, Any]:
         """Return all that determines the numbers, as JSON."""
-        first = {name: column[:1] for name, column in self.rows().items()}
+        rows = self.rows()
+        first = batched(self.scenario, select(rows, slice(1)), model_follows=self.model_follows)
         return {
             "format": FORMAT,
             "scenario": self.scenario.dumps(folder=self.folder),
-            "source": _plain(Path(self.source).name if Path(self.source).is_absolute() else self.source),
             "over": [parameter.text for parameter in self.swept],
             "model_follows": list(self.model_follows),
             "design": self.method,
@@ -112,9 +105,8 @@ class Sweep(Study):
             "block": self.block,
             "batch_size": self.batch_size,
             "software": dict(self.software),
-            "digest of values": _digest_of_table(self.rows()),
-            "first": {name: column[0].item() for name, column in first.items()},
-            "digest of model": digest_of_model(self.scenario, first, self.model_follows),
+            "digest of values": digest(rows),
+            "digest of model": digest((first.plant(), first.control(), first.reference())),
         }
 
     def rows(self) -> Table:
@@ -163,10 +155,8 @@ def sweep(
     resume: bool = False,
     dask: str | None = None,
     workers: int | None = None,
-    block: int | None = None,
     model_follows: ModelFollows | None = None,
     engine: str = "auto",
-    source: str = "",
     progress: Progress | None = None,
 ) -> SweepResult:
     """Simulate a scenario many times with some of its parameters varied.
@@ -191,18 +181,14 @@ def sweep(
     resume
         Continue the sweep in `out`. Options left out are taken from it; others must match.
     dask
-        "local" for processes on this machine, or the address of a dask scheduler. Default: threads.
+        Address of a dask scheduler, to whose workers the blocks go. Default: threads of this process.
     workers
-        Threads or local processes. Default: one per core.
-    block
-        Runs per block. Default: chosen by the number of runs.
+        Threads. Default: one per core.
     model_follows
         Varied plant parameters that the controller's model follows, "all" for all of them. Default: none; the
         controller's model is the scenario's in all runs.
     engine
         As for `simulate_many`; one engine computes all runs. Default: that of the sweep that is continued, or "auto".
-    source
-        Origin of the scenario, for the record.
     progress
         Called with the current step and the completed fraction, 0 to 1. Default: a progress bar in notebooks.
 
@@ -223,21 +209,22 @@ def sweep(
     >>> swept.table["load.mass2"].to_numpy().round(3)
     array([0.482, 0.551, 0.512, 0.431])
     """
-    options: dict[str, Any] = {"over": over, "design": design, "samples": samples, "seed": seed, "metrics": metrics}
-    options |= {
+    options: dict[str, Any] = {
+        "over": over,
+        "design": design,
+        "samples": samples,
+        "seed": seed,
+        "metrics": metrics,
         "precision": precision,
-        "block": block,
         "model_follows": model_follows,
         "engine": engine,
-        "source": source,
+        "folder": "." if out is None else os.fspath(out),
     }
     if dask is not None:
         check_cluster(dask)
-    if out is not None:
-        options["folder"] = os.fspath(out)
-        if not resume:
-            check_no_study(Path(out) / STUDY)
-    elif resume:
+    if out is not None and not resume:
+        check_no_study(Path(out) / STUDY)
+    if out is None and resume:
         raise ParameterError("there is no sweep to continue", remedy="give its folder")
     if resume:
         study = Sweep.of(scenario, **_completed(options, _begun(Path(options["folder"]) / STUDY)))
@@ -245,7 +232,7 @@ def sweep(
         study = Sweep.of(scenario, **options).with_known_engine(engine)
     records = study.run(out, resume=resume, workers=workers, dask=dask, progress=progress)
     inputs = {parameter: records.rows[parameter.name] for parameter in study.swept}
-    return SweepResult.of(scenario.name, study.about(), inputs, study.metrics, records.columns, records.computed)
+    return SweepResult.of(scenario, study.about(), inputs, records.columns, records.computed)
 
 
 def _begun(path: Path) -> dict[str, Any]:
@@ -265,23 +252,8 @@ def _completed(options: Mapping[str, Any], begun: Mapping[str, Any]) -> dict[str
     design = options["design"] or begun["design"]
     own = {name: begun[name] for name in options.keys() & begun.keys() if name != "samples" or design != "grid"}
     own["engine"] = engine_of_job(set, begun["software"], options["engine"])
-    left = {name: value for name, value in options.items() if value not in (None, "") and name != "engine"}
+    left = {name: value for name, value in options.items() if value is not None and name != "engine"}
     return own | left
-
-
-def parse_metrics(names: Iterable[str] | None) -> tuple[str, ...]:
-    """Return metrics by their names in `Metrics` or in results; None for all. `ParameterError` for unknown ones."""
-    if names is None:
-        return Metrics._fields
-    if isinstance(names, str):
-        names = names.split(",")
-    chosen = [METRICS[name][0] if name in METRICS else name for name in names]
-    for name in chosen:
-        if name not in Metrics._fields:
-            raise ParameterError(f"there is no metric {name!r}", value=name, remedy=suggest(name, Metrics._fields))
-    if not chosen:
-        raise ParameterError("no metric is chosen", remedy=f"choose some of {', '.join(Metrics._fields)}")
-    return tuple(name for name in Metrics._fields if name in chosen)
 
 
 def _swept(over: Sweepable | None, scenario: Scenario) -> tuple[SweptParameter, ...]:
@@ -295,34 +267,18 @@ def _swept(over: Sweepable | None, scenario: Scenario) -> tuple[SweptParameter, 
     return tuple(next(parsed) if isinstance(item, str) else item for item in over)
 
 
-def _sizes(rows: int, block: int | None, engine: str = "auto") -> tuple[int, int]:
-    """Runs per batch, and runs per block; functions of the number of runs, the platform and CUDA alone."""
+def _sizes(rows: int, engine: str = "auto") -> tuple[int, int]:
+    """Runs per batch, and runs per block; functions of the number of runs, the platform and CUDA alone.
+
+    A CPU gets 16 batches or more, as long as they fill a vector, and up to 256 blocks of up to 64 batches: an
+    interruption loses one block per thread.
+    """
     cpu = jax.default_backend() == "cpu" and engine != "cuda"
-    batches, largest = (_MIN_BATCHES, CHUNK) if cpu else (1, ON_ACCELERATOR)
+    batches, largest = (16, CHUNK) if cpu else (1, ON_ACCELERATOR)
     batches = max(batches, -(-rows // largest))  # of equal size, so that the last one needs little padding
-    batch_size = _full_vectors(-(-rows // batches))
-    if block is None:
-        return batch_size, batch_size * min(max(rows // (batch_size * _MAX_BLOCKS), 1), _MAX_BATCHES if cpu else 4)
-    if isinstance(block, bool) or not isinstance(block, int) or block < 1:
-        raise ParameterError(f"a block of {block!r} runs", value=block, remedy="give a whole number, 1 or more")
-    return min(batch_size, _full_vectors(block)), block
-
-
-def _full_vectors(rows: int) -> int:
-    return -(-rows // VECTOR) * VECTOR
-
-
-def _plain(text: str) -> str:
-    """Text that is valid UTF-8: the bytes of a path may not be."""
-    return text.encode(errors="backslashreplace").decode()
+    batch_size = -(-rows // batches // VECTOR) * VECTOR
+    return batch_size, batch_size * min(max(rows // (batch_size * 256), 1), 64 if cpu else 4)
 
 
 def _listed(versions: Mapping[str, str]) -> str:
     return ", ".join(f"{name} {version}" for name, version in versions.items())
-
-
-def _digest_of_table(table: Table) -> str:
-    digest = hashlib.sha256(json.dumps([(name, column.dtype.str) for name, column in table.items()]).encode())
-    for column in table.values():
-        digest.update(np.ascontiguousarray(column).tobytes())
-    return digest.hexdigest()

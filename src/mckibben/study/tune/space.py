@@ -9,7 +9,7 @@ import numpy as np
 
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, ScenarioParameter, find_parameter, list_parameters
-from mckibben.study.parameters import LogUniform, SweptParameter, Uniform, parse_sweep, sweep_parameters
+from mckibben.study.parameters import LogUniform, Range, SweptParameter, parse_sweep, sweep_parameters
 from mckibben.study.parameters.sampling import parse_distinct
 from mckibben.study.tune.search import Vector
 from mckibben.units import quantity
@@ -25,7 +25,7 @@ class SearchSpace:
         if not self.swept:
             raise ParameterError("nothing to tune", remedy="give at least one parameter")
         for swept in self.swept:
-            if not isinstance(swept.distribution, Uniform | LogUniform):
+            if not isinstance(swept.distribution, Range):
                 raise ParameterError(
                     f"{swept.name} has no range to search", remedy="give one, such as `1..10 bar/rad log`"
                 )
@@ -51,8 +51,8 @@ class SearchSpace:
 
     def point(self, values: Vector) -> Vector:
         """Point of values [SI] of shape (parameters,), clipped to the ranges."""
-        pairs = zip(self.swept, values, strict=True)
-        return np.array([float(swept.distribution.quantile(value)) for swept, value in pairs])
+        ranges = (swept.distribution for swept in self.swept if isinstance(swept.distribution, Range))
+        return np.array([float(swept_range.quantile(value)) for swept_range, value in zip(ranges, values, strict=True)])
 
     def rounded(self, values: Vector, digits: int = 6) -> Vector:
         """Values [SI] rounded to significant digits in the unit of files, within the ranges."""
