@@ -166,7 +166,6 @@ def test_the_rule_looks_at_where_was_measured(map_of_martens, chart, fit):
     )
     by_stroke = identify(ExponentialLaw, both)
     assert (by_stroke.robust.by, by_stroke.robust.groups) == (Grouping.STROKE, 20)
-    assert "cluster-robust (CR2) by stroke (20 strokes" in by_stroke.to_text(details=True)
     scattered = chart.pressure + np.linspace(0, 500, len(chart))
     alone = identify(
         ExponentialLaw, IsobaricDataset.of(pressure=scattered, contraction=chart.contraction, force=chart.force)

@@ -9,7 +9,7 @@ from mckibben.identification.friction_model import FrictionForm
 from mckibben.identification.grouping import Grouping
 from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.outliers import find_outliers
-from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, PoolForm, identify_pooled
+from mckibben.identification.pooling import LeftOutSpecimen, PooledFit, identify_pooled
 from mckibben.identification.ranking import RankedLaw, Ranking, rank
 from mckibben.identification.regression import ForceIntervals
 from mckibben.identification.storage import read_law
@@ -33,7 +33,6 @@ __all__ = [
     "LeaveOnePressureOut",
     "LeftOutSpecimen",
     "Outlier",
-    "PoolForm",
     "PooledFit",
     "RankedLaw",
     "Ranking",

@@ -7,13 +7,12 @@ Numbers alone, no datasets: residuals r of shape (n,), and their Jacobian J of s
    are error models, whose ``variance(gradients)`` is that of any quantity with those gradients, and its degrees of
    freedom. `robust_errors` chooses the cluster-robust one unless one group alone determines a parameter.
 3. `t_quantile`, `t_interval` and `parameter_interval` turn variances into intervals; `profile_interval` and
-   `minimum_near` serve profiles of the cost.
+   `bounded_minimum` serve profiles of the cost.
 4. `condition_number` and `unidentifiable` name the parameters that the data do not determine.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -128,13 +127,6 @@ def standard_errors(jacobian: Floats, residuals: Floats, at_bound: Bools) -> tup
     correlations[np.ix_(free, free)] = np.clip(scaled / np.outer(widths, widths), -1.0, 1.0)
     correlations[free, free] = 1.0
     return errors, correlations
-
-
-def correlated_pairs(names: Sequence[str], correlations: Floats) -> list[tuple[str, str, float]]:
-    """Pairs of parameters and their known correlations, in descending order of magnitude."""
-    pairs = [(*pair, float(correlations[pair])) for pair in itertools.combinations(range(len(names)), 2)]
-    known = [(names[i], names[j], value) for i, j, value in pairs if np.isfinite(value)]
-    return sorted(known, key=lambda pair: -abs(pair[2]))
 
 
 def condition_number(jacobian: Floats) -> float:
@@ -367,13 +359,11 @@ def profile_interval(grid: Floats, roots: Floats, limit: float, place: int, unbo
     )
 
 
-def minimum_near(cost: Callable[[float], float], grid: Sequence[float], costs: Sequence[float], xatol: float) -> float:
-    """Minimum of a cost between the neighbours of the lowest one of an ascending grid."""
+def bounded_minimum(cost: Callable[[float], float], lower: float, upper: float, xatol: float) -> float:
+    """Position of the minimum of a cost between bounds, within an absolute tolerance."""
     from scipy.optimize import minimize_scalar  # takes 0.1 s to import
 
-    at = int(np.argmin(costs))
-    bounds = (grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)])
-    return float(minimize_scalar(cost, bounds=bounds, method="bounded", options={"xatol": xatol}).x)  # type: ignore
+    return float(minimize_scalar(cost, bounds=(lower, upper), method="bounded", options={"xatol": xatol}).x)  # type: ignore
 
 
 def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats, Floats]]) -> IntervalEstimate:

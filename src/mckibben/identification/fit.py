@@ -18,7 +18,6 @@ from mckibben.identification.estimator import (
     Floats,
     Interval,
     check_level,
-    correlated_pairs,
     parameter_interval,
     t_interval,
 )
@@ -206,12 +205,6 @@ class Fit(Result, metaclass=CheckedCalls):
         robust = self.require_regression().robust_errors(by)
         return robust.standard_errors, robust.degrees_of_freedom
 
-    def strongest_correlations(self, count: int = 3) -> list[tuple[str, str, float]]:
-        """Pairs of parameters with the largest absolute correlation, in descending order; penalised ones excluded."""
-        free = [not p.penalised for p in type(self.law).parameters()]
-        names = [name for name, shown in zip(self.estimates, free, strict=True) if shown]
-        return correlated_pairs(names, self.correlations[np.ix_(free, free)])[:count]
-
     def verdict(self) -> str:
         """Return how well the law describes the points, and points at pressures that were left out."""
         name, lopo = self.dataset.specimen or "unnamed specimen", self.leave_one_pressure_out
@@ -235,7 +228,12 @@ class Fit(Result, metaclass=CheckedCalls):
         """Return the notes, and what the standard errors and the scatter are."""
         yield from self.notes
         yield Remark.note("law", f"{self.law.equation}; domain: {self.law.domain}")
-        yield Remark.note("standard_errors", self._about_errors())
+        by = (
+            f"cluster-robust (CR2) by {self.robust.by.value} ({self.robust.groups} groups)"
+            if self.robust
+            else "classical"
+        )
+        yield Remark.note("standard_errors", f"standard errors: {by}")
         if count := sum(p.penalised for p in type(self.law).parameters()):
             text = f"deviations from Eq. 2: {count} coefficients, in `estimates` and the file"
             if self.regression:
@@ -245,9 +243,6 @@ class Fit(Result, metaclass=CheckedCalls):
             small, large = self.rmse * np.sqrt(self.regression.relative_variance(np.array([0.0, self.largest_force])))
             text = f"scatter grows with the force: {small:.3g} N at 0 N, {large:.3g} N at {self.largest_force:.3g} N"
             yield Remark.note("residuals", text)
-        if pairs := self.strongest_correlations():
-            listed = ", ".join(f"{a}, {b} {r:+.4f}" for a, b, r in pairs)
-            yield Remark.note("correlations", f"strongest correlations: {listed}")
 
     def listings(self) -> Iterable[Listing]:
         """Return the numbers of the fit, and the parameters in published units with 95 % intervals."""
@@ -271,18 +266,6 @@ class Fit(Result, metaclass=CheckedCalls):
         columns |= {"unit": (Column(), [p.shown for p in shown]), "meaning": (Column(), [p.meaning for p in shown])}
         return Listing("parameters", columns)
 
-    def _about_errors(self) -> str:
-        if self.robust is None:
-            return "standard errors: classical, for independent points"
-        names = [p.name for p in type(self.law).parameters() if not p.penalised]
-        ratios = [self.robust.standard_errors[n] / self.standard_errors[n] for n in names if self.standard_errors[n]]
-        freedom = [self.robust.degrees_of_freedom[n] for n in names]
-        return (
-            f"standard errors: cluster-robust (CR2) by {self.robust.by.value} "
-            f"({self.robust.by.counted(self.robust.groups)}, {np.nanmin(freedom):.1f}..{np.nanmax(freedom):.1f} "
-            f"degrees of freedom); {np.nanmin(ratios):.2g}..{np.nanmax(ratios):.2g} times the classical ones"
-        )
-
     def to_yaml(self, path: str | os.PathLike[str]) -> None:
         """Write everything to a file that `from_yaml` reads back exactly, with the points if there are at most 5000."""
         write_fit(self, Path(path))
@@ -290,14 +273,8 @@ class Fit(Result, metaclass=CheckedCalls):
     @classmethod
     def from_yaml(cls, path: str | os.PathLike[str]) -> Fit:
         """Read a file written by `to_yaml`; raises a `ScenarioError` with every problem and its line."""
-        fit = find_fit(Path(path))
-        if fit is None:
+        fields = read_fields(Path(path))
+        if fields is None:
             problem = Problem("has a law, but not the numbers of its fit", remedy="give a file that `identify` wrote")
             raise ScenarioError(os.fspath(path), [problem])
-        return fit
-
-
-def find_fit(path: Path) -> Fit | None:
-    """Read a file as `Fit.from_yaml`, or return None for one of a law alone."""
-    fields = read_fields(path)
-    return None if fields is None else Fit(**fields)
+        return cls(**fields)

@@ -351,7 +351,7 @@ def _drift_rate(model: PathDependentModel, solution: PathSolution) -> tuple[floa
 
 
 _AS_GOOD = 1.05  # times the lowest error
-_UNDETERMINED = 1e-8  # of the information in a direction outside a block
+_UNDETERMINED = 1e-8  # singular value, relative to the largest, of a direction that points do not determine
 
 
 def _compare_forms(
@@ -387,20 +387,15 @@ def _compare_forms(
 
 def _held_out_squares(solution: PathSolution, blocks: Floats | Ints) -> Floats:
     """Sum of squared errors [N^2] of each block by the linearised fit to all others; NaN where not determined."""
-    count, minimum = len(solution.free), solution.minimum
-    jacobian = minimum.jacobian[:, :count][:, solution.inside[:count]]
-    lengths = np.linalg.norm(jacobian, axis=0)
-    left, singular, _ = np.linalg.svd(jacobian / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
-    q = left[:, singular > _UNDETERMINED * singular[0]]
-    squares = []
+    count, residuals = len(solution.free), solution.minimum.residuals
+    jacobian = solution.minimum.jacobian[:, :count][:, solution.inside[:count]]
+    jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(float).tiny)
+    rank, squares = np.linalg.matrix_rank(jacobian, rtol=_UNDETERMINED), []
     for block in np.unique(blocks):
-        own, residuals = q[blocks == block], minimum.residuals[blocks == block]
-        part, vectors = np.linalg.eigh(np.eye(q.shape[1]) - own.T @ own)
-        if part[0] < _UNDETERMINED:
-            squares.append(np.nan)
-            continue
-        error = residuals + own @ (vectors @ (vectors.T @ (own.T @ residuals) / part))
-        squares.append(float(error @ error))
+        out = blocks == block
+        step, _, rest, _ = np.linalg.lstsq(jacobian[~out], residuals[~out], rcond=_UNDETERMINED)
+        error = residuals[out] - jacobian[out] @ step
+        squares.append(float(error @ error) if rest == rank else np.nan)
     return np.array(squares)
 
 

@@ -106,12 +106,6 @@ def _columns_and_residuals(
     return jnp.concatenate([columns, (jnp.asarray(force) - modelled)[None]]) * jnp.asarray(weights)
 
 
-@jit
-def _grid_of_columns_and_residuals(law_type: type[ForceLaw], values: ArrayLike, *others: Any) -> Array:
-    """`_columns_and_residuals` of many values, shape (count, parameters)."""
-    return jax.vmap(lambda row: _columns_and_residuals(law_type, row, *others))(jnp.asarray(values))
-
-
 def _force_and_columns(
     law: Callable[[dict[str, Any]], ForceLaw], names: tuple[str, ...], values: Any, contraction: Any, pressure: Any
 ) -> tuple[Array, Array]:
@@ -126,7 +120,6 @@ def _force_and_columns(
 
 _GRID_POINTS = 512  # of a grid over several parameters
 _GRID_POINTS_PER_PARAMETER = 32
-_TOGETHER = 32  # positions of a grid that are computed together
 _AT_BOUND = 1e-6  # distance from a bound in the unit cube
 
 
@@ -237,11 +230,10 @@ class FitProblem:
             raise IdentificationError(text, remedy="measure over more contractions, or fit a simpler law") from error
 
     def columns_and_residuals(self, values: Floats) -> Floats:
-        """Weighted design matrix, transposed, above the weighted residuals [N]: shape (..., parameters + 1, n)."""
+        """Weighted design matrix, transposed, above the weighted residuals [N]: shape (parameters + 1, n)."""
         stop_check.get()()
         points = self.contraction, self.pressure, self.force, self._factors
-        program = _columns_and_residuals if values.ndim == 1 else _grid_of_columns_and_residuals
-        return np.asarray(program(self.law_type, values, *points, self.constants))
+        return np.asarray(_columns_and_residuals(self.law_type, values, *points, self.constants))
 
     def with_prior(self, rows: Floats, values: Floats) -> Floats:
         """Columns and residuals, shape (parameters + 1, n), followed by the rows of the prior."""
@@ -349,24 +341,7 @@ def project(problem: FitProblem, position: Floats, guess: Floats | None = None) 
 
 def grid_search(problem: FitProblem) -> Floats:
     """Position of lowest cost on a grid over the range of the shape."""
-    grid = problem.cube.grid()
-    return grid[np.argmin(grid_costs(problem, grid))]
-
-
-def grid_costs(problem: FitProblem, positions: Floats) -> Floats:
-    """Costs of the projections at positions, shape (positions,), computed together."""
-    linear, costs = problem.linear, np.full(len(positions), np.inf)
-    for start in range(0, len(positions), _TOGETHER):
-        some = positions[start : start + _TOGETHER]
-        short = (0, min(_TOGETHER, len(positions)) - len(some))  # one program for all
-        shapes = np.array([problem.cube.values(position) for position in some]).reshape(some.shape)
-        values = np.pad(np.hstack([np.zeros((len(some), linear)), shapes]), (short, (0, 0)), mode="edge")
-        for i, rows in enumerate(problem.columns_and_residuals(values)[: len(some)], start):
-            rows = problem.with_prior(rows, values[i - start])
-            if np.isfinite(rows).all():
-                rest = tsqr_r(rows.T)[linear:, -1]
-                costs[i] = rest @ rest
-    return costs
+    return min(problem.cube.grid(), key=lambda position: project(problem, position).cost)
 
 
 _INSIDE = 1e-9  # a search starts off the faces of the cube

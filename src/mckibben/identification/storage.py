@@ -5,6 +5,7 @@ A law written by hand is such a file, too: ``law: {class: chou, braid_angle: 25 
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -28,14 +29,13 @@ from mckibben.storage.files import atomic_write, sealed
 
 _MOST_POINTS = 5000
 _HEAD = "# A force law identified by mckibben. The numbers of its fit are in SI: N, Pa, and those of the parameters.\n"
-_NOT_FINITE = {".nan": np.nan, ".inf": np.inf, "-.inf": -np.inf}
 _COLUMNS = ("pressure", "contraction", "force", "set_pressure", "direction", "phase", "repeat")
 
 
 class _FitPoints(ConfigModel):
     """Points of a fit, one value of each column per point, and the scales of its prior."""
 
-    model_config = ConfigDict(strict=False, ser_json_inf_nan="constants")
+    model_config = ConfigDict(strict=False)
 
     slack_force: float
     pressure: list[float]
@@ -74,7 +74,7 @@ class _FitPoints(ConfigModel):
 class _FitNumbers(ConfigModel):
     """Numbers of a fit, as attributes of `Fit`."""
 
-    model_config = ConfigDict(strict=False, ser_json_inf_nan="constants")
+    model_config = ConfigDict(strict=False, ser_json_inf_nan="strings")
 
     standard_errors: dict[str, float]
     robust: RobustErrors | None = None
@@ -89,26 +89,13 @@ class _FitNumbers(ConfigModel):
     outliers: list[Outlier] = []  # noqa: RUF012
     data: _FitPoints | None = None
 
-    @model_validator(mode="before")
-    @classmethod
-    def _read_not_finite(cls, section: Any) -> Any:
-        return _numbers(section)
-
-
-def _numbers(section: Any) -> Any:
-    """Numbers in place of the texts for those that are not finite, such as errors of parameters at a bound."""
-    if isinstance(section, dict):
-        return {key: _numbers(value) for key, value in section.items()}
-    if isinstance(section, list | tuple):
-        return [_numbers(value) for value in section]
-    return _NOT_FINITE.get(section, section) if isinstance(section, str) else section
-
 
 class _FitFile(DocumentModel):
     """A law, with the numbers of its fit unless it is written by hand."""
 
     kind: ClassVar[str] = "fit"
     examples: ClassVar[str] = "docs/files.md"
+    model_config = ConfigDict(ser_json_inf_nan="strings")  # errors of parameters at a bound are NaN
 
     law: Annotated[Any, ComponentField(ForceLaw)]
     equation: str = ""
@@ -140,7 +127,7 @@ def write_fit(fit: Any, path: Path) -> None:
     )
     kind = type(fit.law)
     file = _FitFile(law=fit.law, equation=kind.equation, version=package_version(kind.__module__) or "", fit=numbers)
-    content = file.model_dump(mode="json", exclude_none=True, context={"folder": path.parent})
+    content = json.loads(file.model_dump_json(exclude_none=True, context={"folder": path.parent}))
     content["law"].pop("equation", None)  # stands at the top, with the version
     text = _HEAD + to_text(content, width=200)
     with atomic_write(path, overwrite=True) as sibling:

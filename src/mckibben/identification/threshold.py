@@ -11,7 +11,7 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
-from mckibben.identification.estimator import Floats, common_error, minimum_near, profile_interval, t_quantile
+from mckibben.identification.estimator import Floats, bounded_minimum, common_error, profile_interval, t_quantile
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import identify
 from mckibben.identification.grouping import finest_grouping, group_labels
@@ -117,8 +117,9 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, ro
     grid = np.geomspace(_LOWEST, _HIGHEST * float(points.pressure.max()), _GRID)
     without, solutions = profile.solution(0.0), [profile.solution(threshold) for threshold in grid]
     reached = [solution.cost for solution in solutions]
-    log = minimum_near(lambda log: profile.solution(math.exp(log)).cost, np.log(grid).tolist(), reached, 1e-4)
-    threshold = math.exp(log)
+    at = int(np.argmin(reached))
+    lower, upper = np.log(grid[[max(at - 1, 0), min(at + 1, _GRID - 1)]])
+    threshold = math.exp(bounded_minimum(lambda log: profile.solution(math.exp(log)).cost, lower, upper, 1e-4))
     best = profile.solution(threshold)
     freedom, inflation = profile.inflation(threshold, best)
     scale = best.cost / max(len(points) - len(best.values) - 1, 1) * inflation
