@@ -62,13 +62,7 @@ def test_growth_and_drift_are_found_with_their_errors(drifting):
     for name, true in (("a2", LAW.a2), ("decay", LAW.decay)):
         assert abs(getattr(found.law, name) - true) < 4 * errors[name] < 0.1 * abs(true)
     assert found.warnings == () and found.rmse < 0.12
-    order = list(errors)
-    assert found.correlations.shape == (len(order), len(order))
-    known = [np.isfinite(errors[name]) for name in order]
-    assert [name for name, has in zip(order, known, strict=True) if not has] == [
-        *("tension_growth", "viscous"),
-    ]
-    np.testing.assert_allclose(np.diag(found.correlations)[known], 1.0)
+    assert [name for name in errors if np.isnan(errors[name])] == ["tension_growth", "viscous"]
 
 
 @pytest.mark.slow
@@ -113,7 +107,7 @@ def test_a_presliding_shorter_than_a_step_is_said_not_to_be_known():
 def test_two_pressures_tell_no_growth():
     few = dataclasses.replace(PROTOCOL, pressures=[2 * bar, 4 * bar])
     found = identify_hysteresis(LAW, SimulatedIsobaricTest(MUSCLE).run(few, seed=1))
-    assert found.friction.growth == 0 and "fewer than three pressures" in found.notes[0].text
+    assert found.friction.growth == 0
 
 
 def test_data_that_cannot_tell_are_refused(drifting):
@@ -157,7 +151,7 @@ def model(drifting):
     strokes = LoadingPaths.of(data)
     line = DriftBasis.candidates(strokes, data)[1]
     rate = 2e-3 * np.sin(np.arange(len(data)))
-    return PathDependentModel(LAW, strokes, data, line, np.ones(len(data), bool), 3 * bar, 6, 200.0, rate)
+    return PathDependentModel(LAW, strokes, data, line, np.ones(len(data), bool), 3 * bar, 200.0, rate)
 
 
 def test_the_force_along_the_way_is_that_of_the_rig(model):

@@ -10,7 +10,7 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import Fit, Grouping, identify
-from mckibben.identification.estimator import ClusterRobustErrors, scatter_growth
+from mckibben.identification.estimator import ClusterRobustErrors
 from mckibben.identification.grouping import group_labels
 from mckibben.muscle import ExponentialLaw, ReynoldsLaw
 from mckibben.units import bar
@@ -250,18 +250,5 @@ def test_bands_broadcast_and_a_further_measurement_is_less_sure(fit):
         fit.force_intervals([0.05], [3 * bar], level=0.9).confidence.upper[0]
     )
     independent = fit.force_intervals(0.05, 3 * bar, by=Grouping.POINT)
-    scatter = fit.rmse**2 * 119 / 112 * fit.regression.relative_variance(independent.prediction.value)
-    total = independent.confidence.standard_error**2 + scatter
+    total = independent.confidence.standard_error**2 + fit.rmse**2 * 119 / 112
     assert float(independent.prediction.standard_error) == pytest.approx(np.sqrt(total))
-
-
-@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
-def test_a_growth_of_the_scatter_is_found_in_any_unit_and_none_where_there_is_none(unit):
-    """Of a standard deviation that rises from 1 to 3 units of force."""
-    force = np.linspace(0.0, 600.0, 200)
-    noise = unit * np.random.default_rng(3).normal(size=200)
-    found = scatter_growth(force, noise * np.sqrt(1 + 8 * (force / 600) ** 2))
-    assert found * 600**2 == pytest.approx(8.0, rel=0.5)
-    assert found == pytest.approx(scatter_growth(force, noise / unit * np.sqrt(1 + 8 * (force / 600) ** 2)), rel=1e-3)
-    assert scatter_growth(force, noise) == 0.0
-    assert scatter_growth(force, noise * np.sqrt(9 - 8 * (force / 600) ** 2)) == 0.0

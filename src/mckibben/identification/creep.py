@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -142,76 +142,240 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Cree
     (0.08, 4.0, 6)
     """
     recordings = [recordings] if isinstance(recordings, Recording) else recordings
-    delayed = DelayedForce.of([RecordedBins.of(recording) for recording in recordings])
-    fit = delayed.fit()
+    delayed = DelayedForce.of([RecordedBins.of(recording, number) for number, recording in enumerate(recordings)])
     for _ in range(_ROUNDS):
-        delayed = delayed.corrected(fit)
-        fit = delayed.fit()
-    share = fit.solution[0]
-    notes = []
-    if abs(share) > _LARGEST and fit.p_value < _SIGNIFICANT:
+        delayed = delayed.corrected()
+    share, rate, residuals = delayed.solution
+    tau, (low, high) = delayed.time_constant, delayed.time_constant_interval
+    error, freedom = delayed.error
+    half = float(t_quantile(0.95, freedom)) * error if 0 < low and high < math.inf else math.inf
+    significant, notes = delayed.p_value < _SIGNIFICANT, []
+    if significant and abs(share) > _LARGEST:
         text = f"the share of {share / percent:.3g} % is beyond the 50 % of the form"
         notes.append(Remark.warning("creep", text))
-    return _result(fit, notes)
-
-
-def _result(fit: RelaxationFit, notes: Sequence[Remark]) -> CreepFit:
-    """Result of a fit, with the creep if it is significant."""
-    share, rate, residuals = fit.solution
-    tau, (low, high) = fit.time_constant, fit.time_constant_interval
-    error, freedom = fit.error
-    half = float(t_quantile(0.95, freedom)) * error if 0 < low and high < math.inf else math.inf
-    significant = fit.p_value < _SIGNIFICANT
-    notes = list(notes)
     if significant and half == math.inf:
         bounds = f"at least {low:.3g} s" if high == math.inf else f"at most {high:.3g} s"
         remedy = "record longer plateaus, sooner after the step, or more of them"
         notes.append(Remark.warning("time_constant", f"the time constant is not determined: {bounds}", remedy))
     return CreepFit(
         creep=MaxwellCreep(0.0, tau, pressure_share=min(max(share, -_LARGEST), _LARGEST)) if significant else NoCreep(),
-        p_value=fit.p_value,
+        p_value=delayed.p_value,
         share=share,
         share_interval=(share - half, share + half),
         time_constant=tau,
         time_constant_interval=(low, high),
-        residual=fit.root_mean_square(residuals),
-        creep_force=fit.root_mean_square(share * fit.columns(np.array([tau]))[:, 0]),
+        residual=delayed.root_mean_square(residuals),
+        creep_force=delayed.root_mean_square(share * delayed.columns(np.array([tau]))[:, 0]),
         common_rate=rate,
-        plateaus=int(fit.owner.max()) + 1,
+        plateaus=len(delayed.plateaus),
         notes=tuple(notes),
     )
 
 
-@dataclass(frozen=True, eq=False)
-class RelaxationFit:
-    """Least-squares fit of an amplitude, a common rate and a time constant to blocks of plateaus.
+class PressurePlateau(NamedTuple):
+    """Bins of a steady pressure: recording, first and one past the last bin, contraction, and direction of the step."""
 
-    Attributes
-    ----------
-    values, line
-        Force [N] and time [s] by block, shape (blocks,), without what is free for each plateau; multiplied by the root.
-    root, owner
-        Square root of the weight, and plateau of each block.
-    columns
-        Function of time constants [s], shape (m,), that returns the columns times the root, shape (blocks, m).
-    grid
-        Ascending time constants [s] of the search.
-    removed
-        Number of directions that are free for each plateau, such as its mean.
+    recording: int
+    first: int
+    last: int
+    contraction: float
+    step: float
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedBins:
+    """Means of a recording over equal times, empty ones left out."""
+
+    time: Floats
+    pressure: Floats
+    force: Floats
+    contraction: Floats
+    samples: Floats
+
+    @classmethod
+    def of(cls, recording: Recording, number: int) -> RecordedBins:
+        """Bins of a recording; without contraction, each number of a recording is another length."""
+        time = recording.time
+        if not len(time) or not time[-1] > time[0]:
+            raise IdentificationError("the time of a recording does not advance", remedy="check its time column")
+        width = max(float(np.median(np.diff(time))), (time[-1] - time[0]) / _BINS)
+        bins = np.unique(np.floor((time - time[0]) / width * (1 + 1e-9)), return_inverse=True)[1]
+        samples = np.bincount(bins).astype(float)
+        contraction = np.full(len(time), -1.0 - number) if recording.contraction is None else recording.contraction
+        columns = (time, recording.pressure, recording.force, contraction)
+        return cls(*(np.bincount(bins, column) / samples for column in columns), samples)
+
+    def plateaus(self, number: int) -> list[PressurePlateau]:
+        """Plateaus of the pressure at one length, with the direction of the step before each."""
+        signals = [(self.pressure, _STEADY), (self.contraction, _MOVED / 2)]
+        segments = steady_segments(signals, np.zeros(len(self.time), bool), _PARTS)
+        before, plateaus = None, []
+        for start, last in zip(segments.first.tolist(), segments.last.tolist(), strict=True):
+            first = start + max(1, (last - start) // _PARTS)
+            pressure = float(self.pressure[first:last].mean())
+            step = 0.0 if before is None else pressure - before
+            if before is None or abs(step) >= _LEVEL:
+                contraction = float(self.contraction[first:last].mean())
+                plateaus.append(PressurePlateau(number, first, last, contraction, float(np.sign(step))))
+            before = pressure
+        return plateaus
+
+    def smoothed(self, plateaus: Sequence[PressurePlateau]) -> RecordedBins:
+        """The bins with the mean pressure of its block in each bin of a plateau, as noise would bias the lag."""
+        pressure = self.pressure.copy()
+        for plateau in plateaus:
+            edges = _block_edges(plateau)
+            samples = self.samples[: plateau.last]
+            means = np.add.reduceat(self.pressure[: plateau.last] * samples, edges[:-1])
+            means /= np.add.reduceat(samples, edges[:-1])
+            pressure[plateau.first : plateau.last] = np.repeat(means, np.diff(edges))
+        return dataclasses.replace(self, pressure=pressure)
+
+    def lags(self, time_constants: Floats) -> Floats:
+        """Lag of the delayed pressure behind the pressure [Pa], shape (bins, time constants)."""
+        elapsed = np.diff(self.time)[:, None]
+        decay = np.exp(-elapsed / time_constants)
+        added = np.diff(self.pressure)[:, None] * retained_fraction(elapsed, time_constants)
+        lags = np.zeros((len(self.time), len(time_constants)))
+        for k in range(len(added)):
+            np.multiply(lags[k], decay[k], out=lags[k + 1])
+            lags[k + 1] += added[k]
+        return lags
+
+
+def _block_edges(plateau: PressurePlateau) -> Ints:
+    """Edges of the blocks of a plateau, in bins; narrower at its start."""
+    count = plateau.last - plateau.first
+    return plateau.first + np.unique(np.rint(count * np.linspace(0, 1, _BLOCKS + 1) ** 2).astype(np.int64))
+
+
+def _bins_of(bins: Sequence[RecordedBins], plateaus: Sequence[PressurePlateau], name: str) -> list[Floats]:
+    """Values of the bins of each plateau, by the name of the signal."""
+    return [getattr(bins[p.recording], name)[p.first : p.last] for p in plateaus]
+
+
+def _interpolants(
+    bins: Sequence[RecordedBins], plateaus: Sequence[PressurePlateau], forces: Floats
+) -> list[PchipInterpolator | None]:
+    """Force [N] over the levels of the pressure [Pa] at the length of each plateau; None with too few levels."""
+    from scipy.interpolate import PchipInterpolator  # 0.3 s
+
+    contraction = np.array([plateau.contraction for plateau in plateaus])
+    pressure = np.array([values.mean() for values in _bins_of(bins, plateaus, "pressure")])
+    steps = np.array([p.step for p in plateaus])
+    interpolants: list[PchipInterpolator | None] = [None] * len(plateaus)
+    for members in _clusters(contraction, _MOVED):
+        levels = [members[cluster] for cluster in _clusters(pressure[members], _LEVEL)]
+        if len(levels) >= _FEWEST_LEVELS:
+            pressures = np.array([pressure[level].mean() for level in levels])
+            interpolant = PchipInterpolator(pressures, _midway(levels, pressures, forces, steps))
+            for k in members.tolist():
+                interpolants[k] = interpolant
+    return interpolants
+
+
+def _clipped(interpolant: PchipInterpolator, pressure: Floats) -> Floats:
+    """Force [N] over the pressure, constant outside the levels."""
+    return interpolant(np.clip(pressure, interpolant.x[0], interpolant.x[-1]))
+
+
+def _midway(levels: Sequence[Ints], pressures: Floats, forces: Floats, steps: Floats) -> Floats:
+    """Force [N] at each level midway between filling and venting, also at levels that were reached in one way only."""
+
+    def means(side: float) -> Floats:
+        chosen = [forces[level[steps[level] == side]] for level in levels]
+        return np.array([values.mean() if len(values) else math.nan for values in chosen])
+
+    filling, venting = means(1.0), means(-1.0)
+    half, known = (filling - venting) / 2, np.isfinite(filling - venting)
+    half = np.interp(pressures, pressures[known], half[known]) if known.any() else np.zeros(len(levels))
+    middle = np.where(np.isfinite(filling), filling - half, venting + half)
+    start = np.array([forces[level].mean() for level in levels])  # reached by no step
+    return np.where(np.isfinite(middle), middle, start)
+
+
+def _clusters(values: Floats, distance: float) -> list[Ints]:
+    """Indices of values whose neighbours are closer than a distance."""
+    order = np.argsort(values, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(values[order]) > distance) + 1) if len(order) else []
+
+
+@dataclass(frozen=True, eq=False)
+class DelayedForce:
+    """Plateaus of the pressure by length, and the least-squares fit of a share of the force that follows with a delay.
+
+    Values are those of blocks of the plateaus, shape (blocks,), less their means and their parts affine in pressure.
     """
 
-    values: Floats = field(repr=False)
-    line: Floats = field(repr=False)
-    root: Floats = field(repr=False)
-    owner: Ints = field(repr=False)
-    columns: Callable[[Floats], Floats]
-    grid: Floats
-    removed: int
+    bins: Sequence[RecordedBins]
+    plateaus: Sequence[PressurePlateau]
+    interpolants: Sequence[PchipInterpolator]
+
+    @classmethod
+    def of(cls, bins: Sequence[RecordedBins]) -> DelayedForce:
+        """Plateaus of recordings; an `IdentificationError` if there are too few."""
+        plateaus = [plateau for number, recorded in enumerate(bins) for plateau in recorded.plateaus(number)]
+        means = np.array([values.mean() for values in _bins_of(bins, plateaus, "force")])
+        interpolants = _interpolants(bins, plateaus, means)
+        plateaus = [plateau for plateau, known in zip(plateaus, interpolants, strict=True) if known]
+        if len(plateaus) < _FEWEST_PLATEAUS:
+            message = f"{len(plateaus)} plateaus of the pressure, at lengths with at least {_FEWEST_LEVELS} levels"
+            remedy = "step the pressure up and down over several levels at a fixed length, and wait at each"
+            raise IdentificationError(message, value=len(plateaus), lower=_FEWEST_PLATEAUS, remedy=remedy)
+        smoothed = [recorded.smoothed([p for p in plateaus if p.recording == n]) for n, recorded in enumerate(bins)]
+        return cls(smoothed, plateaus, [interpolant for interpolant in interpolants if interpolant])
+
+    @cached_property
+    def owner(self) -> Ints:
+        """Plateau of each block."""
+        return np.repeat(np.arange(len(self.plateaus)), [len(_block_edges(p)) - 1 for p in self.plateaus])
+
+    @cached_property
+    def root(self) -> Floats:
+        """Square root of the number of samples of each block: the root of its weight."""
+        samples = (self.bins[p.recording].samples[: p.last] for p in self.plateaus)
+        edges = (_block_edges(plateau)[:-1] for plateau in self.plateaus)
+        return np.sqrt(np.concatenate([np.add.reduceat(*pair) for pair in zip(samples, edges, strict=True)]))
+
+    @cached_property
+    def grid(self) -> Floats:
+        """Ascending time constants [s] of the search."""
+        longest = max(float(np.ptp(time)) for time in _bins_of(self.bins, self.plateaus, "time"))
+        return np.geomspace(longest / _PARTS, 5 * longest, _GRID)
+
+    @cached_property
+    def values(self) -> Floats:
+        """Force [N] by block, without what is free for each plateau, times the root."""
+        forces = zip(_bins_of(self.bins, self.plateaus, "force"), self.static, strict=True)
+        return self.root * self._blocks([force - static for force, static in forces])
+
+    @cached_property
+    def static(self) -> list[Floats]:
+        """Force [N] without delay in the bins of each plateau."""
+        pressures = zip(self.interpolants, _bins_of(self.bins, self.plateaus, "pressure"), strict=True)
+        return [_clipped(interpolant, pressure) for interpolant, pressure in pressures]
+
+    @cached_property
+    def line(self) -> Floats:
+        """Time [s] by block, without what is free for each plateau, times the root."""
+        return self.root * self._blocks(_bins_of(self.bins, self.plateaus, "time"))
+
+    def columns(self, time_constants: Floats) -> Floats:
+        """Columns of time constants [s], shape (blocks, time constants), times the root."""
+        return self.root[:, None] * self._blocks(self._delayed(time_constants))
+
+    def corrected(self) -> DelayedForce:
+        """The same with levels without the creep that is left in the means of the plateaus."""
+        delayed = self._delayed(np.array([self.time_constant]))
+        left = np.array([self.solution[0] * float(values.mean()) for values in delayed])
+        means = np.array([values.mean() for values in _bins_of(self.bins, self.plateaus, "force")])
+        interpolants = _interpolants(self.bins, self.plateaus, means - left)
+        return dataclasses.replace(self, interpolants=[interpolant for interpolant in interpolants if interpolant])
 
     @property
     def freedom(self) -> int:
         """Number of blocks less that of free parameters."""
-        return max(len(self.owner) - self.removed * (int(self.owner.max()) + 1) - 3, 1)
+        return max(len(self.owner) - 2 * len(self.plateaus) - 3, 1)
 
     @cached_property
     def grid_costs(self) -> Floats:
@@ -298,228 +462,16 @@ class RelaxationFit:
         amplitude = np.linalg.lstsq(np.column_stack([centre, self.line]), self.values, rcond=None)[0][0]
         return np.column_stack([amplitude * (after - before) / (2 * small), self.line, centre])
 
-
-class PressurePlateau(NamedTuple):
-    """Bins of a steady pressure: recording, first and one past the last bin, contraction, and direction of the step."""
-
-    recording: int
-    first: int
-    last: int
-    contraction: float
-    step: float
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedBins:
-    """Means of a recording over equal times, empty ones left out."""
-
-    time: Floats
-    pressure: Floats
-    force: Floats
-    contraction: Floats
-    samples: Floats
-
-    @classmethod
-    def of(cls, recording: Recording) -> RecordedBins:
-        time = recording.time
-        intervals = np.sort(np.diff(time))
-        if not len(intervals) or not time[-1] > time[0]:
-            raise IdentificationError("the time of a recording does not advance", remedy="check its time column")
-        at = np.searchsorted(np.cumsum(intervals), (time[-1] - time[0]) / 2)  # half of the time has shorter intervals
-        width = max(float(intervals[at]), (time[-1] - time[0]) / _BINS)
-        number = np.floor((time - time[0]) / width * (1 + 1e-9)).astype(np.int64)
-        of = np.cumsum(np.diff(number, prepend=number[0]) > 0)
-        samples = np.bincount(of).astype(float)
-        contraction = recording.contraction
-        columns = (
-            time,
-            recording.pressure,
-            recording.force,
-            np.zeros(len(time)) if contraction is None else contraction,
-        )
-        means = [np.bincount(of, column) / samples for column in columns]
-        if contraction is None:
-            means[3] = np.full(len(samples), math.nan)
-        return cls(means[0], means[1], means[2], means[3], samples)
-
-    def plateaus(self, number: int) -> list[PressurePlateau]:
-        """Plateaus of the pressure at one length, with the direction of the step before each."""
-        held = np.where(np.isfinite(self.contraction), self.contraction, 0.0)
-        signals = [(self.pressure, _STEADY), (held, _MOVED / 2)]
-        segments = steady_segments(signals, np.zeros(len(held), bool), _PARTS)
-        before, plateaus = None, []
-        for start, last in zip(segments.first.tolist(), segments.last.tolist(), strict=True):
-            first = start + max(1, (last - start) // _PARTS)
-            pressure = float(self.pressure[first:last].mean())
-            step = 0.0 if before is None else pressure - before
-            if before is None or abs(step) >= _LEVEL:
-                contraction = float(self.contraction[first:last].mean())
-                plateaus.append(PressurePlateau(number, first, last, contraction, float(np.sign(step))))
-            before = pressure
-        return plateaus
-
-    def smoothed(self, plateaus: Sequence[PressurePlateau]) -> RecordedBins:
-        """The bins with the mean pressure of its block in each bin of a plateau, as noise would bias the lag."""
-        pressure = self.pressure.copy()
-        for plateau in plateaus:
-            edges = _block_edges(plateau)
-            samples = self.samples[: plateau.last]
-            means = np.add.reduceat(self.pressure[: plateau.last] * samples, edges[:-1])
-            means /= np.add.reduceat(samples, edges[:-1])
-            pressure[plateau.first : plateau.last] = np.repeat(means, np.diff(edges))
-        return dataclasses.replace(self, pressure=pressure)
-
-    def lags(self, time_constants: Floats) -> Floats:
-        """Lag of the delayed pressure behind the pressure [Pa], shape (bins, time constants)."""
-        elapsed = np.diff(self.time)[:, None]
-        decay = np.exp(-elapsed / time_constants)
-        added = np.diff(self.pressure)[:, None] * retained_fraction(elapsed, time_constants)
-        lags = np.zeros((len(self.time), len(time_constants)))
-        for k in range(len(added)):
-            np.multiply(lags[k], decay[k], out=lags[k + 1])
-            lags[k + 1] += added[k]
-        return lags
-
-
-class LengthGroup(NamedTuple):
-    """Plateaus at one length: their numbers, and the force [N] interpolated over the levels of the pressure."""
-
-    contraction: float
-    members: Ints
-    interpolant: PchipInterpolator
-
-    def force(self, pressure: Floats) -> Floats:
-        """Force [N] over the pressure, constant outside the levels."""
-        levels = self.interpolant.x
-        return self.interpolant(np.clip(pressure, levels[0], levels[-1]))
-
-
-def _block_edges(plateau: PressurePlateau) -> Ints:
-    """Edges of the blocks of a plateau, in bins; narrower at its start."""
-    count = plateau.last - plateau.first
-    return plateau.first + np.unique(np.rint(count * np.linspace(0, 1, _BLOCKS + 1) ** 2).astype(np.int64))
-
-
-def _mean_forces(bins: Sequence[RecordedBins], plateaus: Sequence[PressurePlateau]) -> Floats:
-    """Mean force [N] of each plateau."""
-    return np.array([bins[p.recording].force[p.first : p.last].mean() for p in plateaus])
-
-
-def _length_groups(
-    bins: Sequence[RecordedBins], plateaus: Sequence[PressurePlateau], forces: Floats
-) -> list[LengthGroup]:
-    """Plateaus by length, those at lengths with too few levels of the pressure left out."""
-    contraction = np.array([p.contraction if math.isfinite(p.contraction) else -1.0 - p.recording for p in plateaus])
-    pressure = np.array([bins[p.recording].pressure[p.first : p.last].mean() for p in plateaus])
-    from scipy.interpolate import PchipInterpolator  # 0.3 s
-
-    steps = np.array([p.step for p in plateaus])
-    groups = []
-    for members in _clusters(contraction, _MOVED):
-        levels = [members[cluster] for cluster in _clusters(pressure[members], _LEVEL)]
-        if len(levels) >= _FEWEST_LEVELS:
-            at = float(np.mean([plateaus[k].contraction for k in members]))
-            pressures = np.array([pressure[level].mean() for level in levels])
-            interpolant = PchipInterpolator(pressures, _midway(levels, pressures, forces, steps))
-            groups.append(LengthGroup(at, members, interpolant))
-    return groups
-
-
-def _midway(levels: Sequence[Ints], pressures: Floats, forces: Floats, steps: Floats) -> Floats:
-    """Force [N] at each level midway between filling and venting, also at levels that were reached in one way only."""
-
-    def means(side: float) -> Floats:
-        chosen = [forces[level[steps[level] == side]] for level in levels]
-        return np.array([values.mean() if len(values) else math.nan for values in chosen])
-
-    filling, venting = means(1.0), means(-1.0)
-    half, known = (filling - venting) / 2, np.isfinite(filling - venting)
-    half = np.interp(pressures, pressures[known], half[known]) if known.any() else np.zeros(len(levels))
-    middle = np.where(np.isfinite(filling), filling - half, venting + half)
-    start = np.array([forces[level].mean() for level in levels])  # reached by no step
-    return np.where(np.isfinite(middle), middle, start)
-
-
-def _clusters(values: Floats, distance: float) -> list[Ints]:
-    """Indices of values whose neighbours are closer than a distance."""
-    order = np.argsort(values, kind="stable")
-    return np.split(order, np.flatnonzero(np.diff(values[order]) > distance) + 1) if len(order) else []
-
-
-@dataclass(frozen=True, eq=False)
-class DelayedForce:
-    """Plateaus of the pressure by length, and the force that follows a delayed pressure."""
-
-    bins: Sequence[RecordedBins]
-    plateaus: Sequence[PressurePlateau]
-    groups: Sequence[LengthGroup]
-
-    @classmethod
-    def of(cls, bins: Sequence[RecordedBins]) -> DelayedForce:
-        """Plateaus of recordings; an `IdentificationError` if there are too few."""
-        plateaus = [plateau for number, recorded in enumerate(bins) for plateau in recorded.plateaus(number)]
-        groups = _length_groups(bins, plateaus, _mean_forces(bins, plateaus))
-        used = sorted(int(k) for group in groups for k in group.members)
-        if len(used) < _FEWEST_PLATEAUS:
-            message = f"{len(used)} plateaus of the pressure, at lengths with at least {_FEWEST_LEVELS} levels"
-            remedy = "step the pressure up and down over several levels at a fixed length, and wait at each"
-            raise IdentificationError(message, value=len(used), lower=_FEWEST_PLATEAUS, remedy=remedy)
-        place = {k: number for number, k in enumerate(used)}
-        plateaus = [plateaus[k] for k in used]
-        groups = [group._replace(members=np.array([place[int(k)] for k in group.members])) for group in groups]
-        smoothed = [recorded.smoothed([p for p in plateaus if p.recording == n]) for n, recorded in enumerate(bins)]
-        return cls(smoothed, plateaus, groups)
-
-    def fit(self) -> RelaxationFit:
-        """Fit of the share of the force that follows with a delay."""
-        edges = [_block_edges(plateau) for plateau in self.plateaus]
-        weight = [
-            np.add.reduceat(self.bins[plateau.recording].samples[: plateau.last], edge[:-1])
-            for plateau, edge in zip(self.plateaus, edges, strict=True)
-        ]
-        owner = np.repeat(np.arange(len(edges)), [len(edge) - 1 for edge in edges])
-        times = [self.bins[p.recording].time[p.first : p.last] for p in self.plateaus]
-        longest = float(max(time[-1] - time[0] for time in times))
-        grid = np.geomspace(longest / _PARTS, 5 * longest, _GRID)
-        root = np.sqrt(np.concatenate(weight))
-        values = self._blocks(
-            self._by_plateau(lambda group, bins, at, _: bins.force[at] - group.force(bins.pressure[at]))
-        )
-        return RelaxationFit(
-            values * root,
-            self._blocks(times) * root,
-            root,
-            owner,
-            lambda time_constants: self._blocks(self._delayed(time_constants)) * root[:, None],
-            grid,
-            removed=2,
-        )
-
-    def corrected(self, fit: RelaxationFit) -> DelayedForce:
-        """The same with levels without the creep that is left in the means of the plateaus."""
-        delayed = self._delayed(np.array([fit.time_constant]))
-        left = np.array([fit.solution[0] * float(values.mean()) for values in delayed])
-        means = _mean_forces(self.bins, self.plateaus)
-        return dataclasses.replace(self, groups=_length_groups(self.bins, self.plateaus, means - left))
-
     def _delayed(self, time_constants: Floats) -> list[Floats]:
         """Derivative of the force of each bin of each plateau with respect to the share [N], (bins, time constants)."""
         lags = [recorded.lags(time_constants) for recorded in self.bins]
-
-        def delayed(group: LengthGroup, bins: RecordedBins, at: slice, recording: int) -> Floats:
-            pressure = bins.pressure[at, None]
-            return group.force(pressure - lags[recording][at]) - group.force(pressure)
-
-        return self._by_plateau(delayed)
-
-    def _by_plateau(self, compute: Callable[[LengthGroup, RecordedBins, slice, int], Floats]) -> list[Floats]:
-        """Values of the bins of each plateau, from its group and its slice of bins."""
-        values: dict[int, Floats] = {}
-        for group in self.groups:
-            for k in group.members.tolist():
-                p = self.plateaus[k]
-                values[k] = compute(group, self.bins[p.recording], slice(p.first, p.last), p.recording)
-        return [values[k] for k in range(len(self.plateaus))]
+        pressures = _bins_of(self.bins, self.plateaus, "pressure")
+        return [
+            _clipped(interpolant, pressure[:, None] - lags[p.recording][p.first : p.last]) - static[:, None]
+            for p, pressure, interpolant, static in zip(
+                self.plateaus, pressures, self.interpolants, self.static, strict=True
+            )
+        ]
 
     def _blocks(self, values: Sequence[Floats]) -> Floats:
         """Values of the bins by block, (blocks, ...), without the mean and the part affine in pressure of a plateau."""

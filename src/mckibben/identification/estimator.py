@@ -6,14 +6,13 @@ Numbers alone, no datasets: residuals r of shape (n,), and their Jacobian J of s
 2. `standard_errors` gives the classical errors and correlations; `IndependentErrors.of` and `ClusterRobustErrors.of`
    are error models, whose ``variance(gradients)`` is that of any quantity with those gradients, and its degrees of
    freedom. `robust_errors` chooses the cluster-robust one unless one group alone determines a parameter.
-3. `t_quantile`, `t_interval` and `parameter_interval` turn variances into intervals; `profile_interval` and
+3. `t_quantile` and `t_interval` turn variances into intervals; `profile_interval` and
    `bounded_minimum` serve profiles of the cost.
 4. `condition_number` and `unidentifiable` name the parameters that the data do not determine.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -281,35 +280,6 @@ def _solve(triangle: Floats, gradients: Floats) -> Floats:
     return np.linalg.solve((triangle / lengths).T, (gradients / lengths).T).T
 
 
-_GROWTH_LEVEL = 0.05  # probability of falsely detecting growth; missed growth costs coverage at large forces
-_GROWTHS = np.geomspace(1e-3, 1e5, 200).tolist()  # of the variance, over the range of forces
-
-
-def scatter_growth(force: Floats, residuals: Floats) -> float:
-    """Ratio c [1/N^2] of a variance proportional to 1 + c F^2, by maximum likelihood; 0 if not significant."""
-    # Test on the slope of the squared residuals: R. Koenker, J. Econometrics 17 (1981) 107-112.
-    from scipy.special import stdtr
-
-    square, largest = residuals**2, float(np.max(force**2, initial=0.0))
-    if not largest or not square.any():
-        return 0.0
-    relative = force**2 / largest
-    design = np.column_stack([np.ones_like(relative), relative])
-    if not condition_number(design) < CONDITION_LIMIT:
-        return 0.0
-    slope = np.linalg.lstsq(design, square, rcond=None)[0]
-    errors = square - design @ slope
-    variance, freedom = IndependentErrors.of(design, errors).variance(np.array([[0.0, 1.0]]))
-    if not (slope[1] > 0 and variance[0] > 0 and stdtr(freedom[0], -slope[1] / np.sqrt(variance[0])) < _GROWTH_LEVEL):
-        return 0.0
-
-    def deviance(growth: float) -> float:
-        shape = 1 + growth * relative
-        return float(len(square) * np.log(np.mean(square / shape)) + np.log(shape).sum())
-
-    return min(_GROWTHS, key=deviance) / largest
-
-
 class Interval(NamedTuple):
     """Interval in SI units; NaN if unknown."""
 
@@ -376,14 +346,6 @@ def t_interval(level: float, value: ArrayLike, variances: Sequence[tuple[Floats,
     error = np.sqrt(total)
     half_width = t_quantile(level, freedom) * error
     return IntervalEstimate(level, value, error, freedom, value - half_width, value + half_width)
-
-
-def parameter_interval(estimate: float, error: float, freedom: float, level: float) -> Interval:
-    """T interval of one parameter."""
-    if math.isnan(error):
-        return Interval(math.nan, math.nan)
-    half_width = float(t_quantile(level, freedom)) * error
-    return Interval(estimate - half_width, estimate + half_width)
 
 
 def variance_of(model: ErrorModel, gradients: Floats) -> tuple[Floats, Floats]:

@@ -18,8 +18,8 @@ from mckibben.identification.estimator import (
     Floats,
     Interval,
     check_level,
-    parameter_interval,
     t_interval,
+    t_quantile,
 )
 from mckibben.identification.grouping import Grouping
 from mckibben.identification.least_squares import force_gradients
@@ -144,10 +144,8 @@ class Fit(Result, metaclass=CheckedCalls):
             If there are no such groups, or the fit was read from a file that does not hold the requested errors.
         """
         errors, freedom = self._errors(by)
-        return {
-            name: parameter_interval(value, errors[name], freedom[name], level)
-            for name, value in self.estimates.items()
-        }
+        halves = {name: float(t_quantile(level, freedom[name])) * errors[name] for name in errors}
+        return {name: Interval(value - halves[name], value + halves[name]) for name, value in self.estimates.items()}
 
     def force_intervals(
         self, contraction: ArrayLike, pressure: ArrayLike, *, level: float = 0.95, by: Grouping | None = None
@@ -183,7 +181,7 @@ class Fit(Result, metaclass=CheckedCalls):
         square, residual_freedom = model.residual_variance
         if by is None and self.leave_one_pressure_out:  # of a law that misfits, larger than the residuals
             square = max(square, self.leave_one_pressure_out.rmse**2)
-        scatter = square * regression.relative_variance(value.ravel()), np.full_like(freedom, residual_freedom)
+        scatter = np.full_like(freedom, square), np.full_like(freedom, residual_freedom)
         return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
 
     def require_regression(self) -> Regression:
@@ -228,21 +226,14 @@ class Fit(Result, metaclass=CheckedCalls):
         """Return the notes, and what the standard errors and the scatter are."""
         yield from self.notes
         yield Remark.note("law", f"{self.law.equation}; domain: {self.law.domain}")
-        by = (
-            f"cluster-robust (CR2) by {self.robust.by.value} ({self.robust.groups} groups)"
-            if self.robust
-            else "classical"
-        )
-        yield Remark.note("standard_errors", f"standard errors: {by}")
+        errors = self.robust
+        kind = f"cluster-robust (CR2) by {errors.by.value}, {errors.groups} groups" if errors else "classical"
+        yield Remark.note("standard_errors", f"standard errors: {kind}")
         if count := sum(p.penalised for p in type(self.law).parameters()):
             text = f"deviations from Eq. 2: {count} coefficients, in `estimates` and the file"
             if self.regression:
                 text += f"; {self.regression.solution.effective_parameters:.1f} effective parameters in total"
             yield Remark.note("law", text)
-        if self.regression and self.regression.scatter_growth:
-            small, large = self.rmse * np.sqrt(self.regression.relative_variance(np.array([0.0, self.largest_force])))
-            text = f"scatter grows with the force: {small:.3g} N at 0 N, {large:.3g} N at {self.largest_force:.3g} N"
-            yield Remark.note("residuals", text)
 
     def listings(self) -> Iterable[Listing]:
         """Return the numbers of the fit, and the parameters in published units with 95 % intervals."""

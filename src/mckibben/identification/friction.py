@@ -54,7 +54,7 @@ class HysteresisFit(Result):
     comparison
         Error [N] by form at the loops of a pressure (of a path with fewer than three pressures) left out of the fit, to
         first order in the parameters, with the drift of all loops; empty if the form was given.
-    standard_errors, correlations
+    standard_errors
         By parameter, in SI, in this order: the law's parameters (unless the law was given), ``half_width``, ``growth``,
         ``tension_growth``, ``viscous`` and ``presliding_length``; NaN if the form lacks it or the data do not
         determine it.
@@ -76,7 +76,6 @@ class HysteresisFit(Result):
     form: FrictionForm
     comparison: Mapping[FrictionForm, float]
     standard_errors: dict[str, float]
-    correlations: Floats
     drift: SensorDrift | None
     rmse: float = column("N", "RMSE of law and friction", digits=3)
     max_error: float = column("N", "largest residual", digits=3)
@@ -180,7 +179,6 @@ def identify_hysteresis(
     *,
     drift: bool = True,
     form: FrictionForm | None = None,
-    elements: int = 6,
     robust: bool = True,
 ) -> HysteresisFit:
     """Fit a law and its friction to all points of an isobaric test, in the order of time.
@@ -200,8 +198,6 @@ def identify_hysteresis(
         True to estimate the drift if it is significant.
     form
         Form of the friction. Default: chosen by held-out loops.
-    elements
-        Number of Maxwell-slip elements.
     robust
         False to keep outliers.
 
@@ -237,7 +233,7 @@ def identify_hysteresis(
     used = taut | (any(basis.has_offset for basis in bases) and not clipped(means))
     used &= (rate is None) | ~paths.at_reversal(means)
     used &= ~np.isin(np.arange(len(means)) + 1, [outlier.row for outlier in outliers])
-    reference = float(np.unique(means.levels[taut]).mean()), elements, float(means.force[taut].mean())
+    reference = float(np.unique(means.levels[taut]).mean()), float(means.force[taut].mean())
     template = known or identify(law_type, means, robust=robust).law
     model = PathDependentModel(template, paths, means, bases[0], used, *reference, rate)
     of_law = () if known else model.law_names
@@ -417,10 +413,7 @@ def _presliding(model: PathDependentModel, solution: PathSolution) -> tuple[Path
 def _doubts(
     model: PathDependentModel, solution: PathSolution, result: HysteresisFit, half_gap: float
 ) -> Iterable[Remark]:
-    """Remarks on the pressures, the half width, parameters at a bound, the form, and the misfit of the law."""
-    if len(np.unique(model.means.levels[~model.means.slack])) < 3:
-        text = "fewer than three pressures: the growth of the half width with pressure is not determined"
-        yield Remark.note("growth", text)
+    """Remarks on the half width, parameters at a bound, the form, and the misfit of the law."""
     half_width, error = solution.values["half_width"], solution.error("half_width")
     if not error < _VAGUE * half_width:
         text = f"the half width {half_width:.3g} N has a standard error of {error:.2g} N"
@@ -459,10 +452,6 @@ def _result(
     names = [name for name in solution.free if name in model.law_names]
     errors = {name: solution.error(name) for name in (*names, *FRICTION) if not name.startswith("log_")}
     errors["presliding_length"] = solution.error("log_presliding") * friction.presliding_length
-    order = [*names, *FRICTION]
-    correlations = np.full((len(order), len(order)), np.nan)
-    into, of = zip(*[(i, solution.free.index(n)) for i, n in enumerate(order) if n in solution.free], strict=True)
-    correlations[np.ix_(into, into)] = solution.correlations[np.ix_(of, of)]
     drift = SensorDrift(*_drift_rate(model, solution)[:2]) if len(basis.slope) else None
     law = dataclasses.replace(model.law(solution.values), domain=domain_of(points)) if names else model.template
     return HysteresisFit(
@@ -471,7 +460,6 @@ def _result(
         form=form,
         comparison=comparison,
         standard_errors=errors,
-        correlations=correlations,
         drift=drift,
         rmse=float(np.sqrt(np.mean(residuals[used] ** 2))),
         max_error=float(np.abs(residuals[used]).max()),

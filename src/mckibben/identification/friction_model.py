@@ -71,7 +71,6 @@ class PathDependentModel:
     drift: DriftBasis = field(repr=False)
     used: Bools = field(repr=False)
     reference_pressure: float
-    elements: int
     reference_tension: float = 0.0
     rate: Floats | None = None
 
@@ -99,13 +98,12 @@ class PathDependentModel:
             tension_growth=values["tension_growth"] or None,
             reference_tension=self.reference_tension if values["tension_growth"] else 0.0,
             viscous=values["viscous"],
-            elements=self.elements,
         )
 
     @property
     def shortest(self) -> float:
         """Logarithm of the presliding length [m] that reverses within one step: shorter ones are equivalent."""
-        share, stiffness = polygon(self.elements)
+        share, stiffness = polygon(MaxwellSlip.elements)
         return float(np.log(self.paths.step / (2 * (share / stiffness).max())))
 
     def start(self, values: Mapping[str, float], form: FrictionForm) -> dict[str, float]:
@@ -175,7 +173,7 @@ class PathDependentModel:
         above = (self.means.pressure - self.reference_pressure)[:, None]
         width = half_width + growth * above + by_tension * (tension - self.reference_tension)
         limit = smooth_limit(width, tension, np)
-        share, stiffness = polygon(self.elements)
+        share, stiffness = polygon(MaxwellSlip.elements)
         stiffness = stiffness * (half_width / np.exp(log_presliding))[:, None]
         deflections = play_response(
             self.paths.travel[..., None], limit[self.paths.place], stiffness, share, side=self.paths.side[:, None]
@@ -224,21 +222,20 @@ class PathDependentModel:
                 f"the fit of law and friction did not converge (RMSE {rmse:.3g} N)",
                 remedy="look for outliers, wrong units and rows that are not in the order of the test",
             )
-        errors, correlations = standard_errors(minimum.jacobian, minimum.residuals, ~inside)
+        errors, _ = standard_errors(minimum.jacobian, minimum.residuals, ~inside)
         variance = robust_errors(jacobian, minimum.residuals, self.labels).variance(np.eye(jacobian.shape[1]))[0]
         errors[inside] = np.maximum(errors[inside], np.sqrt(variance))
-        return dataclasses.replace(solution, errors=errors, correlations=correlations)
+        return dataclasses.replace(solution, errors=errors)
 
 
 @dataclass(frozen=True, eq=False)
 class PathSolution:
-    """Least-squares solution; errors and correlations of the free parameters and the drift amplitudes."""
+    """Least-squares solution; errors of the free parameters and the drift amplitudes."""
 
     values: dict[str, float]
     free: tuple[str, ...]
     minimum: Minimum
     errors: Floats = field(default_factory=lambda: np.empty(0))
-    correlations: Floats = field(default_factory=lambda: np.empty(0))
 
     @property
     def offsets(self) -> Floats:

@@ -6,6 +6,7 @@ import enum
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
@@ -57,16 +58,9 @@ def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
     repeat = [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
     cells = row_numbers([points.levels, *repeat])
     has_direction = np.bincount(cells, direction != "") > 0
-    order = np.argsort(cells, kind="stable")
-    own, cell = np.where(has_direction[cells], direction, phase)[order], cells[order]
-    place = np.arange(len(own))
-    following = np.minimum.accumulate(np.where(own != "", place, len(own) - 1)[::-1])[::-1]
-    preceding = np.maximum.accumulate(np.where(own != "", place, 0))
-    source = np.where(cell[following] == cell, following, place)
-    source = np.where(own[source] == "", preceding, source)
-    neighbours = np.empty_like(own)
-    neighbours[order] = np.where(cell[source] == cell, own[source], "")
-    return neighbours
+    own = pd.Series(np.where(has_direction[cells], direction, phase), dtype=object)
+    following = own.mask(own == "").groupby(cells).bfill()
+    return following.groupby(cells).ffill().fillna("").to_numpy(dtype="<U9")
 
 
 def finest_grouping(points: IsobaricDataset) -> Grouping:
@@ -77,8 +71,4 @@ def finest_grouping(points: IsobaricDataset) -> Grouping:
 
 def row_numbers(columns: Sequence[np.ndarray]) -> Ints:
     """Number of each row among the sorted distinct rows."""
-    number = np.zeros(len(columns[0]), np.int64)
-    for column in columns:  # one after the other: numbers sort faster than rows
-        codes = np.unique(column, return_inverse=True)[1].reshape(-1)
-        number = np.unique(number * (int(codes.max(initial=0)) + 1) + codes, return_inverse=True)[1].reshape(-1)
-    return number
+    return pd.DataFrame(dict(enumerate(columns))).groupby([*range(len(columns))]).ngroup().to_numpy()

@@ -129,32 +129,31 @@ class UnitCube:
 
     parameters: tuple[Parameter, ...]
 
-    def values(self, position: Sequence[Any] | Any) -> list[Any]:
-        """Parameters [SI] at a position, shape (parameters,); traceable by JAX."""
-        return [
-            p.lower * (p.upper / p.lower) ** x if p.lower > 0 else p.lower + (p.upper - p.lower) * x
-            for p, x in zip(self.parameters, position, strict=True)
-        ]
+    @cached_property
+    def bounds(self) -> Floats:
+        """Lower and upper bounds [SI], shape (2, parameters)."""
+        return np.array([[p.lower for p in self.parameters], [p.upper for p in self.parameters]], np.float64)
 
-    def position(self, values: Sequence[float]) -> Floats:
+    def values(self, position: Floats) -> Floats:
+        """Parameters [SI] at a position, shape (parameters,)."""
+        lower, upper = self._scaled(self.bounds)
+        scaled = lower + (upper - lower) * position
+        return np.clip(np.where(self.bounds[0] > 0, np.exp(scaled), scaled), *self.bounds)
+
+    def position(self, values: ArrayLike) -> Floats:
         """Position of parameters [SI]: the inverse of `values`."""
-        return np.array(
-            [
-                math.log(x / p.lower) / math.log(p.upper / p.lower)
-                if p.lower > 0
-                else (x - p.lower) / (p.upper - p.lower)
-                for p, x in zip(self.parameters, values, strict=True)
-            ]
-        )
+        lower, upper = self._scaled(self.bounds)
+        return (self._scaled(np.asarray(values, np.float64)) - lower) / (upper - lower)
 
     def rates(self, position: Floats) -> Floats:
         """Derivative of each parameter with respect to its own coordinate."""
-        return np.array(
-            [
-                value * math.log(p.upper / p.lower) if p.lower > 0 else p.upper - p.lower
-                for p, value in zip(self.parameters, self.values(position), strict=True)
-            ]
-        )
+        lower, upper = self._scaled(self.bounds)
+        return np.where(self.bounds[0] > 0, self.values(position), 1.0) * (upper - lower)
+
+    def _scaled(self, values: Floats) -> Floats:
+        """Logarithms of the parameters that are positive."""
+        positive = self.bounds[0] > 0
+        return np.where(positive, np.log(np.where(positive, values, 1.0)), values)
 
     def at_bound(self, position: Floats) -> Bools:
         """Mask of the parameters at a bound of their range, shape (parameters,)."""
@@ -170,7 +169,7 @@ class UnitCube:
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
-    """Weighted least-squares problem of a law; subsets (`selected`) of one dataset share compiled code.
+    """Least-squares problem of a law; subsets (`selected`) of one dataset share compiled code.
 
     A `prior` of shape (rows, parameters) adds the residuals ``-prior @ values`` [N], each as uncertain as a point: a
     Gaussian prior about zero. `constants` are fields of the law that are not estimated.
@@ -181,7 +180,6 @@ class FitProblem:
     pressure: Floats = field(repr=False)
     force: Floats = field(repr=False)
     selected: Bools = field(repr=False)
-    weights: Floats | None = field(default=None, repr=False)
     constants: Mapping[str, Any] = field(default_factory=dict)
     prior: Floats | None = field(default=None, repr=False)
 
@@ -199,10 +197,6 @@ class FitProblem:
     def subset(self, selected: Bools) -> FitProblem:
         """Problem of the selected points; shape (m,) with m <= n, in the order of the points."""
         return replace(self, selected=np.pad(selected, (0, len(self.selected) - len(selected))))
-
-    def weighted(self, weights: Floats) -> FitProblem:
-        """Problem with other weights; shape (m,) with m <= n, in the order of the points."""
-        return replace(self, weights=np.pad(weights, (0, len(self.selected) - len(weights))))
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -230,9 +224,9 @@ class FitProblem:
             raise IdentificationError(text, remedy="measure over more contractions, or fit a simpler law") from error
 
     def columns_and_residuals(self, values: Floats) -> Floats:
-        """Weighted design matrix, transposed, above the weighted residuals [N]: shape (parameters + 1, n)."""
+        """Design matrix, transposed, above the residuals [N], 0 if not selected: shape (parameters + 1, n)."""
         stop_check.get()()
-        points = self.contraction, self.pressure, self.force, self._factors
+        points = self.contraction, self.pressure, self.force, self.selected.astype(np.float64)
         return np.asarray(_columns_and_residuals(self.law_type, values, *points, self.constants))
 
     def with_prior(self, rows: Floats, values: Floats) -> Floats:
@@ -242,18 +236,13 @@ class FitProblem:
         return np.concatenate([rows, np.vstack([self.prior.T, -self.prior @ values])], axis=1)
 
     def response(self, values: Floats) -> tuple[Floats, Floats]:
-        """Weighted residuals [N], shape (rows,), and Jacobian of the force, (rows, parameters), the prior last."""
+        """Residuals [N], shape (rows,), and Jacobian of the force, (rows, parameters), the prior last."""
         rows = self.with_prior(self.columns_and_residuals(values)[:, self.selected], values)
         return rows[-1], rows[:-1].T
 
     def at_bound(self, position: Floats) -> Bools:
         """Mask of parameters at a bound of their range, shape (parameters,); linear ones are unbounded."""
         return np.concatenate([np.zeros(self.linear, bool), self.cube.at_bound(position)])
-
-    @cached_property
-    def _factors(self) -> Floats:
-        factors = self.selected.astype(np.float64)
-        return factors if self.weights is None else factors * np.sqrt(self.weights)
 
 
 @dataclass(frozen=True, eq=False)

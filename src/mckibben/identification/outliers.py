@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification.estimator import Bools, Floats, scatter_growth
+from mckibben.identification.estimator import Bools, Floats
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.smooth import Deviations
@@ -95,7 +95,6 @@ class _Tested(NamedTuple):
     hyperparameters: Floats
     errors: Floats
     sizes: Floats
-    weights: Floats  # of the studentised residuals, for a scatter that grows with the force
 
     def stands_out(self, at: int) -> bool:
         """Whether a residual is significant, and larger than those around it."""
@@ -107,7 +106,7 @@ class _Tested(NamedTuple):
         axes = [axis / (np.ptp(axis) or 1.0) for axis in (self.points.contraction, self.points.pressure)]
         distances = np.sum([(axis - axis[at]) ** 2 for axis in axes], axis=0)
         around = np.argsort(distances, kind="stable")[: _NEAREST + 1]
-        residuals = self.model.residuals_without(self.hyperparameters, at) * self.weights
+        residuals = self.model.residuals_without(self.hyperparameters, at)
         return bool(self.sizes[at] > _ISOLATED * np.abs(residuals[around]).max())
 
 
@@ -133,11 +132,8 @@ def _test(points: IsobaricDataset, remaining: Bools, smallest: Floats, starts: S
     if model.freedom < 3:
         return None
     errors, statistics = model.deleted_residuals(hyperparameters)
-    growth = scatter_growth(used.force - model.residuals, errors)
-    variance = 1 + growth * used.force**2
-    weights = np.sqrt(np.mean(variance) / variance)
-    sizes = np.where(np.abs(errors) > smallest, np.abs(statistics) * weights, 0.0)
-    return _Tested(used, model, hyperparameters, errors, sizes, weights)
+    sizes = np.where(np.abs(errors) > smallest, np.abs(statistics), 0.0)
+    return _Tested(used, model, hyperparameters, errors, sizes)
 
 
 def _loop_widths(points: IsobaricDataset) -> Floats:

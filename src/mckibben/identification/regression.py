@@ -22,7 +22,6 @@ from mckibben.identification.estimator import (
     IntervalEstimate,
     Ints,
     condition_number,
-    scatter_growth,
 )
 from mckibben.identification.grouping import Grouping, finest_grouping, group_labels
 from mckibben.identification.least_squares import FitProblem, Solution, solve
@@ -220,18 +219,6 @@ class Regression:
             dict(zip(names, errors.tolist(), strict=True)),
             dict(zip(names, freedom.tolist(), strict=True)),
         )
-
-    @cached_property
-    def scatter_growth(self) -> float:
-        """Ratio c [1/N^2] of a scatter about the law whose variance is proportional to 1 + c F^2; 0 if constant."""
-        residuals = self.solution.residuals
-        return scatter_growth(self.points.force - residuals, residuals)
-
-    def relative_variance(self, force: Floats) -> Floats:
-        """Variance of the scatter at a force [N], relative to its mean over the points."""
-        fitted = self.points.force - self.solution.residuals
-        growth = self.scatter_growth
-        return (1 + growth * np.maximum(force, 0.0) ** 2) / (1 + growth * float(np.mean(fitted**2)))
 
     @cached_property
     def _cross_validations(self) -> dict[str, CrossValidation]:

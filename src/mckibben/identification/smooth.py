@@ -390,7 +390,7 @@ def restored_regression(law: ForceLaw, points: IsobaricDataset, at_bound: Bools,
     constants = {p.name: float(getattr(law, p.name)) for p in kind.constants}
     problem, refit = replace(FitProblem.of(kind, points), constants=constants), None
     values = np.array([float(getattr(law, p.name)) for p in kind.parameters()])
-    position = problem.cube.position(values[problem.linear :].tolist())
+    position = problem.cube.position(values[problem.linear :])
     if scales is not None:
         prior = prior_of(kind, points.levels)
         problem = replace(problem, prior=prior_rows(prior, scales))
