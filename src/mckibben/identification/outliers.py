@@ -132,8 +132,29 @@ def _test(points: IsobaricDataset, remaining: Bools, smallest: Floats, starts: S
     if model.freedom < 3:
         return None
     errors, statistics = model.deleted_residuals(hyperparameters)
-    sizes = np.where(np.abs(errors) > smallest, np.abs(statistics), 0.0)
+    variance = 1 + _scatter_growth(used.force - model.residuals, errors) * used.force**2
+    sizes = np.where(np.abs(errors) > smallest, np.abs(statistics) * np.sqrt(np.mean(variance) / variance), 0.0)
     return _Tested(used, model, hyperparameters, errors, sizes)
+
+
+def _scatter_growth(force: Floats, errors: Floats) -> float:
+    """Ratio c [1/N^2] of a variance of errors [N] proportional to 1 + c F^2, by maximum likelihood.
+
+    0 if the slope of the squared errors is not significant (5 %; R. Koenker, J. Econometrics 17 (1981) 107-112).
+    """
+    from scipy.special import stdtr
+
+    square, largest, freedom = errors**2, float(np.max(force**2)), len(force) - 2
+    relative = force**2 / largest
+    slope = float(np.corrcoef(relative, square)[0, 1]) if np.ptp(relative) and np.ptp(square) else 0.0
+    if stdtr(freedom, -slope * np.sqrt(freedom / max(1 - slope**2, np.finfo(float).tiny))) >= 0.05:
+        return 0.0
+
+    def deviance(growth: float) -> float:
+        shape = 1 + growth * relative
+        return float(len(square) * np.log(np.mean(square / shape)) + np.log(shape).sum())
+
+    return min(np.geomspace(1e-3, 1e5, 200).tolist(), key=deviance) / largest
 
 
 def _loop_widths(points: IsobaricDataset) -> Floats:
