@@ -186,11 +186,11 @@ class PressurePlateau(NamedTuple):
 class RecordedBins:
     """Means of a recording over equal times, empty ones left out."""
 
+    samples: Floats
     time: Floats
     pressure: Floats
     force: Floats
     contraction: Floats
-    samples: Floats
 
     @classmethod
     def of(cls, recording: Recording, number: int) -> RecordedBins:
@@ -203,7 +203,7 @@ class RecordedBins:
         samples = np.bincount(bins).astype(float)
         contraction = np.full(len(time), -1.0 - number) if recording.contraction is None else recording.contraction
         columns = (time, recording.pressure, recording.force, contraction)
-        return cls(*(np.bincount(bins, column) / samples for column in columns), samples)
+        return cls(samples, *(np.bincount(bins, column) / samples for column in columns))
 
     def plateaus(self, number: int) -> list[PressurePlateau]:
         """Plateaus of the pressure at one length, with the direction of the step before each."""
