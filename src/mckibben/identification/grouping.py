@@ -71,4 +71,5 @@ def finest_grouping(points: IsobaricDataset) -> Grouping:
 
 def row_numbers(columns: Sequence[np.ndarray]) -> Ints:
     """Number of each row among the sorted distinct rows."""
-    return pd.DataFrame(dict(enumerate(columns))).groupby([*range(len(columns))]).ngroup().to_numpy(np.int64)
+    numbers = pd.DataFrame(dict(enumerate(columns))).groupby([*range(len(columns))]).ngroup()
+    return np.asarray(numbers, np.int64)
