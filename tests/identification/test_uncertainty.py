@@ -12,7 +12,7 @@ from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import Fit, Grouping, identify
 from mckibben.identification.estimator import ClusterRobustErrors
 from mckibben.identification.grouping import group_labels
-from mckibben.muscle import ExponentialLaw, ReynoldsLaw
+from mckibben.muscle import ChouLaw, ExponentialLaw, ReynoldsLaw
 from mckibben.units import bar
 
 EQ_3 = catalog.law("lei-mas-10-180n")
@@ -52,10 +52,7 @@ def test_a_stroke_is_a_level_a_direction_and_a_repeat_as_far_as_they_are_recorde
     repeats = IsobaricDataset.of(**columns, set_pressure=[1e5, 1e5, 2e5, 2e5], repeat=[0, 1, 0, 0])
     assert group_labels(repeats, Grouping.STROKE).tolist() == [0, 1, 2, 2]
     assert group_labels(repeats, Grouping.PRESSURE).tolist() == [0, 0, 1, 1]
-    assert group_labels(repeats, Grouping.REPEAT).tolist() == [0, 1, 0, 0]
     assert group_labels(bare, Grouping.POINT).tolist() == [0, 1, 2, 3]
-    with pytest.raises(IdentificationError, match="record a column 'repeat'"):
-        group_labels(bare, Grouping.REPEAT)
 
 
 # --- the sandwich -------------------------------------------------------------------------------------------
@@ -190,19 +187,12 @@ def test_intervals_are_t_intervals_of_the_errors_that_they_are_asked_for(fit):
     assert error == pytest.approx(np.sqrt(model.variance(np.eye(7)[6:])[0][0]))
     with pytest.raises(RangeError, match=r"a level of 95 is not a probability; write 0\.95 for 95 %"):
         fit.intervals(95)
-    with pytest.raises(IdentificationError, match="record a column 'repeat'"):
-        fit.intervals(by=Grouping.REPEAT)
 
 
 def test_one_group_gives_no_errors(chart):
-    once = identify(
-        ExponentialLaw,
-        IsobaricDataset.of(
-            pressure=chart.pressure, contraction=chart.contraction, force=chart.force, repeat=np.zeros(len(chart), int)
-        ),
-    )
-    with pytest.raises(IdentificationError, match="no errors can be given for 1 repeat"):
-        once.intervals(by=Grouping.REPEAT)
+    once = identify(ChouLaw, chart.at(chart.pressures[-1]))
+    with pytest.raises(IdentificationError, match="no errors can be given for 1 pressure"):
+        once.intervals(by=Grouping.PRESSURE)
 
 
 def test_a_parameter_at_its_bound_has_no_interval():

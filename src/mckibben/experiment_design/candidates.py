@@ -12,7 +12,7 @@ from mckibben import catalog
 from mckibben.errors import RangeError
 from mckibben.experiment_design.information import Floats, Indices
 from mckibben.experiment_design.prior import DIRECTION_SIGN, PriorData
-from mckibben.identification.least_squares import force_gradients
+from mckibben.identification.least_squares import design_matrix
 from mckibben.muscle import Domain, ForceLaw, Specimen, forces
 from mckibben.units import mm, percent
 
@@ -127,7 +127,7 @@ class CandidateSet:
         levels, columns = states.places.T
         directions = tuple(DIRECTION_SIGN) if prior.friction else ("",)
         names = [p.name for p in type(prior.law).parameters()]
-        rows = force_gradients(prior.law, names, states.contractions[columns], states.pressures[levels])
+        rows = design_matrix(prior.law, names, states.contractions[columns], states.pressures[levels])
         count = len(directions) * REPEATS
         rows = np.repeat(rows, count, axis=0)
         if prior.friction:

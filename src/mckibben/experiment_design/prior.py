@@ -12,7 +12,7 @@ from mckibben.errors import IdentificationError, ParameterError
 from mckibben.experiment_design.information import Floats, Indices, NoiseModel, estimate_noise
 from mckibben.identification import Fit, Grouping, identify
 from mckibben.identification.grouping import group_labels
-from mckibben.identification.least_squares import force_gradients
+from mckibben.identification.least_squares import design_matrix
 from mckibben.muscle import Domain, ForceLaw
 
 DIRECTION_SIGN = {"loading": 1.0, "unloading": -1.0}
@@ -60,7 +60,7 @@ class PriorData:
             )
         friction = bool(len(points.directions))
         names = [p.name for p in type(law).parameters()]
-        rows = force_gradients(law, names, points.contraction, points.pressure)
+        rows = design_matrix(law, names, points.contraction, points.pressure)
         if friction:
             signs = [DIRECTION_SIGN.get(str(d), 0.0) for d in points.table["direction"].to_numpy()]
             rows = np.concatenate([rows, np.array(signs)[:, None]], axis=1)

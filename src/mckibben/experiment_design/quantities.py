@@ -13,7 +13,7 @@ import numpy as np
 from mckibben.errors import ParameterError, RangeError, UnitError
 from mckibben.experiment_design.candidates import StateGrid
 from mckibben.experiment_design.information import Floats
-from mckibben.identification.least_squares import force_gradients
+from mckibben.identification.least_squares import design_matrix
 from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.muscle.base import Parameter
@@ -108,7 +108,7 @@ class Force(QuantityOfInterest):
             contraction, pressure, force = contraction[taut], pressure[taut], force[taut]
             region = np.stack([contraction, pressure], axis=1)
         names = [p.name for p in type(law).parameters()]
-        gradients = force_gradients(law, names, contraction, pressure)
+        gradients = design_matrix(law, names, contraction, pressure)
         return LinearizedQuantity(gradients, force, states=region)
 
 

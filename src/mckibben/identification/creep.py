@@ -63,8 +63,8 @@ class CreepFit(Result):
         on the time constant, with which it varies.
     time_constant, time_constant_interval
         Time constant [s] and its 95 % profile interval; 0 or infinite where the data impose no bound.
-    residual, creep_force
-        Root mean square [N] of the residuals within plateaus, averaged to 16 blocks each, and of the fitted creep.
+    residual
+        Root mean square [N] of the residuals within plateaus, averaged to 16 blocks each.
     common_rate
         Rate of the force common to all plateaus, such as sensor drift [N/s].
     plateaus
@@ -80,7 +80,6 @@ class CreepFit(Result):
     time_constant: float = column("s", "time constant", digits=3)
     time_constant_interval: tuple[float, float]
     residual: float = column("N", "RMS residual", digits=2)
-    creep_force: float = column("N", "RMS creep", digits=2)
     common_rate: float = column("N/s", "rate common to all plateaus", digits=2)
     plateaus: int = column("", "plateaus used")
     notes: tuple[Remark, ...] = ()
@@ -164,8 +163,7 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Cree
         share_interval=(share - half, share + half),
         time_constant=tau,
         time_constant_interval=(low, high),
-        residual=delayed.root_mean_square(residuals),
-        creep_force=delayed.root_mean_square(share * delayed.columns(np.array([tau]))[:, 0]),
+        residual=math.sqrt(float(residuals @ residuals / (delayed.root @ delayed.root))),
         common_rate=rate,
         plateaus=len(delayed.plateaus),
         notes=tuple(notes),
@@ -433,17 +431,11 @@ class DelayedForce:
     @cached_property
     def time_constant_interval(self) -> tuple[float, float]:
         """95 % profile interval of the time constant [s]; 0 or infinite where the data impose no bound."""
-        residuals, place = self.solution[2], int(np.searchsorted(self.grid, self.time_constant))
-        least = float(residuals @ residuals)
-        grid, costs = np.insert(self.grid, place, self.time_constant), np.insert(self.grid_costs, place, least)
-        roots = np.sqrt(np.maximum(costs - least, 0) / self.scale)
-        limit = float(t_quantile(0.95, self.error[1]))
-        low, high = profile_interval(np.log(grid), roots, limit, place, -math.inf)
+        least = float(self.solution[2] @ self.solution[2])
+        rise = self.scale * float(t_quantile(0.95, self.error[1])) ** 2
+        best = math.log(self.time_constant), least
+        low, high = profile_interval(np.log(self.grid), self.grid_costs, best, rise, -math.inf)
         return math.exp(low), math.exp(high)
-
-    def root_mean_square(self, values: Floats) -> float:
-        """Weighted root mean square of values by block times the root."""
-        return math.sqrt(float(values @ values) / float(self.root @ self.root))
 
     def _costs(self, time_constants: Floats) -> Floats:
         values, columns = self._without_line(self.values), self._without_line(self.columns(time_constants))

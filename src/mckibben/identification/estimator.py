@@ -314,8 +314,27 @@ def t_quantile(level: float, freedom: ArrayLike) -> Floats:
     return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))
 
 
-def profile_interval(grid: Floats, roots: Floats, limit: float, place: int, unbounded: float) -> tuple[float, float]:
-    """Where roots of the increase of the cost reach a limit beside a place; `unbounded` and infinity if nowhere."""
+def profile_interval(
+    grid: Floats, costs: Floats, best: tuple[float, float], rise: float, unbounded: float
+) -> tuple[float, float]:
+    """Where a cost rises by an amount above its minimum, on both sides of it.
+
+    The roots of the increase are interpolated linearly: they are those of a parabola.
+
+    Parameters
+    ----------
+    grid, costs
+        Ascending positions, shape (n,), and their costs.
+    best
+        Position of the minimum, and its cost.
+    rise
+        Increase of the cost at the ends of the interval.
+    unbounded
+        Lower end where the cost nowhere rises enough; the upper one is infinite.
+    """
+    place = int(np.searchsorted(grid, best[0]))
+    grid, costs = np.insert(grid, place, best[0]), np.insert(costs, place, best[1])
+    roots, limit = np.sqrt(np.maximum(costs - best[1], 0)), float(np.sqrt(rise))
     below = np.flatnonzero(roots[:place] > limit)
     above = np.flatnonzero(roots[place:] > limit) + place
 

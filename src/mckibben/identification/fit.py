@@ -22,7 +22,7 @@ from mckibben.identification.estimator import (
     t_quantile,
 )
 from mckibben.identification.grouping import Grouping
-from mckibben.identification.least_squares import force_gradients
+from mckibben.identification.least_squares import design_matrix
 from mckibben.identification.regression import ForceIntervals, Regression, RobustErrors
 from mckibben.identification.storage import read_fields, write_fit
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
@@ -175,7 +175,7 @@ class Fit(Result, metaclass=CheckedCalls):
         contraction, pressure = np.asarray(contraction, float), np.asarray(pressure, float)
         value = forces(self.law, contraction, pressure)
         free = [regression.problem.names[i] for i in regression.free]
-        gradients = force_gradients(self.law, free, contraction, pressure)
+        gradients = design_matrix(self.law, free, contraction, pressure)
         model = regression.error_model(by)
         of_law = _, freedom = model.variance(gradients)
         square, residual_freedom = model.residual_variance

@@ -263,18 +263,9 @@ def _check(model: PathDependentModel, form: FrictionForm | None, of_law: int, dr
         message = f"{count} points cannot determine {needed - 1} parameters of law, friction and drift"
         remedy = f"measure at least {needed}, or give a law that is known"
         raise IdentificationError(message, value=int(count), lower=needed, remedy=remedy)
-    if form is None:
-        return
-    levels = len(np.unique(model.means.levels[~model.means.slack]))
-    if "growth" in form.free and levels < 3:
-        message = f"friction of the form {form.value!r} needs three pressures, not {levels}"
-        remedy = "measure at more pressures, or choose another form"
-        raise IdentificationError(message, value=levels, lower=3, remedy=remedy)
-    if form is FrictionForm.VISCOUS and model.rate is None:
-        raise IdentificationError(
-            f"friction of the form {form.value!r} needs times at which the speed varies",
-            remedy="give the times of motions at several speeds, or choose another form",
-        )
+    if form is not None and (missing := model.missing(form)):
+        message, remedy = f"friction of the form {form.value!r} needs {missing}", "measure them, or choose another form"
+        raise IdentificationError(message, field="form", value=form.value, remedy=remedy)
 
 
 def _started(
@@ -355,12 +346,11 @@ def _compare_forms(
 ) -> tuple[FrictionForm, Mapping[FrictionForm, float], dict[str, float]]:
     """Form with the fewest parameters that is as good as the best; errors of those that the data tell apart; values."""
     levels = model.means.levels[model.used]
-    many = len(np.unique(levels)) >= 3
-    blocks = levels if many else model.paths.label[model.used]
+    blocks = levels if len(np.unique(levels)) >= 3 else model.paths.label[model.used]
     squares: dict[FrictionForm, Floats] = {}
     solutions: dict[FrictionForm, PathSolution] = {}
     for form in FrictionForm:
-        if ("growth" in form.free and not many) or (form is FrictionForm.VISCOUS and model.rate is None):
+        if model.missing(form):
             continue
         solutions[form] = model.fit(model.start(start, form), (*law, *form.free), evaluations=50)
         squares[form] = _held_out_squares(solutions[form], blocks)

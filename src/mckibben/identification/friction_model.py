@@ -106,6 +106,12 @@ class PathDependentModel:
         share, stiffness = polygon(MaxwellSlip.elements)
         return float(np.log(self.paths.step / (2 * (share / stiffness).max())))
 
+    def missing(self, form: FrictionForm) -> str:
+        """Data that a form needs and the points lack; empty if there are all."""
+        if form is FrictionForm.PRESSURE and len(np.unique(self.means.levels[self.used])) < 3:
+            return "three pressures"
+        return "times at which the speed varies" if form is FrictionForm.VISCOUS and self.rate is None else ""
+
     def start(self, values: Mapping[str, float], form: FrictionForm) -> dict[str, float]:
         """Start of a fit of a form: parameters that it does not estimate are zero, or reverse friction in one step."""
         start = {**values, **dict.fromkeys(set(FRICTION) - {"half_width", "log_presliding"}, 0.0)}

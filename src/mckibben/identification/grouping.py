@@ -10,12 +10,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Ints
 
 
 class Grouping(enum.Enum):
-    """Points that may share an error: each by itself, of one pass, of one pressure level, or of a repeat of the test.
+    """Points that may share an error: each by itself, of one pass, or of one pressure level.
 
     A pass has one level, repeat and direction or phase, as far as recorded (docs/uncertainty.md).
     """
@@ -23,7 +22,6 @@ class Grouping(enum.Enum):
     POINT = "point"
     STROKE = "stroke"
     PRESSURE = "pressure"
-    REPEAT = "repeat"
 
     def counted(self, count: int) -> str:
         """Number of groups as text, such as "1 stroke" or "26 strokes"."""
@@ -34,18 +32,10 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
     """Group number of each point, from 0 without gaps, shape (points,)."""
     if grouping is Grouping.POINT:
         return np.arange(len(points))
-    columns: list[np.ndarray] = []
-    if grouping in (Grouping.STROKE, Grouping.PRESSURE):
-        columns.append(points.levels)
-    if grouping in (Grouping.STROKE, Grouping.REPEAT) and "repeat" in points.table:
-        columns.append(points.table["repeat"].to_numpy())
+    columns = [points.levels]
     if grouping is Grouping.STROKE:
+        columns += [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
         columns.append(approach_labels(points))
-    if not columns:
-        raise IdentificationError(
-            "the data do not record which repeat a point belongs to",
-            remedy="record a column 'repeat', or group by stroke or by pressure",
-        )
     return row_numbers(columns)
 
 

@@ -48,7 +48,7 @@ def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, p
     law
         Force law with values for all parameters; the values of linear parameters do not matter.
     contraction, pressure
-        Shape (n,): [-], [Pa].
+        Contraction [-] and pressure [Pa]; they broadcast to n points.
 
     Examples
     --------
@@ -59,23 +59,14 @@ def design_matrix(law: ForceLaw, names: Sequence[str], contraction: ArrayLike, p
     >>> design_matrix(law, ["a1", "a2", "b1", "c1"], [0.1], [2e5]).round(4)
     array([[1.000e+00, 2.000e+05, 1.000e-01, 3.679e-01]])
     """
-    contraction = np.asarray(contraction, np.float64)
-    pressure = np.asarray(pressure, np.float64)
-    if not names:
-        return np.empty((len(contraction), 0))
-    values = np.array([float(getattr(law, name)) for name in names])
-    return np.asarray(_columns(law, values, contraction, pressure, names=tuple(names))).T
-
-
-def force_gradients(law: ForceLaw, free: Sequence[str], contraction: ArrayLike, pressure: ArrayLike) -> Floats:
-    """Derivative of the force by the named parameters, (points, parameters); padded to a power of two."""
     contraction, pressure = np.broadcast_arrays(np.asarray(contraction, float), np.asarray(pressure, float))
     count = contraction.size
-    if not count:
-        return np.empty((0, len(free)))
-    pad = (0, max(128, 1 << (count - 1).bit_length()) - count)
+    if not names or not count:
+        return np.empty((count, len(names)))
+    pad = (0, max(128, 1 << (count - 1).bit_length()) - count)  # arrays of similar size share code
     padded = (np.pad(column.ravel(), pad, mode="edge") for column in (contraction, pressure))
-    return design_matrix(law, free, *padded)[:count]
+    values = np.array([float(getattr(law, name)) for name in names])
+    return np.asarray(_columns(law, values, *padded, names=tuple(names))).T[:count]
 
 
 @jit

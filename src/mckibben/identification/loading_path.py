@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+import pandas as pd
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
@@ -24,8 +25,8 @@ _AT_REST = 1e-3  # of the highest rate
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
 
 
-class ReversedDirectionsError(IdentificationError):
-    """Loading is significantly below unloading."""
+class NoHysteresisError(IdentificationError):
+    """Loading and unloading do not differ significantly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,11 +230,8 @@ def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools) -> Floats:
     apart = (np.diff(means.contraction[order]) > tolerance) | (np.diff(means.levels[order].round(-2)) != 0)
     place = np.empty(len(order), np.int64)
     place[order] = np.concatenate([[0], np.cumsum(apart)])
-    sides = [taut & loading, taut & ~loading]
-    counts = [np.bincount(place, side, place.max() + 1) for side in sides]
-    both = (counts[0] > 0) & (counts[1] > 0)
-    first, second = (np.bincount(place, side * means.force, place.max() + 1)[both] for side in sides)
-    return first / counts[0][both] - second / counts[1][both]
+    forces = pd.Series(means.force[taut]).groupby([place[taut], loading[taut]]).mean().unstack()
+    return (forces[True] - forces[False]).dropna().to_numpy() if forces.shape[1] == 2 else np.empty(0)
 
 
 def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
@@ -242,13 +240,13 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
     if len(gaps) < 2:
         message = f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions"
         remedy = "measure the same positions in both directions, and give nominal pressures (set_pressure)"
-        raise IdentificationError(message, value=len(gaps), lower=2, remedy=remedy)
+        raise NoHysteresisError(message, value=len(gaps), lower=2, remedy=remedy)
     from scipy.special import stdtrit
 
     middle, count = float(np.median(gaps)), len(gaps)
     error = max(1.25 * float(np.std(gaps, ddof=1)) / np.sqrt(count), np.finfo(float).eps * abs(middle))
     if not abs(middle) > float(stdtrit(count - 1, _SIGNIFICANT)) * error:
-        raise IdentificationError(
+        raise NoHysteresisError(
             f"loading is {middle:.2g} N above unloading, with a standard error of {error:.2g} N from {count} pairs of "
             "points: the data show no hysteresis",
             value=middle,
@@ -258,5 +256,5 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
     if middle < 0:
         message = f"loading is {-middle:.2g} N below unloading, which friction cannot be"
         remedy = "exchange the directions: loading is being stretched, unloading is shortening"
-        raise ReversedDirectionsError(message, value=middle, unit="N", remedy=remedy)
+        raise IdentificationError(message, value=middle, unit="N", remedy=remedy)
     return middle / 2

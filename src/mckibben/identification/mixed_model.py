@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from mckibben.identification.estimator import Floats, tsqr_r
+from mckibben.identification.estimator import Bools, Floats, tsqr_r
 
 _RANK = 1e-10  # of the largest singular value: fixed columns below it are combinations of the others
 
@@ -72,16 +72,9 @@ class MixedModel:
         others = np.maximum(total - squares, np.finfo(float).tiny) / (self.freedom - 1)
         return errors[:count] / rest, np.sign(errors[:count]) * np.sqrt(squares / others)
 
-    def residuals_without(self, hyperparameters: Floats, point: int) -> Floats:
-        """Studentised residuals at all points of the fit to all but one, 0 at that one."""
-        q, target = self._orthonormal(hyperparameters)
-        count, errors = len(self.residuals), target - q @ (q.T @ target)
-        shared, rest = q[:count] @ q[point], 1 - np.sum(q[:count] ** 2, axis=1)
-        least, own = np.finfo(float).eps, max(float(rest[point]), float(np.finfo(float).eps))
-        others = max(float(errors @ errors) - errors[point] ** 2 / own, float(np.finfo(float).tiny))
-        moved = errors[:count] + shared * errors[point] / own
-        statistic = moved / np.sqrt(np.maximum(rest - shared**2 / own, least) * others / (self.freedom - 1))
-        return np.where(np.arange(count) == point, 0.0, statistic)
+    def select(self, points: Bools) -> MixedModel:
+        """Model of some of the points."""
+        return MixedModel(self.fixed[points], self.random[points], self.residuals[points], self.scales)
 
     def _orthonormal(self, hyperparameters: Floats) -> tuple[Floats, Floats]:
         """Orthonormal basis of all columns, and the residuals; both with the rows of the prior."""

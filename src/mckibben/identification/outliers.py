@@ -103,10 +103,11 @@ class _Tested(NamedTuple):
         limit = float(stdtrit(self.model.freedom - 1, 1 - _LEVEL / (2 * len(self.sizes))))  # Bonferroni
         if self.sizes[at] <= limit:
             return False
+        others = np.arange(len(self.sizes)) != at
+        residuals = self.model.select(others).deleted_residuals(self.hyperparameters)[1]
         axes = [axis / (np.ptp(axis) or 1.0) for axis in (self.points.contraction, self.points.pressure)]
-        distances = np.sum([(axis - axis[at]) ** 2 for axis in axes], axis=0)
-        around = np.argsort(distances, kind="stable")[: _NEAREST + 1]
-        residuals = self.model.residuals_without(self.hyperparameters, at)
+        distances = np.sum([(axis - axis[at])[others] ** 2 for axis in axes], axis=0)
+        around = np.argsort(distances, kind="stable")[:_NEAREST]
         return bool(self.sizes[at] > _ISOLATED * np.abs(residuals[around]).max())
 
 

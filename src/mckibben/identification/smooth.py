@@ -286,7 +286,9 @@ def fit_smooth(
     theirs = {kind: _left_out(base, some) for kind, some in folds.items()}
     accepted: list[tuple[Solution, float]] = []
     reason = "the points support no deviation"
-    for kind in _possible(kinds, used):
+    for kind in kinds:
+        if kind is GaussianProcessLaw and not np.ptp(used.pressure):
+            continue
         deviations = Deviations.of(kind, points, base)
         fitted = deviations.fit()
         if fitted is None:
@@ -301,7 +303,7 @@ def fit_smooth(
                 for block, fits in folds.items()
             }
             worse = [block for block, ratio in ratios.items() if ratio > _WORSE[block]]
-            score = _geometric_mean(list(ratios.values()))
+            score = float(np.exp(np.mean(np.log(list(ratios.values()))))) if ratios else 0.0
             if not worse and score < _BETTER:
                 accepted.append((solution, score))
             objection = f"with deviations the errors at left-out {' and '.join(worse or folds)}s are hardly smaller"
@@ -313,20 +315,10 @@ def fit_smooth(
     return min(alike, key=lambda solution: solution.aicc), ""
 
 
-def _possible(kinds: Sequence[type[ForceLaw]], used: IsobaricDataset) -> list[type[ForceLaw]]:
-    """Laws that points may support: a process over the pressure needs several."""
-    return [kind for kind in kinds if kind is not GaussianProcessLaw or np.ptp(used.pressure)]
-
-
 def _may_deviate(base: Solution, used: IsobaricDataset) -> bool:
     """Whether there are enough points off Eq. 2 to determine deviations."""
     enough = len(used) >= _LEAST * len(base.problem.names) and bool(np.ptp(used.contraction))
     return enough and bool(np.abs(base.residuals).max() >= _ROUNDING * used.force.max())
-
-
-def _geometric_mean(ratios: Sequence[float]) -> float:
-    """Geometric mean; 0 without any."""
-    return float(np.exp(np.mean(np.log(ratios)))) if ratios else 0.0
 
 
 def _objection(solution: Solution, base: Solution, used: IsobaricDataset) -> str:

@@ -128,8 +128,8 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, ro
 
     ratio = max(without.cost - best.cost, 0.0) / scale
     p_value = float(fdtrc(1, freedom, ratio))
-    limit = best.cost + scale * float(t_quantile(0.95, freedom)) ** 2
-    interval = _interval(np.append(0.0, grid), costs, threshold, best.cost, limit)
+    rise = scale * float(t_quantile(0.95, freedom)) ** 2
+    interval = profile_interval(np.append(0.0, grid), costs, (threshold, best.cost), rise, 0.0)
     significant = p_value < _SIGNIFICANT
     fit, law, notes = plain, plain.law, list[Remark]()
     if significant:
@@ -192,13 +192,6 @@ def _shifted(dataset: IsobaricDataset, threshold: float) -> IsobaricDataset:
     return IsobaricDataset(
         table.assign({name: ("point", effective_pressure(table[name].to_numpy(), threshold)) for name in names})
     )
-
-
-def _interval(grid: Floats, costs: Floats, best: float, least: float, limit: float) -> tuple[float, float]:
-    """Thresholds [Pa] on both sides of the best one at which the cost reaches a limit."""
-    place = int(np.searchsorted(grid, best))
-    grid, costs = np.insert(grid, place, best), np.insert(costs, place, least)
-    return profile_interval(grid, np.sqrt(np.maximum(costs - least, 0)), math.sqrt(limit - least), place, 0.0)
 
 
 def _root_mean_square(residuals: Floats) -> float:

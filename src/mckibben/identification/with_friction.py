@@ -13,10 +13,10 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError, no_attribute
 from mckibben.identification.estimator import Floats
 from mckibben.identification.fit import Fit, warning_texts
-from mckibben.identification.fitting import WITH_FRICTION, fit_means, identify
+from mckibben.identification.fitting import fit_means, identify
 from mckibben.identification.friction import HysteresisFit, identify_hysteresis
 from mckibben.identification.friction_model import FrictionForm
-from mckibben.identification.loading_path import ReversedDirectionsError, loop_half_width
+from mckibben.identification.loading_path import NoHysteresisError, loop_half_width
 from mckibben.identification.outliers import find_outliers
 from mckibben.muscle import ForceLaw, MaxwellSlip, Muscle, NoFriction, Specimen
 from mckibben.muscle.air import inner_volume, volume_terms
@@ -148,7 +148,7 @@ def identify_with_friction(
     note, hysteresis, gap = "", None, 0.0
     try:
         gap = _half_gap(dataset) if friction is None else 0.0
-    except ReversedDirectionsError as error:
+    except IdentificationError as error:
         note = f"fitted without friction: {error}"
     if friction or gap:
         try:
@@ -163,14 +163,11 @@ def identify_with_friction(
             f"{hysteresis.rmse:.3g} N, too large to identify friction: fitted without it; try a law that fits better, "
             "such as SmoothLaw (command line: --law smooth)"
         )
-        if drift and "time" not in dataset.table:
-            note += ", or give the time of each point: without times, sensor drift is confounded with friction"
         hysteresis = None
     if not hysteresis:
         fit = identify(law, dataset, robust=robust)
         if note:  # it says why there is no friction
-            advised = [replace(n, remedy="") if n.remedy == WITH_FRICTION else n for n in fit.notes]
-            fit = replace(fit, notes=tuple(advised))
+            fit = replace(fit, notes=tuple(remark for remark in fit.notes if remark.field != "friction"))
         return FitWithFriction(fit, None, dataset, note)
     points = hysteresis.corrected(dataset)
     # the misfit of the friction, which is largest behind reversals, does not make a point an outlier
@@ -187,18 +184,16 @@ def shows_hysteresis(dataset: IsobaricDataset) -> bool:
     """Whether forces at the same pressure and contraction differ significantly between loading and unloading."""
     try:
         return _half_gap(dataset) > 0
-    except ReversedDirectionsError:
+    except IdentificationError:
         return False
 
 
 def _half_gap(dataset: IsobaricDataset) -> float:
-    """Half the difference between the directions [N], 0 if not significant; raises `ReversedDirectionsError`."""
+    """Half the difference between the directions [N], 0 if not significant; raises `loop_half_width`'s others."""
     if len(dataset.directions) < 2:
         return 0.0
     means = dataset.plateau_means()
     try:
         return loop_half_width(means, ~means.slack)
-    except ReversedDirectionsError:
-        raise
-    except IdentificationError:
+    except NoHysteresisError:
         return 0.0
