@@ -32,7 +32,7 @@ def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
     """Group number of each point, from 0 without gaps, shape (points,)."""
     if grouping is Grouping.POINT:
         return np.arange(len(points))
-    columns = [points.levels]
+    columns: list[np.ndarray] = [points.levels]
     if grouping is Grouping.STROKE:
         columns += [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
         columns.append(approach_labels(points))
