@@ -21,7 +21,7 @@ A. Solin and S. Sarkka, Statistics and Computing 30 (2020) 419-446.
 from __future__ import annotations
 
 import abc
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
@@ -298,12 +298,7 @@ def fit_smooth(
         if not objection and not compare:
             return solution, ""
         if not objection:
-            ratios = {
-                block: _ratio(deviations.left_out(fits, hyperparameters), theirs[block])
-                for block, fits in folds.items()
-            }
-            worse = [block for block, ratio in ratios.items() if ratio > _WORSE[block]]
-            score = float(np.exp(np.mean(np.log(list(ratios.values()))))) if ratios else 0.0
+            score, worse = _compared(deviations, hyperparameters, folds, theirs)
             if not worse and score < _BETTER:
                 accepted.append((solution, score))
             objection = f"with deviations the errors at left-out {' and '.join(worse or folds)}s are hardly smaller"
@@ -313,6 +308,18 @@ def fit_smooth(
     least = min(score for _, score in accepted)
     alike = [solution for solution, score in accepted if _BETTER * score <= least]
     return min(alike, key=lambda solution: solution.aicc), ""
+
+
+def _compared(
+    deviations: Deviations,
+    hyperparameters: Floats,
+    folds: Mapping[str, Sequence[tuple[Bools, Solution]]],
+    theirs: Mapping[str, Floats],
+) -> tuple[float, list[str]]:
+    """Geometric mean of the errors at left-out blocks relative to those of Eq. 2, and the kinds that are worse."""
+    ratios = {kind: _ratio(deviations.left_out(fits, hyperparameters), theirs[kind]) for kind, fits in folds.items()}
+    score = float(np.exp(np.mean(np.log(list(ratios.values()))))) if ratios else 0.0
+    return score, [kind for kind, ratio in ratios.items() if ratio > _WORSE[kind]]
 
 
 def _may_deviate(base: Solution, used: IsobaricDataset) -> bool:
