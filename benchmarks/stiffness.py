@@ -27,7 +27,7 @@ from mckibben.control import (
     Reference,
     Step,
 )
-from mckibben.muscle import MaxwellSlip, scaled_law
+from mckibben.muscle import MaxwellSlip, adjusted_law
 from mckibben.plant import JointPlant, SampledSensors
 from mckibben.simulation import simulate_many
 from mckibben.units import deg, kPa, mm, ms
@@ -62,7 +62,7 @@ def plants(runs, seed):
     joint = with_friction(np.maximum(draw.uniform(0, 15, (2, runs)), 1e-3), length)
     strengths = 1 + 0.1 * draw.uniform(-1, 1, (2, runs))
     muscles = [
-        dataclasses.replace(muscle, law=scaled_law(muscle.law, strength))
+        dataclasses.replace(muscle, law=adjusted_law(muscle.law, strength=strength))
         for muscle, strength in zip((joint.muscle1, joint.muscle2), strengths, strict=True)
     ]
     mass = 0.5 * (1 + 0.5 * draw.uniform(-1, 1, runs))

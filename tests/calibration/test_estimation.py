@@ -11,7 +11,7 @@ from mckibben.calibration import JointCalibration, JointEstimate, JointPrior, Jo
 from mckibben.calibration.equations import derivatives, halves_of, parameters, problem_of
 from mckibben.errors import IdentificationError, RangeError, ScenarioError
 from mckibben.joint import PendulumLoad, ScaledArms
-from mckibben.muscle import ForceCorrection, corrected_law
+from mckibben.muscle import ForceCorrection, adjusted_law
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.units import deg
 
@@ -23,7 +23,9 @@ DISTANCE, GRAVITY = 0.2, 9.81
 def knee(*corrections):
     joint = catalog.joint("knee-table-2")
     muscles = {
-        name: dataclasses.replace(getattr(joint, name), law=corrected_law(getattr(joint, name).law, correction))
+        name: dataclasses.replace(
+            getattr(joint, name), law=adjusted_law(getattr(joint, name).law, correction=correction)
+        )
         for name, correction in zip(("muscle1", "muscle2"), corrections, strict=False)
     }
     return dataclasses.replace(joint, geometry=dataclasses.replace(joint.geometry, connector_length=0.208), **muscles)

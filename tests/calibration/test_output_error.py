@@ -13,7 +13,7 @@ from mckibben.calibration import JointPrior, JointRecording, calibrate_from_comm
 from mckibben.calibration.experiment import calibrated_scenario
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, GeneralLoad
-from mckibben.muscle import MaxwellSlip, scaled_law
+from mckibben.muscle import MaxwellSlip, adjusted_law
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import jit
 from mckibben.plant import JointPlant
@@ -53,7 +53,7 @@ def recorded(seed, *, seconds=12.0):
     """Angles of the true joint, computed at a fine step, at 100 Hz with noise and times that jitter."""
     joint = model()
     muscles = [
-        dataclasses.replace(one, law=scaled_law(one.law, by))
+        dataclasses.replace(one, law=adjusted_law(one.law, strength=by))
         for one, by in zip((joint.muscle1, joint.muscle2), STRENGTHS, strict=True)
     ]
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])

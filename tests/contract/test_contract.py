@@ -79,8 +79,8 @@ LEG = dataclasses.replace(
 EXAMPLES = [
     *(example() for example in LAWS.values()),
     muscle.SpringLaw(1000.0, 180 * mm),
-    *(muscle.scaled_law(law, 1.1) for law in (CHOU, TONDU)),
-    *(muscle.corrected_law(law, CORRECTION) for law in (CHOU, TONDU)),
+    *(muscle.adjusted_law(law, strength=1.1) for law in (CHOU, TONDU)),
+    *(muscle.adjusted_law(law, correction=CORRECTION) for law in (CHOU, TONDU)),
     muscle.ThresholdLaw(CHOU, 3e4),
     CORRECTION,
     SLIP,

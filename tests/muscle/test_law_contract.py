@@ -9,7 +9,7 @@ import pytest
 
 from mckibben import catalog, muscle
 from mckibben.errors import DomainWarning, RangeError
-from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, scaled_law
+from mckibben.muscle import LAWS, ChouLaw, Domain, ForceLaw, PressureAffineLaw, adjusted_law
 
 BOX = Domain(-0.03, 0.25, 0.0, 6e5)
 ANGLE, DIAMETER = math.radians(25), 0.01
@@ -146,7 +146,7 @@ def test_it_can_be_vmapped_over_its_parameters(law, force):
 
 def test_a_stronger_muscle_has_so_many_times_every_force(law):
     """Also as a muscle, whose domain stays; a law that is affine in pressure stays so."""
-    strong = scaled_law(law, 1.07)
+    strong = adjusted_law(law, strength=1.07)
     force, slope, _ = answers(law)
     strong_force, strong_slope, _ = answers(strong)
     np.testing.assert_allclose(strong_force, 1.07 * force, rtol=1e-12, atol=1e-10)

@@ -8,14 +8,14 @@ import pytest
 
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
-from mckibben.muscle import ForceCorrection, scaled_law
+from mckibben.muscle import ForceCorrection, adjusted_law
 from mckibben.numerics.compiled import numeric
 from mckibben.units import bar
 
 
 def with_strengths(joint: AntagonisticJoint, strength1, strength2) -> AntagonisticJoint:
     muscle1, muscle2 = (
-        dataclasses.replace(muscle, law=scaled_law(muscle.law, strength))
+        dataclasses.replace(muscle, law=adjusted_law(muscle.law, strength=strength))
         for muscle, strength in ((joint.muscle1, strength1), (joint.muscle2, strength2))
     )
     return dataclasses.replace(joint, muscle1=muscle1, muscle2=muscle2)
@@ -23,8 +23,8 @@ def with_strengths(joint: AntagonisticJoint, strength1, strength2) -> Antagonist
 
 @pytest.mark.parametrize("strength", [0.0, -0.5, np.nan, np.inf, np.array([1.0, -1.0])])
 def test_a_factor_that_makes_no_sense_is_refused(law, strength):
-    with pytest.raises(RangeError, match="scaled_law: strength is"):
-        scaled_law(law, strength)
+    with pytest.raises(RangeError, match="strength is"):
+        adjusted_law(law, strength=strength)
 
 
 def test_a_correction_is_constant_beyond_the_contractions_of_its_calibration():
@@ -58,7 +58,7 @@ def test_a_joint_of_other_muscles_has_their_torque_and_stiffness(knee, paper_pre
 
 def test_one_strength_a_muscle_of_many(law):
     strengths = np.array([0.8, 1.0, 1.25])
-    many = scaled_law(law, strengths)
+    many = adjusted_law(law, strength=strengths)
     axes = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, many)
     forces = jax.vmap(lambda one: one.force(0.1, 3e5), in_axes=(axes,))(many)
     np.testing.assert_allclose(forces, strengths * float(law.force(0.1, 3e5)), rtol=1e-13)

@@ -20,7 +20,7 @@ from mckibben.component.base import Checked
 from mckibben.component.schema import read_component
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load, ScaledArms
-from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, corrected_law
+from mckibben.muscle import ForceCorrection, MaxwellSlip, Muscle, adjusted_law
 from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.simulation.engine import BatchFunction
@@ -311,7 +311,9 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
             half_width=friction.half_width * jnp.exp(prior["friction"] * values[2 * n]),
             presliding_length=friction.presliding_length * jnp.exp(prior["presliding"] * values[2 * n + 1]),
         )
-        muscles.append(dataclasses.replace(muscle, law=corrected_law(muscle.law, correction), friction=friction))
+        muscles.append(
+            dataclasses.replace(muscle, law=adjusted_law(muscle.law, correction=correction), friction=friction)
+        )
     mass, added, zero, arms, cell1, cell2 = z[muscle_parameters(problem) : creep_begin(problem)]
     if load.adapted_mass:
         more = getattr(load, load.adapted_mass) * (1 + prior["mass"] * mass)

@@ -23,7 +23,7 @@ from mckibben.control import Controller, Multisine, Reference, Sine
 from mckibben.errors import ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.joint.attainable import stiffness_range
-from mckibben.muscle.corrected import CorrectedAffineLaw, CorrectedLaw
+from mckibben.muscle.adjusted import AdjustedLaw
 from mckibben.numerics.compiled import jit
 from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
@@ -317,7 +317,7 @@ def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJo
     model, joint, muscles = first_model_of(scenario), fit.joint, {}
     for name in ("muscle1", "muscle2"):
         before, after = getattr(model, name), getattr(joint, name)
-        if isinstance(after.law, CorrectedLaw | CorrectedAffineLaw):
+        if isinstance(after.law, AdjustedLaw):
             muscles[name] = replaced(before, {"correction": after.law.correction, "friction": after.friction})
     assert isinstance(joint.geometry, ScaledArms)
     return replaced(model, {**muscles, "geometry": ScaledArms(model.geometry, joint.geometry.scale)})

@@ -16,7 +16,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.antagonistic import MuscleStates
 from mckibben.joint.geometry import Pair
-from mckibben.muscle import scaled_law
+from mckibben.muscle import adjusted_law
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import exp, floating
 from mckibben.units import Bandwidth, Duration, Mass, Quantity, Share
@@ -207,7 +207,7 @@ def _with_mass_derivative(load: Load, torque: Callable[[Load], Scalar]) -> tuple
 def with_strengths(model: AntagonisticJoint, strengths: Pair) -> AntagonisticJoint:
     """Model whose muscles have given strengths relative to their laws."""
     muscle1, muscle2 = (
-        dataclasses.replace(muscle, law=scaled_law(muscle.law, strength))
+        dataclasses.replace(muscle, law=adjusted_law(muscle.law, strength=strength))
         for muscle, strength in zip((model.muscle1, model.muscle2), strengths, strict=True)
     )
     return dataclasses.replace(model, muscle1=muscle1, muscle2=muscle2)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import Any, NamedTuple, NoReturn, Protocol
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -21,13 +22,16 @@ from jaxtyping import Array, ArrayLike
 from mckibben.component.calls import user_level
 from mckibben.component.checks import known_numbers
 from mckibben.errors import McKibbenWarning, RangeError, UnreachableError
-from mckibben.joint.geometry import Geometry, Pair
-from mckibben.joint.tendon import RigidTendon, Tendon
+from mckibben.joint.geometry import Pair
+from mckibben.joint.tendon import RigidTendon
 from mckibben.muscle import Muscle, PressureAffineLaw
 from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.compiled import jit, jit_inline
 from mckibben.numerics.elementary import floating
 from mckibben.units import deg
+
+if TYPE_CHECKING:
+    from mckibben.joint.antagonistic import AntagonisticJoint
 
 _SCANNED = 401
 _SCANNED_FRICTION = 33
@@ -35,24 +39,6 @@ _TOLERANCE = 1e-6  # relative tolerance of a stiffness
 _ROUNDING = 1e-12  # relative tolerance of a tension
 _TURN = 2 * math.pi
 _INSIDE = 1e-9  # margin at the ends of a segment, as a fraction: at the end itself a muscle is slack
-
-
-class Joint(Protocol):
-    """What the attainable set needs of a joint, see `AntagonisticJoint`."""
-
-    @property
-    def geometry(self) -> Geometry: ...
-    @property
-    def muscle1(self) -> Muscle: ...
-    @property
-    def muscle2(self) -> Muscle: ...
-    @property
-    def tendon(self) -> Tendon: ...
-    @property
-    def springs(self) -> tuple[bool, bool]: ...
-    def contractions(self, angle: ArrayLike, pressures: Pair) -> Pair: ...
-    def evaluate(self, angle: ArrayLike, pressures: Pair) -> Pair: ...
-    def secant_stiffness(self, angle: ArrayLike, pressures: Pair, amplitude: ArrayLike) -> Array: ...
 
 
 def check_angle(angle: ArrayLike) -> None:
@@ -64,7 +50,7 @@ def check_angle(angle: ArrayLike) -> None:
 
 @jit_inline
 def torque_range(
-    joint: Joint, angle: ArrayLike, pressure_limits: tuple[float, float] | None, minimum_tension: float
+    joint: AntagonisticJoint, angle: ArrayLike, pressure_limits: tuple[float, float] | None, minimum_tension: float
 ) -> Pair:
     """See `AntagonisticJoint.attainable_torque`."""
     paths, (arm1, arm2) = joint.geometry.paths_and_arms(floating(angle))
@@ -77,7 +63,7 @@ def torque_range(
 
 @jit_inline
 def stiffness_range(
-    joint: Joint,
+    joint: AntagonisticJoint,
     angle: ArrayLike,
     torque: ArrayLike,
     pressure_limits: tuple[float, float] | None,
@@ -99,23 +85,25 @@ class StaticSolution(NamedTuple):
 
 
 @jit
-def solve_static(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
+def solve_static(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
     """Return the pressures for a torque and a stiffness at an angle; NaN selects the middle of the range."""
     return _solve_static(joint, angle, torque, stiffness)
 
 
-def _solve_static(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
+def _solve_static(
+    joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike
+) -> StaticSolution:
     segment = cocontraction_segment(joint, angle, torque, None, 0.0)
     return _solve(segment.profile(), segment.feasible, stiffness, _fractions(joint))
 
 
 @jit
-def _solve_many(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
+def _solve_many(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
     """Return the solutions for arrays of shape (n,)."""
     return jax.vmap(lambda *numbers: _solve_static(joint, *numbers))(angle, torque, stiffness)
 
 
-def pressures_for(joint: Joint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None) -> Pair:
+def pressures_for(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike | None) -> Pair:
     """See `AntagonisticJoint.pressures_for`."""
     check_finite(angle=angle, torque=torque, stiffness=0.0 if stiffness is None else stiffness)
     wanted = math.nan if stiffness is None else stiffness
@@ -137,7 +125,7 @@ def check_finite(**numbers: ArrayLike) -> None:
 
 
 def raise_unattainable(
-    joint: Joint, solution: StaticSolution, angle: float, torque: float, stiffness: float
+    joint: AntagonisticJoint, solution: StaticSolution, angle: float, torque: float, stiffness: float
 ) -> NoReturn:
     """Raise an error that says why a static state does not exist; a stiffness of NaN stands for any."""
     where = f"at {angle / deg:.4g} deg with a torque of {torque + 0.0:.4g} N*m"
@@ -163,7 +151,7 @@ def raise_unattainable(
 
 
 def unattainable(
-    joint: Joint,
+    joint: AntagonisticJoint,
     angle: float,
     torque: float,
     pressure_limits: tuple[float, float] | None = None,
@@ -184,14 +172,14 @@ def unattainable(
     return UnreachableError(message, value=angle, unit="rad", remedy=remedy)
 
 
-def leaves_domain(joint: Joint, angles: ArrayLike, unheld: ArrayLike) -> str:
+def leaves_domain(joint: AntagonisticJoint, angles: ArrayLike, unheld: ArrayLike) -> str:
     """Error text of a muscle that leaves its domain at the first infeasible angle [rad]; empty if there is none."""
     first = np.asarray(angles)[np.asarray(unheld)][:1]
     error = _outside_domain(joint, float(first[0])) if first.size else None
     return f"at {first[0] / deg:.4g} deg, {error}" if error else ""
 
 
-def _outside_domain(joint: Joint, angle: float) -> RangeError | None:
+def _outside_domain(joint: AntagonisticJoint, angle: float) -> RangeError | None:
     """Return the error of a contraction that leaves its muscle's domain at an angle; None if neither does."""
     contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
     for number, (muscle, contraction) in enumerate(zip((joint.muscle1, joint.muscle2), contractions, strict=True), 1):
@@ -208,7 +196,9 @@ def _outside_domain(joint: Joint, angle: float) -> RangeError | None:
     return None
 
 
-def warn_unattainable(joint: Joint, angle: ArrayLike, torque: ArrayLike, lowest: Array, *limits: Any) -> None:
+def warn_unattainable(
+    joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, lowest: Array, *limits: Any
+) -> None:
     """Warn of a direct call without any attainable stiffness, and say why there is none at the first angle."""
     if isinstance(lowest, Tracer) or not lowest.size or not jnp.isnan(lowest).all():
         return
@@ -294,42 +284,19 @@ def _range(segment: Segment, profile: Profile, amplitude: ArrayLike | None = Non
     return jnp.where(segment.feasible, lowest, jnp.nan), jnp.where(segment.feasible, highest, jnp.nan)
 
 
-def _fractions(joint: Joint) -> Array:
+def _fractions(joint: AntagonisticJoint) -> Array:
     """Return the fractions of a segment at which to evaluate it: its two ends, or a scan."""
     return jnp.linspace(_INSIDE, 1 - _INSIDE, 2 if is_affine(joint) else _SCANNED)
 
 
-class _AffineProfile(NamedTuple):
-    """Pressures and stiffness along a segment, interpolated linearly between its ends."""
-
-    starts: tuple[Array, Array, Array]
-    ends: tuple[Array, Array, Array]
-
-    def __call__(self, fraction: ArrayLike) -> tuple[Pair, Array]:
-        part = (fraction - _INSIDE) / (1 - 2 * _INSIDE)
-        pressure1, pressure2, stiffness = (
-            start + (end - start) * part for start, end in zip(self.starts, self.ends, strict=True)
-        )
-        return (pressure1, pressure2), stiffness
-
-
-class _EvaluatedProfile(NamedTuple):
-    """Pressures and stiffness along a segment, evaluated at each fraction."""
-
-    segment: Segment
-
-    def __call__(self, fraction: ArrayLike) -> tuple[Pair, Array]:
-        return self.segment.at(fraction)
-
-
-Profile = _AffineProfile | _EvaluatedProfile
-"""Pressures and stiffness as functions of the fraction of a segment."""
+Profile = Callable[[ArrayLike], tuple[Pair, Array]]
+"""Pressures [Pa] and stiffness [N*m/rad] as functions of the fraction of a segment."""
 
 
 class Segment(NamedTuple):
     """States of equal torque at one angle; fraction 0 has the lowest tension of muscle 1, fraction 1 the highest."""
 
-    joint: Joint
+    joint: AntagonisticJoint
     angle: Array
     torque: Array
     paths: Pair
@@ -354,11 +321,16 @@ class Segment(NamedTuple):
     def profile(self) -> Profile:
         """Return pressures and stiffness over the fraction; affine for two taut muscles with affine laws."""
         if not is_affine(self.joint):
-            return _EvaluatedProfile(self)
+            return self.at
         # A loop over the two ends, although they would vectorise: XLA then computes their inputs once instead of in
         # each fusion, and generates a third of the code.
-        pressures, stiffness = lax.map(self.at, _fractions(self.joint))
-        return _AffineProfile(*((pressures[0][end], pressures[1][end], stiffness[end]) for end in (0, 1)))
+        ends = lax.map(self.at, _fractions(self.joint))
+
+        def interpolate(fraction: ArrayLike) -> tuple[Pair, Array]:
+            part = (fraction - _INSIDE) / (1 - 2 * _INSIDE)
+            return jax.tree.map(lambda end: end[0] + (end[1] - end[0]) * part, ends)
+
+        return interpolate
 
 
 def _leading_axis(values: Array, angle: Array) -> Array:
@@ -367,7 +339,7 @@ def _leading_axis(values: Array, angle: Array) -> Array:
 
 
 def cocontraction_segment(
-    joint: Joint,
+    joint: AntagonisticJoint,
     angle: ArrayLike,
     torque: ArrayLike,
     pressure_limits: tuple[float, float] | None,
@@ -386,7 +358,7 @@ def cocontraction_segment(
     return Segment(joint, angle, torque, paths, (arm1, arm2), first, last, feasible)
 
 
-def pressure_limits_of(joint: Joint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return the gauge pressure limits [Pa] of the muscles' domains: ((low1, low2), (high1, high2))."""
     domains = joint.muscle1.domain, joint.muscle2.domain
     low1, low2 = (floating(domain.pressure_min) for domain in domains)
@@ -395,7 +367,7 @@ def pressure_limits_of(joint: Joint) -> tuple[tuple[Array, Array], tuple[Array, 
 
 
 def _tension_ranges(
-    joint: Joint, paths: Pair, pressure_limits: tuple[float, float] | None, minimum_tension: float
+    joint: AntagonisticJoint, paths: Pair, pressure_limits: tuple[float, float] | None, minimum_tension: float
 ) -> tuple[Pair, Pair]:
     """Return the lowest and the highest tension [N] of each muscle within pressures, domain and rated force."""
     if pressure_limits is None:
@@ -417,7 +389,7 @@ def _tension_ranges(
     return (low1, low2), (high1, high2)
 
 
-def is_affine(joint: Joint) -> bool:
+def is_affine(joint: AntagonisticJoint) -> bool:
     """Return whether torque and stiffness are affine in the two pressures."""
     laws_affine = all(isinstance(m.law, PressureAffineLaw) for m in (joint.muscle1, joint.muscle2))
     return laws_affine and isinstance(joint.tendon, RigidTendon)

@@ -3,9 +3,9 @@
 from collections.abc import Iterator, Mapping
 
 from mckibben.component.classes import classes_of
-from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, pressure_for, scaled_law
+from mckibben.muscle.adjusted import ForceCorrection, adjusted_law
+from mckibben.muscle.base import ForceLaw, Parameter, PressureAffineLaw, pressure_for
 from mckibben.muscle.chou import ChouLaw
-from mckibben.muscle.corrected import ForceCorrection, corrected_law
 from mckibben.muscle.creep import Creep, CreepState, MaxwellCreep, NoCreep
 from mckibben.muscle.exponential import ExponentialLaw, SarosiLaw
 from mckibben.muscle.friction import Friction, FrictionState, MaxwellSlip, NoFriction
@@ -77,9 +77,8 @@ __all__ = [
     "TonduLopezLaw",
     "TonduLopezVariableLaw",
     "TsagarakisCaldwellLaw",
-    "corrected_law",
+    "adjusted_law",
     "forces",
     "pressure_for",
     "return_spring",
-    "scaled_law",
 ]

@@ -1,4 +1,4 @@
-"""Interface of a force law, its numerical inverse in pressure, scaled laws, and the ideal braid (Eq. 1)."""
+"""Interface of a force law, its numerical inverse in pressure, and the ideal braid (Eq. 1)."""
 
 import abc
 import itertools
@@ -16,13 +16,13 @@ from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
 from mckibben.component.calls import checked_call, user_level
-from mckibben.component.checks import check_positive, check_within, known_numbers
+from mckibben.component.checks import check_within, known_numbers
 from mckibben.component.classes import find_class
 from mckibben.component.extensions import is_foreign
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError, quoted
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.calculus import bracketed_root, derivative
-from mckibben.units import Percent, Quantity, Strength, atm, bar, deg, mm, percent, show
+from mckibben.units import Percent, Quantity, atm, bar, deg, mm, percent, show
 
 # No `from __future__ import annotations` here: equinox does not recognise an AbstractVar written as text.
 
@@ -204,50 +204,6 @@ def pressure_for(law: ForceLaw, force: ArrayLike, contraction: ArrayLike) -> Flo
         reached = law.force(contraction, start) <= force
         low, high = jnp.where(reached, start, low), jnp.where(reached, end, high)
     return bracketed_root(lambda pressure: law.force(contraction, pressure) - force, low, high)
-
-
-class ScaledLaw(ForceLaw):
-    """A law multiplied by a factor; see `scaled_law`."""
-
-    law: ForceLaw
-    strength: Strength
-    domain: Domain
-
-    equation = "F = s F_law"
-    source = "ours"
-
-    def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
-        return self.strength * self.law.force(contraction, pressure)
-
-    def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-        return self.law.pressure_for(jnp.asarray(force) / self.strength, contraction)
-
-
-class ScaledAffineLaw(PressureAffineLaw):
-    """A law affine in pressure, multiplied by a factor; see `scaled_law`."""
-
-    law: PressureAffineLaw
-    strength: Strength
-    domain: Domain
-
-    equation = "F = s F_law"
-    source = "ours"
-
-    def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        offset, gain = self.law.pressure_terms(contraction)
-        return self.strength * offset, self.strength * gain
-
-
-def scaled_law(law: ForceLaw, strength: Any) -> ForceLaw:
-    """Return a law with its force scaled by a positive factor (scatter among muscles, ageing); the domain is kept."""
-    check_positive("scaled_law", strength=strength)
-    return wrapped_law(law, ScaledAffineLaw, ScaledLaw, strength=strength)
-
-
-def wrapped_law(law: ForceLaw, affine: Any, general: Any, **parameters: Any) -> ForceLaw:
-    """Wrap a law in the class for laws affine in pressure or in the general one; the domain is kept."""
-    domain = law.domain.intersection(law.formula_domain)
-    return (affine if isinstance(law, PressureAffineLaw) else general)(law=law, domain=domain, **parameters)
 
 
 BRAID_PARAMETERS = (

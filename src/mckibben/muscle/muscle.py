@@ -19,8 +19,8 @@ from mckibben.component.base import Component
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import check_number
 from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
-from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw, scaled_law
-from mckibben.muscle.corrected import ForceCorrection, corrected_law
+from mckibben.muscle.adjusted import ForceCorrection, adjusted_law
+from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
@@ -74,8 +74,9 @@ class Muscle(Component):
     @property
     def force_law(self) -> ForceLaw:
         """The law with strength and correction."""
-        law = self.law if self.strength is None else scaled_law(self.law, self.strength)
-        return law if self.correction is None else corrected_law(law, self.correction)
+        if self.strength is None and self.correction is None:
+            return self.law
+        return adjusted_law(self.law, strength=self.strength, correction=self.correction)
 
     def __post_init__(self) -> None:
         if isinstance(self.specimen, Specimen) and isinstance(self.law, ForceLaw):

@@ -1,4 +1,4 @@
-"""A law with a smooth correction over contraction, affine in pressure, as estimated by a calibration on the joint."""
+"""A law scaled by a factor and corrected over contraction, affine in pressure, as estimated on the joint."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component
+from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError
-from mckibben.muscle.base import ForceLaw, PositiveContraction, PressureAffineLaw, pressure_for, wrapped_law
+from mckibben.muscle.base import ForceLaw, PositiveContraction, PressureAffineLaw, pressure_for
 from mckibben.muscle.specimen import Domain
-from mckibben.units import Contraction, ForcePerPressure, SignedForce
+from mckibben.units import Contraction, ForcePerPressure, SignedForce, Strength
 
 
 class ForceCorrection(Component):
@@ -50,48 +51,65 @@ class ForceCorrection(Component):
         return offset, gain
 
 
-class CorrectedLaw(ForceLaw):
-    """A law with a `ForceCorrection`; see `corrected_law`."""
+class AdjustedLaw(ForceLaw):
+    """A law multiplied by a factor, with a `ForceCorrection`; see `adjusted_law`."""
 
     law: ForceLaw
-    correction: ForceCorrection
     domain: Domain
+    strength: Strength | None = None
+    correction: ForceCorrection | None = None
 
-    equation = "F = F_law + sum_i (o_i + g_i p) v^i"
+    equation = "F = s F_law + sum_i (o_i + g_i p) v^i"
     source = "ours"
 
     def force(self, contraction: ArrayLike, pressure: ArrayLike) -> Float[Array, "..."]:
+        force = self.law.force(contraction, pressure)
+        force = force if self.strength is None else self.strength * force
+        if self.correction is None:
+            return force
         offset, gain = self.correction.terms(contraction)
-        return self.law.force(contraction, pressure) + offset + gain * pressure
+        return force + offset + gain * pressure
 
     def pressure_for(self, force: ArrayLike, contraction: ArrayLike) -> Float[Array, "..."]:
-        return pressure_for(self, force, contraction)
+        if self.correction is not None:
+            return pressure_for(self, force, contraction)
+        return self.law.pressure_for(
+            jnp.asarray(force) / (1.0 if self.strength is None else self.strength), contraction
+        )
 
 
-class CorrectedAffineLaw(PressureAffineLaw):
-    """A law affine in pressure with a `ForceCorrection`; see `corrected_law`."""
+class AdjustedAffineLaw(PressureAffineLaw, AdjustedLaw):
+    """An `AdjustedLaw` affine in pressure."""
 
     law: PressureAffineLaw
-    correction: ForceCorrection
-    domain: Domain
-
-    equation = "F = F_law + sum_i (o_i + g_i p) v^i"
-    source = "ours"
 
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        (offset, gain), (more, steeper) = self.law.pressure_terms(contraction), self.correction.terms(contraction)
+        offset, gain = self.law.pressure_terms(contraction)
+        if self.strength is not None:
+            offset, gain = self.strength * offset, self.strength * gain
+        if self.correction is None:
+            return offset, gain
+        more, steeper = self.correction.terms(contraction)
         return offset + more, gain + steeper
 
 
-def corrected_law(law: ForceLaw, correction: ForceCorrection) -> ForceLaw:
-    """Return a law with its force corrected; the domain is kept.
+def adjusted_law(
+    law: ForceLaw, *, strength: ArrayLike | None = None, correction: ForceCorrection | None = None
+) -> ForceLaw:
+    """Return a law with its force scaled by a positive factor and then corrected; the domain is kept.
+
+    The factor stands for scatter among muscles and ageing. `RangeError` for a factor that is not positive.
 
     Examples
     --------
     >>> from mckibben import catalog
     >>> law = catalog.law("lei-mas-10-180n")
-    >>> more = corrected_law(law, ForceCorrection(offset=(-20.0, 5.0), gain=(1e-5, 0.0), centre=0.1, half_width=0.05))
+    >>> correction = ForceCorrection(offset=(-20.0, 5.0), gain=(1e-5, 0.0), centre=0.1, half_width=0.05)
+    >>> more = adjusted_law(law, correction=correction)
     >>> round(float(more.force(0.125, 4e5) - law.force(0.125, 4e5)), 6)  # -20 + 0.5 * 5 + 1e-5 * 4e5
     -13.5
     """
-    return wrapped_law(law, CorrectedAffineLaw, CorrectedLaw, correction=correction)
+    if strength is not None:
+        check_positive("adjusted_law", strength=strength)
+    kind = AdjustedAffineLaw if isinstance(law, PressureAffineLaw) else AdjustedLaw
+    return kind(law, law.domain.intersection(law.formula_domain), strength, correction)  # type: ignore[arg-type]
