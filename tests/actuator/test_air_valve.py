@@ -225,14 +225,3 @@ def test_direct_commands_are_openings():
     valve = FlowValve(C, 7e5, spool_lag=0.002, direct=True)
     assert float(valve.clip_command(3.0, None)) == 1.0
     assert float(valve.rate(jnp.asarray(0.0), 0.5, 3e5)) == pytest.approx(250.0)
-
-
-@pytest.mark.parametrize(("error", "expected"), [(0.4, 0.4), (-0.4, -0.4), (7.0, 1.0), (-7.0, -1.0)])
-def test_the_loop_opens_a_valve_in_proportion_to_the_error_and_at_most_fully(error, expected):
-    """In bands; without compensation of the dead zone."""
-    valve = FlowValve(C, 7e5, band=0.5e5, spool_lag=0.002, dead_zone=0.1, compensation=0.0)
-    spool = float(valve.rate(jnp.asarray(0.0), 3e5 + error * 0.5e5, 3e5)) * 0.002
-    assert spool == pytest.approx(expected)
-    assert float(valve.opening(jnp.asarray(spool), 3e5, 3e5)) == pytest.approx(
-        (abs(spool) - 0.1) / 0.9 * np.sign(spool)
-    )

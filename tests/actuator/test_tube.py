@@ -143,28 +143,6 @@ def test_a_tube_is_predicted_in_steps_of_a_control_period(command):
         assert float(state.pressure) == pytest.approx(true[1, k + 1], abs=0.05 * abs(command - start))
 
 
-def test_at_its_target_a_pressure_stays_and_can_be_left_both_ways():
-    pressure, still = jnp.asarray(3 * bar), AirVolume(jnp.asarray(VOLUME), jnp.zeros(()))
-    model = Tube(dataclasses.replace(VALVE, leak=None), volume=ROOM, conductance=THIN)
-    state = model.init_model(pressure)
-    command = model.command_toward(pressure, state, pressure, still, 8 * ms, PERIOD)
-    following, state = model.predict(pressure, state, command, still, PERIOD)
-    assert float(following) == pytest.approx(3 * bar, rel=1e-9)
-    lowest, highest = model.attainable(pressure, state, (0.0, 6 * bar), still, PERIOD)(pressure)
-    assert float(lowest) < 3 * bar < float(highest)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("target", [2.3 * bar, 2.5 * bar, 2.8 * bar])
-def test_the_command_leads_the_pressure_of_the_muscle_to_a_target(target):
-    pressure = jnp.asarray(2.5 * bar)
-    state, air = TUBE.init_model(pressure), AirVolume(jnp.asarray(VOLUME), jnp.asarray(GROWTH))
-    for _ in range(80):
-        command = TUBE.command_toward(pressure, state, target, air, 15 * ms, PERIOD)
-        pressure, state = TUBE.predict(pressure, state, command, air, PERIOD)
-    assert float(pressure) == pytest.approx(target, abs=0.02 * bar)
-
-
 @pytest.mark.parametrize("width", [1, 3, 30])
 def test_the_pressure_follows_a_target_with_the_lag_behind_narrow_and_wide_tubes(lag_of, width):
     model = Tube(dataclasses.replace(VALVE, leak=None, hysteresis=None), volume=ROOM, conductance=width * THIN)

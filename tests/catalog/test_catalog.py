@@ -112,11 +112,6 @@ def test_a_name_like_no_other_gets_the_list():
         catalog.names("muscles")
 
 
-def test_no_name_appears_twice_in_one_kind():
-    for kind in KINDS:
-        assert len(set(catalog.names(kind))) == len(catalog.names(kind))
-
-
 def test_all_files_of_the_catalog_are_read():
     files = [f for f in resources.files("mckibben.catalog").iterdir() if f.name.endswith(".yaml")]
     assert files

@@ -99,12 +99,6 @@ def test_pressures_that_are_no_pair_are_refused(method):
         np.testing.assert_allclose(jax.tree.leaves(method(knee, right)), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("wrong", [3e5, (3e5,), (3e5, 3e5, 3e5), np.zeros((3, 2)), [[3e5, 3e5]]])
-def test_pressures_are_a_pair(knee, wrong):
-    with pytest.raises(RangeError, match="pair"):
-        knee.torque(0.0, wrong)
-
-
 @pytest.mark.parametrize(
     "call",
     [

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben.joint import Cam, PairedPaths, Pulley
-from mckibben.joint.mechanism import Mechanism, Strand, _Cam
+from mckibben.joint.mechanism import Mechanism, Strand
 from mckibben.units import mm
 
 PULLEYS = PairedPaths(Pulley(30 * mm, 162 * mm), Pulley(25 * mm, 160 * mm))
@@ -47,17 +47,6 @@ def test_a_muscle_is_in_the_middle_of_its_strand_or_at_the_fixed_end_above_a_cam
     np.testing.assert_allclose([upper, lower], [[0.1, 0.44], [0.1, 0.26]])
     upper, lower = Strand(start, end, wrap).body(0.18)
     np.testing.assert_allclose([upper, lower], [[0.1, 0.5], [0.1, 0.32]])
-
-
-def test_a_cam_continues_beyond_its_table_without_a_kink():
-    """Arm and slope, which is its derivative; the radius of curvature there is below the arm."""
-    angles = np.linspace(-0.5, 0.5, 101)
-    cam = _Cam(angles, 0.03 - 0.01 * angles**2, -0.02 * angles)
-    for end, sign in ((0, -1), (-1, 1)):
-        by = sign * np.array([0.0, 1e-6])
-        arms, slopes = cam._beyond(end, by)
-        assert (arms[0], slopes[0]) == pytest.approx((cam.arms[end], cam.slopes[end]))
-        assert np.diff(arms)[0] / np.diff(by)[0] == pytest.approx(slopes[0], rel=1e-4)
 
 
 def test_straight_part_and_wrap_lengthen_as_the_path_does():

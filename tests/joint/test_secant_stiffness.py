@@ -69,21 +69,8 @@ def test_a_small_motion_meets_friction_as_a_spring(knee, paper_precontracted, in
     assert float(secant(knee, angle, 1e-4, index)) == pytest.approx(law, rel=1e-5)
 
 
-def test_a_large_motion_meets_the_whole_band_once(knee, paper_precontracted):
-    amplitude = 12 * deg
-    added = float(secant(with_friction(knee), 0.0, amplitude) - secant(knee, 0.0, amplitude))
-    band = 0.0  # all elements yield; the band is that at the reversals
-    for angle in (-amplitude, amplitude):
-        for arm, eps, pressure in zip(
-            paper_precontracted.eq5(angle), paper_precontracted.contractions(angle), HELD, strict=True
-        ):
-            band += arm * float(SLIP.half_width_at(paper_precontracted.eq3(eps, pressure), pressure))
-    assert added == pytest.approx(band / (2 * amplitude), rel=1e-9)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("index", [1.0, 1.4])
-def test_closed_valves_with_a_spring_in_series(as_printed, index):
+def test_closed_valves_with_a_spring_in_series(as_printed):
     springy = dataclasses.replace(as_printed, tendon=SeriesSpring(stiffness=2e4, preload=60.0, travel=0.01))
-    small = float(secant(springy, 0.05, 1e-4, index))
-    assert small == pytest.approx(float(closed(springy, 0.05, index)), rel=1e-6)
+    small = float(secant(springy, 0.05, 1e-4, 1.4))
+    assert small == pytest.approx(float(closed(springy, 0.05, 1.4)), rel=1e-6)

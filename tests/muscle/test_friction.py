@@ -130,12 +130,6 @@ def test_the_virgin_curve_is_next_to_an_exponential(elements, off):
     assert friction.shares.sum() == pytest.approx(1) and np.all(friction.stiffnesses > 0)
 
 
-def test_after_a_reversal_63_percent_are_done_after_the_presliding_length():
-    back = PLAIN.path_response([0.1, 0.2, 0.2 - 0.5e-3, 0.2 - 1e-3], FAR, 0.0)
-    done = (12 - back[2:]) / 24
-    np.testing.assert_allclose(done, 1 - np.exp([-1, -2]), atol=0.012)
-
-
 def test_the_band_grows_with_pressure_and_ends_at_none():
     np.testing.assert_allclose(FRICTION.half_width_at(FAR, np.array([0, 3, 6]) * bar), [9, 12, 15])
     shrinking = MaxwellSlip(2.0, 1e-3, growth=-1 / bar)
@@ -215,21 +209,3 @@ def test_parameters_that_go_together_are_given_together(given, missing):
     with pytest.raises(RangeError) as refused:
         dataclasses.replace(PLAIN, **given)
     assert refused.value.field == missing
-
-
-@pytest.mark.parametrize(
-    ("field", "value", "upper"),
-    [
-        ("half_width", 0.0, 1e6),
-        ("half_width", float("nan"), 1e6),
-        ("presliding_length", 0.0, 0.1),
-        ("presliding_length", 2.0, 0.1),
-        ("viscous", -1.0, 1e6),
-        ("growth", 5.0, 0.1),
-        ("elements", 0, 16),
-    ],
-)
-def test_numbers_without_meaning_are_refused(field, value, upper):
-    with pytest.raises(RangeError) as refused:
-        MaxwellSlip(**{"half_width": 12.0, "presliding_length": 5e-4, field: value})
-    assert refused.value.field == field and refused.value.upper == pytest.approx(upper)

@@ -1,16 +1,12 @@
 """Where laws end: no force beyond a pole, beyond straight threads, or where a formula was not made for."""
 
-import dataclasses
-
 import jax
 import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.errors import RangeError
 from mckibben.muscle import (
     Domain,
-    ForceCorrection,
     GaussianProcessLaw,
     HuntLaw,
     MartensBoblanLaw,
@@ -63,19 +59,6 @@ def test_threads_cannot_be_stretched_beyond_straight():
     straight = 1 / np.cos(25 * deg) - 1
     assert np.isfinite(float(law.force(-0.99 * straight, 1e5)))
     assert np.isnan(float(law.force(-1.01 * straight, 1e5)))
-
-
-@pytest.mark.parametrize("half_width", [0.0, -0.1])
-def test_a_correction_has_a_width(half_width):
-    with pytest.raises(RangeError) as refused:
-        ForceCorrection((1.0,), (0.0,), centre=0.1, half_width=half_width)
-    assert (refused.value.field, refused.value.value) == ("half_width", half_width)
-
-
-def test_a_gain_per_bar_in_place_of_one_per_pascal_is_refused():
-    law = catalog.law("lei-mas-10-180n")
-    with pytest.raises(RangeError, match="1 N/bar is 1e-05 N/Pa"):
-        dataclasses.replace(law, a2=float(law.a2) * 1e5, c2=float(law.c2) * 1e5)
 
 
 @pytest.mark.parametrize("contraction", [0.0, 0.1, 0.2])

@@ -148,24 +148,3 @@ def test_the_numbers_of_the_documentation(joint_maps, references, key, band, ang
     assert found.at(0.0) == pytest.approx(attainable_in(references[key], 0.0), abs=2e-3)
     step = 80 / 120
     assert np.array(found.static_range) / deg == pytest.approx(angles, abs=step)
-
-
-@pytest.mark.parametrize("key", ["as_printed", "pre_contracted"])
-def test_the_band_is_that_of_trying_all_pressures(joint_maps, references, key):
-    found = joint_maps[key]
-    for k in range(0, 121, 6):
-        np.testing.assert_allclose(
-            [found.lowest[k], found.highest[k]], attainable_in(references[key], found.angles[k]), rtol=0, atol=5e-3
-        )
-
-
-@pytest.mark.parametrize("key", ["as_printed", "pre_contracted"])
-def test_the_map_over_torque_meets_the_curve_at_the_torque_of_gravity(joint_maps, references, key):
-    found = joint_maps[key]
-    np.testing.assert_allclose(found.gravity_torque, -references[key].G * np.sin(np.pi / 6 - found.angles), rtol=1e-9)
-    assert found.lowest_at.shape == found.highest_at.shape == (121, 121)
-    k = 60
-    assert found.angles[k] == pytest.approx(0.0, abs=1e-12)
-    for bounds, curve in ((found.lowest_at, found.lowest), (found.highest_at, found.highest)):
-        between = np.interp(found.gravity_torque[k], found.torques, bounds[:, k])
-        assert between == pytest.approx(curve[k], abs=0.02)

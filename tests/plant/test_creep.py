@@ -56,29 +56,6 @@ def swing(creeping, playback, short_episode):
     return run
 
 
-def test_it_moves_as_scipy_has_it(swing, paper_precontracted):
-    paper = paper_precontracted
-
-    def rate(_, y):
-        angle, velocity, x1, x2 = y
-        arm1, arm2 = paper.eq5(angle, math)
-        torque = paper.torque(angle, (P1, P2)) + x2 * arm2 - x1 * arm1 + paper.G * math.sin(math.pi / 6 - angle)
-        return (
-            velocity,
-            (torque - 0.02 * velocity) / paper.inertia,
-            3000 * arm1 * velocity - x1 / 0.2,
-            -3000 * arm2 * velocity - x2 / 0.2,
-        )
-
-    times = np.arange(PERIODS) * PERIOD
-    start = (math.radians(12), 0.5, 0.0, 0.0)
-    expected = solve_ivp(rate, (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853").y
-    state = swing(PlantState(*start[:2], (P1, P2)), damping=0.02)
-    assert np.abs(expected[2:]).max() > 5 and np.ptp(expected[0]) > math.radians(8)
-    np.testing.assert_allclose(state.angle, expected[0], atol=1e-8)
-    np.testing.assert_allclose(creep_of(state), expected[2:], atol=1e-6)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("engine", ["native", "xla"])
 def test_creep_after_steps_of_the_pressure_moves_as_scipy_has_it(engine, knee, load, playback, paper_precontracted):

@@ -176,7 +176,7 @@ class AirActuator(Actuator):
     def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Number:
         """Return `time_constant_at` the middle of a muscle's pressures and contractions; default: of the first one."""
         index = int(joint.springs[0]) if index is None else index
-        muscle = (joint.muscle1, joint.muscle2)[index]
+        muscle = joint.muscles[index]
         domain = muscle.domain
         volume = muscle.specimen.volume((domain.contraction_min + domain.contraction_max) / 2)
         return self.time_constant_at((domain.pressure_min + domain.pressure_max) / 2, volume)

@@ -118,11 +118,11 @@ class AntagonisticJoint(Component):
         super().__check_init__()
         if all(self.springs):
             raise RangeError("AntagonisticJoint: two springs and no muscle", remedy="make one of them a muscle")
-        for muscle in (self.muscle1, self.muscle2):
+        for muscle in self.muscles:
             muscle.check_pressure_limit()
         if not isinstance(self.tendon, RigidTendon):  # the rate of the length is not a function of the state
             owner = f"muscle in series with a {type(self.tendon).__name__}"
-            for muscle in (self.muscle1, self.muscle2):
+            for muscle in self.muscles:
                 if isinstance(muscle.friction, MaxwellSlip):
                     check_within(owner, 0.0, 0.0, "N*s/m", viscous=muscle.friction.viscous)
                     rates = (muscle.friction.viscous_growth, muscle.friction.viscous_length_growth)
@@ -141,17 +141,21 @@ class AntagonisticJoint(Component):
         return f"AntagonisticJoint({', '.join(parts)})"
 
     @property
+    def muscles(self) -> tuple[Muscle, Muscle]:
+        """Muscles 1 and 2."""
+        return self.muscle1, self.muscle2
+
+    @property
     def has_friction(self) -> bool:
         """Whether a muscle has friction."""
-        return self.muscle1.has_friction or self.muscle2.has_friction
+        return any(muscle.has_friction for muscle in self.muscles)
 
     @property
     def remarks(self) -> list[str]:
         """Remarks on extrapolated laws and on friction, in words, for tables and figures of stiffness."""
-        muscles = self.muscle1, self.muscle2
-        remarks = list(dict.fromkeys(muscle.extrapolation for muscle in muscles if muscle.extrapolation))
+        remarks = list(dict.fromkeys(muscle.extrapolation for muscle in self.muscles if muscle.extrapolation))
         if self.has_friction:
-            names = [f"muscle{number}" for number, muscle in enumerate(muscles, 1) if muscle.has_friction]
+            names = [f"muscle{number}" for number, muscle in enumerate(self.muscles, 1) if muscle.has_friction]
             have = "have" if len(names) > 1 else "has"
             remarks.append(
                 f"{' and '.join(names)} {have} friction, which the isobaric stiffness leaves out; the small-motion "
@@ -168,17 +172,14 @@ class AntagonisticJoint(Component):
     @property
     def has_creep(self) -> bool:
         """Whether a muscle has creep."""
-        return self.muscle1.has_creep or self.muscle2.has_creep
+        return any(muscle.has_creep for muscle in self.muscles)
 
     @jit_inline
     def contractions(self, angle: ArrayLike, pressures: Pressures, states: MuscleStates = NO_STATES) -> Pair:
         """Return the contraction [-] of each muscle."""
-        pressure1, pressure2 = pressure_pair(pressures)
-        path1, path2 = self.geometry.path_lengths(angle)
-        return (
-            self.tendon.contraction(self.muscle1, path1, pressure1, states[0]),
-            self.tendon.contraction(self.muscle2, path2, pressure2, states[1]),
-        )
+        points = zip(self.muscles, self.geometry.path_lengths(angle), pressure_pair(pressures), states, strict=True)
+        contraction1, contraction2 = (self.tendon.contraction(*point) for point in points)
+        return contraction1, contraction2
 
     def tensions(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return the tension [N] of each muscle, F1 and F2."""
@@ -187,12 +188,12 @@ class AntagonisticJoint(Component):
 
     @jit_inline
     def _tensions(self, angle: ArrayLike, pressures: Pressures) -> Pair:
-        pressure1, pressure2 = pressure_pair(pressures)
-        path1, path2 = self.geometry.path_lengths(angle)
-        return (
-            self.tendon.tension(self.muscle1, path1, pressure1),
-            self.tendon.tension(self.muscle2, path2, pressure2),
-        )
+        return self._tensions_at(self.geometry.path_lengths(angle), pressures)
+
+    def _tensions_at(self, paths: Pair, pressures: Pressures) -> Pair:
+        points = zip(self.muscles, paths, pressure_pair(pressures), strict=True)
+        tension1, tension2 = (self.tendon.tension(*point) for point in points)
+        return tension1, tension2
 
     @checked_call
     def torque(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
@@ -202,10 +203,8 @@ class AntagonisticJoint(Component):
 
     @jit_inline
     def _torque(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
-        pressure1, pressure2 = pressure_pair(pressures)
-        (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
-        tension1 = self.tendon.tension(self.muscle1, path1, pressure1)
-        tension2 = self.tendon.tension(self.muscle2, path2, pressure2)
+        paths, (arm1, arm2) = self.geometry.paths_and_arms(angle)
+        tension1, tension2 = self._tensions_at(paths, pressures)
         return tension2 * arm2 - tension1 * arm1
 
     @checked_call
@@ -226,25 +225,25 @@ class AntagonisticJoint(Component):
     @cached_trace
     def evaluate(self, angle: ArrayLike, pressures: Pressures) -> Pair:
         """Return `torque_and_stiffness` without a check of the domain."""
-        pressure1, pressure2 = pressure_pair(pressures)
         # Chain rule by hand between geometry and tension: a third of the operations of differentiating the whole.
         (paths, arms), (path_slopes, arm_slopes) = value_and_derivative(self.geometry.paths_and_arms, angle)
 
-        def unsigned_torque(i: int, muscle: Muscle, pressure: ArrayLike) -> Pair:
+        def unsigned_torque(i: int, pressure: ArrayLike) -> Pair:
             """Tension times moment arm of one muscle, and its derivative with respect to the angle."""
+            muscle = self.muscles[i]
             tension, by_path = value_and_derivative(lambda path: self.tendon.tension(muscle, path, pressure), paths[i])
             return tension * arms[i], by_path * path_slopes[i] * arms[i] + tension * arm_slopes[i]
 
-        torque1, slope1 = unsigned_torque(0, self.muscle1, pressure1)
-        torque2, slope2 = unsigned_torque(1, self.muscle2, pressure2)
+        (torque1, slope1), (torque2, slope2) = map(unsigned_torque, (0, 1), pressure_pair(pressures))
         return torque2 - torque1, slope1 - slope2
 
     def init_state(self, angle: ArrayLike, pressures: Pressures) -> MuscleStates:
         """Return unstressed, relaxed internal states of the muscles."""
         if not (self.has_friction or self.has_creep):
             return NO_STATES
-        contractions, both = self.contractions(angle, pressures), pressure_pair(pressures)
-        return self.muscle1.init_state(contractions[0], both[0]), self.muscle2.init_state(contractions[1], both[1])
+        points = zip(self.muscles, self.contractions(angle, pressures), pressure_pair(pressures), strict=True)
+        state1, state2 = (muscle.init_state(contraction, pressure) for muscle, contraction, pressure in points)
+        return state1, state2
 
     def state_rate(
         self, states: MuscleStates, angle: ArrayLike, velocity: ArrayLike, pressures: Pressures
@@ -262,11 +261,9 @@ class AntagonisticJoint(Component):
         """Return the internal states after a short move to an angle and pressures; the forces do not change."""
         if not (self.has_friction or self.has_creep):
             return states
-        contraction1, contraction2 = self.contractions(angle, pressures, states)
-        return (
-            self.muscle1.update_state(states[0], contraction1, pressures[0]),
-            self.muscle2.update_state(states[1], contraction2, pressures[1]),
-        )
+        points = zip(self.muscles, states, self.contractions(angle, pressures, states), pressures, strict=True)
+        state1, state2 = (muscle.update_state(*point) for muscle, *point in points)
+        return state1, state2
 
     def forces(
         self, angle: ArrayLike, velocity: ArrayLike | None, pressures: Pressures, states: MuscleStates = NO_STATES
@@ -411,7 +408,7 @@ class AntagonisticJoint(Component):
 
     def affine_map(self, angle: ArrayLike) -> TorqueStiffnessMap:
         """Return torque and stiffness as affine functions of the pressures; `TypeError` if they are not affine."""
-        for muscle in (self.muscle1, self.muscle2):
+        for muscle in self.muscles:
             if not isinstance(muscle.law, PressureAffineLaw):
                 raise TypeError(f"{type(muscle.law).__name__} is not affine in pressure: the joint has no affine map")
         if not isinstance(self.tendon, RigidTendon):
@@ -488,5 +485,4 @@ def _warn_outside(joint: AntagonisticJoint, angle: ArrayLike, pressures: Pressur
     pressure1, pressure2 = pressure_pair(pressures)
     if not any(isinstance(value, Tracer) for value in (angle, pressure1, pressure2)):
         contraction1, contraction2 = joint.contractions(angle, pressures)
-        points = (joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2)
-        warn_outside(*points)
+        warn_outside((joint.muscle1, contraction1, pressure1), (joint.muscle2, contraction2, pressure2))

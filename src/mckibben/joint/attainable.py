@@ -182,7 +182,7 @@ def leaves_domain(joint: AntagonisticJoint, angles: ArrayLike, unheld: ArrayLike
 def _outside_domain(joint: AntagonisticJoint, angle: float) -> RangeError | None:
     """Return the error of a contraction that leaves its muscle's domain at an angle; None if neither does."""
     contractions = joint.contractions(angle, pressure_limits_of(joint)[1])
-    for number, (muscle, contraction) in enumerate(zip((joint.muscle1, joint.muscle2), contractions, strict=True), 1):
+    for number, (muscle, contraction) in enumerate(zip(joint.muscles, contractions, strict=True), 1):
         stretched = float(contraction) < float(muscle.domain.contraction_min)
         change, other = joint.geometry.remedy(number, longer=not stretched), "a series spring"
         try:
@@ -360,9 +360,8 @@ def cocontraction_segment(
 
 def pressure_limits_of(joint: AntagonisticJoint) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
     """Return the gauge pressure limits [Pa] of the muscles' domains: ((low1, low2), (high1, high2))."""
-    domains = joint.muscle1.domain, joint.muscle2.domain
-    low1, low2 = (floating(domain.pressure_min) for domain in domains)
-    high1, high2 = (floating(domain.pressure_max) for domain in domains)
+    low1, low2 = (floating(muscle.domain.pressure_min) for muscle in joint.muscles)
+    high1, high2 = (floating(muscle.domain.pressure_max) for muscle in joint.muscles)
     return (low1, low2), (high1, high2)
 
 
@@ -391,5 +390,5 @@ def _tension_ranges(
 
 def is_affine(joint: AntagonisticJoint) -> bool:
     """Return whether torque and stiffness are affine in the two pressures."""
-    laws_affine = all(isinstance(m.law, PressureAffineLaw) for m in (joint.muscle1, joint.muscle2))
+    laws_affine = all(isinstance(m.law, PressureAffineLaw) for m in joint.muscles)
     return laws_affine and isinstance(joint.tendon, RigidTendon)

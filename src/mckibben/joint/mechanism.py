@@ -151,7 +151,7 @@ class _Cam:
 
 def muscle_sizes(joint: AntagonisticJoint, contractions: Any) -> tuple[list[Points], list[Points | None]]:
     """Lengths [m] and diameters [m] of the muscles at pairs of contractions; None for an unknown volume."""
-    pairs = zip((joint.muscle1, joint.muscle2), contractions, strict=True)
+    pairs = zip(joint.muscles, contractions, strict=True)
     sizes = [specimen_size(muscle.specimen, contraction) for muscle, contraction in pairs]
     return [length for length, _ in sizes], [diameter for _, diameter in sizes]
 

@@ -45,8 +45,8 @@ class PlantState(NamedTuple):
     sent: tuple[tuple[Scalar, Scalar], ...] = ()  # commands [Pa] on their way, the latest first
 
 
-def _rated(joint: AntagonisticJoint) -> tuple[Any, Any]:
-    return joint.muscle1.specimen.domain.pressure_max, joint.muscle2.specimen.domain.pressure_max
+def _rated(joint: AntagonisticJoint) -> tuple[Any, ...]:
+    return tuple(muscle.specimen.domain.pressure_max for muscle in joint.muscles)
 
 
 def rated_for(joint: AntagonisticJoint, pressures: tuple[Any, ...]) -> AntagonisticJoint:
@@ -70,7 +70,7 @@ class JointPlant(Plant):
     def __check_init__(self) -> None:
         super().__check_init__()
         if self.valve.holds_air:
-            for muscle in (self.joint.muscle1, self.joint.muscle2):
+            for muscle in self.joint.muscles:
                 muscle.specimen.check_volume(f"a {type(self.valve).__name__} that fills the volume")
 
     def __repr__(self) -> str:
@@ -79,7 +79,7 @@ class JointPlant(Plant):
 
     @property
     def muscles(self) -> tuple[Muscle, Muscle]:
-        return self.joint.muscle1, self.joint.muscle2
+        return self.joint.muscles
 
     @property
     def disturbances(self) -> tuple[Disturbance, ...]:
