@@ -34,7 +34,7 @@ class Exchange(NamedTuple):
     """
 
     flows: tuple[Array, ...]
-    rate: Any
+    rate: State
     drawn: Array
 
     @property
@@ -117,7 +117,7 @@ class AirActuator(Actuator):
         warming = temperature_rate(temperature, absolute, rate, passed.net, volume.volume, growth)
         return rate, warming, passed.rate, passed.drawn
 
-    def index_at(self, pressure: ArrayLike, volume: ArrayLike, frequency: ArrayLike) -> Any:
+    def index_at(self, pressure: ArrayLike, volume: ArrayLike, frequency: ArrayLike) -> Number:
         """Return the index n of small changes of a volume [m^3] at a gauge pressure [Pa] behind the shut valve.
 
         With a `wall_conductance` it is complex and depends on the frequency [Hz]; see `effective_index`.
@@ -150,7 +150,7 @@ class AirActuator(Actuator):
         """
         absolute = jnp.asarray(pressure) + ATMOSPHERE
 
-        def polytropic(index: Any) -> Any:
+        def polytropic(index: float) -> Any:
             return (rate * volume.effective(index, absolute) / index + absolute * volume.rate) / ENERGY
 
         if self.wall_conductance is None:

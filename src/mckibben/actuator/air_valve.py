@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import abc
 import dataclasses
-from typing import Annotated, Any, ClassVar, NamedTuple, Self
+from typing import Annotated, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -17,7 +17,7 @@ from mckibben.component.checks import check_within
 from mckibben.component.columns import Label
 from mckibben.muscle import Domain
 from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, CriticalRatio, exchange_rate, flow_of_warm_air, mass_flow
-from mckibben.numerics.elementary import exp, floating
+from mckibben.numerics.elementary import Number, exp, floating
 from mckibben.units import (
     Conductance,
     HeatConductance,
@@ -108,12 +108,12 @@ class AirValve(AirActuator):
         return 0.0
 
     @property
-    def shut_within(self) -> Any:
+    def shut_within(self) -> Number | None:
         """Error [Pa] of the pressure up to which the loop keeps the valve shut; None for none."""
         return None
 
     @property
-    def held_within(self) -> Any:
+    def held_within(self) -> Number | None:
         """Change [Pa] of the command, in either direction, that does not pass its lag; None for none."""
         return None
 
@@ -139,7 +139,7 @@ class AirValve(AirActuator):
         self, pressure: Scalar, state: State, command: ArrayLike, inlet: ArrayLike, temperature: Scalar | None = None
     ) -> Exchange:
         opening = self.opening(state, command, pressure)
-        flows: tuple[Any, ...] = (self.flow(opening, inlet, pressure),)
+        flows: tuple[Array | float, ...] = (self.flow(opening, inlet, pressure),)
         if self.leak is not None:
             flows = (*flows, -self.leakage(pressure))
         if temperature is not None:
@@ -234,7 +234,7 @@ class AirValve(AirActuator):
         drift = -by_flow * (ENERGY * self.leakage(pressure) + absolute * air.rate)
         return jnp.maximum(open_rate, _LEAST_RATE), drift
 
-    def time_constant_at(self, pressure: Any, volume: Any) -> Any:
+    def time_constant_at(self, pressure: Number, volume: Number) -> Number:
         inside = pressure + ATMOSPHERE
         fill = mass_flow(self.conductance, self.critical_ratio, self.supply + ATMOSPHERE, inside)
         vent = mass_flow(self.exhaust, self.critical_ratio, inside, ATMOSPHERE)
@@ -275,17 +275,17 @@ class AirValve(AirActuator):
         return _leading(self.band * jnp.asarray(opening), self.shut_within)
 
 
-def _beyond(error: Array, width: Any) -> Array:
+def _beyond(error: Array, width: Number | None) -> Array:
     """Part of an error beyond a width, None for none, to either side."""
     return error if width is None else error - jnp.clip(error, -width, width)
 
 
-def _leading(error: Array, width: Any) -> Array:
+def _leading(error: Array, width: Number | None) -> Array:
     """Error whose part beyond a width is as given, but where it is small twice as large."""
     return error if width is None else error + jnp.clip(error, -width, width)
 
 
-def _compensated(opening: Array, shut: Any, compensation: Any) -> Array:
+def _compensated(opening: Array, shut: Number, compensation: Number) -> Array:
     """Command for an opening, which skips a part of the dead zone; within the rest of it the steps are small."""
     jump, rest = compensation * shut, jnp.maximum((1 - compensation) * shut, 1e-9)
     return (1 - jump) * opening + jump * jnp.clip(opening * (1 / rest), -1.0, 1.0)
@@ -361,11 +361,11 @@ class PressureRegulator(AirValve):
     hysteresis: DeadBand | None = eqx.field(kw_only=True, default=None)
 
     @property
-    def shut_within(self) -> Any:
+    def shut_within(self) -> Number | None:
         return self.dead_zone
 
     @property
-    def held_within(self) -> Any:
+    def held_within(self) -> Number | None:
         return None if self.hysteresis is None else self.hysteresis / 2
 
     @property

@@ -20,7 +20,7 @@ from mckibben.joint.antagonistic import NO_STATES, MuscleStates
 from mckibben.muscle import Domain
 from mckibben.muscle.air import ATMOSPHERE, TEMPERATURE, exchange_rate, mass_flow, pressure_rate
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.numerics.elementary import exp, floating
+from mckibben.numerics.elementary import Number, exp, floating
 
 State: TypeAlias = Any
 """State of a valve, a tree of numbers that its class defines; () for none."""
@@ -40,12 +40,12 @@ class AirState(NamedTuple):
     Without a reservoir, or with polytropic air, these are empty.
     """
 
-    valves: tuple[Any, ...]
-    reservoir: Any = ()
-    temperatures: tuple[Any, ...] = ()
+    valves: tuple[State, ...]
+    reservoir: State = ()
+    temperatures: tuple[State, ...] = ()
 
 
-def state_of_muscle(states: AirState | tuple[()], index: int) -> tuple[Any, Any]:
+def state_of_muscle(states: AirState | tuple[()], index: int) -> tuple[State, State]:
     """Return the state of the actuator of a muscle, and the temperature [K] of its air; () for none."""
     if not isinstance(states, AirState):
         return (), ()
@@ -135,11 +135,11 @@ class Attainable(NamedTuple):
 class Reservoir(NamedTuple):
     """Air at the inlets of all valves, filled from the supply through a line."""
 
-    volume: Any  # [m^3]
-    conductance: Any  # C of the line [m^3/(s*Pa)]
-    supply: Any  # gauge pressure [Pa]
-    critical_ratio: Any
-    index: Any  # polytropic
+    volume: Number  # [m^3]
+    conductance: Number  # C of the line [m^3/(s*Pa)]
+    supply: Number  # gauge pressure [Pa]
+    critical_ratio: Number
+    index: Number  # polytropic
 
     def rate(self, pressure: ArrayLike, drawn: ArrayLike) -> Array:
         """Return the rate [Pa/s] of the gauge pressure [Pa] while the valves draw a mass flow [kg/s]."""
@@ -255,7 +255,7 @@ class Actuator(Labelled, Component):
         for i, (pressure, *others) in enumerate(zip(pressures, air.valves, commands, volumes, strict=True)):
             own, temperature = self.for_muscle(i), state_of_muscle(air, i)[1]
             inlet = ATMOSPHERE + (own.supply if reservoir is None else air.reservoir)
-            warmed: Any = ()
+            warmed: Array | tuple[()] = ()
             if own.wall_conductance is None:
                 rate, valve_rate, flow = own.muscle_rate(pressure, *others, inlet)
             else:
@@ -264,7 +264,7 @@ class Actuator(Labelled, Component):
             valve_rates.append(valve_rate)
             warming.append(warmed)
             drawn = drawn + flow
-        filled: Any = () if reservoir is None else reservoir.rate(air.reservoir, drawn)
+        filled = () if reservoir is None else reservoir.rate(air.reservoir, drawn)
         return tuple(rates), AirState(tuple(valve_rates), filled, tuple(warming) if air.temperatures else ())
 
     def before_steps(
@@ -352,7 +352,7 @@ class Actuator(Labelled, Component):
         reservoir = self.reservoir
         inlet = () if reservoir is None else jnp.full_like(floating(pressures[0]), reservoir.supply)
         conductances = [self.for_muscle(i).wall_conductance for i in range(len(pressures))]
-        temperatures: tuple[Any, ...] = tuple(
+        temperatures = tuple(
             () if conductance is None else jnp.full_like(floating(pressure), TEMPERATURE)
             for conductance, pressure in zip(conductances, pressures, strict=True)
         )
@@ -373,6 +373,6 @@ class Actuator(Labelled, Component):
         return jnp.clip(jnp.asarray(command), *self.command_range(rated))
 
 
-def held_states(states: AirState | tuple[()], count: int) -> tuple[Any, ...]:
+def held_states(states: AirState | tuple[()], count: int) -> tuple[State, ...]:
     """Return the state of each of a number of actuators; empty ones for actuators without states."""
     return states.valves if isinstance(states, AirState) else ((),) * count

@@ -52,7 +52,7 @@ class SecondOrderValve(Valve):
         command = jnp.asarray(command)
         error, decay = pressure - command, self.damping * self.bandwidth
         even, odd = _decaying(self.damping, self.bandwidth * jnp.asarray(elapsed))
-        odd = odd / self.bandwidth
+        odd: Any = odd / self.bandwidth
         moved = error * even + (state + decay * error) * odd
         return command + moved, state * even - (self.bandwidth**2 * error + decay * state) * odd
 

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator, Exchange
 from mckibben.actuator.air_valve import AirValve
-from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar, lag_fraction
+from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar, State, lag_fraction
 from mckibben.component.columns import Label
 from mckibben.errors import RangeError
 from mckibben.muscle.air import (
@@ -27,7 +27,7 @@ from mckibben.muscle.air import (
     pressure_behind,
     pressure_rate,
 )
-from mckibben.numerics.elementary import exp, floating
+from mckibben.numerics.elementary import Number, exp, floating
 from mckibben.units import Conductance, Quantity
 
 TubeVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6, open_lower=True)]
@@ -38,7 +38,7 @@ _FASTER = 0.5  # lag of the pressure at the valve relative to that of the muscle
 class TubeState(NamedTuple):
     """State of a valve with its tube: that of the valve, and the gauge pressure [Pa] at its outlet."""
 
-    valve: Any
+    valve: State
     pressure: Scalar
 
 
@@ -83,17 +83,17 @@ class Tube(AirActuator):
         return self.valve.switches
 
     @property
-    def supply(self) -> Any:
+    def supply(self) -> Number:
         """Gauge pressure [Pa] of the supply."""
         return self.valve.supply
 
     @property
-    def polytropic_index(self) -> Any:
+    def polytropic_index(self) -> Number:
         """Index n of the air in tube and muscle."""
         return self.valve.polytropic_index
 
     @property
-    def wall_conductance(self) -> Any:  # type: ignore[override]
+    def wall_conductance(self) -> Number | None:  # type: ignore[override]
         """Conductance [W/K] for heat from the wall of the muscle to its air."""
         return self.valve.wall_conductance
 
@@ -102,7 +102,7 @@ class Tube(AirActuator):
         return self.valve.widest
 
     @property
-    def dead_volume(self) -> Any:  # type: ignore[override]
+    def dead_volume(self) -> Number:  # type: ignore[override]
         return self.volume + self.valve.dead_volume
 
     @property
@@ -139,7 +139,7 @@ class Tube(AirActuator):
             flows = (*flows, -self.valve.leakage(pressure))
         if temperature is not None:
             flows = tuple(flow_of_warm_air(flow, temperature) for flow in flows)
-        at_valve = AirVolume(self.dead_volume, self._growth(flows[0], outlet))
+        at_valve = AirVolume(jnp.asarray(self.dead_volume), self._growth(flows[0], outlet))
         tube, valve, drawn = self._tight.muscle_rate(state.pressure, state.valve, command, at_valve, inlet)
         return Exchange(flows, TubeState(valve, tube), drawn)  # pyrefly: ignore[bad-argument-type]
 
@@ -232,7 +232,7 @@ class Tube(AirActuator):
         """Mass flow [kg/s] through the tube at which an absolute pressure [Pa] changes at a rate [Pa/s]."""
         room = volume.effective(self.polytropic_index, absolute)
         filling = (rate * room / self.polytropic_index + absolute * volume.rate) / ENERGY
-        return filling + self.valve.leakage(absolute - ATMOSPHERE)
+        return jnp.asarray(filling + self.valve.leakage(absolute - ATMOSPHERE))
 
     def _moved(
         self,

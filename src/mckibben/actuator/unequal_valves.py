@@ -10,6 +10,7 @@ import equinox as eqx
 from mckibben.actuator.base import Actuator, Reservoir, Scalar, State
 from mckibben.errors import RangeError
 from mckibben.joint import AntagonisticJoint
+from mckibben.numerics.elementary import Number
 from mckibben.units import Conductance, Volume
 
 
@@ -105,7 +106,7 @@ class UnequalValves(Actuator):
         second: Any = self.muscle2
         return dataclasses.replace(self, muscle1=first.scaled(factor), muscle2=second.scaled(factor))
 
-    def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Any:
+    def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Number | None:
         """Return the mean of the lags of the muscles that are not springs, or that of one muscle."""
         chosen = [i for i in (0, 1) if not joint.springs[i]] if index is None else [index]
         lags = [self.for_muscle(i).model_lag(joint, i) for i in chosen]

@@ -262,7 +262,7 @@ class AntagonisticJoint(Component):
         if not (self.has_friction or self.has_creep):
             return states
         points = zip(self.muscles, states, self.contractions(angle, pressures, states), pressures, strict=True)
-        state1, state2 = (muscle.update_state(*point) for muscle, *point in points)
+        state1, state2 = (muscle.update_state(state, *point) for muscle, state, *point in points)
         return state1, state2
 
     def forces(

@@ -131,7 +131,7 @@ class LegForces(NamedTuple):
     ground: Vector
 
 
-class LegPlant(Plant):
+class LegPlant(Plant[LegState]):
     """The simulated leg: bodies, muscles, valves, ground and sensors; controllers have no access to it.
 
     Parameters

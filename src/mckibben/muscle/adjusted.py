@@ -81,9 +81,8 @@ class AdjustedLaw(ForceLaw):
 class AdjustedAffineLaw(PressureAffineLaw, AdjustedLaw):
     """An `AdjustedLaw` affine in pressure."""
 
-    law: PressureAffineLaw
-
     def pressure_terms(self, contraction: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+        assert isinstance(self.law, PressureAffineLaw)
         offset, gain = self.law.pressure_terms(contraction)
         if self.strength is not None:
             offset, gain = self.strength * offset, self.strength * gain

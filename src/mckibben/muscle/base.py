@@ -78,7 +78,7 @@ class ForceLaw(Component):
         return Quantity(known[name].unit, known[name].shown, -1e40, 1e40) if name in known else None
 
     @classmethod
-    def check_equation(cls, equation: Any, version: str | None = None) -> None:
+    def check_equation(cls, equation: object, version: str | None = None) -> None:
         """Raise `RangeError` if a file, written with a version of the law's package, has another equation."""
         if equation != cls.equation:
             made = f" (version {version})" if version else ""
@@ -149,7 +149,7 @@ def check_point(contraction: ArrayLike, pressure: ArrayLike) -> tuple[ArrayLike,
     return _as_array(contraction), _as_array(pressure)
 
 
-def _as_array(numbers: Any) -> Any:
+def _as_array(numbers: ArrayLike) -> ArrayLike:
     """Array of a list, which may be nested and hold tracers; other numbers as they are."""
     if not isinstance(numbers, list | tuple):
         return numbers
@@ -177,7 +177,7 @@ class PressureAffineLaw(ForceLaw):
         return (jnp.asarray(force) - offset) / gain
 
 
-def check_gain(law: Any, **gain: Any) -> None:
+def check_gain(law: ForceLaw, **gain: ArrayLike) -> None:
     """Raise `RangeError` if the force per pressure [N/Pa], an area, exceeds 1 m^2 at contraction 0 within the domain.
 
     Individual terms may be larger and cancel.

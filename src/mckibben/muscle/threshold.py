@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.muscle.base import ForceLaw, check_point
 from mckibben.muscle.specimen import Domain
 from mckibben.numerics.compiled import jit_inline
+from mckibben.numerics.elementary import Number
 from mckibben.units import Percent, Quantity
 
 Threshold = Annotated[float, Quantity("Pa", "bar", 0.01, 5)]
@@ -69,11 +70,12 @@ class ThresholdLaw(ForceLaw):
         low, high = (self._measured(pressure) for pressure in (domain.pressure_min, domain.pressure_max))
         return Domain(domain.contraction_min, domain.contraction_max, low, high)
 
-    def _measured(self, effective: Any) -> Any:
+    def _measured(self, effective: Number) -> Number:
         """Pressure [Pa] of an effective one; that itself below all effective pressures."""
-        width, possible = self.smoothness * self.threshold, effective > 0
+        width = self.smoothness * self.threshold
         if isinstance(effective, float | int):
-            return self.threshold + effective - width * width / (4 * effective) if possible else effective
+            return self.threshold + effective - width * width / (4 * effective) if effective > 0 else effective
+        possible = effective > 0
         back = self.threshold + effective - width * width / (4 * jnp.where(possible, effective, 1.0))
         return jnp.where(possible, back, effective)
 
@@ -94,7 +96,7 @@ class ThresholdLaw(ForceLaw):
         return jnp.where(effective > 0, self._measured(effective), jnp.nan)
 
 
-def effective_pressure(pressure: Any, threshold: Any, smoothness: Any = SMOOTHNESS) -> Any:
+def effective_pressure(pressure: Any, threshold: Any, smoothness: float = SMOOTHNESS) -> Any:
     """Return the pressure [Pa] above a threshold [Pa], in NumPy or JAX as the pressure."""
     above = pressure - threshold
     return (above + (above * above + (smoothness * threshold) ** 2) ** 0.5) / 2

@@ -6,7 +6,7 @@ import abc
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, Self, TypeVar
+from typing import Any, ClassVar, Generic, NamedTuple, Protocol, Self, TypeVar
 
 import equinox as eqx
 import jax
@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.actuator.base import AirState, AirVolume, delay_periods
+from mckibben.actuator.base import Actuator, AirState, AirVolume, delay_periods
 from mckibben.component.base import Component
 from mckibben.errors import RangeError, SimulationError
 from mckibben.joint import Measurement
@@ -38,6 +38,9 @@ _SLOWER = {
 _ROUNDING = 1e-9
 
 Scalar = Float[Array, ""]
+
+Angles = ArrayLike | Sequence[ArrayLike]
+"""Angles [rad] of one joint, as an array, or one of each joint."""
 
 
 class IOState(NamedTuple):
@@ -101,7 +104,7 @@ class Motion(NamedTuple):
         )
 
 
-class Plant(Component):
+class Plant(Component, Generic[S]):
     """Bodies moved by muscles, with actuators, sensors, disturbances and a delay of the commands.
 
     `command_delay` is the time from a command to the valves [s]; `delay_periods`, its length in control periods, is set
@@ -121,7 +124,7 @@ class Plant(Component):
             raise RangeError(message, field="valve", remedy="give an actuator that all muscles have")
 
     @property
-    def _valve(self) -> Any:
+    def _valve(self) -> Actuator:
         """The field `valve` of each plant, in its own order of arguments."""
         return self.valve  # type: ignore[attr-defined]
 
@@ -136,7 +139,7 @@ class Plant(Component):
         """Disturbances of all joints."""
 
     @abc.abstractmethod
-    def true_measurement(self, state: Any) -> Measurement:
+    def true_measurement(self, state: S) -> Measurement:
         """Return what perfect sensors measure."""
 
     @abc.abstractmethod
@@ -149,30 +152,30 @@ class Plant(Component):
         return rk4
 
     @abc.abstractmethod
-    def rate(self, state: Any) -> Motion:
+    def rate(self, state: S) -> Motion:
         """Return the time derivative of the motion at the pressures of a state."""
 
     @abc.abstractmethod
-    def project(self, state: Any) -> Any:
+    def project(self, state: S) -> S:
         """Return the state after an integration step with updated internal states; no force changes by it."""
 
     @abc.abstractmethod
-    def air_volumes(self, state: Any) -> Sequence[AirVolume]:
+    def air_volumes(self, state: S) -> Sequence[AirVolume]:
         """Return the volume of the air of each muscle, dead volume included, at the velocity of a state."""
 
     @abc.abstractmethod
-    def init_muscles(self, state: Any) -> tuple[MuscleState, ...]:
+    def init_muscles(self, state: S) -> tuple[MuscleState, ...]:
         """Return the relaxed states of the muscles at the positions and pressures of a state."""
 
     @abc.abstractmethod
-    def init_friction(self, state: Any) -> Any:
+    def init_friction(self, state: S) -> Any:
         """Return the unstressed states of the friction of the joints at the positions of a state."""
 
     @abc.abstractmethod
-    def fastest_rates(self, angles: Any, stiffness: Any = 0.0) -> dict[str, float]:
+    def fastest_rates(self, angles: Angles, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
         """Return the rates [1/s] that integration steps must resolve by their cause, near angles [rad]."""
 
-    def needed_substeps(self, angles: Any, stiffness: Any, period: float) -> int:
+    def needed_substeps(self, angles: Angles, stiffness: ArrayLike | None, period: float) -> int:
         """Return the least number of integration steps in a period [s] that resolves the fastest rate of the plant.
 
         At the extreme angles [rad] of a joint, with a stiffness [N*m/rad], or at the angles of all joints of a leg.
@@ -183,7 +186,7 @@ class Plant(Component):
             self.check_substeps(angles, stiffness, period, MOST_SUBSTEPS)
         return max(math.ceil(needed * (1 - _ROUNDING)), 1) if math.isfinite(needed) else 1
 
-    def check_substeps(self, angles: Any, stiffness: Any, period: float, substeps: int) -> None:
+    def check_substeps(self, angles: Angles, stiffness: ArrayLike | None, period: float, substeps: int) -> None:
         """Raise `SimulationError` if integration steps do not resolve the fastest rate, as for `needed_substeps`."""
         what, fastest = max(self.fastest_rates(angles, stiffness).items(), key=lambda item: item[1])
         needed = fastest * period / STABILITY_LIMIT
@@ -202,7 +205,7 @@ class Plant(Component):
         """Return the state of a start; by default a start is a state."""
         return start
 
-    def observe(self, state: Any) -> Any:
+    def observe(self, state: S) -> Any:
         """Return what a run records of a state at the start of a control period; by default the state."""
         return state
 
@@ -218,7 +221,7 @@ class Plant(Component):
             return self
         return dataclasses.replace(self, delay_periods=delay_periods(self.command_delay, period))
 
-    def sample(self, state: Any, period: ArrayLike) -> tuple[Any, Any]:
+    def sample(self, state: S, period: ArrayLike) -> tuple[S, Any]:
         """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
         true, io = self.true_measurement(state), state.io
         if not isinstance(io, IOState):
@@ -227,7 +230,7 @@ class Plant(Component):
         disturbance = self.disturbing_torque(io.sample * period)
         return state._replace(io=IOState(io.sample + 1, disturbance, sensors)), measured
 
-    def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Any, ...]:
+    def clip_commands(self, commands: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] within the rated pressures and the supply, or openings within -1..1."""
         rated = (muscle.specimen.domain for muscle in self.muscles)
         muscles = enumerate(zip(commands, rated, strict=False))  # `clip_commands` of each plant checks the count
@@ -242,7 +245,7 @@ class Plant(Component):
             pressures=tuple(self._valve.for_muscle(i).after_command(*muscle) for i, muscle in muscles)
         )
 
-    def arriving(self, state: State, commands: Sequence[ArrayLike], period: ArrayLike) -> tuple[Any, ...]:
+    def arriving(self, state: S, commands: Sequence[ArrayLike], period: ArrayLike) -> tuple[ArrayLike, ...]:
         """Return the mean commands [Pa] at the valves in a control period [s], at whose start new ones are sent."""
         if not state.sent:
             return tuple(commands)
@@ -269,7 +272,7 @@ class Plant(Component):
 
         return lax.fori_loop(0, substeps, integrate, self.apply_commands(state, commands))
 
-    def _step(self, valve: Any, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
+    def _step(self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
         """State after a step [s] with the pressures of a closed form."""
 
         def rate(motion: Motion, *pressures: Scalar, **ahead: Any) -> Motion:
@@ -281,7 +284,7 @@ class Plant(Component):
         motion = self.integrator(rate, Motion.of(state), step, (state.pressures, middle, end))
         return self.project(motion.applied_to(state, end))._replace(air=held)
 
-    def _step_with_air(self, valve: Any, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
+    def _step_with_air(self, valve: Actuator, state: S, commands: Sequence[ArrayLike], step: ArrayLike) -> S:
         """State after a step [s] in which motion and air are integrated together."""
         assert isinstance(state.air, AirState)
         state = state._replace(air=valve.before_steps(state.air, commands, state.pressures, step))
@@ -294,7 +297,7 @@ class Plant(Component):
 
         return self.project(self.integrator(rate, Motion.of(state), step).applied_to(state, state.pressures))
 
-    def commands_for(self, state: State, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
+    def commands_for(self, state: S, rates: Sequence[ArrayLike]) -> tuple[Array, ...]:
         """Return the commands [Pa] at which the pressures change at rates [Pa/s]; infinite if there are none."""
         muscles = enumerate(zip(state.pressures, rates, strict=True))
         valve = self._valve
@@ -321,7 +324,7 @@ class Plant(Component):
             state = state._replace(sent=(self._holding(state, zero),) * self.delay_periods)
         return state
 
-    def _holding(self, state: State, zero: Scalar) -> tuple[Array, ...]:
+    def _holding(self, state: S, zero: Scalar) -> tuple[Array, ...]:
         """Commands [Pa] at which the pressures stay; the opening 0 of valves with `direct` commands."""
         zeros = (zero,) * len(state.pressures)
         return zeros if self._valve.direct else self.clip_commands(self.commands_for(state, zeros))

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
+from mckibben.numerics.elementary import Number
 from mckibben.numerics.spatial import ZERO, Rotation, Tensor, Vector, Z, difference, product, total
 
 
@@ -19,16 +20,16 @@ class Hinge(NamedTuple):
 
     axis: Vector  # unit vector of known numbers in the axes of the body above
     place: Vector  # in the body above [m]
-    angle: Any  # of the body from the one above [rad]
-    rate: Any  # [rad/s]
+    angle: Number  # of the body from the one above [rad]
+    rate: Number  # [rad/s]
     free: bool = True  # or held
 
 
 class Body(NamedTuple):
     """Rigid body with its centre of mass on its own z axis."""
 
-    mass: Any  # [kg]
-    centre: Any  # coordinate of the centre of mass [m]
+    mass: Number  # [kg]
+    centre: Number  # coordinate of the centre of mass [m]
     inertia: Vector  # principal ones about it, along the axes [kg*m^2]
 
     @property
@@ -72,7 +73,7 @@ class Frame(NamedTuple):
     axis: Vector = ZERO  # of the hinge
     arm: Vector = ZERO  # from the hinge of the body above
 
-    def point(self, along: Any) -> tuple[Vector, Vector]:
+    def point(self, along: Number) -> tuple[Vector, Vector]:
         """Return position and velocity of a point at a coordinate [m] on the z axis of the body."""
         arm = self.axes.z.scaled(along)
         return self.position + arm, self.velocity + self.rate.cross(arm)

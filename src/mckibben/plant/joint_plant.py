@@ -22,7 +22,7 @@ from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle
 from mckibben.muscle.friction import FrictionState
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.elementary import floating
-from mckibben.plant.base import IOState, Motion, Plant
+from mckibben.plant.base import Angles, IOState, Motion, Plant
 from mckibben.plant.joint_friction import JointFriction
 from mckibben.plant.sensors import Disturbance, NoDisturbance, PerfectSensors
 from mckibben.units import deg
@@ -54,7 +54,7 @@ def rated_for(joint: AntagonisticJoint, pressures: tuple[Any, ...]) -> Antagonis
     return eqx.tree_at(_rated, joint, pressures)
 
 
-class JointPlant(Plant):
+class JointPlant(Plant[PlantState]):
     """The simulated system: joint, load, valves, sensors and disturbance; controllers have no access to it.
 
     `friction` is that of the joint itself (default: none); that of a muscle belongs to the muscle. `command_delay` is
@@ -154,7 +154,7 @@ class JointPlant(Plant):
     def init_friction(self, state: PlantState) -> FrictionState:
         return () if self.friction is None else self.friction.initial(state.angle)
 
-    def fastest_rates(self, angles: ArrayLike, stiffness: ArrayLike = 0.0) -> dict[str, float]:
+    def fastest_rates(self, angles: Angles, stiffness: ArrayLike | None = 0.0) -> dict[str, float]:
         return {"the motion": _fastest_mode(self, angles, stiffness), "the air": _fastest_air(self, angles)}
 
     def find_equilibrium(self, angle: ArrayLike, stiffness: ArrayLike) -> tuple[PlantState, Bool[Array, ""]]:
@@ -190,7 +190,7 @@ class JointPlant(Plant):
         return state
 
 
-def _fastest_mode(plant: JointPlant, angles: ArrayLike, stiffness: ArrayLike) -> float:
+def _fastest_mode(plant: JointPlant, angles: Angles, stiffness: ArrayLike | None) -> float:
     """Largest magnitude [1/s] of an eigenvalue of the linearised motion, with presliding friction and creep."""
     inertia, damping = float(plant.load.total_inertia), float(plant.load.damping)
     total = float(np.nanmax(np.abs(np.asarray(stiffness, float)))) + abs(float(plant.load.gravity_moment))
@@ -227,7 +227,7 @@ def _tensions(muscle: Muscle, lengths: ArrayLike, pressures: ArrayLike) -> Array
     return muscle.tension(muscle.specimen.contraction_at(lengths), pressures)
 
 
-def _fastest_air(plant: JointPlant, angles: ArrayLike) -> float:
+def _fastest_air(plant: JointPlant, angles: Angles) -> float:
     """Bound on the rates [1/s] of the air in both muscles with its valves; 0 without."""
     if not plant.valve.holds_air:
         return 0.0
@@ -236,7 +236,7 @@ def _fastest_air(plant: JointPlant, angles: ArrayLike) -> float:
     return plant.valve.fastest_rate_in(min(float(np.min(muscle.specimen.volume(at))) for muscle, at in pairs))
 
 
-def _extremes(angles: ArrayLike) -> NDArray[np.float64]:
+def _extremes(angles: Angles) -> NDArray[np.float64]:
     """First, lowest and highest angle."""
     at = np.asarray(angles, float)
     return np.array([at.flat[0], np.nanmin(at), np.nanmax(at)])

@@ -13,7 +13,7 @@ from jaxtyping import Array, ArrayLike, Float
 from mckibben.component.base import Component
 from mckibben.component.checks import check_positive
 from mckibben.joint import Measurement
-from mckibben.numerics.elementary import floating
+from mckibben.numerics.elementary import Number, floating
 from mckibben.units import Angle, AngleStep, Delay, Duration, PositiveTime, PressureNoise, Seed, ShortTime, Torque
 
 
@@ -26,7 +26,7 @@ class Sensors(Component):
     default_class = "sampled"
 
     @property
-    def angle_resolution(self) -> Any:
+    def angle_resolution(self) -> Number:
         """Smallest step [rad] of a measured angle; 0 for none."""
         return 0.0
 
@@ -68,7 +68,7 @@ class SampledSensors(Sensors):
     encoder_offset: Angle = eqx.field(kw_only=True, default=0.0)
 
     @property
-    def angle_resolution(self) -> Any:
+    def angle_resolution(self) -> Number:
         return self.encoder
 
     def init(self, true: Measurement) -> Measurement:
