@@ -129,7 +129,6 @@ MISTAKES = {
         ("load.mass2=+-50 %", "controller.position.kp=1..2 bar/rad"),
         ("conditions[0]", "load.mass2", "not a parameter of the plant"),
     ),
-    "condition unknown": (("load.mass2=+-50 %", "load.mas2=+-50 %"), ("conditions[0]", "load.mass2", "load.mas2")),
     "condition twice": (
         ("sensors.delay=0, 1", "load.mass2=1..2 kg"),
         ("conditions", "conditions:", "about the same parameter"),
@@ -137,13 +136,6 @@ MISTAKES = {
     "reference over": (
         ("over: [reference.stiffness.frequency=2..6 Hz log]", "over: [load.mass2=1..2 kg]"),
         ("references.both move.over[0]", "2..6 Hz", "not a parameter of the reference"),
-    ),
-    "reference over twice": (
-        (
-            "[reference.stiffness.frequency=2..6 Hz log]",
-            "[reference.stiffness.frequency=2..6 Hz log, reference.stiffness.frequency=2..3 Hz]",
-        ),
-        ("references.both move.over", "2..6 Hz", "about the same parameter"),
     ),
     "tuning over nobody": (
         ("untuned:", "over: {PID 4: [controller.position.kp]}, untuned:"),
@@ -158,10 +150,6 @@ MISTAKES = {
         ("tuning.untuned[0]", "untuned:", "did you mean 'as it is'"),
     ),
     "seed": (("seed: 1}", "seed: 99}"), ("evaluation", "evaluation:", "seed of the tuning")),
-    "cost": (
-        ("tuning: {runs: 8", "tuning: {cost: angel_rmse, runs: 8"),
-        ("tuning.cost", "untuned:", "did you mean 'angle_rmse'"),
-    ),
     "cost of steps": (
         ("tuning: {runs: 8", "tuning: {cost: coupling, runs: 8"),
         ("tuning.cost", "untuned:", "coupling is defined for stiffness steps"),
@@ -174,13 +162,6 @@ MISTAKES = {
     "reserved": (
         ("  longer:", f"  {NOMINAL_JOINT}:"),
         ("other_joints.nominal", "  longer:", "the suite's own joint"),
-    ),
-    "openings for commands": (
-        (
-            "valve: {time_constant: 20 ms}",
-            "valve: {class: FlowValve, conductance: 1 L/(s*bar), supply: 7 bar, direct: true}",
-        ),
-        ("valve", "valve: {time", "commands pressures"),
     ),
     "openings for commands of other valves": (
         (

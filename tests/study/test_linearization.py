@@ -134,13 +134,6 @@ def test_the_largest_pole_with_an_unmodelled_lag_is_that_of_the_loop_written_by_
     assert moving == pytest.approx(largest_pole(slower, *joint), abs=1e-6)
 
 
-def test_names_and_shapes(opened):
-    count = len(opened.states)
-    assert opened.a.shape == (count, count) and opened.b.shape == (count, 2) and opened.c.shape == (4, count)
-    assert opened.outputs == ("command1", "command2", "angle", "velocity") and not opened.d.any()
-    assert opened.c[2] @ np.eye(count)[opened.states.index("plant.angle")] == 1.0
-
-
 def test_python_control_has_the_same_system(opened):
     control = pytest.importorskip("control")
     system = opened.to_control()

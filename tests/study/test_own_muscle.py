@@ -128,19 +128,6 @@ def test_loads(load, inertia, moment, damping, tmp_path):
     assert Scenario.read(tmp_path / "kept.yaml") == scenario
 
 
-@pytest.mark.parametrize(
-    ("load", "field"),
-    [
-        ("{class: pendulum, mass: 0.3 kg, lenght: 250 mm}", "load.lenght"),
-        ("{class: pendulum, mass: 300, length: 250 mm}", "load.mass"),
-        ("{class: general, greatest_gravity_torque: 1 N*m}", "load.inertia"),
-        ("{mass: 0.3 kg, length: 250 mm}", "load"),
-    ],
-)
-def test_mistakes_in_a_load(load, field):
-    assert problem(load=f"load: {load}").field == field
-
-
 def test_adaptation_of_a_load_without_a_mass():
     text = TEXT[: TEXT.index("controller:")] + TEXT[TEXT.index("reference:") :]
     text += "controller: {class: decoupling, feedback: {bandwidth: 40 rad/s}, adaptation: {mass_spread: 0.2 kg}}\n"

@@ -22,7 +22,6 @@ from mckibben.scenario import (
     with_values,
 )
 from mckibben.study.compare import Suite
-from mckibben.study.parameters import parse_sweeps, sample
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SCENARIOS = [Scenario.read(path) for path in sorted(EXAMPLES.glob("*.yaml"))]
@@ -166,31 +165,6 @@ def test_what_is_known_varies_in_the_model_and_the_rest_does_not():
     with pytest.raises(ParameterError, match=r"does not take load\.mass2 from the plant"):
         followed_names(given, ["load.mass2"], table)
     assert followed_names(given, "all", table) == ()
-
-
-def test_lanes_leave_the_scenario_as_it_is_and_copy_the_table():
-    before, column = PID.dumps(), np.array([0.5, 0.8])
-    many = batched(PID, {"load.mass2": column})
-    column[:] = 7.0
-    assert PID.dumps() == before
-    assert many.load.mass2.tolist() == [0.5, 0.8]
-
-
-def test_lanes_take_a_whole_design():
-    texts = [
-        "load.mass2=0.2..1.0 kg",
-        "controller.position.base.kp=1..10 bar/rad log",
-        "controller.position.seed=0..99",
-    ]
-    texts += ["reference.stiffness.after=15..18 N*m/rad", "start.stiffness=+-5 %", "start.angle=+-2 deg"]
-    table = sample(parse_sweeps(texts, BACKPROP), "sobol", 1000, seed=1)
-    many = batched(BACKPROP, table)
-    np.testing.assert_array_equal(many.plant().load.mass2, table["load.mass2"])
-    np.testing.assert_array_equal(many.control().position.base.kp, table["controller.position.base.kp"])
-    np.testing.assert_array_equal(many.control().position.seed, table["controller.position.seed"])
-    np.testing.assert_array_equal(many.reference().stiffness.after, table["reference.stiffness.after"])
-    np.testing.assert_array_equal(many.start.stiffness, table["start.stiffness"])
-    np.testing.assert_array_equal(many.start.angle, table["start.angle"])
 
 
 FORBIDDEN = [

@@ -112,8 +112,6 @@ def test_only_what_was_asked_for_changes(text, values, old, new, newline):
             "geometry:\n    from: |-\n      knee-table-2\n    connector_length: 208 mm #",
         ),
         "\ufeff" + PID,
-        PID.replace("10 deg", "10 °"),
-        PID.replace("# from the catalog", "# 𝛼 from the catalog"),
     ],
 )
 def test_stranger_forms_of_yaml_still_read_as_what_was_asked_for(strange):

@@ -146,10 +146,7 @@ def test_all_runs_failed(count):
     ("made", "panels"),
     [
         ({"count": 400}, 4 * 4),
-        ({"count": 6000, "inputs": 3}, 4 * 3),
         ({"count": 1, "inputs": 1, "lost": 0.0}, 3),
-        ({"count": 2, "inputs": 2, "lost": 0.0}, 3 * 2),
-        ({"count": 40, "lost": 1.1}, 4),
         ({"count": 1, "inputs": 1, "lost": 1.1}, 1),
         ({"count": 50, "metrics": ("force_max", "angle_max")}, 3 * 4),
     ],

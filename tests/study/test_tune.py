@@ -172,8 +172,6 @@ def test_more_iterations_go_further(whole, tmp_path):
     [
         ({"seed": 4}, "seed", "started with 3, not 4"),
         ({"method": "local"}, "method", "started with cma, not local"),
-        ({"population": 9}, "population", "started with 8, not 9"),
-        ({"cost": Cost.of({"angle_rmse": deg})}, "cost", "not angle_rmse"),
         ({"cost": Cost(COST.terms, gain_margin=1.5)}, "gain_margin", "started with 1.0, not 1.5"),
         ({"cost": Cost(COST.terms, percentile=100.0)}, "percentile", "started with nothing, not 100.0"),
         ({"ranges": RANGES | {"start.stiffness": LogUniform(11.0, 20.000000001)}}, "parameters", "20.000000001"),
@@ -249,9 +247,7 @@ def test_a_search_is_not_continued_by_another_engine(tmp_path, monkeypatch):
     [
         ({"population": 3}, "population is 3"),
         ({"seed": -1}, "seed is -1"),
-        ({"seed": 0.5}, "seed is 0.5"),
         ({"iterations": 0}, "iterations is 0"),
-        ({"population": 2.5}, "population is 2.5"),
         ({"method": "evolution"}, "method is 'evolution'"),
         ({"ranges": RANGES | {"start.stiffness": Uniform(60.0, 70.0)}}, r"none of the \d+ evaluated points has a cost"),
     ],
@@ -291,9 +287,6 @@ def test_ranges_around_the_gains():
     [
         (["controller.stiffness.kd"], "controller.stiffness.kd is zero, or not given: there is no range"),
         (["load.mass2", "load.mass2=1..2 kg"], "are about the same parameter"),
-        (["load.mass9"], "no parameter 'mass9'"),
-        (["load.mass2=2..1 kg"], "the range is empty"),
-        (["load.mass2=1..2 N"], "does not have the dimensions of"),
     ],
 )
 def test_ranges_that_are_none(texts, message):

@@ -172,18 +172,6 @@ def test_texts_are_read_and_conditions_that_cannot_run_are_refused_before_the_se
         tune(LIGHT, ["controller.position.kpp=1..2"], "angle_rmse/1 deg")
 
 
-@pytest.mark.slow
-def test_the_controllers_model_follows_the_plant_where_it_is_known_alone():
-    connectors = sweep_parameters(LIGHT, {"joint.geometry.connector_length": RANGES["joint.geometry.connector_length"]})
-    rows, cost = np.array([[0.207], [0.208]]), Cost(TERMS)
-    fixed = TuningProblem.of((LIGHT,), connectors, cost).costs(rows)
-    known = TuningProblem.of((LIGHT,), connectors, cost, ["joint.geometry.connector_length"]).costs(rows)
-    assert fixed[1] == pytest.approx(known[1], rel=1e-9)  # the model's own length
-    assert abs(fixed[0] - known[0]) > 1e-3
-    with pytest.raises(ParameterError, match=r"does not take load\.damping from the plant"):
-        TuningProblem.of((LIGHT,), sweep_parameters(LIGHT, RANGES), cost, ["load.damping"])
-
-
 def test_points_are_places_in_the_ranges():
     task = asked(Cost(TERMS))
     np.testing.assert_allclose(task.space.values(np.zeros((1, 5)))[0], [s.low for s in RANGES.values()], rtol=0)

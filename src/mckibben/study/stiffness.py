@@ -25,7 +25,6 @@ from mckibben.units import bar, deg
 
 Values = NDArray[np.float64]
 
-_SETTLING = 2.0  # s
 HELD, CLOSED, COMMANDED, CONTROLLED = "pressures held", "valves closed", "commands constant", "controller at work"
 SHOWN = {
     HELD: "constant pressures",
@@ -97,7 +96,7 @@ def stiffness_tests(
     period, substeps = scenario.control_period, scenario.needed_substeps()
     setpoint = scenario.reference()(0.0)
     plant.check_substeps(setpoint.angle, setpoint.stiffness, period, substeps)
-    held = Setpoint(*(jnp.full(round(_SETTLING / period), float(value)) for value in setpoint))
+    held = Setpoint(*(jnp.full(round(2.0 / period), float(value)) for value in setpoint))
     start = plant.complete_state(scenario.initial(plant))
     report("settling", 0.0)
     parts = numeric((plant, controller, held, start))

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -63,7 +63,7 @@ class Study(abc.ABC):
     """Noun for the rows in messages."""
 
     @abc.abstractmethod
-    def about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, object]:
         """Return all that determines the records, for JSON."""
 
     @abc.abstractmethod

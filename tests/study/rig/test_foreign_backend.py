@@ -8,12 +8,12 @@ from typing import Annotated
 import pytest
 
 from mckibben import catalog
-from mckibben.errors import FileError, McKibbenWarning, ScenarioError
+from mckibben.errors import McKibbenWarning, ScenarioError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import MovingBackend
 from mckibben.rig.simulated import SimulatedRig
 from mckibben.study.rig.document import RigTest
-from mckibben.study.rig.running import _origin, _PastSessions, check, run_test
+from mckibben.study.rig.running import check, run_test
 from mckibben.units import BoundedInt
 from tests.realtime.conftest import Borrowed
 
@@ -56,19 +56,6 @@ def test_a_backend_of_ones_own_runs_a_test_and_warns_that_no_process_watches(tmp
     assert checked.rig == "borrowed"
     assert RigTest.read(tmp_path / "protocol.yaml") == checked.test
     assert [not one.problem for one in checked.setup.backend.status()] == [True] * 4
-
-
-def test_its_motor_stands_where_it_was_left(tmp_path):
-    own, simulated = (
-        check(RigTest.parse(TEXT)),
-        check(RigTest.parse(TEXT.replace("class: BorrowedRig, port: 3", "simulated: {}"))),
-    )
-    past = _PastSessions(position=70, certain=False)
-    with pytest.raises(FileError):
-        _origin(own, tmp_path, past, None)
-    assert _origin(simulated, tmp_path, past, None) == 0
-    with warnings.catch_warnings(action="error"), simulated.setup.backend.host_watchdog():
-        pass
 
 
 def test_its_own_watchdog_on_the_host_is_used(tmp_path, monkeypatch):

@@ -48,7 +48,7 @@ _Share = Annotated[int, BoundedInt(1, 1000)]
 _Seed = Annotated[int, BoundedInt(0, 2**31 - 1)]
 _MOST = 1_000_000
 
-_OTHERS: Mapping[str, tuple[type[Controller], Any]] = {
+_OTHERS: Mapping[str, tuple[type[Controller], Mapping[str, object]]] = {
     "PID": (
         PositionStiffnessControl,
         {
@@ -88,7 +88,7 @@ class PlantCase(ConfigModel):
 
     @field_validator("valve", mode="after")
     @classmethod
-    def _differs(cls, value: Any, info: ValidationInfo) -> Any:
+    def _differs(cls, value: object, info: ValidationInfo) -> object:
         if value is None and info.data.get("joint", "wrong") is None:
             fail_validation("is the suite's own plant", "give a `joint`, a `valve` or both", parent=True)
         return value
@@ -214,16 +214,17 @@ class Suite(RunSettings):
         attributes, such as `tuning` and `evaluation`; default `conditions`: both muscles' strengths differ by up to
         10 %, and the masses of the load by up to 20 %. Raises `ParameterError` if all runs are identical.
         """
-        if controllers is None:
+        others: Mapping[str, Any] | None = controllers
+        if others is None:
             own = type(scenario.controller)
-            controllers = {name: section for name, (kind, section) in _OTHERS.items() if kind is not own}
+            others = {name: section for name, (kind, section) in _OTHERS.items() if kind is not own}
         if "conditions" not in settings:
             masses = [p for p in list_parameters(scenario) if p.part == "load" and p.unit == "kg"]
             strengths = [f"joint.muscle{number}.strength=+-10 %" for number in (1, 2)]
             settings["conditions"] = (*strengths, *(f"{mass.name}=+-20 %" for mass in masses if mass.nominal))
         parts = {name: getattr(scenario, name) for name in (*PLANT, "name", "duration", "control_period")}
         references = {"reference": ReferenceCase(reference=scenario.signals)}
-        together = {"scenario": scenario.controller, **controllers}
+        together = {"scenario": scenario.controller, **others}
         suite = cls(**parts, **_steps(scenario), references=references, controllers=together, **settings)
         check_differs(suite)
         return suite

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +115,7 @@ class ControllerTuning:
     def _metrics(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys((*self.suite.cost.metrics, *TRADED)))
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, object]:
         """Everything that determines the trials."""
         tuning = self.suite.tuning
         parts = [(group.rows, group.plant, group.reference) for group in self.runs.groups]

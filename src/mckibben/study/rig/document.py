@@ -139,7 +139,7 @@ class RecordingSettings(section_of(Bench, partial=True)):
         "of", "mounted_at", "drive", "limits", "rate", "shuts", "supply", mode="before", check_fields=False
     )
     @classmethod
-    def _of_the_rig(cls, value: Any) -> Any:
+    def _of_the_rig(cls, value: object) -> object:
         if value is not None:
             fail_validation("follows from muscle, rig and limits", "leave it out")
         return value

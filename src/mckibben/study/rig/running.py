@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset, Recording
@@ -308,7 +308,7 @@ def _check_same(checked: CheckedTest, folder: Path) -> None:
     _warn_of_calibration(checked, folder)
 
 
-def _header(checked: CheckedTest, folder: Path) -> dict[str, Any]:
+def _header(checked: CheckedTest, folder: Path) -> dict[str, object]:
     bench = checked.setup.bench
     specimen = bench.specimen
     return {

@@ -55,7 +55,7 @@ class SweepResult(RunTable):
         cls,
         scenario: Scenario,
         about: Mapping[str, Any],
-        inputs: Mapping[SweptParameter, NDArray[Any]],
+        inputs: Mapping[SweptParameter, NDArray],
         columns: Table,
         computed: int = 0,
     ) -> Self:
@@ -141,9 +141,9 @@ class SweepResult(RunTable):
         strongest = self.correlations()[:10]
         yield listing_of("Rank correlations, strongest first", ("parameter", "metric", "Spearman"), strongest)
 
-    def statistics(self) -> list[tuple[Any, ...]]:
+    def statistics(self) -> list[tuple[object, ...]]:
         """Return metric, unit, median, percentiles, worst value and its run, and number of runs with a value."""
-        rows: list[tuple[Any, ...]] = []
+        rows: list[tuple[object, ...]] = []
         for metric in self.metrics:
             _, unit, scale = METRICS[_SHOWN[metric]]
             values = self.values(metric) / scale

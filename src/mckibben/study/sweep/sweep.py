@@ -22,7 +22,14 @@ from mckibben.simulation.problem import check_frequencies, check_names
 from mckibben.simulation.software import engine_of_job, software
 from mckibben.storage.store import STUDY, check_no_study, read_store
 from mckibben.study.cluster import check_cluster
-from mckibben.study.parameters import Distribution, SweptParameter, parse_sweeps, sample, sweep_parameters
+from mckibben.study.parameters import (
+    Distribution,
+    SamplingMethod,
+    SweptParameter,
+    parse_sweeps,
+    sample,
+    sweep_parameters,
+)
 from mckibben.study.study import Study, Table, digest, select
 from mckibben.study.sweep.feasibility import feasibility
 from mckibben.study.sweep.result import SweepResult
@@ -39,11 +46,10 @@ class Sweep(Study):
 
     scenario: Scenario
     swept: tuple[SweptParameter, ...]
-    method: Any  # of `sample`
+    method: SamplingMethod
     samples: int
     seed: int
     metrics: tuple[str, ...]
-    precision: int  # bits
     model_follows: tuple[str, ...]  # varied plant parameters that the controller's model follows
     software: Mapping[str, str]  # versions, engine and compiler, required of all processes
     batch_size: int  # tables are padded to a multiple: a result must not depend on the number of runs
@@ -62,7 +68,6 @@ class Sweep(Study):
         samples: int | None = None,
         seed: int | None = None,
         metrics: Sequence[str] | None = None,
-        precision: int | None = None,
         model_follows: ModelFollows | None = None,
         engine: str = "auto",
         folder: str = ".",
@@ -72,8 +77,6 @@ class Sweep(Study):
         if method == "grid" and samples is not None:
             message, remedy = "the points of a grid determine the number of runs", "leave the number of samples out"
             raise ParameterError(message, value=samples, remedy=f"{remedy}, or choose another design")
-        if precision not in (None, 32, 64) or isinstance(precision, bool):
-            raise ParameterError(f"a precision of {precision!r} bits", value=precision, remedy="choose 64 or 32")
         swept = _swept(over, scenario)
         followed = followed_names(scenario, model_follows or (), [parameter.name for parameter in swept])
         seed = 0 if seed is None or method == "grid" else seed
@@ -84,11 +87,9 @@ class Sweep(Study):
         sizes = _sizes(rows, engine)
         chosen = Metrics._fields if metrics is None else tuple(metrics)
         check_names("metric", chosen, Metrics._fields)
-        return cls(
-            scenario, swept, method, rows, seed, chosen, precision or 64, followed, software(engine), *sizes, folder
-        )
+        return cls(scenario, swept, method, rows, seed, chosen, followed, software(engine), *sizes, folder)
 
-    def about(self) -> dict[str, Any]:
+    def about(self) -> dict[str, object]:
         """Return all that determines the numbers, as JSON."""
         rows = self.rows()
         first = batched(self.scenario, select(rows, slice(1)), model_follows=self.model_follows)
@@ -101,7 +102,6 @@ class Sweep(Study):
             "samples": self.samples,
             "seed": self.seed,
             "metrics": list(self.metrics),
-            "precision": self.precision,
             "block": self.block,
             "batch_size": self.batch_size,
             "software": dict(self.software),
@@ -137,7 +137,7 @@ class Sweep(Study):
         return replace(self, software=software(engine_of_job(trial, engine=engine)))
 
     def _simulate(self, rows: Table, **options: Any) -> Batch:
-        own = {"model_follows": self.model_follows, "metrics": self.metrics, "precision": self.precision, "workers": 1}
+        own = {"model_follows": self.model_follows, "metrics": self.metrics, "workers": 1}
         return run_many(self.scenario, dict(rows), **own, **options)
 
 
@@ -151,7 +151,6 @@ def sweep(
     samples: int | None = None,
     seed: int | None = None,
     metrics: Sequence[str] | None = None,
-    precision: int | None = None,
     resume: bool = False,
     dask: str | None = None,
     workers: int | None = None,
@@ -176,8 +175,6 @@ def sweep(
         Sampling as for `mckibben.study.parameters.sample`. Defaults: "sobol", 1024 and 0.
     metrics
         Metrics to compute. Default: all.
-    precision
-        64 or 32 bits; 32 bits take half the time and give five digits, fewer with an encoder. Default: 64.
     resume
         Continue the sweep in `out`. Options left out are taken from it; others must match.
     dask
@@ -215,7 +212,6 @@ def sweep(
         "samples": samples,
         "seed": seed,
         "metrics": metrics,
-        "precision": precision,
         "model_follows": model_follows,
         "engine": engine,
         "folder": "." if out is None else os.fspath(out),

@@ -145,7 +145,7 @@ def _problem(
     return problem
 
 
-def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[str, Any]:
+def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[str, object]:
     """Return all that determines the cost of a point, for JSON."""
     cost, model_follows = problem.cost, problem.model_follows
     parts = [(scenario.plant(), scenario.control(), scenario.reference()) for scenario in asked.scenarios]
