@@ -1,5 +1,4 @@
 import math
-import re
 import time
 
 import numpy as np
@@ -145,12 +144,6 @@ def test_a_bare_number_is_refused_and_a_unit_is_suggested():
     with pytest.raises(UnitError, match="'180 mm'") as caught:
         quantity("180", "m")
     assert (caught.value.value, caught.value.unit) == ("180", "m")
-
-
-def test_bits_of_an_encoder_are_refused_and_their_step_is_suggested():
-    with pytest.raises(UnitError) as caught:
-        quantity("12 bit", "rad")
-    assert quantity(re.findall("'(.*)'", caught.value.remedy)[0], "rad") == pytest.approx(2 * math.pi / 4096, rel=1e-3)
 
 
 def test_megamolar_is_no_millimetre_and_the_known_units_are_listed():

@@ -62,21 +62,16 @@ def closest(name: str, known: Sequence[str]) -> str:
     >>> closest("encoder_resolution", ["encoder", "encoder_offset"])
     'encoder'
     """
-    word = _plain(name)[:LONGEST_VALUE]
-    likeness, nearest = max(((_likeness(word, _plain(other)), other) for other in known), default=(0.0, ""))
-    return nearest if likeness >= 0.5 else ""
-
-
-def _likeness(word: str, other: str) -> float:
-    """Likeness of two names, 0 to 1; a beginning in common counts more than an ending."""
-    if len(word) > 2 and other.startswith(word):
-        return 1.0 - 1e-3 * (len(other) - len(word))
-    ratio = difflib.SequenceMatcher(None, word, other).ratio()
-    if ratio < 0.8 and len(other) > 3 and word.startswith(other):
-        return 0.7 + 1e-3 * len(other)
-    if ratio < 0.6:
-        return 0.5 if len(word) > 2 and other.endswith(word) else 0.0
-    return ratio if ratio >= 0.8 else ratio - 0.05
+    word, names = _plain(name)[:LONGEST_VALUE], {_plain(other): other for other in reversed(known)}
+    short = len(word) < 3
+    nearest = [
+        *sorted((other for other in names if other.startswith(word) and not short), key=len),
+        *difflib.get_close_matches(word, names, cutoff=0.8),
+        *sorted((other for other in names if word.startswith(other) and len(other) > 3), key=len, reverse=True),
+        *difflib.get_close_matches(word, names, cutoff=0.6),
+        *(other for other in names if other.endswith(word) and not short),
+    ]
+    return names[nearest[0]] if nearest else ""
 
 
 def no_attribute(owner: object, name: str, meant: Mapping[str, str]) -> AttributeError:

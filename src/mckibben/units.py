@@ -103,7 +103,6 @@ _FACTOR = rf"(?:{_NAME}|\({_PRODUCT}\))"
 _UNIT = re.compile(rf"{_FACTOR}(?:[*/]{_FACTOR})*")
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _WHOLE = re.compile(r"[+-]?[0-9]{1,15}")
-_TOKEN = re.compile(rf"{_NAME}|[*/()]")
 _COMMON = {"m": "mm", "Pa": "bar"}  # units of examples
 _LONGEST = 80  # characters in a unit
 _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
@@ -121,47 +120,25 @@ def _parse(unit: str) -> dict[str, float]:
     if not _UNIT.fullmatch(text):
         remedy = "write units joined by * and /, such as bar, N*m/rad or kg*m^2"
         raise UnitError(f"{quoted(unit)} is not a unit", value=unit, remedy=remedy)
+    text = re.sub(r"/\((.*?)\)", lambda group: f"/{group[1].translate({42: '/', 47: '*'})}", text)
     powers: dict[str, float] = {}
-    outside, inside = 1, 1  # sign of the exponents after * or /, outside and inside parentheses
-    in_parentheses = False
-    for token in _TOKEN.findall(text):
-        if token in "()":
-            in_parentheses, inside = token == "(", 1
-        elif token in "*/":
-            sign = 1 if token == "*" else -1
-            outside, inside = (outside, sign) if in_parentheses else (sign, 1)
-        else:
-            name, _, power = token.partition("^")
-            if name not in _VOCABULARY:
-                raise UnitError(
-                    f"unknown unit {name!r} in {unit!r}", value=unit, remedy=f"known are {', '.join(UNITS)} and %"
-                )
-            exponent = float(power or 1)
-            exponent = int(exponent) if exponent.is_integer() else exponent
-            powers[name] = powers.get(name, 0) + outside * inside * exponent
+    for sign, name, power in re.findall(r"([*/]?)\(?([A-Za-z]+)\^?([-.0-9]*)", text):
+        if name not in _VOCABULARY:
+            remedy = f"known are {', '.join(UNITS)} and %"
+            raise UnitError(f"unknown unit {name!r} in {unit!r}", value=unit, remedy=remedy)
+        exponent = float(power or 1) * (-1 if sign == "/" else 1)
+        powers[name] = powers.get(name, 0) + (int(exponent) if exponent.is_integer() else exponent)
     return powers
 
 
-def _size(powers: dict[str, float]) -> float:
-    """Size of a unit in SI."""
-    size = 1.0
-    for name, power in powers.items():
-        size *= _VOCABULARY[name][0] ** power
-    return size
-
-
-def _dimensions(powers: dict[str, float]) -> list[float]:
-    """The powers of metre, kilogram, second, radian and kelvin."""
-    return [sum(_VOCABULARY[name][1][base] * power for name, power in powers.items()) for base in range(5)]
-
-
-def dimensions(unit: str) -> tuple[float, float, float, float, float]:
-    """Exponents of metre, kilogram, second, radian and kelvin in a unit.
+def dimensions(unit: str) -> tuple[float, ...]:
+    """Exponents of metre, kilogram, second, radian and kelvin in a unit; `UnitError` for another text.
 
     >>> dimensions("N*m/rad")
     (2, 1, -2, -1, 0)
     """
-    return tuple(_dimensions(_parse(unit)))  # type: ignore[return-value]
+    powers = _parse(unit)
+    return tuple(sum(_VOCABULARY[name][1][base] * power for name, power in powers.items()) for base in range(5))
 
 
 def factor(unit: str, to: str = "") -> float:
@@ -172,14 +149,12 @@ def factor(unit: str, to: str = "") -> float:
     >>> factor("1/percent", "1/ratio")
     100.0
     """
-    source = _parse(unit)
-    if not to:
-        return _size(source)
-    target = _parse(to)
-    if _dimensions(source) != _dimensions(target):
+    source, target = _parse(unit), _parse(to) if to else {}
+    if to and dimensions(unit) != dimensions(to):
         remedy = "give a number without unit" if to == "1" else f"use a unit such as {to}"
         raise UnitError(f"unit {unit!r} does not have the dimensions of {to!r}", value=unit, unit=to, remedy=remedy)
-    return _size({name: source.get(name, 0) - target.get(name, 0) for name in [*source, *target]})
+    powers = {name: source.get(name, 0) - target.get(name, 0) for name in [*source, *target]}
+    return math.prod(_VOCABULARY[name][0] ** power for name, power in powers.items())
 
 
 def quantity(text: str, unit: str) -> float:
@@ -211,9 +186,6 @@ def quantity(text: str, unit: str) -> float:
             f"{quoted(text)} is not a number and a unit", value=text, unit=unit, remedy=f"write it like {example!r}"
         )
     rest = f"1{rest}" if rest.startswith("/") else rest
-    if unit in ("rad", "deg") and rest in ("bit", "bits"):  # of an encoder
-        step = f"{360 / 2 ** min(abs(float(number.group())), 64):.6g} deg"
-        raise UnitError(f"{quoted(text)} is not an angle", value=text, unit=unit, remedy=f"write the step: {step!r}")
     value = float(number.group()) * factor(rest or "1", unit)
     mantissa = number.group().lower().partition("e")[0]
     if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # by `Quantity.write`

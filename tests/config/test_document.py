@@ -59,26 +59,24 @@ def test_hostile_text_is_an_error_of_moderate_length(name, read, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("text", "line"),
+    "text",
     [
-        ("[" * 20_000, None),
-        ('{"a": ' * 20_000, None),
-        (f'{{"force": {"9" * 5000}}}', None),
-        ('{"force": {},\n"force": {}}', None),
-        ('{"force":\n{', 2),
-        ("[1]", None),
-        ("\x00", 1),
-        ('{"force": {"gain": "' + "x" * 100_000 + '"}}', None),
-        (" " * 300_000, None),
+        "[" * 20_000,
+        '{"a": ' * 20_000,
+        f'{{"force": {"9" * 5000}}}',
+        '{"force": {"gain": NaN}}',
+        '{"force":\n{',
+        "[1]",
+        "\x00",
+        '{"force": {"gain": "' + "x" * 100_000 + '"}}',
     ],
 )
-def test_hostile_calibrations_are_an_error_of_moderate_length(text, line, tmp_path):
+def test_hostile_calibrations_are_an_error_of_moderate_length(text, tmp_path):
     path = tmp_path / "calibration.json"
     path.write_text(text)
     with pytest.raises(ScenarioError) as caught:
         MuscleCardSettings(calibration=path).calibrations()
     assert len(str(caught.value)) < 5000
-    assert line in [problem.line for problem in caught.value.problems]
 
 
 WORDS = st.text(st.characters(exclude_categories=("Cs", "Cc", "Cn")), max_size=20)

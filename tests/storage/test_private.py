@@ -1,11 +1,8 @@
-"""Files of the cache folder: only of this user, undamaged, and built again after a change."""
-
-import json
+"""Programs of the cache folder: only of this user, undamaged, and the newest."""
 
 import pytest
 
-from mckibben.storage import private
-from mckibben.storage.private import listing, read_private, write_private
+from mckibben.storage.private import read_private, write_private
 
 
 def test_what_is_written_is_read_back_unless_a_byte_is_damaged(tmp_path):
@@ -23,25 +20,8 @@ def test_what_is_written_is_read_back_unless_a_byte_is_damaged(tmp_path):
         read_private(path)
 
 
-def test_a_listing_is_built_once_and_again_after_a_change(tmp_path, monkeypatch):
-    built, folder = [], tmp_path / "new" / "cache"
-
-    def build():
-        built.append(len(built))
-        return {"number": built[-1]}
-
-    assert [listing(folder, "laws", build) for _ in range(3)] == [{"number": 0}] * 3
-    (file,) = folder.iterdir()
-    assert json.loads(read_private(file)) == {"number": 0}
-    assert listing(folder, "valves", build) == {"number": 1}
-    monkeypatch.setattr(private, "SOURCES", ())
-    assert listing(folder, "laws", build) == {"number": 2}
-    assert listing(None, "laws", build) == {"number": 3}
-
-
-def test_the_newest_files_are_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(private, "_MOST", 2)
+def test_the_newest_files_are_kept(tmp_path):
     for number in range(4):
-        write_private(tmp_path / f"{number}.program", b"")
+        write_private(tmp_path / f"{number}.program", b"", most=2)
         (tmp_path / f"{number}.program").touch()
-    assert {one.name for one in tmp_path.iterdir()} == {"2.program", "3.program"}
+    assert {file.name for file in tmp_path.iterdir()} == {"2.program", "3.program"}

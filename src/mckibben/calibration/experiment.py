@@ -267,8 +267,8 @@ def read_joint_recording(
     pressures, commands = pair("pressure"), pair("command")
     commanded = pressures is None
     return JointRecording(
-        np.asarray(times),
-        np.asarray(columns["angle"]),
+        times,
+        columns["angle"],
         commands if commanded else pressures,
         pair("tension"),
         added_mass,

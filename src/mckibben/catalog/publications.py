@@ -7,8 +7,6 @@ from importlib import resources
 from typing import Any
 
 from mckibben.errors import NotInCatalogError, suggest
-from mckibben.numerics.runtime import programs_folder
-from mckibben.storage.private import listing
 
 KINDS = ("specimens", "laws", "datasets", "geometries", "loads", "joints", "valves", "legs", "robots")
 FOLDER = resources.files("mckibben.catalog")
@@ -55,15 +53,11 @@ _SINGULAR: dict[str, str] = dict(
 
 @functools.cache
 def _publications() -> tuple[dict[str, Any], ...]:
-    return tuple(listing(programs_folder(), "catalog", _read)["publications"])
-
-
-def _read() -> dict[str, Any]:
     from ruamel.yaml import YAML
 
-    reader = YAML(typ="safe", pure=True)
+    reader = YAML(typ="safe")
     files = sorted((f for f in FOLDER.iterdir() if f.name.endswith(".yaml")), key=lambda f: f.name)
-    return {"publications": [reader.load(file.read_text(encoding="utf-8")) for file in files]}
+    return tuple(reader.load(file.read_text(encoding="utf-8")) for file in files)
 
 
 def _unknown(kind: str, name: str, known: list[str]) -> NotInCatalogError:

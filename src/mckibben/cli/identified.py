@@ -13,7 +13,7 @@ from mckibben.identification.with_friction import titled
 from mckibben.muscle.air import inner_volume
 from mckibben.result import Remark
 from mckibben.scenario import write_muscle
-from mckibben.storage.files import make_subfolder
+from mckibben.storage.files import make_folder
 from mckibben.units import show
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def ranked(ranking: Ranking, source: Source) -> Report:
     def write(folder: Path) -> None:
         for entry in ranking.entries:
             if entry.fit:
-                entry.fit.to_yaml(make_subfolder(folder, "fits") / f"{entry.law}.yaml")
+                entry.fit.to_yaml(make_folder(folder, "fits") / f"{entry.law}.yaml")
         best = ranking.best.fit
         assert best is not None
         source.write(folder, best)

@@ -1,15 +1,14 @@
-"""YAML and JSON text to plain data with the line of every value; plain data to YAML; values edited in place."""
+"""YAML text to plain data with the line of every value; plain data to YAML; values edited in place."""
 
 from __future__ import annotations
 
-import json
-import math
+import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from mckibben.errors import Problem, ScenarioError
+from mckibben.errors import Problem
 
 Place = tuple[str | int, ...]
 """Keys and indices from the top of a document to a value."""
@@ -196,32 +195,6 @@ def _short(text: str) -> str:
     return text if len(text) <= 40 else f"{text[:37]}..."
 
 
-def read_json(text: str, source: str) -> Any:
-    """Parse JSON text; ScenarioError if it is not JSON, is too long or too deep, or gives a key twice."""
-
-    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        mapping = dict(pairs)
-        if len(mapping) < len(pairs):
-            keys = [key for key, _ in pairs]
-            twice = next(key for key in keys if keys.count(key) > 1)
-            raise ValueError(f"the key {_short(twice)!r} is given twice")
-        return mapping
-
-    problem = None
-    if len(text) > LONGEST_TEXT:
-        problem = Problem(f"is longer than {LONGEST_TEXT} characters")
-    else:
-        try:
-            return json.loads(text, object_pairs_hook=unique)
-        except json.JSONDecodeError as error:
-            problem = Problem(f"cannot be read as JSON: {error.msg}", error.lineno)
-        except RecursionError:
-            problem = Problem("cannot be read as JSON: is nested too deep")
-        except ValueError as error:  # a key given twice, or an integer of thousands of digits
-            problem = Problem(f"cannot be read as JSON: {error}")
-    raise ScenarioError(source, [problem])
-
-
 def edit_yaml(text: str, values: Mapping[Place, str]) -> str:
     """YAML text with other scalars, by their place; what is missing is added, and the layout stays as it is."""
     for place, written in values.items():
@@ -257,11 +230,6 @@ def _added(text: str, mapping: Span, entry: str) -> str:
     return f"{before}{rest}{newline}{line}{ends}{following}"
 
 
-_PLAIN = re.compile(r"[A-Za-z0-9_./+-](?:[A-Za-z0-9_./*^()+ %-]*[A-Za-z0-9_./*^()+%-])?")
-_PLAIN_IN_BLOCK = re.compile(rf"{_PLAIN.pattern}(?:,(?: ?{_PLAIN.pattern})?)*")
-_MEANS_ANOTHER = re.compile(r"(?i)-|---|\.\.\.|true|false|yes|no|on|off|null")
-
-
 def plain(data: Any) -> Any:
     """The data of a document as mutable dictionaries and lists."""
     if isinstance(data, dict):
@@ -269,82 +237,45 @@ def plain(data: Any) -> Any:
     return [plain(item) for item in data] if isinstance(data, tuple | list) else data
 
 
-def to_text(data: Mapping[str, Any], comments: Mapping[Place, str] | None = None, *, width: int = 100) -> str:
-    """YAML of plain data, numbers with all digits; `comments` by place, mappings up to `width` on one line."""
-    return "".join(f"{line}\n" for line in _Writer(comments or {}, width).block(data, (), 0))
+def to_text(data: Mapping[str, object], *, width: int = 100) -> str:
+    """YAML of plain data, numbers with all digits, None left out; inner mappings up to `width` on one line."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.resolver import VersionedResolver
+
+    yaml, nulls = YAML(), [("tag:yaml.org,2002:null", re.compile("(~|null)?$", re.IGNORECASE))]  # all else is text
+    yaml.Resolver = type("TextResolver", (VersionedResolver,), {"versioned_resolver": {None: nulls}})
+    yaml.width = LONGEST_TEXT
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    text = io.StringIO()
+    yaml.dump(_node(data, (), width), text)
+    return text.getvalue()
 
 
-@dataclass(frozen=True)
-class _Writer:
-    """Lines of YAML."""
+def _node(value: object, place: Place, width: int) -> object:
+    """Return a value as it is dumped: scalars as text, mappings and lists of scalars on one line if they fit."""
+    from ruamel.yaml.comments import CommentedMap, CommentedSeq
 
-    comments: Mapping[Place, str]
-    width: int
-
-    def block(self, data: Mapping[str, Any], place: Place, indent: int) -> list[str]:
-        lines = []
-        for key, value in data.items():
-            here = (*place, key)
-            if value is None:
-                continue
-            head = f"{'  ' * indent}{_scalar(str(key))}:"
-            comment = f"  # {self.comments[here]}" if here in self.comments else ""
-            one_line = f"{head} {_flow(value)}"
-            one_a_line = isinstance(value, dict) and not self.fits(one_line, value, here)
-            if one_a_line and (inner := self.block(value, here, indent + 1)):
-                lines += [f"{head}{comment}", *inner]
-            elif isinstance(value, list) and _has_rows(value):
-                lines += [f"{head}{comment}", *self.rows(value, here, indent + 1)]
-            else:
-                lines.append(f"{one_line}{comment}")
-        return lines
-
-    def fits(self, one_line: str, value: dict[str, Any], place: Place) -> bool:
-        """Whether a mapping is written on one line."""
-        nested = len(place) == 1 and any(isinstance(item, dict) for item in value.values())
-        commented = any(other[: len(place)] == place != other for other in self.comments)
-        return len(one_line) <= self.width and not (nested or commented or _has_rows(value))
-
-    def rows(self, items: list[Any], place: Place, indent: int) -> list[str]:
-        lines, pad = [], "  " * indent
-        for item in items:
-            inner = self.block(item, (*place, ""), indent + 1) if isinstance(item, dict) else []
-            if inner:  # the first entry follows the dash
-                lines += [f"{pad}- {inner[0].lstrip()}", *inner[1:]]
-            else:
-                lines.append(f"{pad}- {_flow(item)}")
-        return lines
+    if isinstance(value, dict):
+        items = {str(key): item for key, item in value.items() if item is not None}
+        node = CommentedMap({key: _node(item, (*place, key), width) for key, item in items.items()})
+        nested = len(place) == 1 and any(isinstance(item, dict) for item in items.values())
+        size = 2 * len(place) + len(f"{place[-1:]}{items}".replace("'", ""))
+        is_block = nested or size > width or _has_rows(value) or place[-1:] in ((), ("",))
+        is_flow = not (items and is_block)
+    elif isinstance(value, list):
+        node = CommentedSeq([_node(item, (*place, ""), width) for item in value])
+        is_flow = not _has_rows(value)
+    elif isinstance(value, str):
+        return value
+    else:
+        text = repr(value)
+        return {"True": "true", "False": "false", "nan": ".nan", "inf": ".inf", "-inf": "-.inf"}.get(text, text)
+    (node.fa.set_flow_style if is_flow else node.fa.set_block_style)()
+    return node
 
 
-def _has_rows(value: Any) -> bool:
+def _has_rows(value: object) -> bool:
     """Whether it contains a list that is written with one item per line."""
     if isinstance(value, dict):
         return any(_has_rows(item) for item in value.values())
     return isinstance(value, list) and any(isinstance(item, dict | list) for item in value)
-
-
-def _flow(value: Any, *, flow: bool = False) -> str:
-    if isinstance(value, dict):
-        entries = (
-            f"{_scalar(str(key), flow=True)}: {_flow(item, flow=True)}"
-            for key, item in value.items()
-            if item is not None
-        )
-        return "{" + ", ".join(entries) + "}"
-    if isinstance(value, list):
-        return "[" + ", ".join(_flow(item, flow=True) for item in value) + "]"
-    return _scalar(value, flow=flow)
-
-
-def _scalar(value: Any, *, flow: bool = False) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, float) and not math.isfinite(value):
-        return ".nan" if math.isnan(value) else ".inf" if value > 0 else "-.inf"
-    if not isinstance(value, str):
-        return repr(value)
-    plain = (_PLAIN if flow else _PLAIN_IN_BLOCK).fullmatch(value)
-    if plain and not _MEANS_ANOTHER.fullmatch(value) and not value.startswith("- "):
-        return value
-    text = json.dumps(value, ensure_ascii=False)
-    return "".join(char if char.isprintable() else f"\\U{ord(char):08x}" for char in text)

@@ -19,7 +19,7 @@ from mckibben.component.checks import check_count, check_number, check_within
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import RANK
 from mckibben.numerics.elementary import floating, sin
-from mckibben.storage.columns import read_samples
+from mckibben.storage.columns import read_columns
 from mckibben.units import Duration, Frequency, Instant, Phase, PositiveTime, Seed, SignalValue
 
 
@@ -212,8 +212,8 @@ class SamplesFile(Samples):
         if unit is None:
             raise RangeError(f"SamplesFile: the column is {column!r}", field="column", remedy="give angle or stiffness")
         self.file, self.column = Path(file), column
-        times, values = read_samples(self.file, column, unit)
-        self.times, self.values = floating(np.asarray(times)), floating(np.asarray(values))
+        times, values = read_columns(self.file, lambda _: {column: unit})
+        self.times, self.values = floating(times), floating(values[column])
 
 
 class Sum(Signal):

@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic_core import from_json
 
-from mckibben.config.document import read_json
 from mckibben.errors import McKibbenError, Problem, RangeError, RigError, ScenarioError, quoted, refuse_problems
 from mckibben.rig.backend import AnalogChannel
 from mckibben.units import percent
@@ -216,10 +216,9 @@ def read_calibrations(path: Path, units: Mapping[str, str]) -> dict[str, Calibra
     """Calibrations of a JSON file by channel; `units` are those of the channels. `ScenarioError` with all problems."""
     remedy = f"it needs {', '.join(units)}, see docs/rig-hardware.md"
     try:
-        text = path.read_text(encoding="utf-8")
+        content = from_json(path.read_text(encoding="utf-8"), allow_inf_nan=False)
     except (OSError, ValueError) as error:
         raise ScenarioError(str(path), [Problem(f"cannot be read: {error}", remedy=remedy)]) from None
-    content = read_json(text, str(path))
     if not isinstance(content, dict):
         raise ScenarioError(str(path), [Problem("is not a mapping of calibrations", remedy=remedy)])
     found: dict[str, Calibration] = {}

@@ -2,73 +2,81 @@
 
 from __future__ import annotations
 
-import csv
-import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from mckibben.errors import Problem, ScenarioError, UnitError
-from mckibben.units import NUMBER, factor
+from mckibben.units import factor
 
-_LARGEST = 64 * 2**20
-
-
-def read_samples(path: Path, name: str, unit: str) -> tuple[list[float], list[float]]:
-    """Return the times [s] and the values, in `unit`, of the column of a CSV file that is titled NAME_UNIT."""
-    times, values = read_columns(path, lambda _: {name: unit})
-    return times, values[name]
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def read_columns(
-    path: Path, wanted: Callable[[list[str]], Mapping[str, str]]
-) -> tuple[list[float], dict[str, list[float]]]:
-    """The times [s] and the values, by name, of columns titled NAME_UNIT: names and units wanted of a header."""
+    path: Path, wanted: Callable[[list[str]], Mapping[str, str]], *, largest: float = 64 * 2**20
+) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
+    """Read columns titled NAME_UNIT of a CSV file with rising times.
+
+    Parameters
+    ----------
+    wanted
+        Names and units of the columns to read, for the titles of a file.
+    largest
+        Size of the largest file that is read [bytes].
+
+    Returns
+    -------
+    times, columns
+        Times [s], shape (samples,), and the values of the columns by name, in the units wanted.
+
+    Raises
+    ------
+    ScenarioError
+        With the line of each row that lacks a finite number or does not follow in time, or the missing columns.
+    """
+    import pandas as pd  # slow
+
     try:
-        if path.stat().st_size > _LARGEST:
-            raise ScenarioError(str(path), [Problem(f"is larger than {_LARGEST // 2**20} MiB")])
-        rows = list(csv.reader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        if path.stat().st_size > largest:
+            raise ScenarioError(str(path), [Problem(f"is larger than {largest / 2**20:g} MiB")])
+        table = pd.read_csv(path, encoding="utf-8-sig", dtype=str, index_col=False, skip_blank_lines=False)
+    except (OSError, ValueError) as error:  # pandas' errors are ValueErrors
         raise ScenarioError(str(path), [Problem(f"cannot be read: {error}", remedy="give a CSV file")]) from None
+    titles = [str(title).strip() for title in table.columns]
+    units = {"time": "s", **wanted(titles)}
     problems: list[Problem] = []
-    header = [title.strip() for title in rows[0]] if rows else []
-    units = wanted(header)
-    columns = [_column(header, name, unit, problems) for name, unit in (("time", "s"), *units.items())]
+    numbers = {name: _column(table.set_axis(titles, axis=1), name, unit, problems) for name, unit in units.items()}
     if problems:
         raise ScenarioError(str(path), problems)
-
-    samples: list[list[float]] = []
-    for line, row in enumerate(rows[1:], start=2):
-        if not any(cell.strip() for cell in row):
-            continue
-        sample = [_number(row, place, scale) for place, scale in columns]
-        if not all(map(math.isfinite, sample)):
-            problems.append(Problem(f"{','.join(row)[:60]!r} does not hold {len(sample)} finite numbers", line))
-        elif samples and sample[0] <= samples[-1][0]:
-            problems.append(Problem(f"the time {sample[0]:g} s does not rise", line, remedy="sort the rows"))
-        else:
-            samples.append(sample)
-    if not samples and not problems:
+    rows = pd.DataFrame(numbers)[table.notna().any(axis=1)]
+    incomplete = ~np.isfinite(rows).all(axis=1)
+    complete = rows[~incomplete]
+    behind = complete.index[complete["time"] <= complete["time"].cummax().shift()]
+    problems = [Problem(f"does not hold {len(units)} finite numbers", line + 2) for line in rows.index[incomplete]]
+    problems += [Problem("the time does not rise", line + 2, remedy="sort the rows") for line in behind]
+    if rows.empty:
         problems.append(Problem("holds no samples"))
     if problems:
-        raise ScenarioError(str(path), problems)
-    times, *values = (list(column) for column in zip(*samples, strict=True))
-    return times, dict(zip(units, values, strict=True))
+        raise ScenarioError(str(path), sorted(problems, key=lambda problem: problem.line or 0))
+    times, *columns = (rows[name].to_numpy(float) for name in units)
+    return times, dict(zip(list(units)[1:], columns, strict=True))
 
 
-def _column(header: list[str], name: str, unit: str, problems: list[Problem]) -> tuple[int, float]:
-    """Index and scale of the column of a quantity."""
-    places = [i for i, title in enumerate(header) if title.startswith(f"{name}_")]
-    if len(places) != 1:
-        what = "has several columns" if places else "has no column"
+def _column(table: pd.DataFrame, name: str, unit: str, problems: list[Problem]) -> pd.Series:
+    """Numbers of the column of a quantity, in a unit; NaN for other texts."""
+    import pandas as pd
+
+    titles = [title for title in table.columns if title.startswith(f"{name}_")]
+    if len(titles) != 1:
+        what = "has several columns" if titles else "has no column"
         problems.append(Problem(f"{what} {name}_...", 1, remedy=f"title one column {name}_{unit}"))
-        return 0, 1.0
+        return pd.Series(dtype=float)
     try:
-        return places[0], factor(header[places[0]][len(name) + 1 : len(name) + 41], unit)
+        return pd.to_numeric(table[titles[0]], errors="coerce") * factor(titles[0][len(name) + 1 :], unit)
     except UnitError as error:
-        problems.append(Problem.of(error, 1, header[places[0]]))
-        return 0, 1.0
-
-
-def _number(row: list[str], place: int, scale: float) -> float:
-    text = row[place].strip() if place < len(row) else ""
-    return float(text) * scale if NUMBER.fullmatch(text) else math.nan  # not 1_0, nor digits of other scripts
+        problems.append(Problem.of(error, 1, titles[0]))
+        return pd.Series(dtype=float)

@@ -24,12 +24,10 @@ _SIGNAL_NAMES = ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 SIGNALS = tuple(getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signal, name))
 """Signals that stop a job: Ctrl-C, termination, a closed terminal and Ctrl-\\."""
 
-_REPEAT_INTERVAL = 1.0  # s
-
 
 @contextmanager
-def handle_signals(callback: Callable[[int], None]) -> Iterator[None]:
-    """Call a function on each of `SIGNALS` that is not already ignored; a repeat after 1 s also interrupts."""
+def handle_signals(callback: Callable[[int], None], *, repeat: float = 1.0) -> Iterator[None]:
+    """Call a function on each of `SIGNALS` that is not already ignored; one after `repeat` [s] also interrupts."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -37,7 +35,8 @@ def handle_signals(callback: Callable[[int], None]) -> Iterator[None]:
 
     def handle(number: int, _: object) -> None:
         callback(number)
-        if time.monotonic() - first.setdefault(number, time.monotonic()) > _REPEAT_INTERVAL:
+        now = time.monotonic()
+        if now - first.setdefault(number, now) > repeat:
             raise KeyboardInterrupt
 
     previous = {}
@@ -57,8 +56,6 @@ except ImportError:  # Windows
     fcntl = None
 
 _NO_FOLLOW = getattr(os, "O_NOFOLLOW", 0)
-_LOCKED = 1 << 20  # offset of the byte that is locked on Windows
-_PIECE = 1 << 20  # bytes read at once
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of file systems without locks
 
 
@@ -103,14 +100,6 @@ def sealed(content: bytes | memoryview) -> bytes:
     return b"".join((content, _SEAL, hashlib.sha256(content).hexdigest().encode(), b"\n"))
 
 
-def append_seal(path: Path) -> None:
-    """Append the checksum of `sealed` to a file."""
-    with path.open("r+b") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        file.seek(0, os.SEEK_END)
-        file.write(_SEAL + digest.encode() + b"\n")
-
-
 def check_seal(path: Path) -> None:
     """Verify the checksum in the last line of a file; files without one, written by hand or by other programs, pass.
 
@@ -122,13 +111,9 @@ def check_seal(path: Path) -> None:
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(size - _SEALED, 0))
-        last = file.read()
-        if len(last) < _SEALED or not last.startswith(_SEAL) or not last.endswith(b"\n"):
+        if not (last := file.read()).startswith(_SEAL) or len(last) < _SEALED:
             return
-        file.seek(0)
-        digest = hashlib.sha256()
-        for start in range(0, size - _SEALED, _PIECE):
-            digest.update(file.read(min(_PIECE, size - _SEALED - start)))
+    digest = hashlib.sha256(path.read_bytes()[:-_SEALED])
     if digest.hexdigest().encode() != last[len(_SEAL) : -1]:
         remedy = "create it again or, if the change is intended, remove the last line (# sha256 ...)"
         raise FileError(str(path), [Problem("it has changed since it was written", remedy=remedy)])
@@ -190,14 +175,6 @@ def make_folder(path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def make_subfolder(folder: Path, name: str) -> Path:
-    """Create a subfolder unless it exists; `FileError` if it is a symbolic link, which is not followed."""
-    if (folder / name).is_symlink():
-        problem = Problem("it is a symbolic link", field=name, remedy="remove it, or choose another folder")
-        raise FileError(str(folder), [problem])
-    return make_folder(folder / name)
-
-
 _ELSEWHERE = "choose another folder, or move the existing file"
 
 
@@ -229,11 +206,8 @@ def file_lock(path: Path, task: str) -> Iterator[None]:
     try:
         yield
     finally:
-        if fcntl is not None:
-            path.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
         os.close(file)
-        if fcntl is None:  # an open file cannot be removed there
-            path.unlink(missing_ok=True)
 
 
 def _lock(path: Path, task: str) -> int:
@@ -257,11 +231,10 @@ def _lock(path: Path, task: str) -> int:
 
 def _try_flock(file: int, path: Path, task: str) -> bool:
     """Lock an open file; False where locks are not supported."""
+    if fcntl is None:
+        return False
     try:
-        if fcntl is not None:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        else:
-            _lock_byte(file)
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except (BlockingIOError, PermissionError):
         holder = os.read(file, 200).decode("utf-8", "replace").strip() or "just started"
         problem = Problem(f"another process ({holder}) is {task}", remedy="wait for it to finish")
@@ -271,17 +244,6 @@ def _try_flock(file: int, path: Path, task: str) -> bool:
             raise
         return False
     return True
-
-
-def _lock_byte(file: int) -> None:
-    """Lock a byte far beyond the content, so that others can read it; `PermissionError` if another process holds it."""
-    import msvcrt
-
-    os.lseek(file, _LOCKED, os.SEEK_SET)
-    try:
-        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-    finally:
-        os.lseek(file, 0, os.SEEK_SET)
 
 
 def is_same_file(path: Path, file: int) -> bool:

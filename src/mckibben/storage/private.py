@@ -1,30 +1,24 @@
-"""Files in the user's cache folder that only this user can have written: programs, and listings of what is built in."""
+"""Programs in the user's cache folder that only this user can have written."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import stat
-import sys
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from mckibben.storage.files import atomic_write
 
-_MOST = 200  # files; the oldest are removed
 
-
-def write_private(path: Path, content: bytes) -> None:
-    """Write with a checksum: damaged native code crashes the process."""
+def write_private(path: Path, content: bytes, *, most: int = 200) -> None:
+    """Write with a checksum (damaged native code crashes the process); of all programs, the newest `most` remain."""
     with atomic_write(path, overwrite=True) as part:
         part.touch(mode=0o600)
         part.write_bytes(_checksum(path, content) + content)
         part.chmod(0o600)
     files = sorted(path.parent.glob("*.program"), key=lambda file: file.stat().st_mtime, reverse=True)
-    for old in files[_MOST:]:
+    for old in files[most:]:
         old.unlink(missing_ok=True)
 
 
@@ -64,19 +58,3 @@ def source_files(folder: str = str(Path(__file__).parents[1])) -> tuple[tuple[st
 
 
 SOURCES = source_files()  # at import
-
-
-def listing(folder: Path | None, name: str, build: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Listing of what is built in, as JSON; built once, and again after a change of our sources."""
-    if folder is None:
-        return build()
-    described = repr((name, SOURCES, sys.version)).encode()
-    path = folder / f"{hashlib.sha256(described).hexdigest()[:40]}.program"
-    try:
-        return json.loads(read_private(path))
-    except (OSError, ValueError):  # missing, damaged or not private
-        built = build()
-    with suppress(OSError):
-        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-        write_private(path, json.dumps(built).encode())
-    return built
