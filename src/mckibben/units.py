@@ -103,15 +103,13 @@ _FACTOR = rf"(?:{_NAME}|\({_PRODUCT}\))"
 _UNIT = re.compile(rf"{_FACTOR}(?:[*/]{_FACTOR})*")
 NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _WHOLE = re.compile(r"[+-]?[0-9]{1,15}")
-_COMMON = {"m": "mm", "Pa": "bar"}  # units of examples
-_LONGEST = 80  # characters in a unit
 _REST = re.compile(r"(?:(?:1?/|[A-Za-z%°(]).*)?", re.DOTALL)
 
 
 @functools.cache
 def _parse(unit: str) -> dict[str, float]:
     """Exponent of each name in a unit expression."""
-    if len(unit) > _LONGEST:
+    if len(unit) > LONGEST_VALUE:
         raise UnitError(f"{unit[:20]!r}... is not a unit", value=unit, remedy="a unit is a few names joined by * and /")
     text = unit.strip().replace("%", "percent").replace("°", "deg").replace("·", "*").replace("**", "^")
     text = re.sub(r"\s*([*/()^])\s*", r"\1", text)
@@ -157,11 +155,11 @@ def factor(unit: str, to: str = "") -> float:
     return math.prod(_VOCABULARY[name][0] ** power for name, power in powers.items())
 
 
-def quantity(text: str, unit: str) -> float:
+def quantity(text: object, unit: str, *, shown: str = "") -> float:
     """Read a quantity such as ``6 bar`` or ``-3 %`` in SI: one number with a decimal point and one unit.
 
-    `unit` gives the expected dimensions; a bare number is accepted only if it is "1". Raises `UnitError` for any other
-    text and for numbers that are not finite.
+    `unit` gives the expected dimensions; a bare number is accepted only if it is "1". Raises `UnitError`, with a remedy
+    in the unit `shown`, for any other text and for numbers that are not finite.
 
         >>> quantity("25 %", "1")
         0.25
@@ -170,28 +168,28 @@ def quantity(text: str, unit: str) -> float:
             ...
         mckibben.errors.UnitError: '4,5 bar' is not a number and a unit; write it like '4.5 bar'
     """
-    if not isinstance(text, str):  # YAML hands over numbers too
-        raise UnitError(f"{quoted(text)} has no unit", value=text, unit=unit, remedy=f"write it like '{text} {unit}'")
-    stripped = text.strip()
+    stripped, asked = str(text).strip(), shown or {"m": "mm", "Pa": "bar"}.get(unit, unit)
     number = NUMBER.match(stripped)
     rest = stripped[number.end() :].strip() if number else ""
-    if number and not rest and unit != "1":
-        example = f"{stripped} {_COMMON.get(unit, unit)}"
-        raise UnitError(f"{quoted(text)} has no unit", value=text, unit=unit, remedy=f"write it like {example!r}")
-    if not number or not _REST.fullmatch(rest):
-        example = (
-            stripped.replace(",", ".") if re.fullmatch(r"\d+,\d+ \S+", stripped) else f"12.5 {_COMMON.get(unit, unit)}"
-        )
-        raise UnitError(
-            f"{quoted(text)} is not a number and a unit", value=text, unit=unit, remedy=f"write it like {example!r}"
-        )
-    rest = f"1{rest}" if rest.startswith("/") else rest
-    value = float(number.group()) * factor(rest or "1", unit)
+    wrong, example = "", f"12.5 {asked}"
+    if not isinstance(text, str) or (number and not rest and unit != "1"):  # YAML gives numbers, too
+        wrong, example = "has no unit", f"{stripped:.{LONGEST_VALUE}} {asked}"
+    elif not number or not _REST.fullmatch(rest) or len(stripped) > LONGEST_VALUE:
+        wrong = "is not a number and a unit"
+        example = stripped.replace(",", ".") if re.fullmatch(r"\d{1,9},\d{1,9} \S{1,9}", stripped) else example
+    if wrong or not number:
+        raise UnitError(f"{quoted(text)} {wrong}", value=text, unit=shown or unit, remedy=f"write it like {example!r}")
+    rest = f"1{rest}" if rest.startswith("/") else rest or "1"
+    factor(rest, shown or unit)  # its error names the unit shown
+    try:
+        value = float(number.group()) * factor(rest, unit)
+    except OverflowError:
+        value = math.inf
     mantissa = number.group().lower().partition("e")[0]
     if len(mantissa.replace(".", "").lstrip("+-0")) > 17 and 1e-290 < abs(value) < 1e290:  # by `Quantity.write`
-        value = float(Fraction(number.group()) * Fraction(factor(rest or "1", unit)))
+        value = float(Fraction(number.group()) * Fraction(factor(rest, unit)))
     if not math.isfinite(value):
-        raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=unit)
+        raise UnitError(f"{quoted(text)} is not a finite number", value=text, unit=shown or unit)
     return value
 
 
@@ -269,8 +267,10 @@ class Quantity:
 
     def read(self, value: Any) -> float:
         """Read text with a unit, or a number in SI, as a value in SI; raises UnitError or RangeError."""
-        if isinstance(value, str):
-            number = self._from_text(value)
+        if isinstance(value, str) and not value.strip():
+            self._fail("has no value", value, f"write it like {self.example}, or leave the key out")
+        elif isinstance(value, str):
+            number = quantity(value, self.unit, shown=self.shown)
         elif isinstance(value, int | float) and not isinstance(value, bool):
             number = float(value)
         else:
@@ -320,22 +320,6 @@ class Quantity:
         lower = f"above {self.lower:g}" if self.open_lower else f"{self.lower:g}"
         upper = f"below {self.upper:g}" if self.open_upper else f"{self.upper:g}"
         return f"{lower} to {upper}{unit}"
-
-    def _from_text(self, text: str) -> float:
-        stripped = text.strip()
-        if not stripped:
-            self._fail("has no value", text, f"write it like {self.example}, or leave the key out")
-        if len(stripped) > LONGEST_VALUE:
-            self._fail(f"{quoted(text)} is not a quantity", text)
-        if self.unit != "1" and NUMBER.fullmatch(stripped):
-            in_m = f"{show(si, 'mm')}' (in m) or '" if self.unit == "m" and self.holds(si := float(stripped)) else ""
-            self._fail(f"{quoted(text)} has no unit", text, f"write it like '{in_m}{stripped} {self.shown}'")
-        try:
-            return quantity(stripped, self.unit)
-        except UnitError:
-            return quantity(stripped, self.shown) * factor(self.shown, self.unit)  # the error names the unit shown
-        except ArithmeticError:  # a product beyond the range of floats
-            self._fail(f"{quoted(text)} is not a finite number", text)
 
     def _fail(self, message: str, value: object, remedy: str = "") -> NoReturn:
         raise UnitError(message, value=value, unit=self.shown, remedy=remedy or f"write it like {self.example}")

@@ -118,7 +118,7 @@ def test_a_normal_distribution_is_cut_off_at_the_range_of_the_field():
         ("controller.position.seed=0..1.5", ["'1.5' is not a whole number"]),
         ("controller.position.seed=0..3 log", ["all of them"]),
         ("controller.position.seed=+-10 %", ["is a whole number", "0..19"]),
-        ("load.mass2=" + "1" * 200 + " kg", ["not a quantity"]),
+        ("load.mass2=" + "1" * 200 + " kg", ["not a number"]),
         ("controller.position.seed=0..100000", ["more than 100000"]),
         ("duration=1 s..2 s", ["cannot be varied"]),
     ],
