@@ -20,6 +20,7 @@ import numpy as np
 
 from mckibben.component.calls import CheckedCalls
 from mckibben.component.checks import check_kind, known_numbers
+from mckibben.config.model import marks_in
 from mckibben.errors import Problem, RangeError, Suggesting, described, printable, quoted, refuse_problems
 from mckibben.result import Column, Listing
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, factor, show
@@ -113,7 +114,7 @@ class Checked(Described, Suggesting, metaclass=CheckedCalls):
 @functools.cache
 def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
     """Unit and range of each field of a class that has them, such as ``mass: Mass`` or ``supply: Pressure | None``."""
-    marks = {name: {*_marks(hint)} for name, hint in field_hints(kind).items()}
+    marks = {name: {*marks_in(hint, Quantity | BoundedInt)} for name, hint in field_hints(kind).items()}
     return {name: own.pop() for name, own in marks.items() if len(own) == 1}  # not a tuple of several quantities
 
 
@@ -207,9 +208,9 @@ def _check_numbers(
         raise _outside(owner, name, float(numbers[~inside][0]), mark)
 
 
-def units_of_part(hint: Any) -> Units:
+def units_of_part(hint: object) -> Units:
     """Return the units of the symbolic fields of a part, from the type of the field that holds it."""
-    return next((mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Units)), _NO_UNITS)
+    return next(marks_in(hint, Units), _NO_UNITS)
 
 
 def _is_sequence(hint: Any) -> bool:
@@ -228,15 +229,6 @@ def field_hints(kind: type) -> dict[str, Any]:
                 written = SimpleNamespace(__annotations__={name: hint})
                 hints |= get_type_hints(written, vars(sys.modules[base.__module__]), include_extras=True)
     return {field.name: hints[field.name] for field in dataclasses.fields(kind) if field.name in hints}
-
-
-def _marks(hint: Any) -> Iterator[Quantity | BoundedInt]:
-    """Metadata of a type or of its parts."""
-    for part in (*getattr(hint, "__metadata__", ()), *get_args(hint)):
-        if isinstance(part, Quantity | BoundedInt):
-            yield part
-        else:
-            yield from _marks(part)
 
 
 @functools.cache

@@ -45,8 +45,8 @@ from mckibben.component.classes import (
 )
 from mckibben.component.extensions import load_installed
 from mckibben.config.document import read_document, to_text
-from mckibben.config.fields import FilePath, Flag, Number, OneOf, Title, read_path, relative_path
-from mckibben.config.model import ConfigModel, fail_validation, located_below, parse_text, read_text
+from mckibben.config.fields import FilePath, Flag, OneOf, Title, read_number, read_path, relative_path
+from mckibben.config.model import ConfigModel, fail_validation, located_below, marks_in, parse_text, read_text
 from mckibben.errors import FileError, McKibbenError, closest, described, quoted, suggest, with_article
 from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
@@ -82,10 +82,7 @@ def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) 
         if not (partial or has_default or name in aliased or inherits):
             fields[name] = kind, ...
         elif inherits and component_field(kind) is None:
-            fields[name] = (
-                Annotated[kind | None, BeforeValidator(lambda value: None if value == "none" else value)],
-                None,
-            )
+            fields[name] = Annotated[kind | None, _NONE], None
         else:
             fields[name] = kind | None, None
     fields |= {alias: (types[names[0]] | None, None) for alias, names in aliases.items()}
@@ -108,7 +105,7 @@ def field_types(runtime: type, units: Units = Units()) -> dict[str, Any]:  # noq
         kind = _type_in_files(hints.get(name), units)
         if kind is None and hints.get(name) is float:
             unit_of = getattr(runtime, "unit_of", lambda _: None)
-            kind = Annotated[float, unit_of(name) or Number()]
+            kind = Annotated[float, unit_of(name) or BeforeValidator(read_number)]
         if kind is not None:
             types[name] = kind
     return types
@@ -126,24 +123,15 @@ def symbolic_fields(kind: type) -> list[str]:
     return [name for name in declared_fields(kind) if name in marks and marks[name].unit in SYMBOLS]
 
 
-def component_field(annotation: Any) -> ComponentField | None:
+def component_field(annotation: object) -> ComponentField | None:
     """Return the mark of a field that holds a component, or a list of them."""
-    own = getattr(annotation, "__metadata__", ())
-    marks = (*own, *(mark for part in get_args(annotation) for mark in _marks(part)))
-    return next((mark for mark in marks if isinstance(mark, ComponentField)), None)
+    return next(marks_in(annotation, ComponentField), None)
 
 
 @functools.cache
 def inherited_from(runtime: type, name: str) -> Inherited | None:
     """Return the mark of a field that takes its value from the scope if a file leaves it out."""
-    return next((mark for mark in _marks(field_hints(runtime)[name]) if isinstance(mark, Inherited)), None)
-
-
-def _marks(hint: Any) -> tuple[Any, ...]:
-    """Marks of a type, also of an optional one."""
-    own = getattr(hint, "__metadata__", ())
-    union = get_args(hint) if get_origin(hint) in (Union, UnionType) else ()
-    return (*own, *(mark for part in union for mark in _marks(part)))
+    return next(marks_in(field_hints(runtime)[name], Inherited), None)
 
 
 def _type_in_files(hint: Any, units: Units) -> Any:

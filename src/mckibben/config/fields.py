@@ -6,7 +6,7 @@ import math
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BeforeValidator, GetCoreSchemaHandler, PlainSerializer, SerializationInfo, ValidationInfo
 from pydantic_core import core_schema
@@ -15,33 +15,18 @@ from mckibben.config.model import fail_validation
 from mckibben.errors import quoted, suggest
 from mckibben.units import NUMBER
 
-_NOT_FINITE = {".nan": math.nan, ".inf": math.inf, "+.inf": math.inf, "-.inf": -math.inf}
+
+def read_number(value: object) -> float:
+    """A finite number, whose unit is given elsewhere."""
+    number = float(value) if isinstance(value, str) and NUMBER.fullmatch(value.strip()) else value
+    if not isinstance(number, int | float) or isinstance(number, bool):
+        fail_validation(f"{quoted(value)} is not a number", "write it like 12.5", value=value)
+    if not math.isfinite(number):
+        fail_validation(f"{quoted(value)} is not finite", "give a finite number", value=number)
+    return float(number)
 
 
-@dataclass(frozen=True)
-class Number:
-    """Marks a plain number, whose unit is given elsewhere; `infinite` and `nan` allow these values."""
-
-    infinite: bool = False
-    nan: bool = False
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-        return core_schema.no_info_before_validator_function(self.read, handler(source))
-
-    def read(self, value: Any) -> float:
-        """The number, checked."""
-        number = value
-        if isinstance(value, str):
-            text = value.strip().lower()
-            number = float(text) if NUMBER.fullmatch(text) else _NOT_FINITE.get(text)
-        if not isinstance(number, int | float) or isinstance(number, bool):
-            fail_validation(f"{quoted(value)} is not a number", "write it like 12.5", value=value)
-        if not (math.isfinite(number) or (self.nan if math.isnan(number) else self.infinite)):
-            fail_validation(f"{quoted(value)} is not finite", "give a finite number", value=number)
-        return float(number)
-
-
-def read_flag(value: Any) -> bool:
+def read_flag(value: object) -> bool:
     """True or false."""
     if not isinstance(value, bool) and value not in ("true", "false"):
         fail_validation(f"{quoted(value)} is neither true nor false", "write true or false")
@@ -54,17 +39,17 @@ class OneOf:
 
     words: tuple[str, ...]
 
-    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         return core_schema.no_info_before_validator_function(self.read, handler(source))
 
-    def read(self, value: Any) -> str:
+    def read(self, value: object) -> str:
         """The word, checked."""
         if value not in self.words:
             fail_validation(f"{quoted(value)} is none of {', '.join(self.words)}", suggest(str(value), self.words))
         return value
 
 
-def read_path(value: Any, info: ValidationInfo, ending: str) -> Path:
+def read_path(value: object, info: ValidationInfo, ending: str) -> Path:
     """The absolute path of a file that exists; text is relative to the folder of the configuration file."""
     folder = (info.context or {}).get("folder") or Path()
     if not isinstance(value, str | Path) or not str(value):
@@ -97,7 +82,7 @@ def relative_path(path: Path, folder: Path) -> str:
         return path.as_posix()
 
 
-def read_title(value: Any) -> str:
+def read_title(value: object) -> str:
     """One line of text."""
     if not isinstance(value, str) or not value.strip():
         fail_validation(f"{quoted(value)} is not a name", "name it in a few words")

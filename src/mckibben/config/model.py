@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, Self, TypeVar, get_args, get_origin
+from typing import Any, ClassVar, NoReturn, Protocol, Self, TypeVar, get_args, get_origin, runtime_checkable
 
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 from pydantic_core import ErrorDetails
@@ -138,12 +138,12 @@ def fail_validation(
     raise _ValidationError(message, remedy=remedy, parent=parent, follows=follows, value=value, field=field)
 
 
-def with_changes(content: Any, section: Mapping[str, Any]) -> Any:
+def with_changes(content: object, section: Mapping[str, object]) -> object:
     """Content to which a section's ``from`` refers, with the section's other keys."""
     return _merged(_with_tuples(content), {key: field for key, field in section.items() if key != "from"})
 
 
-def _with_tuples(content: Any) -> Any:
+def _with_tuples(content: object) -> object:
     """Tuples in place of lists, as documents are read."""
     if isinstance(content, dict):
         return {key: _with_tuples(field) for key, field in content.items()}
@@ -198,6 +198,7 @@ def located_below(error: ValidationError, place: Place, *, shorthand: bool = Fal
 
 
 P = TypeVar("P", bound=ConfigModel)
+M = TypeVar("M")
 
 
 def parse_model(
@@ -217,7 +218,7 @@ def parse_text(
     text: str,
     *,
     source: str,
-    context: Mapping[str, Any],
+    context: Mapping[str, object],
     key: str = "",
 ) -> tuple[Any, Document]:
     """Validate YAML text, or its section under a key, with a pydantic validator; errors as for `parse_model`."""
@@ -252,7 +253,7 @@ _KINDS = (
 """Keys that only one kind of file has, what it is, and what reads it."""
 
 
-def kind_of(data: Any, known: Collection[str] = ()) -> str:
+def kind_of(data: object, known: Collection[str] = ()) -> str:
     """Return what a file with this data is, and what reads it; empty if it may be of the kind with the `known` keys."""
     keys = {*data} if isinstance(data, dict) else set()
     return next((what for marks, what in _KINDS if marks <= keys and not marks <= {*known}), "")
@@ -375,8 +376,8 @@ def _model_at(place: Place, document: Document, model: type[BaseModel]) -> type[
             if key not in fields:
                 return None
             annotation, marks = fields[key].annotation, fields[key].metadata
-        for mark in (*marks, *_marks_in(annotation)):
-            if hasattr(mark, "model_for"):
+        for mark in (*marks, *marks_in(annotation, ModelMark)):
+            if isinstance(mark, ModelMark):
                 annotation = mark.model_for(value) or annotation
     return None if get_origin(annotation) is dict else model_in(annotation)
 
@@ -392,10 +393,21 @@ def _keys_of(model: type[BaseModel] | None) -> list[str]:
     return list(fields_by_key(model)) if model else []
 
 
-def _marks_in(annotation: object) -> tuple[object, ...]:
-    """The marks of ``Annotated[Model, mark]`` in an annotation such as ``Annotated[Model, mark] | None``."""
-    own = getattr(annotation, "__metadata__", ())
-    return (*own, *(mark for part in get_args(annotation) for mark in getattr(part, "__metadata__", ())))
+@runtime_checkable
+class ModelMark(Protocol):
+    """Mark of a field whose model depends on its content."""
+
+    def model_for(self, value: object) -> type[BaseModel] | None:
+        """Return the model of a value of the field, for messages; None if it does not select one."""
+
+
+def marks_in(hint: object, kind: type[M]) -> Iterator[M]:
+    """Yield the marks of a class in a type such as ``Annotated[float, Mark] | None``, or in its parts."""
+    for part in (*getattr(hint, "__metadata__", ()), *get_args(hint)):
+        if isinstance(part, kind):
+            yield part
+        else:
+            yield from marks_in(part, kind)
 
 
 def model_in(annotation: object) -> type[BaseModel] | None:

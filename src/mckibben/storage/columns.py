@@ -53,10 +53,13 @@ def read_columns(
     if problems:
         raise ScenarioError(str(path), problems)
     rows = pd.DataFrame(numbers)[table.notna().any(axis=1)]
-    incomplete = ~np.isfinite(rows).all(axis=1)
-    complete = rows[~incomplete]
+    whole = np.isfinite(rows.to_numpy(float)).all(axis=1)
+    complete = rows[whole]
     behind = complete.index[complete["time"] <= complete["time"].cummax().shift()]
-    problems = [Problem(f"does not hold {len(units)} finite numbers", line + 2) for line in rows.index[incomplete]]
+    problems = [
+        Problem(f"does not hold {len(units)} finite numbers", line + 2)
+        for line in rows.index.to_numpy()[~whole].tolist()
+    ]
     problems += [Problem("the time does not rise", line + 2, remedy="sort the rows") for line in behind]
     if rows.empty:
         problems.append(Problem("holds no samples"))
