@@ -94,7 +94,7 @@ def ranked(ranking: Ranking, source: Source) -> Report:
     def write(folder: Path) -> None:
         for entry in ranking.entries:
             if entry.fit:
-                entry.fit.to_yaml(make_folder(folder, "fits") / f"{entry.law}.yaml")
+                entry.fit.to_yaml(make_folder(folder / "fits") / f"{entry.law}.yaml")
         best = ranking.best.fit
         assert best is not None
         source.write(folder, best)
