@@ -254,10 +254,11 @@ def to_text(data: Mapping[str, object], *, width: int = 100) -> str:
 def _node(value: object, place: Place, width: int) -> object:
     """Return a value as it is dumped: scalars as text, mappings and lists of scalars on one line if they fit."""
     from ruamel.yaml.comments import CommentedMap, CommentedSeq
+    from ruamel.yaml.scalarstring import SingleQuotedScalarString
 
     if isinstance(value, dict):
         items = {str(key): item for key, item in value.items() if item is not None}
-        node = CommentedMap({key: _node(item, (*place, key), width) for key, item in items.items()})
+        node = CommentedMap({_node(key, (), width): _node(item, (*place, key), width) for key, item in items.items()})
         nested = len(place) == 1 and any(isinstance(item, dict) for item in items.values())
         size = 2 * len(place) + len(f"{place[-1:]}{items}".replace("'", ""))
         is_block = nested or size > width or _has_rows(value) or place[-1:] in ((), ("",))
@@ -266,7 +267,7 @@ def _node(value: object, place: Place, width: int) -> object:
         node = CommentedSeq([_node(item, (*place, ""), width) for item in value])
         is_flow = not _has_rows(value)
     elif isinstance(value, str):
-        return value
+        return SingleQuotedScalarString(value) if value[:1] in ("?", ":") else value  # ruamel cannot read [?0]
     else:
         text = repr(value)
         return {"True": "true", "False": "false", "nan": ".nan", "inf": ".inf", "-inf": "-.inf"}.get(text, text)
