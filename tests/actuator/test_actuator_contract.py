@@ -96,10 +96,3 @@ def test_a_plant_with_it_is_deterministic_and_keeps_its_state(valve):
     if valve in SECOND:
         alone = valve.after(2e5, 0.0, 3e5, 0.01)
         np.testing.assert_allclose((first.pressures[0], first.air.valves[0]), alone, rtol=1e-10)
-
-
-@pytest.mark.parametrize(("error", "rate"), [(1e4, 5e5), (-1e4, -5e5), (2e5, 2e6), (-2e5, -2e6), (0.0, 0.0)])
-def test_the_rate_of_a_first_order_valve_is_that_of_its_lag_up_to_the_limit(error, rate):
-    valve = FirstOrderValve(0.02, rate=2e6)
-    (found,), _ = valve.rates((jnp.asarray(3e5),), (), (3e5 + error,), tuple)
-    assert float(found) == pytest.approx(rate, rel=1e-12, abs=1e-9)

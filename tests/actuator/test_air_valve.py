@@ -219,9 +219,3 @@ def test_the_time_constant_is_the_mean_of_filling_and_venting_by_a_small_error()
     assert min(rates) > 0
     wanted = 0.02 + (1 / rates[0] + 1 / rates[1]) / 2
     assert float(valve.time_constant_at(pressure, volume)) == pytest.approx(wanted, rel=1e-6)
-
-
-def test_direct_commands_are_openings():
-    valve = FlowValve(C, 7e5, spool_lag=0.002, direct=True)
-    assert float(valve.clip_command(3.0, None)) == 1.0
-    assert float(valve.rate(jnp.asarray(0.0), 0.5, 3e5)) == pytest.approx(250.0)

@@ -10,7 +10,6 @@ from mckibben.errors import RangeError
 from mckibben.joint import KneeGeometry
 
 arms_of = jax.jit(lambda h, r, c, angle: KneeGeometry(h, r, c).moment_arms(angle))
-lengths_of = jax.jit(lambda h, r, c, angle: KneeGeometry(h, r, c).path_lengths(angle))
 
 
 def test_equation_4_by_hand(as_printed):

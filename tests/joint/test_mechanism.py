@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mckibben.joint import Cam, PairedPaths, Pulley
-from mckibben.joint.mechanism import Mechanism, Strand
+from mckibben.joint.mechanism import Mechanism
 from mckibben.units import mm
 
 PULLEYS = PairedPaths(Pulley(30 * mm, 162 * mm), Pulley(25 * mm, 160 * mm))
@@ -39,14 +39,6 @@ def test_muscles_pull_along_the_fixed_limb_at_the_distance_of_their_moment_arms(
         np.testing.assert_allclose(along, -mechanism.up, atol=1e-12)
         across = mechanism.up[1] * strand.end[0] - mechanism.up[0] * strand.end[1]
         assert across == pytest.approx(side * arm, rel=1e-4)
-
-
-def test_a_muscle_is_in_the_middle_of_its_strand_or_at_the_fixed_end_above_a_cam():
-    start, end, wrap = np.array([0.1, 0.5]), np.array([0.1, 0.2]), np.array([[0.1, 0.2], [0.09, 0.18]])
-    upper, lower = Strand(start, end, wrap[:0]).body(0.18)
-    np.testing.assert_allclose([upper, lower], [[0.1, 0.44], [0.1, 0.26]])
-    upper, lower = Strand(start, end, wrap).body(0.18)
-    np.testing.assert_allclose([upper, lower], [[0.1, 0.5], [0.1, 0.32]])
 
 
 def test_straight_part_and_wrap_lengthen_as_the_path_does():

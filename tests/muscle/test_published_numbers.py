@@ -52,19 +52,6 @@ def test_equation_1_by_hand():
     assert float(law.slope(0.1, 3 * bar)) == pytest.approx(-3e5 * area * 2 * beta1 * 0.9, rel=1e-13)
 
 
-def test_equation_1_has_no_force_without_pressure_and_none_at_36_percent():
-    law = ChouLaw(braid_angle=25 * deg, initial_diameter=10 * mm)
-    assert float(law.force(0.1, 0.0)) == 0.0
-    assert law.zero_force_contraction == pytest.approx(0.36, abs=0.005)
-    assert float(law.force(law.zero_force_contraction, 6 * bar)) == pytest.approx(0.0, abs=1e-10)
-
-
-def test_equation_1_of_a_specimen_is_that_of_its_geometry(specimen):
-    law = ChouLaw.of(specimen)
-    assert (law.braid_angle, law.initial_diameter) == (pytest.approx(25 * deg), pytest.approx(0.01))
-    assert law.domain is specimen.domain
-
-
 @pytest.mark.parametrize("contraction", [-0.03, 0.0, 0.1, 0.2, 0.35])
 def test_equation_1_is_the_virtual_work_of_the_braid(specimen, contraction):
     pressure, step = 4 * bar, 1e-6
@@ -88,7 +75,3 @@ def test_a_braid_angle_from_which_a_muscle_extends_is_refused():
     with pytest.raises(RangeError) as refused:
         ChouLaw(braid_angle=66 * deg, initial_diameter=10 * mm)
     assert refused.value.field == "braid_angle" and refused.value.upper == pytest.approx(54.7 * deg, abs=1e-3)
-
-
-def test_equation_3_crosses_zero_at_23_4_percent_for_6_bar(law):
-    assert float(law.force(23.35 * percent, 6 * bar)) > 0 > float(law.force(23.45 * percent, 6 * bar))

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from mckibben.errors import RangeError
 from mckibben.muscle import ThresholdLaw
 from mckibben.units import bar
 
@@ -50,9 +49,3 @@ def test_a_joint_with_it_has_a_stiffness_and_pressures_for_a_state(knee, late):
     np.testing.assert_allclose(
         joint.torque_and_stiffness(0.1, (3e5, 4e5)), knee.torque_and_stiffness(0.1, shifted), rtol=1e-12
     )
-
-
-@pytest.mark.parametrize("fields", [{"threshold": 0.0}, {"threshold": 4e4, "smoothness": 0.0}])
-def test_numbers_without_meaning_are_refused(law, fields):
-    with pytest.raises(RangeError):
-        ThresholdLaw(law=law, **fields)

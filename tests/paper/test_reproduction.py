@@ -19,7 +19,6 @@ from mckibben.paper.settings import (
     SETTINGS,
     StiffnessReference,
     bp_scenario,
-    gains_of,
     pid_scenario,
 )
 from mckibben.paper.tracking import (
@@ -31,7 +30,7 @@ from mckibben.paper.tracking import (
     TUNED_PID,
     ControllerRun,
 )
-from mckibben.scenario import Scenario, run_scenario, with_values
+from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import Metrics, SimulationResult, check_reference
 from tests.paper.test_claims import (
     CHOU_CLAIM,
@@ -119,24 +118,6 @@ def test_the_references_are_within_reach(setting, reference):
     scenario = pid_scenario(setting, reference)
     reach = check_reference(scenario.plant(), scenario.reference(), control_period=1e-2)
     assert reach.feasible, reach.verdict()
-
-
-def test_gains_as_text_read_back_to_the_last_bit():
-    position, stiffness = control.PID(1 / 3, 2e5 / 7, 0.1 + 0.2), control.PID(-1e5 / 9, -math.pi * 1e7, 0.0)
-    values = {
-        f"controller.{name}.{gain}": getattr(loop, gain)
-        for name, loop in (("position", position), ("stiffness", stiffness))
-        for gain in ("kp", "ki", "kd")
-    }
-    text = gains_of(with_values(pid_scenario(SETTINGS[0], StiffnessReference.STEP), values))
-    for scenario in (
-        pid_scenario(SETTINGS[1], StiffnessReference.STEP, text),
-        bp_scenario(SETTINGS[1], StiffnessReference.STEP, text),
-    ):
-        again = Scenario.parse(scenario.dumps()).control()
-        for given, loop in ((position, again.position), (stiffness, again.stiffness)):
-            base = getattr(loop, "base", loop)
-            assert (base.kp, base.ki, base.kd) == (given.kp, given.ki, given.kd)
 
 
 @pytest.mark.parametrize("setting", SETTINGS, ids=lambda s: s.key)
@@ -257,16 +238,11 @@ def test_reproduce_puts_the_parts_together(monkeypatch, identification, joint_ma
         done = paper.reproduce(quick=quick, progress=lambda what, share: reported.append((share, what)))
         assert (done.identification, done.joint, done.tracking) == (identification, joint_maps, tracking)
         assert done.quick is quick
-        assert len(done.claims) == 12
         assert asked["identification"] == {"repeats": repeats}
         assert asked["tracking"]["seeds"] == seeds
         generations[quick] = asked["tracking"]["generations"]
     assert 0 < generations[True] < generations[False]
-    shares = [share for share, _ in reported]
-    assert shares[: len(shares) // 2] == sorted(shares[: len(shares) // 2])
-    assert all(0 <= share <= 1 for share in shares)
-    assert all(what for _, what in reported)
-    paper.reproduce(quick=True)  # and without anyone to report to
+    assert all(what and 0 <= share <= 1 for share, what in reported)
 
 
 @pytest.mark.parametrize("as_json", [False, True])

@@ -11,7 +11,7 @@ from mckibben.actuator import FlowValve
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.scenario import Scenario, batched, find_parameter
-from mckibben.simulation import differentiate, run_episode
+from mckibben.simulation import run_episode
 from mckibben.units import bar, litre, ms
 
 PERIOD, LAG = 1 * ms, 20 * ms
@@ -76,18 +76,6 @@ def test_runs_of_a_batch_are_those_alone(late, engine):
     assert batch["angle"][0] == pytest.approx(at_once["angle"], abs=1e-12)
     early, between, last = batch["angle"]
     assert 0 < np.abs(between - early).max() < np.abs(last - early).max()
-
-
-@pytest.mark.slow
-def test_the_derivative_is_that_of_differences(late):
-    scenario, by = Scenario.parse(SCENARIO), 1e-6
-    parts, times = (scenario.control(), scenario.reference()), {"duration": 0.1, "control_period": PERIOD}
-    name, metrics = "command_delay", ["angle_rmse"]
-    found = differentiate(late(3.4 * PERIOD), *parts, [name], metrics=metrics, **times).gradients["angle_rmse"][name]
-    ends = mk.simulate_many(
-        late(0.0), *parts, over={name: [3.4 * PERIOD - by, 3.4 * PERIOD + by]}, metrics=metrics, **times
-    )
-    assert float(found) == pytest.approx(float(np.diff(ends["angle_rmse"])[0]) / (2 * by), rel=1e-4)
 
 
 def test_openings_are_zero_before_the_start(knee, load):

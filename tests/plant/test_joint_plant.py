@@ -66,15 +66,6 @@ def test_the_rate_is_equation_6(plant, paper_precontracted):
     assert float(got.velocity) == pytest.approx(expected, rel=1e-11)
 
 
-def test_commands_beyond_the_rating_of_the_muscles_are_limited(plant):
-    assert [float(c) for c in plant.clip_commands((-1e5, 9e5))] == [0.0, 8e5]
-    assert [float(c) for c in plant.clip_commands((0.0, 7e5))] == [
-        0.0,
-        7e5,
-    ]  # above the law's 6 bar
-    assert [float(c) for c in plant.clip_commands((1e5, 5e5))] == [1e5, 5e5]
-
-
 def test_its_stiffness_is_that_of_the_muscles_and_gravity(plant):
     pressures = (3e5, 4e5)
     added = float(plant.stiffness(0.1, pressures) - plant.joint.stiffness(0.1, pressures))

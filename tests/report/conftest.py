@@ -11,7 +11,6 @@ from mckibben.paper import Reproduction
 from mckibben.paper.claims import evaluate_claims
 from mckibben.paper.identification import run_identification, run_joint
 from mckibben.paper.settings import SETTINGS, StiffnessReference, bp_scenario, gains_of, pid_scenario
-from mckibben.paper.settings import doubled as double
 from mckibben.paper.tracking import (
     BP,
     DOUBLED_PID,
@@ -87,8 +86,9 @@ def reproduction():
         )
         coupling[setting.key] = Coupling(1e-3, 0.1, 1e-14)
         gains = gains_of(found)
+        double = {name: 2 * gain if "position" in name else gain for name, gain in gains_of(moderate).items()}
         for wish in StiffnessReference:
-            for name, given in ((PID, None), (DOUBLED_PID, double(setting.moderate)), (TUNED_PID, gains)):
+            for name, given in ((PID, None), (DOUBLED_PID, double), (TUNED_PID, gains)):
                 scenario = pid_scenario(setting, wish, given, name=name)
                 runs[setting.key, wish, name] = ControllerRun(scenario, run_scenario(scenario), None)
             for name, given, ratio in ((BP, None, 2.0), (TUNED_BP, gains, 1.1), (FREE_TUNED_BP, gains, 2.0)):

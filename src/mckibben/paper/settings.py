@@ -7,11 +7,11 @@ each setting comes in two geometries.
 from __future__ import annotations
 
 import enum
-import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from mckibben.scenario import Scenario
+from mckibben.scenario import Scenario, with_values
 
 
 class StiffnessReference(enum.Enum):
@@ -91,39 +91,40 @@ FREE, BOUND = 2.0, 1.1
 """Factor by which BP may change the gains: moderate gains, and tuned gains close to the stability limit."""
 
 
-def doubled(gains: Gains) -> Gains:
-    """Twice the gains of the position loop."""
-    return Gains(re.sub(r": (\S+)", lambda gain: f": {2 * float(gain[1]):g}", gains.position), gains.stiffness)
-
-
 def pid_scenario(
-    setting: Setting, reference: StiffnessReference, gains: Gains | None = None, *, name: str = "PID"
+    setting: Setting, reference: StiffnessReference, gains: Mapping[str, float] | None = None, *, name: str = "PID"
 ) -> Scenario:
-    """Scenario of a PID run; default: moderate gains."""
-    gains = gains or setting.moderate
-    return _scenario(setting, reference, name, f"{{{gains.position}}}", f"{{{gains.stiffness}}}")
+    """Scenario of a PID run with gains as of `gains_of`; default: moderate gains."""
+    base = setting.moderate
+    scenario = _scenario(setting, reference, name, f"{{{base.position}}}", f"{{{base.stiffness}}}")
+    return _with_gains(scenario, gains)
 
 
 def bp_scenario(
     setting: Setting,
     reference: StiffnessReference,
-    gains: Gains | None = None,
+    gains: Mapping[str, float] | None = None,
     *,
     gain_ratio: float = FREE,
     name: str = "BP",
 ) -> Scenario:
     """Scenario of a BP run with the same base gains."""
-    gains = gains or setting.moderate
     learning = f"{LEARNING}, gain_ratio: {gain_ratio}, seed: 0"
     position = (
-        f"{{class: backprop, base: {{{gains.position}}}, {learning}, signal_scale: {setting.amplitude}, "
+        f"{{class: backprop, base: {{{setting.moderate.position}}}, {learning}, signal_scale: {setting.amplitude}, "
         f"error_scale: {setting.angle_scale}, output_scale: {setting.rates[0]}}}"
     )
     stiffness = (
-        f"{{class: backprop, base: {{{gains.stiffness}}}, {learning}, signal_scale: {setting.constant}, "
+        f"{{class: backprop, base: {{{setting.moderate.stiffness}}}, {learning}, signal_scale: {setting.constant}, "
         f"error_scale: {setting.stiffness_scale}, output_scale: {setting.rates[1]}}}"
     )
-    return _scenario(setting, reference, name, position, stiffness)
+    return _with_gains(_scenario(setting, reference, name, position, stiffness), gains, ".base.")
+
+
+def _with_gains(scenario: Scenario, gains: Mapping[str, float] | None, within: str = ".") -> Scenario:
+    """Scenario with other gains; those of BP are fields `within` its loops."""
+    named = {f"controller.{name.replace('.', within)}": gain for name, gain in (gains or {}).items()}
+    return with_values(scenario, named) if named else scenario
 
 
 def _scenario(setting: Setting, reference: StiffnessReference, name: str, position: str, stiffness: str) -> Scenario:
@@ -155,16 +156,11 @@ substeps: 4
     )
 
 
-def gains_of(scenario: Scenario) -> Gains:
-    """Gains of a PID scenario, as text that parses back to the last bit."""
+def gains_of(scenario: Scenario) -> dict[str, float]:
+    """Gains of a PID scenario in SI, by loop and gain, such as "position.kp"."""
     control: Any = scenario.control()
-    position, stiffness = control.position, control.stiffness
-
-    def text(loop: Any, *units: str) -> str:
-        gains = zip(("kp", "ki", "kd"), units, strict=True)
-        return ", ".join(f"{name}: {float(getattr(loop, name))!r} {unit}" for name, unit in gains)
-
-    return Gains(
-        position=text(position, "Pa/rad", "Pa/(rad*s)", "Pa*s/rad"),
-        stiffness=text(stiffness, "Pa/(N*m/rad)", "Pa*rad/(N*m*s)", "Pa*s/(N*m/rad)"),
-    )
+    return {
+        f"{loop}.{gain}": float(getattr(getattr(control, loop), gain))
+        for loop in ("position", "stiffness")
+        for gain in ("kp", "ki", "kd")
+    }

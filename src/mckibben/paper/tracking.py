@@ -20,7 +20,6 @@ from mckibben.paper.settings import (
     Setting,
     StiffnessReference,
     bp_scenario,
-    doubled,
     gains_of,
     pid_scenario,
 )
@@ -117,7 +116,9 @@ def _moderate_runs(seeds: int) -> _Runs:
         for reference in StiffnessReference:
             runs[setting.key, reference, PID] = _run_pid(pid_scenario(setting, reference))
             runs[setting.key, reference, BP] = _run_bp(bp_scenario(setting, reference), seeds)
-            base = pid_scenario(setting, reference, doubled(setting.moderate), name=DOUBLED_PID)
+            moderate = gains_of(pid_scenario(setting, reference))
+            doubled = {name: 2 * gain if name.startswith("position") else gain for name, gain in moderate.items()}
+            base = pid_scenario(setting, reference, doubled, name=DOUBLED_PID)
             runs[setting.key, reference, DOUBLED_PID] = _run_pid(base)
     return runs
 
