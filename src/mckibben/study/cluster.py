@@ -18,7 +18,13 @@ if TYPE_CHECKING:
 
 
 def check_cluster(address: str) -> None:
-    """Raise `ParameterError` unless dask is installed and the address has a valid form."""
+    """Check that dask is installed, and that an address has a valid form.
+
+    Raises
+    ------
+    ParameterError
+        If it is not an address such as tcp://host:8786, or the package `distributed` is missing.
+    """
     if "://" not in address:
         message, remedy = f"{address!r} is not a dask cluster", "give an address like tcp://host:8786"
         raise ParameterError(message, value=address, remedy=remedy)
@@ -35,7 +41,24 @@ def compute_on_cluster(
     keep: Callable[[int, Table], None],
     address: str,
 ) -> Iterator[int]:
-    """Compute blocks by workers, and keep them here; yield their numbers. dask replaces workers that die."""
+    """Compute blocks by workers, and keep them here; yield their numbers. dask replaces workers that die.
+
+    Parameters
+    ----------
+    compute
+        Function of a block that returns its records; it is sent to the workers.
+    blocks
+        Rows to compute, by the numbers of their blocks.
+    keep
+        Called in this process with the number of a block and its records.
+    address
+        Address of the scheduler.
+
+    Raises
+    ------
+    SimulationError
+        If the scheduler does not answer, the connection is lost, or workers die repeatedly.
+    """
     from distributed import CancelledError, as_completed
     from distributed.comm.core import CommClosedError
     from distributed.scheduler import KilledWorker

@@ -20,7 +20,27 @@ if TYPE_CHECKING:
 
 
 def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> IsobaricDataset:
-    """A dataset of the catalog, or files of measurements, read by the recipe."""
+    """Return a dataset of the catalog, or of files of measurements.
+
+    Parameters
+    ----------
+    names
+        Name of an entry, or paths of files that are joined; a file comes before an entry of the same name.
+    recipe
+        How files are read. Default: by their headings.
+
+    Raises
+    ------
+    NotInCatalogError
+        If there is neither a file nor an entry of a name, or an entry is given with a recipe or with other files.
+    FileError
+        If a file cannot be read.
+
+    Examples
+    --------
+    >>> len(data_named("festo-tool-10mm"))
+    120
+    """
     from mckibben.dataset import Recipe, read_dataset
     from mckibben.dataset.reading import check_points
 
@@ -48,7 +68,27 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
 
 
 def law_named(name: str, *, specimen: str = "") -> ForceLaw:
-    """A published parameter set, Chou's law of a specimen ("chou"), or the law of a file of a fit or a muscle."""
+    """Return a force law by its name or file.
+
+    Parameters
+    ----------
+    name
+        Published parameter set of the catalog, "chou", or a YAML file of a fit or a muscle.
+    specimen
+        Specimen whose braid angle and diameter Chou's law takes; name or file.
+
+    Raises
+    ------
+    NotInCatalogError
+        If there is no such law or specimen, or "chou" lacks one.
+    FileError, ScenarioError
+        If a file cannot be read, or has mistakes.
+
+    Examples
+    --------
+    >>> round(float(law_named("lei-mas-10-180n").force(0.0, 6e5)), 2)
+    584.72
+    """
     from mckibben.identification import read_law
     from mckibben.muscle import ChouLaw, Muscle
 
@@ -69,7 +109,10 @@ def law_named(name: str, *, specimen: str = "") -> ForceLaw:
 
 
 def specimen_named(name: str) -> Specimen:
-    """A specimen of the catalog, or from a file of a specimen or muscle."""
+    """Return a specimen of the catalog, or that of a file of a specimen or muscle.
+
+    Raises `NotInCatalogError` if there is none of that name, `FileError` or `ScenarioError` for a file.
+    """
     if Path(name).suffix not in (".yaml", ".yml"):
         return catalog.specimen(name)
     from mckibben.scenario import read_specimen
@@ -78,7 +121,13 @@ def specimen_named(name: str) -> Specimen:
 
 
 def law_type_named(name: str) -> type[ForceLaw]:
-    """A kind of law by its name, in any case, with or without "Law" and hyphens."""
+    """Return a class of force laws by its name, in any case, with or without "Law" and hyphens.
+
+    Raises `NotInCatalogError` with the closest name if there is none, also not among installed extensions.
+
+    >>> law_type_named("Tondu-Lopez").__name__
+    'TonduLopezLaw'
+    """
     from mckibben.component.extensions import load_installed
     from mckibben.identification.storage import law_types
 
@@ -100,7 +149,10 @@ def _plain(name: str) -> str:
 
 
 def joint_named(name: str) -> AntagonisticJoint:
-    """A joint of the catalog, or that of a scenario file."""
+    """Return a joint of the catalog, or that of a scenario file.
+
+    Raises `NotInCatalogError` if there is none of that name, `FileError` or `ScenarioError` for a file.
+    """
     if Path(name).suffix in (".yaml", ".yml"):
         from mckibben.scenario import Scenario
 

@@ -23,7 +23,11 @@ _STATES = {"angle": "plant.angle", "velocity": "plant.velocity"}
 
 @dataclass(frozen=True, eq=False)
 class LinearSystem:
-    """Deviations from an operating point over a control period, in SI: x' = A x + B u, y = C x + D u."""
+    """Deviations from an operating point over a control period, in SI: x' = A x + B u, y = C x + D u.
+
+    For n states, 2 inputs and 4 outputs, `a` has shape (n, n), `b` (n, 2), `c` (4, n) and `d` (4, 2). The closed loop
+    is stable if all poles but those of integrators without effect have a modulus below 1.
+    """
 
     a: Floats
     b: Floats

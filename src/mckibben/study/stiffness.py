@@ -86,9 +86,33 @@ class StiffnessTests(Result):
 def stiffness_tests(
     scenario: Scenario, amplitudes: ArrayLike, rates: ArrayLike, *, progress: Progress | None = None
 ) -> StiffnessTests:
-    """Hold the first setpoint of a scenario for 2 s, and test the stiffness over amplitudes [rad] and rates [Hz].
+    """Hold the first setpoint of a scenario for 2 s, and test the stiffness over amplitudes and rates of a motion.
 
-    Raises `RangeError` for one that is not positive or too high, `SimulationError` if the plant needs more substeps.
+    The tests are simulated with constant pressures (ideal valves), with closed valves, with constant commands if the
+    valves hold air, and with the controller active.
+
+    Parameters
+    ----------
+    scenario
+        Plant, controller and reference.
+    amplitudes
+        Amplitudes of the imposed motion [rad], shape (n,).
+    rates
+        Frequencies of the imposed motion [Hz], shape (m,).
+    progress
+        Called with the current step and the completed fraction, 0 to 1.
+
+    Returns
+    -------
+    StiffnessTests
+        Stiffness and loss [N*m/rad] of each test, shape (m, n), and the closed forms.
+
+    Raises
+    ------
+    RangeError
+        If an amplitude or rate is not positive, or too high.
+    SimulationError
+        If the plant needs more substeps.
     """
     report = progress or silent
     plant, controller = scenario.plant(), scenario.control()

@@ -30,7 +30,10 @@ class InterruptedStudy(KeyboardInterrupt):
 
 
 class Records(NamedTuple):
-    """Rows of a study and what was computed of them; `computed` rows come from this call, the others were kept."""
+    """Rows of a study and what was computed of them, arrays of shape (rows,) by name.
+
+    `computed` rows come from this call, the others were kept.
+    """
 
     rows: Table
     columns: Table
@@ -64,7 +67,11 @@ class Study(abc.ABC):
 
     @abc.abstractmethod
     def about(self) -> dict[str, object]:
-        """Return all that determines the records, for JSON."""
+        """Return all that determines the records, for JSON.
+
+        A study in a folder is continued if these settings are the same; those whose names begin with "digest of " are
+        reported if no other differs.
+        """
 
     @abc.abstractmethod
     def rows(self) -> Table:
@@ -72,7 +79,7 @@ class Study(abc.ABC):
 
     @abc.abstractmethod
     def compute(self, rows: Table, /) -> Table:
-        """Return the records of some rows, in their order."""
+        """Return the records of some rows, arrays of shape (rows,) in their order."""
 
     def block_size(self) -> int:
         """Return the number of rows that are computed and kept together."""
@@ -172,14 +179,25 @@ class Study(abc.ABC):
 
 
 def listing_of(title: str, headings: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 4) -> Listing:
-    """Return a table from its rows; all columns have the same digits."""
+    """Return a table from its rows; all columns have the same digits.
+
+    >>> print(listing_of("Masses", ("load", "kg"), [("first", 0.5), ("second", 0.25)]).to_text())
+    Masses
+    load    kg
+    first   0.5
+    second  0.25
+    """
     column = Column(digits=digits)
     columns = zip(*rows, strict=True) if rows else ((),) * len(headings)
     return Listing(title, {name: (column, list(values)) for name, values in zip(headings, columns, strict=True)})
 
 
 def digest(tree: PyTree) -> str:
-    """Return a digest of the numbers of a tree, with their places."""
+    """Return a digest (SHA-256) of the numbers of a tree, with their places, types and shapes.
+
+    >>> digest({"x": 1.0}) == digest({"x": 1.0}) != digest({"y": 1.0})
+    True
+    """
     content = hashlib.sha256()
     for path, leaf in jax.tree_util.tree_leaves_with_path(tree):
         array = np.asarray(leaf)

@@ -26,7 +26,11 @@ Check = tuple[Place, Callable[[], object]]
 
 
 def filename(name: str) -> str:
-    """A name as part of a path: "Sliding mode, 2" becomes "sliding-mode-2"."""
+    """Return a name as part of a path.
+
+    >>> filename("Sliding mode, 2")
+    'sliding-mode-2'
+    """
     return re.sub(r"[^A-Za-z0-9]+", "-", name).strip("-").lower() or "controller"
 
 
@@ -35,22 +39,18 @@ def problems_of_suite(suite: Suite, document: Document) -> list[Problem]:
     problems: list[Problem] = []
     for checks in (_checks_of_names, _checks_of_settings, _checks_of_variation, _checks_of_runs):
         for place, call in checks(suite):
-            problems += _problems_at(place, document, call)
+            line, field = document.line(place), dotted(place)
+            try:
+                call()
+            except ScenarioError as error:  # of a scenario that the suite makes
+                problems += [
+                    replace(p, message=f"{p.field}: {p.message}", line=line, field=field) for p in error.problems
+                ]
+            except McKibbenError as error:
+                problems.append(Problem.of(error, line, field))
         if problems:  # the other checks need parts that are valid
             break
     return problems
-
-
-def _problems_at(place: Place, document: Document, call: Callable[[], object]) -> list[Problem]:
-    """The problems at a place of a document that a call raises, if any."""
-    line, field = document.line(place), dotted(place)
-    try:
-        call()
-    except ScenarioError as error:  # of a scenario that the suite makes
-        return [replace(p, message=f"{p.field}: {p.message}", line=line, field=field) for p in error.problems]
-    except McKibbenError as error:
-        return [Problem.of(error, line, field)]
-    return []
 
 
 def _checks_of_names(suite: Suite) -> Iterator[Check]:

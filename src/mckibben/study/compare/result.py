@@ -60,7 +60,10 @@ class CompareResult(Result):
         return sorted(self.batches, key=lambda name: float(np.median(self.cost(name))))
 
     def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, SimulationResult]]:
-        """Return the run with the first controller's median angle error, and the results of some controllers in it."""
+        """Return the run with the first controller's median angle error, and the results of some controllers in it.
+
+        The run is simulated again for each of them, over time.
+        """
         errors = self.metric(next(iter(self.batches)), "angle_rmse")
         order = np.argsort(errors)  # NaN last
         run = int(np.flatnonzero(self.started)[order[np.isfinite(errors).sum() // 2]])
@@ -73,7 +76,7 @@ class CompareResult(Result):
         return started(next(iter(self.batches.values())))
 
     def metric(self, controller: str, name: str) -> Vector:
-        """A metric [SI] of each run that started; NaN where the run diverged or ended in a limit cycle."""
+        """A metric [SI] of each run that started, shape (started runs,); NaN for a divergence or a limit cycle."""
         batch = self.batches[controller]
         return np.where(batch.usable, batch.metrics[name], np.nan)[self.started]
 
@@ -203,7 +206,16 @@ def error_table(
 ) -> Listing:
     """Return a table over the runs of all results: errors, ratios to the first controller as tuned, air, failed runs.
 
-    A controller that one of the results lacks is left out.
+    Parameters
+    ----------
+    title
+        Heading.
+    results
+        Results whose runs are pooled; a controller that one of them lacks is left out.
+    tuned
+        Results on the same runs that have the first controller as tuned.
+    names
+        Controllers, in the order of the rows.
     """
 
     def spread(name: str, metric: str) -> tuple[float | None, float | None]:

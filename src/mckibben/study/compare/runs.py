@@ -48,7 +48,10 @@ class Group:
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """Runs of a suite."""
+    """Runs of a suite, the same for all controllers; `draw` makes them.
+
+    Parameters that vary are arrays over the runs, and `groups` batches the runs of each joint.
+    """
 
     suite: Suite
     joint: Sequence[str]  # names, of each run
@@ -90,8 +93,21 @@ def draw(suite: Suite, count: int, seed: int) -> Runs:
     Joints and references occur in their shares, in random order; parameters are scrambled Sobol points of their ranges.
     If the suite has sensors, each run has its own noise seed.
 
-    Raises `ParameterError` if the conditions of a run do not give a valid scenario; `SimulationError` if a frequency of
-    a reference is at or above half the control rate, or a plant needs more substeps.
+    Parameters
+    ----------
+    suite
+        Plants, references and conditions.
+    count
+        Number of runs.
+    seed
+        Seed of the order and of the points; the same seed draws the same runs on any machine.
+
+    Raises
+    ------
+    ParameterError
+        If the conditions of a run do not give a valid scenario.
+    SimulationError
+        If a frequency of a reference is at or above half the control rate, or a plant needs more substeps.
     """
     orders = np.random.default_rng(seed).spawn(2)
     joints = _dealt({name: plant.share for name, plant in suite.plants.items()}, count, orders[0])
@@ -164,22 +180,39 @@ def _reference_values(suite: Suite, name: str, count: int, seed: int) -> Table:
 
 
 def evaluate(
-    runs: Runs, controller: str, values: Mapping[str, ArrayLike], *, metrics: Sequence[str] = Metrics._fields
+    runs: Runs,
+    controller: str,
+    values: Mapping[str, ArrayLike],
+    *,
+    metrics: Sequence[str] = Metrics._fields,
+    engine: str = "auto",
 ) -> Batch:
-    """Simulate the runs with a controller of given values [SI], or all runs for each of several sets of values."""
-    table = {name: np.atleast_1d(np.asarray(value)) for name, value in values.items()}
-    return simulate_runs(runs, controller, table, metrics)
+    """Simulate the runs with a controller of given values [SI], or all runs for each of several sets of values.
 
+    Parameters
+    ----------
+    runs
+        Runs of a suite, of which each joint is one batch.
+    controller
+        Name of a controller of the suite.
+    values
+        Tuned values [SI] by name, numbers or arrays of shape (sets,).
+    metrics, engine
+        As for `simulate_many`.
 
-def simulate_runs(
-    runs: Runs, controller: str, table: Table, metrics: Sequence[str] = Metrics._fields, engine: str = "auto"
-) -> Batch:
-    """Simulate all runs for each row of a table of values [SI], one joint after the other.
+    Returns
+    -------
+    Batch
+        All runs of the first set, then those of the next: shape (sets * runs,).
 
-    Raises `ParameterError` if no run can start.
+    Raises
+    ------
+    ParameterError
+        If no run can start.
     """
     import xarray as xr
 
+    table = {name: np.atleast_1d(np.asarray(value)) for name, value in values.items()}
     sets = max(map(len, table.values()), default=1)
     batches, lanes = [], []
     for group in runs.groups:

@@ -17,7 +17,11 @@ FAILED_RUNS = "failed"
 
 
 def median(trial: Trial, metric: str) -> float:
-    """Metric [SI] of a trial, or its number of failed runs; infinite if unknown."""
+    """Metric [SI] of a trial, or its number of failed runs; infinite if unknown.
+
+    >>> median(Trial((0.5,), 1.0, {"air": 2e-4}), "air"), median(Trial((0.5,), 1.0), "air")
+    (0.0002, inf)
+    """
     return (trial.metrics or {}).get(metric, 0.0 if trial.metrics and metric == FAILED_RUNS else np.inf)
 
 
@@ -51,7 +55,10 @@ def trial_at_air(trials: Sequence[Trial], air: float) -> Trial | None:
 
 
 def front(trials: Sequence[Trial]) -> list[Trial]:
-    """Pareto front (air, angle error) of the comparable trials of fewest failed runs."""
+    """Pareto front (air, angle error) of the comparable trials of fewest failed runs, by increasing air.
+
+    A trial is on it if no other has both less air and a smaller error.
+    """
     points: list[Trial] = []
     for trial in sorted(least_failing(comparable(trials)), key=lambda t: (median(t, "air"), median(t, "angle_rmse"))):
         if not points or median(trial, "angle_rmse") < median(points[-1], "angle_rmse"):

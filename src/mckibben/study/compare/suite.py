@@ -124,7 +124,11 @@ CostText = Annotated[str, AfterValidator(_checked_cost)]
 
 
 class TuningSettings(ConfigModel):
-    """Tuning of each controller by CMA-ES, with the same budget except for those in `starts_of`."""
+    """Tuning of each controller by CMA-ES, with the same budget except for those in `starts_of`.
+
+    A search has ``population * generations`` trials, each simulated in all training runs. After the searches from
+    `starts` for least cost, another is for least angle error at the air of the first controller.
+    """
 
     cost: CostText = "angle_rmse/0.1 deg + stiffness_rmse/0.5 N*m/rad"
     runs: Annotated[int, BoundedInt(1, _MOST)] = 32  # training runs per point
@@ -251,7 +255,10 @@ class Suite(RunSettings):
         return suite
 
     def of_setup(self, name: str) -> Suite:
-        """Return the suite of one of the setups alone; its valves are those of all models too."""
+        """Return the suite of one of the setups alone; its valves are those of all models too.
+
+        Its conditions are those of the suite and of the setup.
+        """
         setup = self.setups[name]
         update = setup.model_dump(exclude_none=True, include={"max_angular_velocity", "substeps"})
         update |= {"valve": setup.valve, "command_delay": setup.command_delay, "setups": {}}
@@ -284,7 +291,10 @@ class Suite(RunSettings):
         return other is None or other.valve is None or not condition.strip().startswith("valve.")
 
     def scenario(self, controller: str, reference: str, joint: str = NOMINAL_JOINT) -> Scenario:
-        """Scenario of a run before its conditions; the controller has the nominal model or the plant's own."""
+        """Scenario of a run before its conditions, which starts at rest at the first angle of its reference.
+
+        The controller has the nominal model, or that of the plant if it is in `true_model`.
+        """
         control = self.controllers[controller]
         if controller not in self.true_model:
             control = independent(inherit(control, model_scope(self)))
@@ -307,7 +317,10 @@ class Suite(RunSettings):
         return parse_sweeps(self.references[reference].over, self.example(reference))
 
     def tuned_over(self, controller: str) -> tuple[SweptParameter, ...]:
-        """Tuned parameters of a controller and their ranges."""
+        """Tuned parameters of a controller and their ranges, by default `decades` around its gains.
+
+        Raises `ParameterError` if it has no nonzero gain.
+        """
         if controller in self.tuning.untuned:
             return ()
         scenario = self.scenario(controller, next(iter(self.references)))

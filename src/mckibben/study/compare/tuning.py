@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, valid_rows
 from mckibben.simulation import Batch
-from mckibben.simulation.software import engine_of_job, software
+from mckibben.simulation.software import software
 from mckibben.storage.store import Store
-from mckibben.study.compare.runs import Runs, draw, simulate_runs, started
+from mckibben.study.compare.runs import Runs, draw, evaluate, started
 from mckibben.study.compare.statistics import (
     FAILED_RUNS,
     TRADED,
@@ -31,7 +31,7 @@ from mckibben.study.study import Table, digest
 from mckibben.study.tune.objective import FAILED_COST, with_valid
 from mckibben.study.tune.search import Costs, Vector, by_cma
 from mckibben.study.tune.space import SearchSpace
-from mckibben.study.tune.trials import Evaluated, Trial, Trials
+from mckibben.study.tune.trials import Evaluated, Trial, Trials, engine_of_trials
 
 
 class TunedController(NamedTuple):
@@ -81,7 +81,7 @@ class ControllerTuning:
         table = self._table(self.space.nominal[None])
         if not valid_rows(self._scenario, table).all():
             return None
-        return simulate_runs(self.runs, self.controller, table, self._metrics, engine)
+        return evaluate(self.runs, self.controller, table, metrics=self._metrics, engine=engine)
 
     def _table(self, values: Vector) -> Table:
         return dict(zip(self.space.names, values.T, strict=True))
@@ -92,7 +92,8 @@ class ControllerTuning:
         good = valid_rows(self._scenario, table)
         if not good.any():
             return Evaluated(np.full(len(values), FAILED_COST))
-        batch = simulate_runs(self.runs, self.controller, with_valid(table, good), self._metrics, self.engine)
+        valid = with_valid(table, good)
+        batch = evaluate(self.runs, self.controller, valid, metrics=self._metrics, engine=self.engine)
         begun = started(batch)
         costs = self.suite.cost({name: batch.metrics[name] for name in self.suite.cost.metrics})
         usable = np.isfinite(costs) & batch.usable
@@ -137,10 +138,7 @@ class ControllerTuning:
 
         Raises `ParameterError` if all trials failed.
         """
-        if store.path is None:
-            return self.begin("auto").search(store, progress)
-        begun = store.about(self.controller)
-        return self.begin(engine_of_job(self.engines_used, begun and begun["software"])).search(store, progress)
+        return self.begin(engine_of_trials(store, self.engines_used, self.controller)).search(store, progress)
 
     def search(self, store: Store, progress: Callable[[float], None]) -> TunedController:
         """Run the searches with a known engine."""

@@ -70,7 +70,13 @@ class Range(Distribution):
 
 @dataclass(frozen=True)
 class Uniform(Range):
-    """Uniform distribution between bounds [SI], with so many `points` on a grid, bounds included."""
+    """Uniform distribution between bounds [SI], with so many `points` on a grid, bounds included.
+
+    Raises `ParameterError` if the bounds are not finite or not in order, or there are fewer than 2 points.
+
+    >>> Uniform(0.0, 1.0, points=3).grid()
+    array([0. , 0.5, 1. ])
+    """
 
     def ppf(self, quantile: ArrayLike) -> NDArray[np.float64]:
         u = np.clip(np.asarray(quantile, float), 0.0, 1.0)
@@ -108,7 +114,13 @@ class LogUniform(Range):
 
 @dataclass(frozen=True)
 class Normal(Distribution):
-    """Normal distribution [SI] truncated at bounds, by default those of the parameter."""
+    """Normal distribution [SI] truncated at bounds, by default those of the parameter.
+
+    Raises `ParameterError` if the deviation is not above 0, or the mean is outside the bounds.
+
+    >>> Normal(0.5, 0.05).ppf([0.1, 0.5, 0.9]).round(4)
+    array([0.4359, 0.5   , 0.5641])
+    """
 
     mean: float
     deviation: float
@@ -146,6 +158,8 @@ class Normal(Distribution):
 @dataclass(frozen=True)
 class Values(Distribution):
     """Discrete values of equal probability; a grid has all of them in the order given.
+
+    Raises `ParameterError` if there is none, one is not finite, or one is listed twice.
 
     >>> Values((1.0, 2.0, 4.0)).ppf([0.0, 0.5, 0.9])
     array([1., 2., 4.])

@@ -171,7 +171,10 @@ def parse_sweep(text: str, scenario: Scenario) -> SweptParameter:
 
 
 def parse_sweeps(texts: Iterable[str], scenario: Scenario) -> tuple[SweptParameter, ...]:
-    """Parse several parameters and their distributions; raises ParameterError as well if a parameter is repeated."""
+    """Parse several parameters and their distributions, each as by `parse_sweep`.
+
+    Raises `ParameterError` as well if a parameter is repeated.
+    """
     return parse_distinct(texts, lambda text: parse_sweep(text, scenario))
 
 

@@ -30,7 +30,19 @@ _APART = 1_000_003  # between the seeds of sessions
 
 
 class MountedMuscle(Component):
-    """Muscle under test; its law gives the boundaries of the test, friction and creep are for the simulated rig."""
+    """Muscle under test; its law gives the boundaries of the test, friction and creep are for the simulated rig.
+
+    Attributes
+    ----------
+    specimen
+        Specimen of the catalog or of a file.
+    law
+        Force law. Default: unknown, as it is before the first test.
+    mounted_at
+        Contraction at the position 0 of the motor [-].
+    friction, creep, strength, correction
+        Of the simulated rig's muscle, as for `Muscle`.
+    """
 
     specimen: Specimen
     law: ForceLaw | None = None
@@ -171,7 +183,10 @@ class RigTest(DocumentModel):
 
 
 def read_test(path: str | os.PathLike[str]) -> tuple[RigTest, Document]:
-    """A protocol file, and the lines of its values."""
+    """Return the test of a protocol file, and the lines of its values.
+
+    Raises `FileError` if it cannot be read, and `ScenarioError` with all its mistakes.
+    """
     text = read_text(path, f"a {RigTest.kind}", RigTest.examples)
     return parse_model(RigTest, text, source=os.fspath(path), folder=Path(path).parent)
 
@@ -185,7 +200,7 @@ class Setup:
 
 
 def build_setup(test: RigTest, session: int = 0) -> Setup:
-    """The rig of a test; `session` counts its resumptions."""
+    """Return the rig of a test, not open yet; `session` counts its resumptions, each of which has its own noise."""
     of, backend = build_muscle(test), test.rig.backend(session)
     bench = Bench(
         of=of,

@@ -91,7 +91,24 @@ class CheckedTest:
 def check(
     test: RigTest, document: Document | None = None, *, source: str = "protocol", session: int = 0
 ) -> CheckedTest:
-    """Check a test by a dry run; `ScenarioError` with all problems, at their lines in the document."""
+    """Check a test by a dry run, in which nothing moves.
+
+    Parameters
+    ----------
+    test
+        Specimen, rig, limits and protocol.
+    document
+        Lines of the file that it comes from.
+    source
+        Name of the file, for errors.
+    session
+        Number of the session, from 0.
+
+    Raises
+    ------
+    ScenarioError
+        With all problems, at their lines in the document.
+    """
     lines = document or Document()
     setup = build_setup(test, session)
     try:
@@ -172,7 +189,31 @@ def run_test(
     standing_at: float | None = None,
     report: ProgressCallback | None = None,
 ) -> IsobaricDataset:
-    """Run a checked test, record it, and make its dataset; `standing_at` is the contraction [-] of the motor."""
+    """Run a checked test, record it, and make its dataset; a test that is stopped is vented, and can be resumed.
+
+    Parameters
+    ----------
+    checked
+        Test that has passed `check`.
+    folder
+        Folder of protocol, record and dataset.
+    resume
+        Continue the test in the folder at its next point.
+    standing_at
+        Contraction [-] at which the motor stands. Default: as known from the rig or its record.
+    report
+        Called with the progress after each point.
+
+    Raises
+    ------
+    FileError
+        If the folder has a record and `resume` is not set, or the reverse; if it is in use; or if the position of the
+        motor is not known.
+    ScenarioError
+        If the folder has another test, or the disk is too small.
+    RigError
+        If the rig fails; `StoppedError` once it has begun, `SignalledError` after a signal.
+    """
     folder = Path(folder)
     if resume and not segments(folder):
         if not (folder / PROTOCOL).exists():

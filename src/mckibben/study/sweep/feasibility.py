@@ -39,9 +39,23 @@ class _Case(NamedTuple):
 
 
 def feasibility(scenario: Scenario, table: Table, size: int) -> dict[str, NDArray[np.float64]]:
-    """Return the variables of `FEASIBILITY` of each run at 200 instants; the shortfall is NaN if no angle can be held.
+    """Compare the reference of each run with the attainable stiffness, at 200 instants from start to end.
 
     With springs at 50 instants, each of which costs as much as 100 with rigid tendons.
+
+    Parameters
+    ----------
+    scenario
+        Scenario with the nominal values.
+    table
+        Values [SI] of the varied parameters by name, shape (runs,).
+    size
+        Runs that are computed together.
+
+    Returns
+    -------
+    dict
+        Variables of `FEASIBILITY`, shape (runs,); the shortfall is NaN if no angle can be held.
     """
     many = batched(scenario, table)
     case = numeric(_Case(many.plant(), many.reference(), many.controller.stiffness_amplitude))

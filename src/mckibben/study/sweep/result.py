@@ -59,7 +59,21 @@ class SweepResult(RunTable):
         columns: Table,
         computed: int = 0,
     ) -> Self:
-        """Return the result of a sweep's settings, values of the varied parameters, and records of all runs."""
+        """Return the result of a sweep.
+
+        Parameters
+        ----------
+        scenario
+            Scenario with the nominal values.
+        about
+            Settings of the sweep, see `Sweep.about`.
+        inputs
+            Values [SI] of the varied parameters, shape (runs,).
+        columns
+            Records of all runs, shape (runs,).
+        computed
+            Number of the runs that were not kept before.
+        """
         import xarray as xr
 
         variables: dict[str, Any] = {}
@@ -142,7 +156,10 @@ class SweepResult(RunTable):
         yield listing_of("Rank correlations, strongest first", ("parameter", "metric", "Spearman"), strongest)
 
     def statistics(self) -> list[tuple[object, ...]]:
-        """Return metric, unit, median, percentiles, worst value and its run, and number of runs with a value."""
+        """Return metric, unit, median, 5th and 95th percentile, worst value and its run, and number of runs.
+
+        In shown units, over the runs that did not fail and have a value.
+        """
         rows: list[tuple[object, ...]] = []
         for metric in self.metrics:
             _, unit, scale = METRICS[_SHOWN[metric]]

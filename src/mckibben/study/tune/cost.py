@@ -21,7 +21,15 @@ _TERM = re.compile(r"(?:(?P<weight>[0-9.eE+-]+)\s*\*\s*)?(?P<metric>[a-z_]+)\s*(
 
 @dataclass(frozen=True)
 class Term:
-    """A metric, its scale [SI] and its weight in a cost."""
+    """A metric, its scale [SI] and its weight in a cost.
+
+    Raises `ParameterError` if there is no such metric, or scale or weight are not above 0.
+
+    >>> Term("angle_rms", 0.1)
+    Traceback (most recent call last):
+        ...
+    mckibben.errors.ParameterError: 'angle_rms' is not a metric; did you mean 'angle_rmse'?
+    """
 
     metric: str
     scale: float
@@ -45,6 +53,22 @@ class Cost:
 
     Errors alone would drive gains to the stability limit. With a gain margin the cost is the larger of two: that of the
     parameters, and that with all tuned controller gains multiplied by the margin.
+
+    Attributes
+    ----------
+    terms
+        Metrics with their scales and weights, each metric once.
+    gain_margin
+        Factor by which the gains may increase, 1 or more.
+    percentile
+        Of the cost over scenarios and conditions, above 0 up to 100 (the worst). None: their mean.
+    disk_margin
+        Least disk margin of the linearised loop, 0 (none) to 2. None: that of `tune`.
+
+    Raises
+    ------
+    ParameterError
+        If there is no term, a metric appears twice, or a margin or percentile is out of range.
 
     Examples
     --------

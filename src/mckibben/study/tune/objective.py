@@ -40,7 +40,26 @@ UNSTABLE_COST = 1e5
 
 @dataclass(frozen=True)
 class TuningProblem:
-    """Parameters of scenarios to tune, and the cost of their values."""
+    """Parameters of scenarios to tune, and the cost of their values.
+
+    Each set of values is simulated in all scenarios, under all rows of the conditions, and again with larger gains if
+    the cost has a gain margin.
+
+    Attributes
+    ----------
+    scenarios
+        Scenarios whose costs are combined.
+    space
+        Parameters and their ranges; nominal values are those of the first scenario.
+    cost
+        Cost of the runs.
+    model_follows
+        Plant parameters that the controllers' models follow, or "all".
+    conditions
+        Values [SI] of other parameters by name, shape (draws,).
+    engine
+        As for `simulate_many`.
+    """
 
     scenarios: tuple[Scenario, ...]
     space: SearchSpace
@@ -110,7 +129,10 @@ class TuningProblem:
         return Evaluated(self.costs(values))
 
     def costs(self, values: Vector) -> Vector:
-        """Cost of each row of values [SI], shape (n, parameters)."""
+        """Cost of each row of values [SI] of shape (n, parameters), shape (n,).
+
+        1e6 for values that are invalid or whose runs fail; 1e5 to 2e5 for those without the disk margin.
+        """
         rows = self._with_margin(values)
         workers = max(cores() // len(self.scenarios), 1)
         with ThreadPoolExecutor(cores()) as pool:

@@ -26,7 +26,10 @@ _UNITS = {metric.replace("_", " "): unit for metric, unit, _ in METRICS.values()
 
 
 class TuneResult(Result):
-    """Result of a tuning; its tables simulate each scenario before and after when they are first asked for."""
+    """Result of a tuning; its tables simulate each scenario before and after when they are first asked for.
+
+    `trials` has every point of the search with its cost; `scenarios` can be written with `Scenario.to_yaml`.
+    """
 
     figures = ("tuning",)
 

@@ -29,7 +29,20 @@ def by_cma(
 ) -> None:
     """Search by CMA-ES (Hansen, arXiv:1604.00772) from the first point, which replaces the first draw.
 
-    The initial standard deviation is a share `step` of each range.
+    Parameters
+    ----------
+    costs
+        Costs of points of the unit cube, shape (n, parameters).
+    first
+        First point, shape (parameters,).
+    population, generations
+        Points per generation, and number of generations.
+    seed
+        Seed of the draws; a longer search begins with the points of a shorter one.
+    progress
+        Called with the completed fraction, 0 to 1.
+    step
+        Initial standard deviation as a share of each range.
     """
     from cmaes import CMA
 

@@ -17,7 +17,19 @@ from mckibben.units import quantity
 
 @dataclass(frozen=True)
 class SearchSpace:
-    """Parameters with ranges (else raises ParameterError); points of the unit cube map to their values [SI]."""
+    """Parameters with ranges; points of the unit cube map to their values [SI].
+
+    Raises `ParameterError` if there is no parameter, or one has no range.
+
+    Examples
+    --------
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> space = SearchSpace(parse_ranges(["valve.time_constant=5..50 ms"], scenario))
+    >>> space.values(np.array([[0.0], [1.0]])).tolist()
+    [[0.005], [0.05]]
+    >>> space.point(np.array([0.0275])).round(12).tolist()
+    [0.5]
+    """
 
     swept: tuple[SweptParameter, ...]
 
@@ -40,7 +52,7 @@ class SearchSpace:
 
     @property
     def nominal(self) -> Vector:
-        """Nominal values [SI]; the middle of the range if there is none."""
+        """Nominal values [SI], shape (parameters,); the middle of the range if there is none."""
         middle = self.values(np.full((1, len(self)), 0.5))[0]
         nominal = (swept.parameter.nominal for swept in self.swept)
         return np.array([m if n is None else float(n) for n, m in zip(nominal, middle, strict=True)])
@@ -50,7 +62,7 @@ class SearchSpace:
         return np.stack([swept.distribution.ppf(points[:, i]) for i, swept in enumerate(self.swept)], axis=1)
 
     def point(self, values: Vector) -> Vector:
-        """Point of values [SI] of shape (parameters,), clipped to the ranges."""
+        """Point of values [SI], both of shape (parameters,), clipped to the ranges; the inverse of `values`."""
         ranges = (swept.distribution for swept in self.swept if isinstance(swept.distribution, Range))
         return np.array([float(swept_range.quantile(value)) for swept_range, value in zip(ranges, values, strict=True)])
 
@@ -73,7 +85,11 @@ _GAINS = ("kp", "ki", "kd", "bandwidth", "stiffness_bandwidth", "slope", "reach"
 
 
 def is_gain(name: str) -> bool:
-    """Whether a scenario parameter is a gain of its controller."""
+    """Whether a scenario parameter is a gain of its controller.
+
+    >>> is_gain("controller.position.kp"), is_gain("controller.position.filter_time"), is_gain("load.mass2")
+    (True, False, False)
+    """
     *above, last = name.split(".")
     return above[:1] == ["controller"] and "adaptation" not in above and last in _GAINS
 

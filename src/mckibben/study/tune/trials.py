@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from mckibben.storage.store import Job, read_store
+from mckibben.simulation.software import engine_of_job
+from mckibben.storage.store import Job, Store, read_store
 from mckibben.study.tune.search import Vector
 from mckibben.study.tune.space import SearchSpace
 
@@ -63,7 +64,7 @@ class Trials:
         return min(self._known.values(), key=lambda trial: trial.order)
 
     def at(self, points: Vector) -> list[Trial]:
-        """Return the trials at points, shape (n, parameters)."""
+        """Return the trials at points, shape (n, parameters); new ones are on disk before it returns."""
         new = {point: None for point in map(tuple, points.tolist()) if point not in self._known}
         missing = np.array(list(new))
         for start in range(0, len(missing), self._batch):
@@ -85,6 +86,14 @@ class Trials:
     def _padded(self, rows: Vector) -> Vector:
         """Rows padded with the last one, for one compiled program."""
         return np.concatenate([rows, np.repeat(rows[-1:], self._batch - len(rows), axis=0)])
+
+
+def engine_of_trials(store: Store, trial: Callable[[], Collection[str]], name: str = "", engine: str = "auto") -> str:
+    """Return the engine of a search: one for all trials that are kept, so that they do not depend on the machine."""
+    if store.path is None:
+        return engine
+    begun = store.about(name)
+    return engine_of_job(trial, begun and begun.get("software"), engine)
 
 
 def read_trials(path: str | os.PathLike[str], job: str = "") -> list[Trial]:

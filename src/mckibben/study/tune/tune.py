@@ -14,7 +14,7 @@ from mckibben.component.calls import checked_call
 from mckibben.errors import ParameterError, suggest
 from mckibben.notebook import Progress, notebook_progress, silent
 from mckibben.scenario import ModelFollows, Scenario, with_values
-from mckibben.simulation.software import engine_of_job, software
+from mckibben.simulation.software import software
 from mckibben.storage.store import STUDY, open_store
 from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
 from mckibben.study.parameters.sampling import check_count
@@ -24,7 +24,7 @@ from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, TuningProb
 from mckibben.study.tune.result import TuneResult
 from mckibben.study.tune.search import SEARCHES, Search, by_cma
 from mckibben.study.tune.space import parse_ranges
-from mckibben.study.tune.trials import Trials
+from mckibben.study.tune.trials import Trials, engine_of_trials
 
 DEFAULT_COST, DEFAULT_MARGIN = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad", 1.5
 KEPT_MARGIN = 0.2
@@ -99,10 +99,7 @@ def tune(
     asked = _problem(scenarios, over, cost, model_follows, conditions)
     report = progress or notebook_progress() or silent
     with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
-        if store.path is not None:  # one engine for the trials that are kept, so that they do not depend on the machine
-            begun = store.about()
-            engine = engine_of_job(asked.engines_used, begun and begun.get("software"), engine)
-        problem = asked.begin(engine)
+        problem = asked.begin(engine_of_trials(store, asked.engines_used, engine=engine))
         if problem.cost.disk_margin is None:
             margin = problem.kept_margin(KEPT_MARGIN)
             problem = replace(problem, cost=replace(problem.cost, disk_margin=margin))
