@@ -9,7 +9,6 @@ import pytest
 from jax import lax
 
 from mckibben.codegen import SourceModule, write_c
-from mckibben.codegen.graph import Graph, Kind, interleave
 from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
@@ -210,24 +209,3 @@ def test_functions_of_one_run_are_right_to_about_an_ulp():
     assert exp[-6:].tolist() == [0.0, 0.0, 1.0, pytest.approx(exact[0][-3], rel=4e-16), np.inf, np.inf]
     assert np.isnan(values(np.array([np.nan]))).all()
 
-
-def test_independent_chains_alternate_in_c_and_stay_on_their_side_of_a_loop():
-    graph = Graph()
-    x, y = (graph.input(name, Kind.REAL) for name in "xy")
-
-    def chain(value):
-        root = graph.operation("sqrt", Kind.REAL, value)
-        return root, graph.operation("exp", Kind.REAL, root)
-
-    first, second = chain(x), chain(y)
-    carried = []
-
-    def body(loop):
-        carried.append(graph.carry(loop, first[1]))
-        loop.carried[0].following = graph.operation("add", Kind.REAL, carried[0], second[1])
-        return []
-
-    loop = graph.loop(400, body)
-    last = graph.operation("neg", Kind.REAL, y)
-    interleave(graph.root)
-    assert graph.root.statements == [x, y, first[0], second[0], first[1], second[1], loop, last]

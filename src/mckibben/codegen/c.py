@@ -6,7 +6,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from mckibben.codegen.graph import interleave
 from mckibben.codegen.languages import c_language
 from mckibben.codegen.precision import wide_inputs, wide_values
 from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, is_scalar
@@ -68,8 +67,6 @@ class _Writing:
         self._units = units
         self._wide = wide_inputs(module, wide) if single else frozenset[str]()
         known = wide_values(module, self._wide)
-        for scope in module.scopes:
-            interleave(scope)
         self._writer = Writer(module.scopes, self._language, module.results(), known, c_language("double"))
 
     def sources(self) -> Sources:

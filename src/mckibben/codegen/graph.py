@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import enum
 import math
-import struct
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -122,52 +122,30 @@ class Element:
 
 
 FOLDED: dict[str, Callable[..., Any]] = {
-    "add": lambda x, y: x + y,
-    "sub": lambda x, y: x - y,
-    "mul": lambda x, y: x * y,
+    **{
+        name: getattr(operator, name)
+        for name in ("add", "sub", "mul", "neg", "lt", "le", "gt", "ge", "eq", "ne", "xor")
+    },
+    **{name: getattr(operator, f"{name}_") for name in ("and", "or", "not")},
+    **{
+        name: getattr(np, name)
+        for name in (
+            *("sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh"),
+            *("cosh", "tanh", "pow", "floor", "ceil", "cbrt", "sign"),
+        )
+    },
     "div": np.divide,
-    "neg": lambda x: -x,
-    "lt": lambda x, y: x < y,
-    "le": lambda x, y: x <= y,
-    "gt": lambda x, y: x > y,
-    "ge": lambda x, y: x >= y,
-    "eq": lambda x, y: x == y,
-    "ne": lambda x, y: x != y,
-    "and": lambda x, y: x & y,
-    "or": lambda x, y: x | y,
-    "xor": lambda x, y: x ^ y,
-    "not": lambda x: not x,
     "max": np.maximum,
     "min": np.minimum,
     "abs": abs,
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "expm1": np.expm1,
-    "log": np.log,
-    "log1p": np.log1p,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "asin": np.arcsin,
-    "acos": np.arccos,
-    "atan": np.arctan,
-    "atan2": np.arctan2,
-    "sinh": np.sinh,
-    "cosh": np.cosh,
-    "tanh": np.tanh,
-    "pow": np.power,
-    "floor": np.floor,
-    "ceil": np.ceil,
     "round": np.rint,
-    "cbrt": np.cbrt,
-    "sign": np.sign,
     "rem": np.fmod,
-    "shift_left": lambda x, y: x << y,
-    "shift_right": lambda x, y: x >> y,
+    "shift_left": operator.lshift,
+    "shift_right": operator.rshift,
     "is_finite": np.isfinite,
-    "bits": lambda x: struct.unpack("<q", struct.pack("<d", x))[0],
-    "from_bits": lambda x: struct.unpack("<d", struct.pack("<q", x))[0],
-    "from_bits_32": lambda x: struct.unpack("<f", struct.pack("<I", x & 0xFFFFFFFF))[0],
+    "bits": lambda x: np.float64(x).view(np.int64),
+    "from_bits": lambda x: np.int64(x).view(np.float64),
+    "from_bits_32": lambda x: np.uint32(x & 0xFFFFFFFF).view(np.float32),
     "single": np.float32,
     "real": lambda x: x,
     "integer": int,
@@ -357,33 +335,6 @@ class Graph:
                 branch.chosen.append(Value("chosen", yes.kind, (), outer, (branch, place), not self.lanes))
             results.append(yes if yes is no else branch.chosen[-1])
         return results
-
-
-_LATENCIES = {"sqrt": 19, "div": 13, "exp": 40, "sin": 45, "cos": 45, "tanh": 90, "max": 6, "min": 6}  # cycles
-
-
-def interleave(scope: Scope) -> None:
-    """Order values by when their arguments are known, so that a processor overlaps independent chains of operations.
-
-    Loops, branches and arrays keep their places; values move only between two of them.
-    """
-    ready: dict[int, int] = {}
-    waiting: list[tuple[int, Value]] = []
-    ordered: list[Any] = []
-    for statement in scope.statements:
-        if isinstance(statement, Value):
-            begin = max((ready.get(id(argument), 0) for argument in statement.arguments), default=0)
-            ready[id(statement)] = begin + _LATENCIES.get(statement.operation, 4)
-            waiting.append((begin, statement))
-            continue
-        ordered += [*(value for _, value in sorted(waiting, key=lambda pair: pair[0])), statement]
-        waiting = []
-        if isinstance(statement, ForLoop):
-            interleave(statement.scope)
-        elif isinstance(statement, Branch):
-            for inner in statement.scopes:
-                interleave(inner)
-    scope.statements = ordered + [value for _, value in sorted(waiting, key=lambda pair: pair[0])]
 
 
 def needed(results: Sequence[Value | StoredArray]) -> set[int]:

@@ -3,33 +3,42 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
+
+import numpy as np
 
 from mckibben.codegen.graph import Kind
 from mckibben.codegen.writer import Language
 
-_SMALLEST, _LARGEST = 1.18e-38, 3.4e38  # of float
 _SAME = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh",
          "sqrt", "floor", "ceil", "cbrt", "pow")  # fmt: skip
+
+
+def literals(
+    nan: str, infinity: str, *, booleans: tuple[str, str] = ("false", "true"), single: bool = False, suffix: str = ""
+) -> Callable[[Any, Kind], str]:
+    """Text of a number of a kind; those of 32 bits have nine digits, and no subnormal ones."""
+    largest = np.finfo(np.float32 if single else float)
+
+    def literal(number: Any, kind: Kind) -> str:
+        if kind is not Kind.REAL:
+            return booleans[number] if kind is Kind.BOOLEAN else str(number)
+        if math.isnan(number):
+            return nan
+        if abs(number) > largest.max:
+            return infinity if number > 0 else f"-{infinity}"
+        if single:
+            number = float(f"{number:.9g}") if abs(number) >= largest.tiny else 0.0
+        return f"{number!r}{suffix}"
+
+    return literal
 
 
 def c_language(real: str = "double") -> Language:
     """C99 with `double` or `float`."""
     suffix = "" if real == "double" else "f"
     types = {Kind.REAL: real, Kind.INTEGER: "int64_t", Kind.BOOLEAN: "bool"}
-
-    def literal(number: Any, kind: Kind) -> str:
-        if kind is not Kind.REAL:
-            return str(number).lower() if kind is Kind.BOOLEAN else str(number)
-        if not math.isfinite(number):
-            return "NAN" if math.isnan(number) else "INFINITY" if number > 0 else "-INFINITY"
-        if not suffix:
-            return repr(number)
-        if abs(number) > _LARGEST:
-            return "INFINITY" if number > 0 else "-INFINITY"
-        text = repr(float(f"{number:.9g}" if abs(number) >= _SMALLEST else 0.0))
-        return f"{text}f"
 
     def conversion(text: str, source: Kind, target: Kind) -> str:
         if target is Kind.BOOLEAN:
@@ -80,18 +89,10 @@ def c_language(real: str = "double") -> Language:
             f"minimum{suffix}": function("minimum", "x, y", "x != x ? x : x < y ? x : y"),
             f"sign{suffix}": function("sign", "x", f"({real})((x > 0) - (x < 0))"),
         },
-        literal=literal,
+        literal=literals("NAN", "INFINITY", single=bool(suffix), suffix=suffix),
         conversion=conversion,
         array=array,
     )
-
-
-def _js_literal(number: Any, kind: Kind) -> str:
-    if kind is not Kind.REAL:
-        return str(number).lower()
-    if not math.isfinite(number):
-        return "NaN" if math.isnan(number) else "Infinity" if number > 0 else "-Infinity"
-    return repr(number)
 
 
 def _js_conversion(text: str, source: Kind, target: Kind) -> str:
@@ -123,7 +124,7 @@ JAVASCRIPT = Language(
         ),
         "rem": "function rem(x, y) {\n    return x % y;\n}\n",
     },
-    literal=_js_literal,
+    literal=literals("NaN", "Infinity"),
     conversion=_js_conversion,
     array=_js_array,
 )

@@ -16,7 +16,7 @@ from jaxtyping import PyTree
 
 from mckibben.codegen.array_rules import ArrayRules, Parameters, Shape, array_of
 from mckibben.codegen.graph import FOLDED, ForLoop, Graph, Kind, StoredArray, Value
-from mckibben.codegen.polynomials import erf_inv, log1p, log1p_single, tanh
+from mckibben.codegen.polynomials import erf_inv, log1p, tanh
 from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
@@ -164,7 +164,7 @@ class Lowering(ArrayRules):
             return self._closed(_jaxpr_of(_DECOMPOSED[name], aval.shape, aval.dtype), arguments)
         if name == "log1p" and aval.dtype == np.float32 and not self._graph.threads:
             if self._graph.single:
-                return self._closed(_jaxpr_of(log1p_single, aval.shape, aval.dtype), arguments)
+                return self._closed(_jaxpr_of(log1p, aval.shape, aval.dtype), arguments)
             (logarithm,) = self._closed(_jaxpr_of(log1p, aval.shape, np.dtype(float)), arguments)
             return [self._elementwise(lambda x: self._graph.operation("single", kind, x), logarithm)]
         if name in _FOR_LANES and self._in_vectors(arguments):

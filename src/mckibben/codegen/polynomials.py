@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import math
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 from jaxtyping import Array
 
@@ -25,25 +27,18 @@ def tanh(x: Array) -> Any:
 
 
 def log1p(x: Array) -> Any:
-    """Natural logarithm of 1 + x, a positive normal number (fdlibm), relative error below 1e-16."""
-    x = 1.0 + x
-    bits = lax.bitcast_convert_type(x, jnp.int64)
-    shifted = bits + _ABOVE_HALF_ROOT
-    exponent = ((shifted >> 52) - 1023).astype(x.dtype)
-    f = lax.bitcast_convert_type((shifted & _MANTISSA) + _HALF_ROOT, jnp.float64) - 1.0
-    s = f / (2.0 + f)
-    z = s * s
-    half = 0.5 * f * f
-    rest = s * (half + z * elementary.polynomial(z, _LOG)) + exponent * _LN2[1]
-    return exponent * _LN2[0] - ((half - rest) - f)
+    """Natural logarithm of 1 + x, a positive normal number, relative error below 2e-7 (Cephes), for `erf_inv`."""
+    x = 1 + x
+    kind, precision = (jnp.int32, np.finfo(np.float32)) if x.dtype == np.float32 else (jnp.int64, np.finfo(float))
+    one, half_root = (int(np.asarray(number, x.dtype).view(kind)) for number in (1.0, 0.5**0.5))
+    bits = lax.bitcast_convert_type(x, kind) + (one - half_root)
+    exponent = ((bits >> precision.nmant) - (precision.maxexp - 1)).astype(x.dtype)
+    f = lax.bitcast_convert_type((bits & ((1 << precision.nmant) - 1)) + half_root, x.dtype) - 1
+    return f + f * f * (f * elementary.polynomial(f, _LOG) - 0.5) + exponent * math.log(2)
 
 
-_MANTISSA = 0x000FFFFFFFFFFFFF
-_HALF_ROOT = 0x3FE6A09E00000000  # of 1/2
-_ABOVE_HALF_ROOT = 0x3FF0000000000000 - _HALF_ROOT
-_LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # leading bits, rest
-_LOG = (6.666666666666735130e-01, 3.999999999940941908e-01, 2.857142874366239149e-01, 2.222219843214978396e-01,
-        1.818357216161805012e-01, 1.531383769920937332e-01, 1.479819860511658591e-01)  # fmt: skip
+_LOG = (3.3333331174e-1, -2.4999993993e-1, 2.0000714765e-1, -1.6668057665e-1, 1.4249322787e-1, -1.2420140846e-1,
+        1.1676998740e-1, -1.1514610310e-1, 7.0376836292e-2)  # fmt: skip
 
 
 def erf_inv(x: Array) -> Any:
@@ -52,20 +47,3 @@ def erf_inv(x: Array) -> Any:
     near, far = w - 2.5, jnp.sqrt(w) - 3.0
     p, q = (functools.reduce(lambda sum_, c: sum_ * y + c, cs) for y, cs in ((near, _NEAR), (far, _FAR)))
     return jnp.where(w < 5.0, p, q) * x
-
-
-def log1p_single(x: Array) -> Any:
-    """Natural logarithm of 1 + x, a positive normal 32-bit number (Cephes), relative error below 1e-7."""
-    x = 1 + x
-    bits = lax.bitcast_convert_type(x, jnp.int32) + _ABOVE_HALF_ROOT_32
-    exponent = ((bits >> 23) - 127).astype(x.dtype)
-    f = lax.bitcast_convert_type((bits & 0x007FFFFF) + _HALF_ROOT_32, jnp.float32) - 1
-    z = f * f
-    rest = f * z * elementary.polynomial(f, _LOG_32) + exponent * -2.12194440e-4
-    return f + (rest - z / 2) + exponent * 0.693359375
-
-
-_HALF_ROOT_32 = 0x3F3504F3  # of 1/2
-_ABOVE_HALF_ROOT_32 = 0x3F800000 - _HALF_ROOT_32
-_LOG_32 = (3.3333331174e-1, -2.4999993993e-1, 2.0000714765e-1, -1.6668057665e-1, 1.4249322787e-1, -1.2420140846e-1,
-           1.1676998740e-1, -1.1514610310e-1, 7.0376836292e-2)  # fmt: skip

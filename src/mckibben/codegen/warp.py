@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any
 
 from mckibben.codegen.graph import Kind, Value
+from mckibben.codegen.languages import literals
 from mckibben.codegen.source_module import Function, SourceModule, element, identifier
 from mckibben.codegen.writer import ATOM, Language, Text, Writer, inputs_of
 from mckibben.errors import ExportError
 
-_LARGEST, _SMALLEST = 3.4e38, 1.18e-38  # of a 32-bit number
 _TYPES = {Kind.REAL: "float", Kind.INTEGER: "int", Kind.BOOLEAN: "bool"}
 _ZEROS = {"float": "0.0", "int": "0", "bool": "False"}
 _SAME = ("exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "sqrt", "floor",
@@ -99,16 +97,6 @@ class _Writer(Writer):
         return super()._operation(value)
 
 
-def _literal(number: Any, kind: Kind) -> str:
-    if kind is not Kind.REAL:
-        return str(number)
-    if math.isnan(number):
-        return "wp.nan"
-    if abs(number) > _LARGEST:
-        return "wp.inf" if number > 0 else "-wp.inf"
-    return repr(float(f"{number:.9g}" if abs(number) >= _SMALLEST else 0.0))
-
-
 def _conversion(text: str, source: Kind, target: Kind) -> str:
     if target is Kind.BOOLEAN:
         return f"{text} != {'0.0' if source is Kind.REAL else '0'}"
@@ -148,7 +136,7 @@ WARP = Language(
             "log1p", "x", "y = 1.0 + x", "z = y - 1.0", "return wp.where(z == 0.0, x, wp.log(y) * x / z)"
         ),
     },
-    literal=_literal,
+    literal=literals("wp.nan", "wp.inf", booleans=("False", "True"), single=True),
     conversion=_conversion,
     array=_array,
 )  # fmt: skip

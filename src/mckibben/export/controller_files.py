@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from string import Template
 
 import mckibben
 from mckibben.codegen.c import comment_text, write_c
@@ -13,10 +12,6 @@ from mckibben.export.controller import ControllerModule, controller_functions, c
 from mckibben.export.targets import Exported, filled
 from mckibben.scenario import Scenario
 
-_LISTED = """\
-| `scenario.yaml` | its source |
-| `sketch/$name/` | sketch for Arduino and Teensy, with the sensors and valves to be filled in |
-"""
 _TOLERANCES = "1e-9", "1e-4"  # tolerance of a command in 64 and 32 bits, relative to the largest one
 
 
@@ -28,7 +23,7 @@ def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False
         f"SHA-256 of scenario.yaml: {hashlib.sha256(text.encode()).hexdigest()}"
     )
     title = f'the scenario "{scenario.name}"'
-    files = program_files(made, name, title, comment, scenario.control_period, single=single, listed=_LISTED)
+    files = program_files(made, name, title, comment, scenario.control_period, single=single, sketch=True)
     values = {
         "name": name,
         "title": comment_text(" ".join(scenario.name.split())),
@@ -43,33 +38,23 @@ def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False
 
 
 def program_files(
-    made: ControllerModule, name: str, title: str, comment: str, period: float, *, single: bool, listed: str = ""
+    made: ControllerModule, name: str, title: str, comment: str, period: float, *, single: bool, sketch: bool = False
 ) -> dict[str, str]:
     """A controller as C99, with a program that replays a recorded run and times the steps."""
     sources = write_c(made.module, comment, single=single, wide=("setpoint",), units=made.units)
     table = [",".join(made.columns), *(",".join(f"{number:.17g}" for number in row) for row in made.recording)]
-    real = "float" if single else "double"
-    lines: dict[str, list[str]] = {"setpoint": [], "measurement": [], "commands": []}
-    for index, column in enumerate(made.columns):
-        part, member = column.split(".")
-        lines[part].append(
-            f"compare((double)commands.{member}, row[{index}]);"
-            if part == "commands"
-            else f"{part}->{member} = {'' if part == 'setpoint' else f'({real})'}row[{index}];"
-        )
-    left_out = "".join(f"- {part}\n" for part in made.left_out)
+    columns = [column.split(".") for column in made.columns]
     values = {
         "name": name,
         "title": title,
-        "version": mckibben.__version__,
-        "rows": str(len(made.recording)),
-        "columns": str(len(made.columns)),
+        "rows": len(made.recording),
+        "columns": columns,
+        "first_command": [part for part, _ in columns].index("commands"),
+        "real": "float" if single else "double",
         "tolerance": _TOLERANCES[single],
-        "inputs": "\n    ".join(lines["setpoint"] + lines["measurement"]),
-        "comparisons": "\n        ".join(lines["commands"]),
-        "listed": Template(listed).substitute(name=name),
+        "sketch": sketch,
         "period": f"{period * 1e3:g} ms",
-        "left_out": f"\nNot in this program:\n\n{left_out}" if left_out else "",
+        "left_out": made.left_out,
     }
     return {
         f"{name}.h": sources.header,

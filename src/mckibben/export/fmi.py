@@ -11,9 +11,7 @@ import subprocess
 import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 
 import mckibben
 from mckibben.codegen.c import comment_text, write_c
@@ -24,6 +22,7 @@ from mckibben.codegen.source_module import Function, SourceModule, is_scalar
 from mckibben.errors import ExportError
 from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable, variables_of
 from mckibben.export.model_description import NOMINAL, model_description
+from mckibben.export.targets import filled
 
 _PLATFORM = "linux64"  # folder of the binary
 _DATE = (1980, 1, 1, 0, 0, 0)  # of the files in the archive, so that equal FMUs are identical files
@@ -39,8 +38,7 @@ def fmu(unit: FunctionalUnit, scenario: str) -> tuple[bytes, list[str]]:
     variables, fixed = variables_of(unit)
     comment = f"{unit.title}\nWritten by mckibben {mckibben.__version__}; the scenario is in resources/scenario.yaml."
     program = write_c(unit.module, comment, units=dict(unit.units))
-    template = Template((files("mckibben.export") / "templates" / "fmu.c").read_text(encoding="utf-8"))
-    sources = _headers() | {"fmu.c": template.safe_substitute(_values(unit, variables))}
+    sources = _headers() | {"fmu.c": _sources(unit, variables)}
     sources |= {f"{name}.h": program.header, f"{name}.c": program.source}
     digest = hashlib.sha256("".join([scenario, *sources.values()]).encode()).hexdigest()
     token = f"{{{digest[:8]}-{digest[8:12]}-{digest[12:16]}-{digest[16:20]}-{digest[20:32]}}}"
@@ -80,53 +78,26 @@ def _archive(contents: Mapping[str, str | bytes]) -> bytes:
     return archive.getvalue()
 
 
-def _values(unit: FunctionalUnit, variables: Sequence[ScalarVariable]) -> dict[str, str]:
-    """Values of the placeholders in the template of the sources, except the identifier."""
+def _sources(unit: FunctionalUnit, variables: Sequence[ScalarVariable]) -> str:
+    """Text of fmu.c, except the identifier."""
     module, literal = unit.module, c_language().literal
     states = [number for number, variable in enumerate(variables) if variable.kind in "sc"]
-    rates = {number: variable.rate_of for number, variable in enumerate(variables) if variable.rate_of is not None}
-    table = [
-        f"    {{offsetof(fmu_content, {variable.place}), '{variable.kind}', "
-        f"{literal(variable.start or 0.0, Kind.REAL)}, {NOMINAL.get(variable.unit, 1.0)!r}}},"
-        for variable in variables
-    ]
-    return {
-        "state_references": ", ".join(str(states[place]) for place in rates.values()) or "0",
-        "rate_references": ", ".join(map(str, rates)) or "0",
+    rates = {number: states[v.rate_of] for number, v in enumerate(variables) if v.rate_of is not None}
+    values = {
         "name": module.name,
         "title": comment_text(" ".join(unit.title.split())),
-        "variables": str(len(variables)),
-        "states": str(len(rates)),
-        "model_exchange": str(int(unit.model_exchange)),
-        "sampled": str(int(unit.sampled)),
-        "longest": repr(float(unit.longest)),
-        "structures": "\n".join(f"    {module.name}_{structure} {structure};" for structure in module.structures()),
-        "table": "\n".join(table),
-        "calls": "\n".join(_calls(module)),
+        "variables": variables,
+        "literal": lambda number: literal(number, Kind.REAL),
+        "nominal": NOMINAL,
+        "rates": rates,
+        "model_exchange": int(unit.model_exchange),
+        "sampled": int(unit.sampled),
+        "longest": float(unit.longest),
+        "structures": list(module.structures()),
+        "starts": [member.name for member in module.structures().get("start", [])],
+        "calls": {function.name: _call(module, function) for function in module.functions},
     }
-
-
-_CALLS = {
-    "fmu_initialize(fmu_content *self)": ("init",),
-    "fmu_results(fmu_content *self)": ("evaluate", "differentiate"),
-    "fmu_advance(fmu_content *self, double duration)": ("advance",),
-    "fmu_project(fmu_content *self)": ("project",),
-}
-"""Functions of the template, and the functions of the program that each calls."""
-
-
-def _calls(module: SourceModule) -> list[str]:
-    """Definitions of the functions of the template."""
-    functions = {function.name: function for function in module.functions}
-    start = [member.name for member in module.structures().get("start", [])]
-    texts = []
-    for signature, names in _CALLS.items():
-        lines = [f"self->start.{name} = self->model.state.{name};" for name in start if "init" in names]
-        lines += [_call(module, functions[name]) for name in names if name in functions]
-        arguments = [name for name in ("self", "duration") if name in signature]
-        unused = [f"(void){name};" for name in arguments if not any(name in line for line in lines)]
-        texts.append("\n".join([f"static void {signature}", "{", *(f"    {x}" for x in unused + lines), "}\n"]))
-    return texts
+    return filled("fmu.c", values)
 
 
 def _call(module: SourceModule, function: Function) -> str:
@@ -134,7 +105,7 @@ def _call(module: SourceModule, function: Function) -> str:
     structures = [(name, members) for name, members in function.arguments.items() if name != "state"]
     structures += [(name, members) for name, members in function.results.items() if name != "state"]
     arguments = ["&self->model", *(name if is_scalar(members) else f"&self->{name}" for name, members in structures)]
-    return f"{module.name}_{function.name}({', '.join(arguments)});"
+    return f"{module.name}_{function.name}({', '.join(arguments)})"
 
 
 def _binary(texts: Mapping[str, str], sources: Sequence[str]) -> tuple[bytes, str]:

@@ -13,7 +13,6 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import ArrayLike, PyTree
 
-import mckibben
 from mckibben.actuator import Actuator
 from mckibben.actuator.base import state_of_muscle
 from mckibben.codegen.source_module import SourceModule
@@ -178,7 +177,6 @@ def mjcf(
     return filled(
         "model.xml",
         {
-            "version": mckibben.__version__,
             "name": name,
             "extension": f'<plugin plugin="mckibben.{name}"/>' if moved and plugin else "",
             "timestep": repr(timestep),

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from xml.etree import ElementTree as ET
 
-import mckibben
 from mckibben.errors import printable
 from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable
+from mckibben.export.targets import filled
 from mckibben.units import deg, dimensions
 
 NOMINAL = {"Pa": 1e5, "N": 100.0}
@@ -27,102 +26,53 @@ _ATTRIBUTES = {  # causality, variability and initial of each kind
 def model_description(
     unit: FunctionalUnit, variables: Sequence[ScalarVariable], token: str, sources: Sequence[str]
 ) -> str:
-    """Text of modelDescription.xml."""
-    root = ET.Element(
-        "fmiModelDescription",
-        {
-            "fmiVersion": "2.0",
-            "modelName": unit.module.name,
-            "guid": token,
-            "description": printable(unit.title),
-            "generationTool": f"mckibben {mckibben.__version__}",
-            "variableNamingConvention": "structured",
-            "numberOfEventIndicators": "0",
-        },
-    )
-    _add_interfaces(root, unit, sources)
-    _add_units(root, variables)
-    ET.SubElement(root, "DefaultExperiment", startTime="0", stepSize=repr(float(unit.longest)))
-    parent = ET.SubElement(root, "ModelVariables")
-    for reference, variable in enumerate(variables):
-        _add_variable(parent, reference, variable, variables)
-    _add_structure(ET.SubElement(root, "ModelStructure"), variables)
-    ET.indent(root)
-    return ET.tostring(root, "unicode", xml_declaration=True).replace("encoding='us-ascii'", "encoding='UTF-8'") + "\n"
-
-
-def _add_interfaces(root: ET.Element, unit: FunctionalUnit, sources: Sequence[str]) -> None:
-    """Interfaces for model exchange and co-simulation, with their capabilities."""
+    """Text of modelDescription.xml; indices there count from 1."""
     completes = any(function.name == "project" for function in unit.module.functions)
-    capabilities = {
-        "ModelExchange": {"completedIntegratorStepNotNeeded": str(not completes).lower()},
-        "CoSimulation": {"canHandleVariableCommunicationStepSize": str(not unit.sampled).lower()},
-    }
-    common = {
-        "modelIdentifier": unit.module.name,
-        "canGetAndSetFMUstate": "true",
-        "canSerializeFMUstate": "true",
-        "canNotUseMemoryManagementFunctions": "true",
-    }
-    for kind, attributes in capabilities.items():
-        if kind == "CoSimulation" or unit.model_exchange:
-            files = ET.SubElement(ET.SubElement(root, kind, common | attributes), "SourceFiles")
-            for source in sources:
-                ET.SubElement(files, "File", name=source)
-
-
-def _add_units(root: ET.Element, variables: Sequence[ScalarVariable]) -> None:
-    """Units of the variables in terms of SI, and display units."""
+    interfaces = {"CoSimulation": {"canHandleVariableCommunicationStepSize": str(not unit.sampled).lower()}}
+    if unit.model_exchange:
+        exchange = {"ModelExchange": {"completedIntegratorStepNotNeeded": str(not completes).lower()}}
+        interfaces = exchange | interfaces
     units = dict.fromkeys(variable.unit for variable in variables if variable.unit)
-    if units:
-        definitions = ET.SubElement(root, "UnitDefinitions")
-        for unit in units:
-            definition = ET.SubElement(definitions, "Unit", name=unit)
-            powers = zip(_BASES, dimensions(unit), strict=True)
-            ET.SubElement(definition, "BaseUnit", {base: str(power) for base, power in powers if power})
-            if unit in _SHOWN:
-                shown, factor = _SHOWN[unit]
-                ET.SubElement(definition, "DisplayUnit", name=shown, factor=repr(factor))
+    powers = {unit: zip(_BASES, dimensions(unit), strict=True) for unit in units}
+    kinds = [(v.kind, v.rate_of is not None) for v in variables]
+    structure = {
+        "Outputs": [n for n, (kind, rate) in enumerate(kinds, 1) if kind == "s" or (kind == "o" and not rate)],
+        "Derivatives": [n for n, (_, rate) in enumerate(kinds, 1) if rate],
+        "InitialUnknowns": [n for n, (kind, _) in enumerate(kinds, 1) if kind in "co"],
+    }
+    states = [number for number, (kind, _) in enumerate(kinds, 1) if kind in "sc"]
+    values = {
+        "name": unit.module.name,
+        "title": printable(unit.title),
+        "token": token,
+        "interfaces": interfaces,
+        "sources": sources,
+        "units": {unit: {base: power for base, power in powers[unit] if power} for unit in units},
+        "shown": _SHOWN,
+        "step": float(unit.longest),
+        "variables": [_attributes(number, variable, states) for number, variable in enumerate(variables)],
+        "structure": structure,
+    }
+    return filled("modelDescription.xml", values)
 
 
-def _add_variable(
-    parent: ET.Element, reference: int, variable: ScalarVariable, variables: Sequence[ScalarVariable]
-) -> None:
+def _attributes(
+    reference: int, variable: ScalarVariable, states: Sequence[int]
+) -> tuple[dict[str, object], dict[str, object]]:
+    """Attributes of a scalar variable, and of its real number; None for those that it does not have."""
     causality, variability, initial = _ATTRIBUTES[variable.kind]
-    rate = variable.rate_of is not None
-    attributes = {
+    scalar: dict[str, object] = {
         "name": variable.name,
-        "valueReference": str(reference),
-        "causality": "local" if rate else causality,
+        "valueReference": reference,
+        "causality": causality if variable.rate_of is None else "local",
         "variability": variability,
         "initial": initial,
     }
-    states = [number for number, other in enumerate(variables, 1) if other.kind in "sc"]
-    real = {
+    real: dict[str, object] = {
         "unit": variable.unit or None,
         "displayUnit": _SHOWN.get(variable.unit, (None,))[0],
-        "nominal": repr(NOMINAL[variable.unit]) if variable.unit in NOMINAL else None,
-        "start": None if variable.start is None else repr(float(variable.start)),
-        "derivative": None if variable.rate_of is None else str(states[variable.rate_of]),  # an index from 1
+        "nominal": NOMINAL.get(variable.unit),
+        "start": None if variable.start is None else float(variable.start),
+        "derivative": None if variable.rate_of is None else states[variable.rate_of],
     }
-    scalar = ET.SubElement(parent, "ScalarVariable", _present(attributes))
-    ET.SubElement(scalar, "Real", _present(real))
-
-
-def _present(attributes: dict[str, str | None]) -> dict[str, str]:
-    """The attributes that are not None."""
-    return {name: value for name, value in attributes.items() if value is not None}
-
-
-def _add_structure(parent: ET.Element, variables: Sequence[ScalarVariable]) -> None:
-    """Outputs, derivatives and initial unknowns, by their indices from 1."""
-    indices = {
-        "Outputs": [n for n, v in enumerate(variables, 1) if v.kind == "s" or (v.kind == "o" and v.rate_of is None)],
-        "Derivatives": [n for n, v in enumerate(variables, 1) if v.rate_of is not None],
-        "InitialUnknowns": [n for n, v in enumerate(variables, 1) if v.kind in "co"],
-    }
-    for name, numbers in indices.items():
-        if numbers:
-            part = ET.SubElement(parent, name)
-            for number in numbers:
-                ET.SubElement(part, "Unknown", index=str(number))
+    return scalar, real

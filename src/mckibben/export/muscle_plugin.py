@@ -165,19 +165,7 @@ class MuscleFunctions:
 
 def plugin_source(muscles: Sequence[PluginMuscle], name: str) -> str:
     """C code of the plugin around the functions of its muscles."""
-    values = {"name": name, "plugin": f"mckibben.{name}", "count": str(len(muscles))}
-    parts, rows = [], []
-    for number, muscle in enumerate(muscles, 1):
-        numbers = {
-            "k": number,
-            "activations": muscle.activations,
-            "anchors": muscle.anchors,
-            "slips": int(muscle.slips),
-            "rates": muscle.activations - muscle.filtered,
-        }
-        parts.append(filled("plugin_muscle.c", values | {key: str(value) for key, value in numbers.items()}))
-        rows.append(f"    {{{muscle.anchors}, act_dot{number}, force{number}}},\n")
-    return filled("plugin.c", values | {"muscles": "".join(parts), "rows": "".join(rows)})
+    return filled("plugin.c", {"name": name, "muscles": muscles})
 
 
 def plugin_files(
@@ -187,12 +175,11 @@ def plugin_files(
     name = module.name
     comment = f"Muscles of {title}, written by mckibben {mckibben.__version__}."
     sources = write_c(module, comment, single=False)
-    listed = "".join(f"- {part}\n" for part in left_out)
     return {
         f"{name}.xml": xml,
         f"{name}.h": sources.header,
         f"{name}.c": sources.source,
         "plugin.c": plugin_source(muscles, name),
         "Makefile": filled("plugin.mk", {"name": name}),
-        "README.md": filled("mujoco.md", {"name": name, "title": title, "left_out": listed}),
+        "README.md": filled("mujoco.md", {"name": name, "title": title, "left_out": left_out}),
     }

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 from jaxtyping import PyTree
 
-import mckibben
 from mckibben.actuator import IdealValve
 from mckibben.codegen.graph import FOLDED as NUMERIC
 from mckibben.errors import ExportError
@@ -67,7 +66,7 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
     left_out += [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += ["friction and creep of the muscles"] if joint.has_friction or joint.has_creep else []
     left_out += [] if plant.friction is None else ["friction of the joint"]
-    expressions, rests, forces = [], [], []
+    expressions, rests, drawn = [], [], []
     for number, (path, muscle, pressure) in enumerate(zip(moved, muscles, pressures, strict=True), 1):
         rest = float(muscle.specimen.initial_length - path.offset) if path.tendon else None
         lines = _Expression()
@@ -84,8 +83,10 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
         rests.append(rest)
         if rest is None:
             left_out.append(f"path of muscle {number}: not supported by OpenSim; its torque acts on the joint")
-        forces.append(_force(number, path, rest, expressions[-1], float(pressure)))
-    text = _osim(plant, name, forces)
+        values = {"number": number, "pressure": f"{pressure / bar:.6g}", "expression": escape(expressions[-1])}
+        ends = (f"{x!r} {y!r}" for x, y in path.points)
+        drawn.append(values | {"rest": rest} | dict(zip(("fixed", "moving"), ends, strict=False)))
+    text = _osim(plant, name, drawn)
     return OsimModel(text, tuple(expressions), tuple(rests), (*left_out, *mass_point(plant.load).assumed))
 
 
@@ -158,27 +159,17 @@ def _number(value: Any) -> str:
     return repr(float(value)) if value >= 0 or math.isnan(value) else f"({float(value)!r})"
 
 
-def _force(number: int, moved: Transmission, rest: float | None, expression: str, pressure: float) -> str:
-    """Text of the force of a muscle."""
-    values = {"number": str(number), "pressure": f"{pressure / bar:.6g}", "expression": escape(expression)}
-    if rest is None:
-        return filled("torque.osim", values)
-    ends = (f"{x!r} {y!r}" for x, y in moved.points)
-    return filled("path.osim", values | dict(zip(("fixed", "moving"), ends, strict=True)) | {"rest": repr(rest)})
-
-
-def _osim(plant: JointPlant, name: str, forces: Sequence[str]) -> str:
+def _osim(plant: JointPlant, name: str, muscles: Sequence[dict[str, object]]) -> str:
     """The document; gravity is rotated by the hanging angle, as the limb hangs along -y at angle 0."""
     hanging, gravity, point = float(plant.load.hanging_angle), gravity_of(plant.load), mass_point(plant.load)
     values = {
-        "version": mckibben.__version__,
         "name": name,
         "gravity": f"{gravity * math.sin(hanging)!r} {-gravity * math.cos(hanging)!r}",
         "mass": repr(point.mass),
         "centre": repr(-point.distance),
         "inertia": repr(point.inertia),
         "damping": repr(float(plant.load.damping)),
-        "forces": "".join(forces),
+        "muscles": muscles,
     }
     return filled("model.osim", values)
 

@@ -11,7 +11,6 @@ from typing import Any
 import jax
 from jaxtyping import PyTree
 
-import mckibben
 from mckibben.codegen.source_module import Function, SourceModule
 from mckibben.codegen.warp import write_warp
 from mckibben.export.leg_mjcf import leg_model, plant_and_start
@@ -82,9 +81,8 @@ def warp_muscles(
         "warp-muscles.txt",
         {
             "title": title.replace("\\", "/").replace('"""', "'"),
-            "version": mckibben.__version__,
             "name": module.name,
-            "left_out": "".join(f"- {part}\n" for part in left_out),
+            "left_out": left_out,
             "delay": repr(delay),
             "functions": write_warp(module),
             "kernels": "".join(kernels),

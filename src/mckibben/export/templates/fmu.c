@@ -1,8 +1,8 @@
-/* FMI 2.0 of "$title": an instance with the variables of $name.c, start values, steps and saved states; below, the
+/* FMI 2.0 of "${title}": an instance with the variables of ${name}.c, start values, steps and saved states; below, the
  * functions of the standard. */
 #include "fmi2Functions.h"
 
-#include "$name.h"
+#include "${name}.h"
 
 #include <math.h>
 #include <stdarg.h>
@@ -10,14 +10,16 @@
 #include <stdlib.h>
 #include <string.h>
 
-enum { VARIABLES = $variables, STATES = $states, MODEL_EXCHANGE = $model_exchange, SAMPLED = $sampled };
-static const double LONGEST = $longest; /* s, per call of advance; the period of a sampled function */
+enum { VARIABLES = ${variables | length}, STATES = ${rates | length}, MODEL_EXCHANGE = ${model_exchange}, SAMPLED = ${sampled} };
+static const double LONGEST = ${longest}; /* s, per call of advance; the period of a sampled function */
 
 typedef enum { BEFORE, INITIALIZATION, RUNNING } fmu_mode;
 
 typedef struct {
-    $name model;
-$structures
+    ${name} model;
+<% for structure in structures %>
+    ${name}_${structure} ${structure};
+<% endfor %>
     double time;
     fmu_mode mode;
     bool changed; /* parameters, since the last prepare */
@@ -37,16 +39,53 @@ typedef struct {
 } fmu_variable;
 
 static const fmu_variable VARIABLE[VARIABLES] = {
-$table
+<% for variable in variables %>
+    {offsetof(fmu_content, ${variable.place}), '${variable.kind}', ${literal(variable.start or 0.0)}, ${nominal.get(variable.unit, 1.0)}},
+<% endfor %>
 };
-static const fmi2ValueReference STATE[] = {$state_references}, RATE[] = {$rate_references};
+static const fmi2ValueReference STATE[] = {${rates.values() | join(', ') or 0}}, RATE[] = {${rates | join(', ') or 0}};
 
 static double *fmu_at(fmu_content *self, fmi2ValueReference reference)
 {
     return (double *)(void *)((char *)self + VARIABLE[reference].place);
 }
 
-$calls
+static void fmu_initialize(fmu_content *self)
+{
+    (void)self;
+<% if "init" in calls %>
+<% for member in starts %>
+    self->start.${member} = self->model.state.${member};
+<% endfor %>
+    ${calls["init"]};
+<% endif %>
+}
+
+static void fmu_results(fmu_content *self)
+{
+    ${calls["evaluate"]};
+<% if "differentiate" in calls %>
+    ${calls["differentiate"]};
+<% endif %>
+}
+
+static void fmu_advance(fmu_content *self, double duration)
+{
+    (void)self;
+    (void)duration;
+<% if "advance" in calls %>
+    ${calls["advance"]};
+<% endif %>
+}
+
+static void fmu_project(fmu_content *self)
+{
+    (void)self;
+<% if "project" in calls %>
+    ${calls["project"]};
+<% endif %>
+}
+
 static void fmu_refresh(fmu_content *self)
 {
     if (self->changed)

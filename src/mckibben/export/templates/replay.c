@@ -2,15 +2,15 @@
  *     ./replay replay.csv [steps to time]
  * Exit code 1 if the error of a command exceeds the tolerance.
  */
-#include "$name.h"
+#include "${name}.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <time.h>
 
-enum { ROWS = $rows, COLUMNS = $columns };
-static const double TOLERANCE = $tolerance; /* of a command, relative to the largest one */
+enum { ROWS = ${rows}, COLUMNS = ${columns | length} };
+static const double TOLERANCE = ${tolerance}; /* of a command, relative to the largest one */
 
 static double table[ROWS][COLUMNS], deviation, largest;
 
@@ -37,7 +37,9 @@ static int read_table(const char *path)
 
 static void inputs(const double *row, ${name}_setpoint *setpoint, ${name}_measurement *measurement)
 {
-    $inputs
+<% for part, member in columns if part != "commands" %>
+    ${part}->${member} = <% if part != "setpoint" %>(${real})<% endif %>row[${loop.index0}];
+<% endfor %>
 }
 
 static void compare(double command, double recorded)
@@ -49,7 +51,7 @@ static void compare(double command, double recorded)
 
 int main(int count, char **arguments)
 {
-    static $name controller;
+    static ${name} controller;
     ${name}_setpoint setpoint;
     ${name}_measurement measurement;
     static ${name}_commands commands;
@@ -68,7 +70,9 @@ int main(int count, char **arguments)
         row = table[number];
         inputs(row, &setpoint, &measurement);
         ${name}_step(&controller, &setpoint, &measurement, &commands, &telemetry);
-        $comparisons
+<% for part, member in columns if part == "commands" %>
+        compare((double)commands.${member}, row[${first_command + loop.index0}]);
+<% endfor %>
     }
     printf("%d steps: largest deviation of a command %.3g Pa, %.3g of the largest command\n", ROWS - 1, deviation,
            deviation / largest);

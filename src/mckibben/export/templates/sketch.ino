@@ -1,8 +1,8 @@
-// The controller of "$title" on an Arduino or Teensy. Fill in the three functions for your sensors and valves.
-#include "$name.h"
+// The controller of "${title}" on an Arduino or Teensy. Fill in the three functions for your sensors and valves.
+#include "${name}.h"
 
-static const uint32_t PERIOD = $microseconds; // us, control_period
-static $name controller;
+static const uint32_t PERIOD = ${microseconds}; // us, control_period
+static ${name} controller;
 static uint32_t next;
 
 static ${name}_measurement measure(); // angle in rad, gauge pressures in Pa
