@@ -208,4 +208,3 @@ def test_functions_of_one_run_are_right_to_about_an_ulp():
         np.testing.assert_allclose(found[1:-1], right[1:-1], rtol=0, atol=3e-16)
     assert exp[-6:].tolist() == [0.0, 0.0, 1.0, pytest.approx(exact[0][-3], rel=4e-16), np.inf, np.inf]
     assert np.isnan(values(np.array([np.nan]))).all()
-
