@@ -34,13 +34,7 @@ def model_description(
         interfaces = exchange | interfaces
     units = dict.fromkeys(variable.unit for variable in variables if variable.unit)
     powers = {unit: zip(_BASES, dimensions(unit), strict=True) for unit in units}
-    kinds = [(v.kind, v.rate_of is not None) for v in variables]
-    structure = {
-        "Outputs": [n for n, (kind, rate) in enumerate(kinds, 1) if kind == "s" or (kind == "o" and not rate)],
-        "Derivatives": [n for n, (_, rate) in enumerate(kinds, 1) if rate],
-        "InitialUnknowns": [n for n, (kind, _) in enumerate(kinds, 1) if kind in "co"],
-    }
-    states = [number for number, (kind, _) in enumerate(kinds, 1) if kind in "sc"]
+    states = [number for number, variable in enumerate(variables, 1) if variable.kind in "sc"]
     values = {
         "name": unit.module.name,
         "title": printable(unit.title),
@@ -51,9 +45,19 @@ def model_description(
         "shown": _SHOWN,
         "step": float(unit.longest),
         "variables": [_attributes(number, variable, states) for number, variable in enumerate(variables)],
-        "structure": structure,
+        "structure": _structure(variables),
     }
     return filled("modelDescription.xml", values)
+
+
+def _structure(variables: Sequence[ScalarVariable]) -> dict[str, list[int]]:
+    """Outputs, derivatives and initial unknowns."""
+    kinds = [(variable.kind, variable.rate_of is not None) for variable in variables]
+    return {
+        "Outputs": [n for n, (kind, rate) in enumerate(kinds, 1) if kind == "s" or (kind == "o" and not rate)],
+        "Derivatives": [n for n, (_, rate) in enumerate(kinds, 1) if rate],
+        "InitialUnknowns": [n for n, (kind, _) in enumerate(kinds, 1) if kind in "co"],
+    }
 
 
 def _attributes(
