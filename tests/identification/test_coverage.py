@@ -32,13 +32,6 @@ def test_noise_of_a_plateau_counts_once_and_its_mean_is_covered(points, knee):
         assert np.all(share <= 0.98), (by, share)
 
 
-def test_samples_of_a_plateau_are_no_independent_points(points):
-    """Taken as that, they promise four times the certainty there is: why a fit rests on means."""
-    samples = coverage.plateaus(len(points), SETS, seed=1)
-    promised = np.mean(samples.std(axis=-1, ddof=1)) / np.sqrt(coverage.SAMPLES)
-    assert np.std(samples.mean(axis=-1)) > 3 * promised
-
-
 @pytest.mark.slow
 def test_an_error_common_to_a_stroke_is_covered_where_strokes_are_the_groups(points, knee):
     assert coverage.stroke_labels(points).max() + 1 == 18

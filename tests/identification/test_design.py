@@ -3,7 +3,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from mckibben import catalog
 from mckibben.identification import design_matrix
 from mckibben.identification.estimator import tsqr_r
 from mckibben.muscle import ChouLaw, ExponentialLaw
@@ -20,13 +19,6 @@ def test_of_eq_2_is_the_basis_written_by_hand():
     hand = np.stack([one, PRESSURE, CONTRACTION, CONTRACTION * PRESSURE, decayed, decayed * PRESSURE], axis=1)
     law = ExponentialLaw(1.0, 0.2, 3.0, 0.4, 5.0, 0.6, decay=30.0)
     np.testing.assert_allclose(design_matrix(law, LINEAR, CONTRACTION, PRESSURE), hand, rtol=1e-14)
-
-
-def test_times_the_linear_parameters_is_the_force():
-    law = catalog.law("lei-mas-10-180n")
-    coefficients = np.array([getattr(law, name) for name in LINEAR])
-    force = design_matrix(law, LINEAR, CONTRACTION, PRESSURE) @ coefficients
-    np.testing.assert_allclose(force, law.force(CONTRACTION, PRESSURE), rtol=1e-12, atol=1e-11)
 
 
 def test_columns_come_in_the_order_asked_for():

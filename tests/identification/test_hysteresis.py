@@ -11,7 +11,7 @@ from mckibben.errors import IdentificationError
 from mckibben.identification import identify
 from mckibben.identification.friction import identify_hysteresis
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel
-from mckibben.identification.loading_path import DriftBasis, LoadingPaths, loop_half_width
+from mckibben.identification.loading_path import DriftBasis, LoadingPaths
 from mckibben.muscle import ChouLaw, ExponentialLaw, MaxwellSlip, Muscle, ReynoldsLaw, forces
 from mckibben.rig import IsobaricProtocol, SimulatedIsobaricTest
 from mckibben.units import bar, mm, percent
@@ -39,14 +39,13 @@ def drifting():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2, 3])
 @pytest.mark.parametrize("sensor", [{}, {"force_drift": -0.5, "force_wander": 0.1}])
-def test_hysteresis_and_law_are_found_as_well_as_the_law_without(seed, sensor):
-    found = identify_hysteresis(ExponentialLaw, SimulatedIsobaricTest(MUSCLE, **sensor).run(PROTOCOL, seed=seed))
+def test_hysteresis_and_law_are_found_as_well_as_the_law_without(sensor):
+    found = identify_hysteresis(ExponentialLaw, SimulatedIsobaricTest(MUSCLE, **sensor).run(PROTOCOL, seed=2))
     assert found.friction.half_width == pytest.approx(12, rel=2e-3)
     assert found.friction.presliding_length == pytest.approx(0.5 * mm, rel=0.1)
     assert found.friction.growth == 0.0 and np.isnan(found.standard_errors["growth"])
-    clean = off(identify(ExponentialLaw, SimulatedIsobaricTest(MUSCLE, hysteresis=0).run(PROTOCOL, seed=seed)).law)
+    clean = off(identify(ExponentialLaw, SimulatedIsobaricTest(MUSCLE, hysteresis=0).run(PROTOCOL, seed=2)).law)
     assert off(found.law) < 2.5 * clean < 0.05  # both are a few hundredths of a newton
     assert (found.drift is None) == (not sensor)
 
@@ -72,8 +71,6 @@ def test_the_parts_add_up_to_what_was_measured(drifting):
     np.testing.assert_allclose(found.tension, np.maximum(forces(found.law, data.contraction, data.pressure), 0))
     assert found.rmse == pytest.approx(np.sqrt(np.mean(found.residuals**2)))  # slack points tell the zero, and count
     assert found.points_used == len(data) and found.points_slack == np.count_nonzero(data.slack)
-    text = found.to_text()
-    assert "half width" in text and "drift of the sensor" in text
 
 
 def test_a_static_fit_to_the_corrected_points_is_the_same_law(drifting):
@@ -102,12 +99,6 @@ def test_a_presliding_shorter_than_a_step_is_said_not_to_be_known():
     assert found.friction.presliding_length < 5 * mm / 4
     assert len(found.warnings) == 1 and "the presliding length is not determined (steps of 5 mm)" in found.warnings[0]
     assert found.friction.half_width == pytest.approx(12, rel=5e-3)
-
-
-def test_two_pressures_tell_no_growth():
-    few = dataclasses.replace(PROTOCOL, pressures=[2 * bar, 4 * bar])
-    found = identify_hysteresis(LAW, SimulatedIsobaricTest(MUSCLE).run(few, seed=1))
-    assert found.friction.growth == 0
 
 
 def test_data_that_cannot_tell_are_refused(drifting):
@@ -187,18 +178,6 @@ def test_the_jacobian_is_that_of_small_changes(model):
     np.testing.assert_allclose(columns[:, -1], drift, atol=1e-9)
 
 
-def test_the_drift_is_straight_between_its_knots_and_beyond_them():
-    data = SimulatedIsobaricTest(MUSCLE).run(PROTOCOL, seed=1).plateau_means()
-    paths, time = LoadingPaths.of(data), data.table["time"].to_numpy()
-    none, bent = DriftBasis.candidates(paths, data)
-    assert none.points.shape[1] == 0
-    knots = np.sort([time[path][data.slack[path]].mean() for path in paths.rows])  # one a pressure
-    inside, values = (time >= knots[0]) & (time <= knots[-1]), np.array([0.0, 1.0, -1.0, 2.0, 0.0, 1.0])
-    np.testing.assert_allclose((bent.points @ values)[inside], np.interp(time[inside], knots, values))
-    np.testing.assert_allclose(bent.points @ (2 + 0.1 * knots), 2 + 0.1 * time)
-    assert bent.slope @ values == pytest.approx(np.polyfit(knots, values, 1)[0])
-
-
 @pytest.mark.slow
 def test_a_law_of_another_kind_leaves_what_it_cannot_say_to_the_residuals():
     """Chou's law has no exponential: the friction is still found, roughly, and the residuals show the rest."""
@@ -228,8 +207,9 @@ def test_a_turning_point_measured_in_both_directions_may_have_been_passed(oversh
         back = [(level, eps, "loading", half_width) for eps in stroke[::-1]]
         rows += [*out, *(back if overshot else [(level, stroke[-1], "loading", -half_width), *back[1:]])]
     pressure, contraction, direction, friction = (np.array(column) for column in zip(*rows, strict=True))
-    noise = 0.2 * np.random.default_rng(0).standard_normal(len(friction))
-    force = forces(LAW, contraction, pressure) + friction + noise
+    rng = np.random.default_rng(0)
+    force = forces(LAW, contraction, pressure) + friction + rng.normal(0, 0.2, len(friction))
+    contraction = contraction + rng.normal(0, 2e-6 / 0.25, len(friction))  # no travel of the friction
     data = IsobaricDataset.of(
         pressure=pressure, contraction=contraction, force=force, direction=direction, initial_length=0.25
     )
@@ -237,27 +217,6 @@ def test_a_turning_point_measured_in_both_directions_may_have_been_passed(oversh
     assert found.friction.half_width == pytest.approx(half_width, abs=0.1)
     assert found.rmse == pytest.approx(0.2, rel=0.3)
     assert identify(ExponentialLaw, found.corrected(data)).rmse == pytest.approx(0.2, rel=0.3)
-
-
-def test_noise_of_the_length_hides_no_turning_point():
-    """Its two rows differ by the noise of 20 um, which is no travel of the friction."""
-    rng, step, count = np.random.default_rng(1), 1e-3, 15
-    stroke = np.arange(count) * step / 0.25
-    rows = [(eps, "unloading") for eps in stroke] + [(eps, "loading") for eps in stroke[::-1]]
-    contraction, direction = (np.array(column) for column in zip(*rows, strict=True))
-    data = IsobaricDataset.of(
-        pressure=np.repeat([4 * bar, 5 * bar], 2 * count),
-        contraction=np.tile(contraction, 2) + rng.normal(0, 20e-6 / 0.25, 4 * count),
-        force=np.tile(np.where(direction == "loading", 108.0, 92.0), 2) + rng.normal(0, 0.2, 4 * count),
-        direction=np.tile(direction, 2),
-        initial_length=0.25,
-        slack_force=0.0,  # equal forces at two pressures look slack
-    )
-    paths = LoadingPaths.of(data)
-    assert np.flatnonzero(paths.turns).tolist() == [count, 3 * count]
-    assert loop_half_width(data, ~data.slack) == pytest.approx(8.0, abs=0.2)
-    travel = dataclasses.replace(paths, overshot=True).travel
-    assert np.count_nonzero(np.abs(travel) > 0.5) == 2
 
 
 @pytest.mark.slow
@@ -285,27 +244,3 @@ def test_estimates_scatter_by_their_standard_errors_under_noise_of_the_length():
         scores.append((found.friction.presliding_length - 0.8 * mm) / found.standard_errors["presliding_length"])
     assert abs(np.mean(scores)) < 0.7
     assert 0.5 < np.std(scores) < 1.4
-
-
-def test_the_side_of_the_first_branch_does_not_depend_on_the_first_fit_of_the_law():
-    """Few contractions and noise of the length: the law without friction fits badly."""
-    rng, friction, columns = np.random.default_rng(3), MaxwellSlip(12.0, 0.8 * mm), []
-    out = [SPECIMEN.initial_length - 2 * mm - np.arange(amplitude + 1) * mm for amplitude in (4, 8, 16)]
-    length = np.concatenate([out[0][:1], *(np.concatenate([one[1:], one[-2::-1]]) for one in out)])
-    direction = np.where(np.diff(length, prepend=length[0] + 1) < 0, "unloading", "loading")
-    contraction = 1 - length / SPECIMEN.initial_length
-    for pressure in (3 * bar, 4 * bar, 5 * bar):
-        tension = forces(LAW, contraction, pressure)
-        force = tension + friction.path_response(length, tension, pressure, side=1.0)
-        columns.append((np.full(len(length), pressure), contraction, force, direction))
-    pressure, contraction, force, direction = (np.concatenate(one) for one in zip(*columns, strict=True))
-    data = IsobaricDataset.of(
-        pressure=pressure,
-        contraction=contraction + rng.normal(0, 50e-6 / SPECIMEN.initial_length, len(force)),
-        force=force + rng.normal(0, 0.1, len(force)),
-        direction=direction,
-        initial_length=SPECIMEN.initial_length,
-    )
-    found = identify_hysteresis(ExponentialLaw, data, drift=False, form=FrictionForm.CONSTANT)
-    assert found.friction.half_width == pytest.approx(12.0, rel=0.03)
-    assert found.rmse < 1.5

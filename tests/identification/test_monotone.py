@@ -41,7 +41,6 @@ def test_a_law_with_the_right_slopes_stays_as_it_is():
     np.testing.assert_array_equal(found.values, solution.values)
 
 
-@pytest.mark.slow
 def stiff_bladder_force(contraction, pressure):
     """Static force [N] of a braid whose threads stretch, on a bladder of Mooney-Rivlin rubber that it meets late."""
     shortening, initial, angle, wall = 1.12 * contraction, 0.18, 0.436, 7.2e-6
@@ -61,6 +60,7 @@ def stiff_bladder_force(contraction, pressure):
     return np.maximum(pressing * braid + wall * energy_slope, 0.0)
 
 
+@pytest.mark.slow
 def test_a_muscle_with_a_stiff_bladder_needs_the_constraints(monkeypatch):
     """Without them, the slopes of the Gaussian process are refused, and Eq. 2 remains."""
     eps, p = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.18, 5), np.linspace(0.5, 6, 14) * bar))

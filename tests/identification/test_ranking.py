@@ -209,9 +209,3 @@ def test_a_flag_sets_a_law_aside_only_for_one_that_is_nearly_as_good(small, entr
 
     ranking = dataclasses.replace(small, entries=tuple(entry(*numbers) for numbers in entries))
     assert ranking.best.law == best
-    aicc = {1.0: 10.0, 20.0: 12.1, 1.3: 11.9, 0.9: 10.0}
-    by_aicc = [
-        dataclasses.replace(e, cross_validation={}, aicc=aicc[n[1]])
-        for e, n in zip(ranking.entries, entries, strict=True)
-    ]
-    assert dataclasses.replace(small, entries=tuple(by_aicc)).best.law == best

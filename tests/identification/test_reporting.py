@@ -1,6 +1,5 @@
 """Results of fits as plain data and text."""
 
-import json
 import math
 
 import numpy as np
@@ -9,8 +8,7 @@ import pytest
 from mckibben import catalog
 from mckibben.identification import identify
 from mckibben.identification.reporting import fit_numbers
-from mckibben.muscle import ChouLaw, ExponentialLaw
-from mckibben.storage.files import to_json
+from mckibben.muscle import ExponentialLaw
 
 
 def test_a_fit_is_shown_in_the_units_of_the_publication():
@@ -39,10 +37,3 @@ def test_a_fit_is_shown_in_the_units_of_the_publication():
     assert found["rmse_N"] == pytest.approx(np.sqrt(np.mean(residuals**2)))
     assert found["max_N"] == pytest.approx(np.abs(residuals).max())
     assert (found["points_used"], found["points_slack"]) == (40, 45)
-
-
-def test_a_law_without_a_decay_has_none():
-    found = fit_numbers(identify(ChouLaw, catalog.dataset("dmsp-10-250-martens2017")))
-    assert "decay_per_percent" not in found
-    assert found["law"] == "ChouLaw"
-    json.loads(to_json(found))

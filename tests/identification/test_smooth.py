@@ -1,18 +1,15 @@
 """`SmoothLaw`: what the points support, intervals, files, and where it is Eq. 2."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from mckibben import Fit, catalog
+from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import identify
 from mckibben.identification.summary import unphysical
 from mckibben.muscle import (
     ExponentialLaw,
     GaussianProcessLaw,
-    Muscle,
     PressureAffineLaw,
     SmoothAffineLaw,
     SmoothLaw,
@@ -119,23 +116,3 @@ def test_intervals_hold_the_truth_and_new_points():
         pairs = ((found.confidence, truth), (found.prediction, new))
         held.append([np.mean((one.lower <= value) & (value <= one.upper)) for one, value in pairs])
     assert np.all(np.mean(held, axis=0) > 0.88)
-
-
-@pytest.mark.slow
-def test_a_fit_file_gives_the_same_law_and_a_muscle_uses_it(tmp_path):
-    fit = identify(SmoothLaw, measured(QUADRATIC, 0.1))
-    fit.to_yaml(tmp_path / "fit.yaml")
-    law = Fit.from_yaml(tmp_path / "fit.yaml").law
-    assert law == dataclasses.replace(fit.law)
-    muscle = Muscle(catalog.joint("knee-table-2").muscle1.specimen, law)
-    assert float(muscle.law.force(0.05, 4 * bar)) == float(fit.law.force(0.05, 4 * bar))
-
-
-def test_where_it_is_eq_2_its_errors_at_points_left_out_are_those_of_eq_2():
-    """Also for points with a deviation, too few to tell."""
-    few = measured(AFFINE, 0.3).select(np.arange(45) % 9 % 2 == 0)
-    for data in (measured(0.0, 3.0), few):
-        ours, theirs = (identify(law, data) for law in (SmoothLaw, ExponentialLaw))
-        assert type(ours.law) is ExponentialLaw
-        found, expected = ours.leave_one_pressure_out, theirs.leave_one_pressure_out
-        np.testing.assert_allclose(list(found.by_pressure.values()), list(expected.by_pressure.values()), rtol=1e-9)

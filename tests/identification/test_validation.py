@@ -80,19 +80,6 @@ def test_a_direction_that_is_not_recorded_makes_no_groups():
     )  # another specimen: docs/paper.md, decision 14
 
 
-def test_errors_at_held_out_pressures_and_repeats(campaign):
-    train, held_out = campaign.split(pressures=[2 * bar, 3 * bar, 4.5 * bar, 6 * bar])
-    fit = identify(ExponentialLaw, train)
-    validation = validate(fit, held_out)
-    assert len(fit.dataset.pressures) == 9
-    assert {e.pressure for e in validation.errors} == {None, 2e5, 3e5, 4.5e5, 6e5}
-    assert validation.of("ExponentialLaw").rmse == pytest.approx(np.hypot(6, 1), abs=0.4)
-    assert validation.of("ExponentialLaw", pressure=6 * bar).outside > 0
-    train, held_out = campaign.split(repeats=[2])
-    rmse = validate(identify(ExponentialLaw, train), held_out).of("ExponentialLaw").rmse
-    assert rmse == pytest.approx(np.hypot(6, 1), abs=0.4)
-
-
 def test_nothing_to_compare(campaign):
     with pytest.raises(IdentificationError, match="0 laws"):
         validate([], campaign)

@@ -9,10 +9,9 @@ import pytest
 
 import mckibben as mk
 from mckibben import catalog
-from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import identify_with_friction, shows_hysteresis
-from mckibben.muscle import ExponentialLaw, MartensBoblanLaw, ReynoldsLaw, forces
+from mckibben.muscle import ExponentialLaw, ReynoldsLaw
 from mckibben.result import Remark
 from mckibben.units import bar, mm
 
@@ -38,36 +37,6 @@ def test_without_friction_the_fit_is_that_of_identify(rig):
     found = identify_with_friction(ExponentialLaw, rig, friction=False)
     assert found.fit.law == mk.identify(ExponentialLaw, rig).law
     assert found.hysteresis is found.friction is None and not found.note
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore::mckibben.errors.McKibbenWarning")  # of the misfit
-def test_prediction_intervals_without_friction_contain_the_misfit_of_a_wrong_law():
-    """A muscle of another law with 6 N of friction, at pressures between the measured ones."""
-    truth = mk.identify(MartensBoblanLaw, catalog.dataset("dmsp-10-250-martens2017")).law
-    stroke = np.linspace(0, 0.18, 19)
-    pressure = np.repeat(np.arange(1, 7) * bar, 38)
-    contraction = np.tile(np.r_[stroke, stroke[::-1]], 6)
-    side = np.tile(np.repeat([-1, 1], 19), 6)
-    eps, p = np.linspace(0.01, 0.16, 9)[:, None], np.array([1.5, 2.5, 3.5, 4.5]) * bar
-    expected = forces(truth, eps, p)
-    inside = []
-    for seed in range(3):
-        tension = forces(truth, contraction, pressure)
-        force = tension + side * np.minimum(6, 0.3 * tension) + np.random.default_rng(seed).normal(0, 0.5, side.size)
-        data = IsobaricDataset.of(
-            pressure=pressure,
-            contraction=contraction,
-            force=force,
-            direction=np.where(side > 0, "loading", "unloading"),
-            initial_length=200 * mm,
-            slack_force=6.0,
-        )
-        found = identify_with_friction(ExponentialLaw, data)
-        assert found.friction is not None and found.fit.rmse > 2
-        band = found.fit.force_intervals(eps, p).prediction
-        inside.append(((band.lower <= expected) & (expected <= band.upper))[expected > 15])
-    assert np.mean(inside) > 0.9
 
 
 def test_data_of_one_direction_are_fitted_as_before():

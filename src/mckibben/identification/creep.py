@@ -34,8 +34,6 @@ from mckibben.units import kPa, percent
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
 
-_SIGNIFICANT = 0.01
-_ROUNDS = 2
 _LARGEST = 0.5  # share of the form
 _FEWEST_LEVELS = 3  # of the pressure at a length
 _FEWEST_PLATEAUS = 6
@@ -57,7 +55,7 @@ class CreepFit(Result):
         `MaxwellCreep` with a `pressure_share`; `NoCreep` if no creep is significant.
     p_value
         Upper bound of the probability of this reduction of the squares if there is no creep (test of the nested models,
-        with errors that are correlated within plateaus). Creep is significant below 0.01.
+        with errors that are correlated within plateaus). Creep is significant below `significance`.
     share, share_interval
         Share of the law that follows with a delay [-], and its 95 % interval; infinite where the data impose no bound
         on the time constant, with which it varies.
@@ -105,7 +103,7 @@ class CreepFit(Result):
         return self.notes
 
 
-def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> CreepFit:
+def identify_pressure_creep(recordings: Recording | Sequence[Recording], *, significance: float = 0.01) -> CreepFit:
     r"""Identify the share of the force that follows steps of the pressure with a delay, at fixed lengths.
 
     Within plateau j of the pressure
@@ -119,6 +117,8 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Cree
     ----------
     recordings
         Recordings of isometric tests: each at one fixed length, or at several lengths one after another.
+    significance
+        Probability of creep that does not exist.
 
     Raises
     ------
@@ -142,13 +142,13 @@ def identify_pressure_creep(recordings: Recording | Sequence[Recording]) -> Cree
     """
     recordings = [recordings] if isinstance(recordings, Recording) else recordings
     delayed = DelayedForce.of([RecordedBins.of(recording, number) for number, recording in enumerate(recordings)])
-    for _ in range(_ROUNDS):
+    for _ in range(2):  # creep is left in the means of the plateaus
         delayed = delayed.corrected()
     share, rate, residuals = delayed.solution
     tau, (low, high) = delayed.time_constant, delayed.time_constant_interval
     error, freedom = delayed.error
     half = float(t_quantile(0.95, freedom)) * error if 0 < low and high < math.inf else math.inf
-    significant, notes = delayed.p_value < _SIGNIFICANT, []
+    significant, notes = delayed.p_value < significance, []
     if significant and abs(share) > _LARGEST:
         text = f"the share of {share / percent:.3g} % is beyond the 50 % of the form"
         notes.append(Remark.warning("creep", text))

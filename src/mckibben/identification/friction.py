@@ -27,8 +27,6 @@ from mckibben.units import factor, mm, show
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_MISFIT = 0.1  # of half the loop width: larger systematic residuals bias the friction
-_ROUNDS = 2
 _VAGUE = 0.3  # relative standard error above which a parameter is not determined
 
 
@@ -269,12 +267,12 @@ def _check(model: PathDependentModel, form: FrictionForm | None, of_law: int, dr
 
 
 def _started(
-    model: PathDependentModel, half_gap: float, law_type: type[ForceLaw] | None, robust: bool
+    model: PathDependentModel, half_gap: float, law_type: type[ForceLaw] | None, robust: bool, *, rounds: int = 2
 ) -> tuple[PathDependentModel, dict[str, float]]:
     """Model and start of the fits, from alternate fits of the friction and of a law (none if it is known)."""
     start = dict.fromkeys(FRICTION, 0.0) | {"half_width": half_gap, "log_presliding": float(np.log(model.paths.step))}
     model, start = _branched(model, start)
-    for _ in range(_ROUNDS if law_type else 0):
+    for _ in range(rounds if law_type else 0):
         friction = model.components(start)[1]
         corrected = IsobaricDataset(model.means.table.assign(force=("point", model.means.force - friction)))
         try:
@@ -303,14 +301,18 @@ def _shapes_at_bound(law: ForceLaw) -> set[str]:
     return {name for name, out in zip(names, cube.at_bound(position), strict=True) if out}
 
 
-_DRIFT_LEVEL = 0.01  # probability of a false detection of drift
-_FEWEST_LEVELS = 4  # with more, there are enough groups
-
-
 def _with_drift(
-    model: PathDependentModel, bases: Sequence[DriftBasis], start: Mapping[str, float], free: tuple[str, ...]
+    model: PathDependentModel,
+    bases: Sequence[DriftBasis],
+    start: Mapping[str, float],
+    free: tuple[str, ...],
+    *,
+    level: float = 0.01,
 ) -> tuple[PathDependentModel, PathSolution]:
-    """Solution with the drift if its mean rate is significant and Schwarz's criterion lower, else without."""
+    """Solution with the drift if its mean rate is significant and Schwarz's criterion lower, else without.
+
+    `level` is the probability of a false detection.
+    """
     from scipy.special import stdtr
 
     without = dataclasses.replace(model, drift=bases[0])
@@ -319,32 +321,36 @@ def _with_drift(
         trial = dataclasses.replace(model, drift=basis)
         drifting = trial.solve(solution.values, free)
         rate, error, freedom = _drift_rate(trial, drifting)
-        significant = error > 0 and 2 * float(stdtr(freedom, -abs(rate / error))) < _DRIFT_LEVEL
+        significant = error > 0 and 2 * float(stdtr(freedom, -abs(rate / error))) < level
         gain = count * np.log(solution.minimum.cost / drifting.minimum.cost)
         if significant and gain > len(basis.slope) * np.log(count):
             return trial, drifting
     return without, solution
 
 
-def _drift_rate(model: PathDependentModel, solution: PathSolution) -> tuple[float, float, float]:
-    """Mean rate of the drift [N/s], its standard error, robust to errors common to a level, and degrees of freedom."""
+def _drift_rate(
+    model: PathDependentModel, solution: PathSolution, *, fewest_levels: int = 5
+) -> tuple[float, float, float]:
+    """Mean rate of the drift [N/s], its standard error, robust to errors common to a level, and degrees of freedom.
+
+    With fewer levels than `fewest_levels`, errors are common to a path.
+    """
     slope = model.drift.slope
     gradient = np.concatenate([np.zeros(len(solution.free)), slope])[solution.inside]
     by_level = np.unique(model.means.levels[model.used], return_inverse=True)[1]  # the misfit of the law is common
-    labels = by_level if by_level.max() >= _FEWEST_LEVELS else model.paths.label[model.used]
+    labels = by_level if by_level.max() + 1 >= fewest_levels else model.paths.label[model.used]
     errors = robust_errors(solution.minimum.jacobian[:, solution.inside], solution.minimum.residuals, labels)
     variance, freedom = errors.variance(gradient[None])
     return float(slope @ solution.offsets), float(np.sqrt(variance[0])), float(freedom[0])
 
 
-_AS_GOOD = 1.05  # times the lowest error
-_UNDETERMINED = 1e-8  # singular value, relative to the largest, of a direction that points do not determine
-
-
 def _compare_forms(
-    model: PathDependentModel, start: Mapping[str, float], law: tuple[str, ...]
+    model: PathDependentModel, start: Mapping[str, float], law: tuple[str, ...], *, tolerance: float = 1.05
 ) -> tuple[FrictionForm, Mapping[FrictionForm, float], dict[str, float]]:
-    """Form with the fewest parameters that is as good as the best; errors of those that the data tell apart; values."""
+    """Form with the fewest parameters that is as good as the best; errors of those that the data tell apart; values.
+
+    Its error is at most `tolerance` times the lowest, or larger by less than the standard error of the difference.
+    """
     levels = model.means.levels[model.used]
     blocks = levels if len(np.unique(levels)) >= 3 else model.paths.label[model.used]
     squares: dict[FrictionForm, Floats] = {}
@@ -365,21 +371,24 @@ def _compare_forms(
     def as_good(form: FrictionForm) -> bool:
         worse = squares[form] - best
         scatter = np.sqrt(len(worse)) * np.std(worse, ddof=1) if len(worse) > 1 else 0.0
-        return worse.sum() <= max(scatter, (_AS_GOOD**2 - 1) * best.sum())
+        return worse.sum() <= max(scatter, (tolerance**2 - 1) * best.sum())
 
     chosen = min(filter(as_good, rmse), key=lambda form: (len(form.free), rmse[form]))
     return chosen, rmse, solutions[chosen].values
 
 
-def _held_out_squares(solution: PathSolution, blocks: Floats | Ints) -> Floats:
-    """Sum of squared errors [N^2] of each block by the linearised fit to all others; NaN where not determined."""
+def _held_out_squares(solution: PathSolution, blocks: Floats | Ints, *, singular: float = 1e-8) -> Floats:
+    """Sum of squared errors [N^2] of each block by the linearised fit to all others; NaN where not determined.
+
+    Points do not determine a direction whose singular value is below `singular` times the largest.
+    """
     count, residuals = len(solution.free), solution.minimum.residuals
     jacobian = solution.minimum.jacobian[:, :count][:, solution.inside[:count]]
     jacobian = jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), np.finfo(float).tiny)
-    rank, squares = np.linalg.matrix_rank(jacobian, rtol=_UNDETERMINED), []
+    rank, squares = np.linalg.matrix_rank(jacobian, rtol=singular), []
     for block in np.unique(blocks):
         out = blocks == block
-        step, _, rest, _ = np.linalg.lstsq(jacobian[~out], residuals[~out], rcond=_UNDETERMINED)
+        step, _, rest, _ = np.linalg.lstsq(jacobian[~out], residuals[~out], rcond=singular)
         error = residuals[out] - jacobian[out] @ step
         squares.append(float(error @ error) if rest == rank else np.nan)
     return np.array(squares)
@@ -401,7 +410,7 @@ def _presliding(model: PathDependentModel, solution: PathSolution) -> tuple[Path
 
 
 def _doubts(
-    model: PathDependentModel, solution: PathSolution, result: HysteresisFit, half_gap: float
+    model: PathDependentModel, solution: PathSolution, result: HysteresisFit, half_gap: float, *, misfit: float = 0.1
 ) -> Iterable[Remark]:
     """Remarks on the half width, parameters at a bound, the form, and the misfit of the law."""
     half_width, error = solution.values["half_width"], solution.error("half_width")
@@ -417,7 +426,7 @@ def _doubts(
         np.concatenate([result.residuals[rows[part]] for rows in pairs]) for part in (slice(-1), slice(1, None))
     )
     shared = float(np.sqrt(max(np.mean(first * second), 0.0))) if len(first) else 0.0
-    if shared > _MISFIT * half_gap:
+    if shared > misfit * half_gap:
         text = (
             f"{type(model.template).__name__} leaves residuals of {result.rmse:.3g} N, {shared:.3g} N of them shared "
             f"by neighbouring points, against {half_gap:.3g} N of half the loop width: the misfit may be mistaken for "

@@ -55,8 +55,6 @@ _FREE = {
 FRICTION = ("half_width", "growth", "tension_growth", "viscous", "log_presliding")
 """Friction parameters in SI, as in `MaxwellSlip`, with the logarithm of the presliding length [m]."""
 
-_TENSION_STEP = 1e-4  # N: of difference quotients
-_RELATIVE_STEP = 1e-6
 _WIDEST = 1e5  # N
 _LONGEST = 0.25  # of the range of lengths: with a longer presliding length friction would never fully reverse
 
@@ -143,21 +141,31 @@ class PathDependentModel:
         tension, friction = self.components(values)
         return (tension + friction + self.drift.points @ offsets - self.means.force)[self.used]
 
-    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> Floats:
-        """Derivative of the modelled force with respect to the named parameters and drift amplitudes."""
+    def jacobian(
+        self, values: Mapping[str, float], names: Sequence[str], *, tension_step: float = 1e-4, step: float = 1e-6
+    ) -> Floats:
+        """Derivative of the modelled force with respect to the named parameters and drift amplitudes.
+
+        That of the law is exact. Friction has difference quotients: over a `tension_step` [N] for parameters of the
+        law, and for its own over a `step` that is divided by the range of the quantity that the parameter multiplies.
+
+        Returns
+        -------
+        Shape (points used, names and drift amplitudes).
+        """
         tension = self._tension(values)
         of_law = [name for name in names if name in self.law_names]
         columns = design_matrix(self.law(values), of_law, self.means.contraction, self.means.pressure)
         columns = columns * (tension > 0)[:, None]
         others = [name for name in names if name not in self.law_names]
         # All difference quotients of the friction in one pass along the paths.
-        by_law = _TENSION_STEP / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
+        by_law = tension_step / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
         sizes = {
             "growth": float(np.abs(self.means.pressure - self.reference_pressure).max()),
             "tension_growth": float(np.abs(tension - self.reference_tension).max()),
             "viscous": 1.0 if self.rate is None else float(np.abs(self.rate).max()),
         }
-        steps = np.array([*by_law, *(_RELATIVE_STEP / max(sizes.get(name, 1.0), 1e-9) for name in others)])
+        steps = np.array([*by_law, *(step / max(sizes.get(name, 1.0), 1e-9) for name in others)])
         moved = [dict(values) for _ in names]
         for k, name in enumerate(others):
             moved[len(of_law) + k][name] += steps[len(of_law) + k]

@@ -109,11 +109,6 @@ def _force_and_columns(
     return jax.vmap(column, out_axes=(None, 0))(jnp.eye(len(names)))
 
 
-_GRID_POINTS = 512  # of a grid over several parameters
-_GRID_POINTS_PER_PARAMETER = 32
-_AT_BOUND = 1e-6  # distance from a bound in the unit cube
-
-
 @dataclass(frozen=True)
 class UnitCube:
     """Shape parameters scaled to 0..1 between their bounds: logarithmically where both are positive."""
@@ -146,14 +141,14 @@ class UnitCube:
         positive = self.bounds[0] > 0
         return np.where(positive, np.log(np.where(positive, values, 1.0)), values)
 
-    def at_bound(self, position: Floats) -> Bools:
-        """Mask of the parameters at a bound of their range, shape (parameters,)."""
-        return (position < _AT_BOUND) | (position > 1 - _AT_BOUND)
+    def at_bound(self, position: Floats, *, distance: float = 1e-6) -> Bools:
+        """Mask of the parameters within a `distance` from a bound of their range, shape (parameters,)."""
+        return (position < distance) | (position > 1 - distance)
 
-    def grid(self) -> Floats:
+    def grid(self, *, most: int = 512, per_parameter: int = 32) -> Floats:
         """Positions that cover the cube, none on a face; shape (positions, parameters)."""
         count = len(self.parameters)
-        per_axis = min(_GRID_POINTS_PER_PARAMETER, int(_GRID_POINTS ** (1 / count))) if count else 1
+        per_axis = min(per_parameter, int(most ** (1 / count))) if count else 1
         axis = (np.arange(per_axis) + 0.5) / per_axis
         return np.array(list(itertools.product(axis, repeat=count)))
 

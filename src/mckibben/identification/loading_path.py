@@ -13,15 +13,8 @@ from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints
 from mckibben.units import show
 
-_FEWEST = 4  # fewest points of a path that show friction
-_BACKWARDS = 0.01  # of the range of the lengths, against the direction: noise, and ambiguous labels at reversals
-_REVERSALS = 0.3  # per move; a stroke has a few moves at least
-_SIGNIFICANT = 0.99865  # one-sided level of a difference: three standard errors of many pairs
-_SPEEDS = 1.3  # ratio of the upper to the lower quartile that distinguishes viscous from dry friction
-_CLIPPED = 0.25  # of the slack points at exactly the lowest force
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
 _FAR = 1.0  # m: exceeds any presliding length
-_AT_REST = 1e-3  # of the highest rate
 _ORDER_REMEDY = "give the time of each point, or rows in the order in which they were measured"
 
 
@@ -85,8 +78,11 @@ class LoadingPaths:
                 ends[rows] = np.append(True, changes) | np.append(changes, True)
         return ends
 
-    def rate(self, means: IsobaricDataset) -> Floats | None:
-        """Rate of the length [m/s] by central differences, shape (rows,); None without times, or at one speed."""
+    def rate(self, means: IsobaricDataset, *, ratio: float = 1.3) -> Floats | None:
+        """Rate of the length [m/s] by central differences, shape (rows,); None without times, or at one speed.
+
+        Speeds differ if the quotient of their quartiles exceeds `ratio`: else viscous friction looks like dry friction.
+        """
         if "time" not in means.table:
             return None
         time, rate = means.table["time"].to_numpy(), np.zeros(len(self.length))
@@ -100,7 +96,7 @@ class LoadingPaths:
         if not len(moving):
             return None
         slow, fast = np.quantile(moving, [0.25, 0.75])
-        return rate if fast > _SPEEDS * slow else None
+        return rate if fast > ratio * slow else None
 
     def scattered(self, values: Floats) -> Floats:
         """Values by point and path, shape (points, paths, ...), as rows of the dataset, shape (rows, ...)."""
@@ -110,8 +106,11 @@ class LoadingPaths:
         return scattered
 
     @classmethod
-    def of(cls, means: IsobaricDataset) -> LoadingPaths:
-        """Loading paths of a dataset of plateau means; raises `IdentificationError` if it has none."""
+    def of(cls, means: IsobaricDataset, *, fewest: int = 4) -> LoadingPaths:
+        """Loading paths of a dataset of plateau means; raises `IdentificationError` if it has none.
+
+        Paths of fewer than `fewest` points show no friction.
+        """
         table = means.table
         if "direction" not in table or len(means.directions) < 2:
             which = f"{means.directions[0]} alone" if len(means.directions) else "no directions"
@@ -128,7 +127,7 @@ class LoadingPaths:
         order = np.argsort(table["time"].to_numpy(), kind="stable") if "time" in table else np.arange(len(means))
         ends = np.flatnonzero(np.diff(means.levels[order])) + 1
         paths = np.split(order, ends)
-        if np.median([len(path) for path in paths]) < _FEWEST:
+        if np.median([len(path) for path in paths]) < fewest:
             raise IdentificationError(
                 f"{len(means)} points make {len(paths)} paths at constant pressure: too short to show friction",
                 remedy="give the nominal pressure of each point (set_pressure), and rows in the order of the test",
@@ -146,15 +145,27 @@ class LoadingPaths:
         return cls(place, counts, side, length, step, _turns(length, paths, loading))
 
 
-def _check_order(measured: Floats, length: Floats, paths: Sequence[Ints], loading: Bools) -> None:
-    """Refuse rows whose lengths or directions are not in the order of a test; `length` is monotone along strokes."""
+def _check_order(
+    measured: Floats,
+    length: Floats,
+    paths: Sequence[Ints],
+    loading: Bools,
+    *,
+    most_backwards: float = 0.01,
+    most_reversals: float = 0.3,
+) -> None:
+    """Refuse rows whose lengths or directions are not in the order of a test; `length` is monotone along strokes.
+
+    Noise moves a length against its direction by a share `most_backwards` of the range of the lengths, and a test has a
+    share `most_reversals` of reversals in its moves, at most.
+    """
     count = sum(int(np.count_nonzero(np.diff(length[path]))) for path in paths)
     backwards = float(np.sqrt(np.mean((length - measured) ** 2)))
     reversals = sum(int(np.count_nonzero(np.diff(loading[path]))) for path in paths)
     text = ""
-    if backwards > _BACKWARDS * np.ptp(measured):
+    if backwards > most_backwards * np.ptp(measured):
         text = f"the length moves against the direction of the points, by {show(backwards, 'mm', 3)} (RMS)"
-    elif reversals > _REVERSALS * count or not count:
+    elif reversals > most_reversals * count or not count:
         text = f"the direction changes {reversals} times in {count} moves"
     if text:
         raise IdentificationError(f"{text}: the rows are not in the order of the test", remedy=_ORDER_REMEDY)
@@ -171,10 +182,10 @@ def _turns(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
     return turns
 
 
-def moving_rates(rate: Floats) -> Floats:
-    """Absolute rates [m/s] of the points at which the muscle moves: it may rest at most of them."""
+def moving_rates(rate: Floats, *, least: float = 1e-3) -> Floats:
+    """Absolute rates [m/s] of points at which the muscle moves: faster than the share `least` of the highest rate."""
     speed = np.abs(rate)
-    return speed[speed > _AT_REST * speed.max(initial=0.0)]
+    return speed[speed > least * speed.max(initial=0.0)]
 
 
 def _monotone(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
@@ -216,10 +227,13 @@ class DriftBasis:
         return self.points.shape[1] > 1
 
 
-def clipped(means: IsobaricDataset) -> bool:
-    """True if the forces of the slack points end at a floor, as in a reading that is never negative."""
+def clipped(means: IsobaricDataset, *, share: float = 0.25) -> bool:
+    """True if the forces of the slack points end at a floor, as in a reading that is never negative.
+
+    More than a `share` of them then have exactly the lowest force.
+    """
     slack = means.force[means.slack]
-    return bool(len(slack)) and int(np.count_nonzero(slack == slack.min())) > max(1.0, _CLIPPED * len(slack))
+    return bool(len(slack)) and int(np.count_nonzero(slack == slack.min())) > max(1.0, share * len(slack))
 
 
 def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools) -> Floats:
@@ -234,8 +248,18 @@ def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools) -> Floats:
     return (forces[True] - forces[False]).dropna().to_numpy() if forces.shape[1] == 2 else np.empty(0)
 
 
-def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
-    """Median half-difference [N] between the directions at the same pressure and contraction."""
+def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.99865) -> float:
+    """Median half-difference [N] between the directions at the same pressure and contraction.
+
+    Its significance is tested by the one-sided t quantile of a `level`: three standard errors of many pairs.
+
+    Raises
+    ------
+    NoHysteresisError
+        If there are fewer than two pairs of points, or the difference is not significant.
+    IdentificationError
+        If loading is significantly below unloading.
+    """
     gaps = _gaps(means, taut, means.table["direction"].to_numpy() == "loading")
     if len(gaps) < 2:
         message = f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions"
@@ -245,7 +269,7 @@ def loop_half_width(means: IsobaricDataset, taut: Bools) -> float:
 
     middle, count = float(np.median(gaps)), len(gaps)
     error = max(1.25 * float(np.std(gaps, ddof=1)) / np.sqrt(count), np.finfo(float).eps * abs(middle))
-    if not abs(middle) > float(stdtrit(count - 1, _SIGNIFICANT)) * error:
+    if not abs(middle) > float(stdtrit(count - 1, level)) * error:
         raise NoHysteresisError(
             f"loading is {middle:.2g} N above unloading, with a standard error of {error:.2g} N from {count} pairs of "
             "points: the data show no hysteresis",

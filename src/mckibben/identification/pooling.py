@@ -27,7 +27,6 @@ from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.units import show
 
 _BETTER = 0.95  # times the scatter without a dead length
-_SHORTEST, _LONGEST = -0.1, 0.3  # bounds of the dead length, of the shortest specimen
 
 
 class LeftOutSpecimen(NamedTuple):
@@ -254,13 +253,16 @@ class _Pool:
         """Fit of the law to the selected points."""
         return identify(self.law, self.dataset(dead, strengths, selected), robust=False)
 
-    def dead_length(self, selected: Bools) -> float:
-        """Dead length [m] from the selected points; 0 if the lengths differ by less than 10 %."""
+    def dead_length(self, selected: Bools, *, shortest: float = -0.1, longest: float = 0.3) -> float:
+        """Dead length [m] from the selected points; 0 if the lengths differ by less than 10 %.
+
+        Its bounds are the shares `shortest` and `longest` of the length of the shortest specimen.
+        """
         least = float(self.lengths.min())
         if np.ptp(self.lengths) < 0.1 * least:
             return 0.0
-        bounds = _SHORTEST * least, _LONGEST * least
-        return bounded_minimum(lambda dead: self.solved(dead, selected)[1], *bounds, 1e-3 * least)
+        ends = shortest * least, longest * least
+        return bounded_minimum(lambda dead: self.solved(dead, selected)[1], *ends, 1e-3 * least)
 
     def solved(self, dead: float, selected: Bools) -> tuple[Floats, float, float]:
         """Strengths with a mean of 1 by alternate fits, and sums of squares [N^2] at selected and other points."""

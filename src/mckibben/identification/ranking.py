@@ -34,9 +34,6 @@ EXTRAPOLATION = "highest pressure"
 BLOCKS = ("pressure", "contraction", EXTRAPOLATION)
 """Kinds of cross-validation blocks."""
 
-_AS_GOOD = 1.5  # times the lowest error
-_SUPPORTED = 2.0  # difference of AICc up to which a model has substantial support (Burnham and Anderson 2002, sec. 2.6)
-
 
 @dataclass(frozen=True)
 class RankedLaw:
@@ -296,7 +293,12 @@ def _ranked(kind: type[ForceLaw], means: IsobaricDataset, blocks: dict[str, np.n
     )
 
 
-def _nearly_as_good(entry: RankedLaw, first: RankedLaw) -> bool:
+def _nearly_as_good(entry: RankedLaw, first: RankedLaw, *, ratio: float = 1.5, difference: float = 2.0) -> bool:
+    """Whether an error is at most a `ratio` of the first or, without errors, the AICc is larger by a `difference`.
+
+    Up to a difference of 2, a model has substantial support: K. Burnham and D. Anderson, "Model Selection and
+    Multimodel Inference", Springer 2002, section 2.6.
+    """
     if first.interpolation:
-        return entry.error <= _AS_GOOD * first.error
-    return entry.aicc <= first.aicc + _SUPPORTED
+        return entry.error <= ratio * first.error
+    return entry.aicc <= first.aicc + difference

@@ -27,10 +27,6 @@ from mckibben.identification.grouping import Grouping, finest_grouping, group_la
 from mckibben.identification.least_squares import FitProblem, Solution, solve
 from mckibben.units import percent
 
-_MOST_BLOCKS = 200
-_BLOCKS = 8  # number of blocks of equal width if all pressures differ
-_IN_BLOCK = 5  # points at least, on average
-
 
 @dataclass(frozen=True)
 class RobustErrors:
@@ -79,18 +75,22 @@ class NotIdentifiableError(Exception):
         self.block, self.reason = block, reason
 
 
-def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
-    """Pressure level [Pa] of each point, or the median of its block; None and the reason if unavailable."""
+def pressure_blocks(points: IsobaricDataset, *, most: int = 8, fewest: int = 5) -> tuple[Floats | None, str]:
+    """Pressure level [Pa] of each point, or the median of its block; None and the reason if unavailable.
+
+    A block is one level. If all pressures differ, it is a cluster of them or, if there is none, a part of the range: at
+    most `most` blocks, with `fewest` points on average.
+    """
     levels = points.levels
     count = len(np.unique(levels))
     if count < 2:
         return None, "there is only one pressure"
-    if 2 * count <= len(points) and count <= _MOST_BLOCKS:
+    if 2 * count <= len(points):
         return levels, ""
     blocks = pressure_levels(levels)
     if np.isfinite(blocks).all() and 1 < len(np.unique(blocks)) <= len(points) // 3:
         return blocks, ""
-    number = min(len(points) // _IN_BLOCK, _BLOCKS)
+    number = min(len(points) // fewest, most)
     if number < 2:
         return None, f"the {len(points)} points have {count} different pressures; record the set pressure of each point"
     edges = np.linspace(levels.min(), levels.max(), number + 1)[1:-1]
@@ -99,18 +99,17 @@ def pressure_blocks(points: IsobaricDataset) -> tuple[Floats | None, str]:
     return np.array([medians[block] for block in part.tolist()]), ""
 
 
-_CONTRACTION_BLOCKS = 8
 RESOLUTION = 1e-3  # closer contractions count as one
 
 
-def contraction_blocks(points: IsobaricDataset) -> NDArray[np.str_]:
+def contraction_blocks(points: IsobaricDataset, *, most: int = 8) -> NDArray[np.str_]:
     """Label of the contraction block of each point; "" in the outermost blocks, which would require extrapolation.
 
-    A block is one contraction, or several neighbours if there are more than eight.
+    A block is one contraction, or several neighbours if there are more than `most`.
     """
     rounded = np.round(points.contraction / RESOLUTION).astype(int)
     values, number, counts = np.unique(rounded, return_inverse=True, return_counts=True)
-    blocks = min(len(values), _CONTRACTION_BLOCKS)
+    blocks = min(len(values), most)
     if blocks < len(values):
         number = ((np.cumsum(counts) - counts / 2) * blocks / len(points)).astype(int)[number]
     labels = np.full(len(points), "", "<U24")

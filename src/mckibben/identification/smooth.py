@@ -51,13 +51,6 @@ _BETTER = 0.95  # largest error over both kinds, relative to Eq. 2 or another la
 _NEGLIGIBLE = -20.0  # logarithm of a scale relative to the noise
 _SHORTEST = -1.5  # logarithm of a length in half ranges of the points
 _SPACINGS = 2.0  # shortest length over pressure: the distance between the neighbours of a level that is left out
-_FOLDS = 5  # largest number of blocks of each kind
-_CONTRACTIONS = 4  # that Eq. 2 needs; with as many, it is compared only over pressures
-_LEAST = 4  # points per parameter of Eq. 2
-_ROUNDING = 1e-9  # of the largest force
-_RISE = 1e-6  # of the largest force, between neighbours on the grid of slopes
-_SINGULAR = 1e-14
-_MOST_ROUNDS = 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,13 +221,24 @@ class Deviations:
         return errors
 
 
-def monotone(solution: Solution, domain: Domain) -> Solution | None:
+def monotone(
+    solution: Solution, domain: Domain, *, rise: float = 1e-6, singular: float = 1e-14, rounds: int = 50
+) -> Solution | None:
     """Solution with a force that falls with contraction and rises with pressure in a domain; None if there is none.
 
     The linear parameters are changed as little as the points allow, so that the slopes are right on a grid, wherever
     the muscle pulls: with the shape held, a least-distance problem, solved by non-negative least squares (C. Lawson and
     R. Hanson, "Solving Least Squares Problems", SIAM 1995, chapter 23), with constraints where the last solution
     violates them.
+
+    Parameters
+    ----------
+    rise
+        Least rise of the force between neighbours on the grid, relative to the largest force.
+    singular
+        Diagonal element of the triangle of unit-length columns below which the points do not determine the law.
+    rounds
+        Number of sets of constraints that are tried.
     """
     from scipy.optimize import nnls
 
@@ -246,12 +250,12 @@ def monotone(solution: Solution, domain: Domain) -> Solution | None:
     columns, first = jacobian[:, :linear], solution.values[:linear]
     lengths = np.linalg.norm(columns, axis=0)
     q, triangle = np.linalg.qr(columns / lengths)
-    if not np.isfinite(grid).all() or np.abs(np.diag(triangle)).min() < _SINGULAR:
+    if not np.isfinite(grid).all() or np.abs(np.diag(triangle)).min() < singular:
         return None
-    target, margin = q.T @ residuals, _RISE * float(problem.force[problem.selected].max())
+    target, margin = q.T @ residuals, rise * float(problem.force[problem.selected].max())
     wrong = [np.zeros(np.subtract(contraction.shape, less), bool) for less in ((1, 0), (0, 1))]
     step = np.zeros(linear)
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(rounds):
         slopes = wrong_slopes(grid @ (first + step))
         if not any(rises.any() for rises in slopes):
             values = np.concatenate([first + step, solution.values[linear:]])
@@ -264,7 +268,7 @@ def monotone(solution: Solution, domain: Domain) -> Solution | None:
         rows = np.vstack([rows, margin - rising @ first - target @ rows])
         scaled = rows / np.linalg.norm(rows[:-1], axis=0)
         rest = scaled @ nnls(scaled, np.eye(linear + 1)[-1])[0] - np.eye(linear + 1)[-1]
-        if not rest[-1] < -_SINGULAR:
+        if not rest[-1] < -singular:
             return None
         step = np.linalg.solve(triangle, target - rest[:-1] / rest[-1]) / lengths
     return None
@@ -322,10 +326,13 @@ def _compared(
     return score, [kind for kind, ratio in ratios.items() if ratio > _WORSE[kind]]
 
 
-def _may_deviate(base: Solution, used: IsobaricDataset) -> bool:
-    """Whether there are enough points off Eq. 2 to determine deviations."""
-    enough = len(used) >= _LEAST * len(base.problem.names) and bool(np.ptp(used.contraction))
-    return enough and bool(np.abs(base.residuals).max() >= _ROUNDING * used.force.max())
+def _may_deviate(base: Solution, used: IsobaricDataset, *, per_parameter: int = 4, rounding: float = 1e-9) -> bool:
+    """Whether there are enough points off Eq. 2 to determine deviations: `per_parameter` of Eq. 2, at least.
+
+    Residuals below a share `rounding` of the largest force are zero.
+    """
+    enough = len(used) >= per_parameter * len(base.problem.names) and bool(np.ptp(used.contraction))
+    return enough and bool(np.abs(base.residuals).max() >= rounding * used.force.max())
 
 
 def _objection(solution: Solution, base: Solution, used: IsobaricDataset) -> str:
@@ -339,16 +346,21 @@ def _objection(solution: Solution, base: Solution, used: IsobaricDataset) -> str
     return f"with deviations {wrong}" if wrong and not before else ""
 
 
-def _folds(base: Solution, points: IsobaricDataset, used: IsobaricDataset) -> dict[str, list[tuple[Bools, Solution]]]:
-    """Blocks of pressure and of inner contraction among the selected points, each with Eq. 2 fitted to all others."""
+def _folds(
+    base: Solution, points: IsobaricDataset, used: IsobaricDataset, *, most: int = 5, contractions: int = 4
+) -> dict[str, list[tuple[Bools, Solution]]]:
+    """Blocks of pressure and of inner contraction among the selected points, each with Eq. 2 fitted to all others.
+
+    There are `most` blocks of each kind at most. Eq. 2 needs four `contractions`: with as many, none is left out.
+    """
     rows = np.flatnonzero(base.problem.selected)
     folds: dict[str, list[tuple[Bools, Solution]]] = {}
-    levels, contractions = pressure_blocks(used)[0], contraction_blocks(used)
-    for kind, labels in (("pressure", np.empty(0) if levels is None else levels), ("contraction", contractions)):
+    levels, places = pressure_blocks(used)[0], contraction_blocks(used)
+    for kind, labels in (("pressure", np.empty(0) if levels is None else levels), ("contraction", places)):
         blocks = [label for label in np.unique(labels).tolist() if label != ""]
-        fewest = _CONTRACTIONS + (kind == "contraction")
-        for first in range(min(len(blocks), _FOLDS)):
-            out = np.isin(labels, blocks[first::_FOLDS])
+        fewest = contractions + (kind == "contraction")
+        for first in range(min(len(blocks), most)):
+            out = np.isin(labels, blocks[first::most])
             rest = np.array(base.problem.selected)
             rest[rows[out]] = False
             if len(np.unique(np.round(used.contraction[~out] / RESOLUTION))) < fewest:

@@ -89,18 +89,10 @@ def domain_of(points: IsobaricDataset) -> Domain:
     return Domain(float(contraction.min()), float(contraction.max()), float(pressure.min()), float(pressure.max()))
 
 
-_OFF_LEVEL = 0.05  # of the range of levels
-
-
-def off_levels(points: IsobaricDataset) -> float:
-    """Largest distance [Pa] of a measured pressure from its level; 0 if small compared to their range."""
+def off_levels(points: IsobaricDataset, *, small: float = 0.05) -> float:
+    """Largest distance [Pa] of a measured pressure from its level; 0 up to a `small` share of the range of levels."""
     farthest = float(np.abs(points.levels - points.pressure).max())
-    return farthest if farthest > _OFF_LEVEL * float(np.ptp(points.levels)) else 0.0
-
-
-_CONTRACTIONS, _PRESSURES = 57, 33
-_FIRST_STEP = 0.02  # of the others
-_ROUNDING = 1e-9  # of the largest force
+    return farthest if farthest > small * float(np.ptp(points.levels)) else 0.0
 
 
 def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
@@ -115,18 +107,24 @@ def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
     return ""
 
 
-def slope_grid(box: Domain) -> tuple[Floats, Floats]:
+def slope_grid(
+    box: Domain, *, contractions: int = 57, pressures: int = 33, first_step: float = 0.02
+) -> tuple[Floats, Floats]:
     """Contraction, a column, and pressure [Pa], a row, at which slopes are checked.
 
-    The first step of the contraction is short: an exponential term is steepest there.
+    The first step of the contraction is short, a share `first_step` of the others: an exponential term is steepest
+    there.
     """
-    contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), _CONTRACTIONS)
-    contraction = np.insert(contraction, 1, contraction[0] + _FIRST_STEP * np.diff(contraction[:2]))
-    return contraction[:, None], np.linspace(float(box.pressure_min), float(box.pressure_max), _PRESSURES)
+    contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), contractions)
+    contraction = np.insert(contraction, 1, contraction[0] + first_step * np.diff(contraction[:2]))
+    return contraction[:, None], np.linspace(float(box.pressure_min), float(box.pressure_max), pressures)
 
 
-def wrong_slopes(force: Floats) -> tuple[Bools, Bools]:
-    """Masks of intervals of the grid in which a force rises with contraction, and in which it falls with pressure."""
-    rounding = _ROUNDING * float(np.nanmax(np.abs(force), initial=0.0))
+def wrong_slopes(force: Floats, *, rounding: float = 1e-9) -> tuple[Bools, Bools]:
+    """Masks of intervals of the grid in which a force rises with contraction, and in which it falls with pressure.
+
+    Changes by a share `rounding` of the largest force do not count.
+    """
+    rounding = rounding * float(np.nanmax(np.abs(force), initial=0.0))
     rises = (force[:-1] > 0) & (np.diff(force, axis=0) > rounding)
     return rises, (force[:, :-1] > 0) & (-np.diff(force, axis=1) > rounding)

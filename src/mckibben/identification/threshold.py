@@ -23,13 +23,6 @@ from mckibben.muscle.threshold import ThresholdLaw, effective_pressure
 from mckibben.result import Remark, Result, column
 from mckibben.units import bar, kPa, show
 
-_LOWEST = 1 * kPa
-_HIGHEST = 0.5  # of the highest pressure
-_GRID = 40
-_SIGNIFICANT = 0.01
-_ONE_GROUP = 1e3  # ratio of variances above which one group determines the threshold
-_STEP = 1e-3  # of the threshold, of a derivative
-
 
 class ThresholdFit(Result):
     """Pressure threshold of a law, or its absence; returned by `identify_threshold`.
@@ -45,7 +38,7 @@ class ThresholdFit(Result):
         infinity where they impose no upper bound.
     p_value
         Probability of at least this reduction of the squares without a threshold (F test of the nested models, with
-        errors common to a stroke or a pressure). The threshold is significant below 0.01.
+        errors common to a stroke or a pressure). The threshold is significant below `significance`.
     residual, residual_without
         Root mean square error [N] with the threshold and without one.
     notes
@@ -83,12 +76,23 @@ class ThresholdFit(Result):
         return self.notes
 
 
-def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, robust: bool = True) -> ThresholdFit:
+def identify_threshold(
+    law_type: type[ForceLaw], dataset: IsobaricDataset, *, robust: bool = True, significance: float = 0.01
+) -> ThresholdFit:
     """Fit a law with a pressure threshold, and test the significance of the threshold.
 
     The threshold is searched; at each value, the law is fitted to the taut points at their effective pressures
     (`ThresholdLaw`). A law with a free offset absorbs a threshold far below all pressures: only points near it, such as
-    stretched plateaus at low pressures, determine it. `robust` is that of `identify`.
+    stretched plateaus at low pressures, determine it.
+
+    Parameters
+    ----------
+    law_type, robust
+        As for `identify`.
+    dataset
+        Points, some of them at low pressures.
+    significance
+        Probability of a threshold that does not exist.
 
     Raises
     ------
@@ -114,11 +118,11 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, ro
     means = dataset.plateau_means()
     points = without_outliers(means, find_outliers(means) if robust else ()).taut
     profile = _Profile(law_type, points)
-    grid = np.geomspace(_LOWEST, _HIGHEST * float(points.pressure.max()), _GRID)
+    grid = profile.grid()
     without, solutions = profile.solution(0.0), [profile.solution(threshold) for threshold in grid]
     reached = [solution.cost for solution in solutions]
     at = int(np.argmin(reached))
-    lower, upper = np.log(grid[[max(at - 1, 0), min(at + 1, _GRID - 1)]])
+    lower, upper = np.log(grid[[max(at - 1, 0), min(at + 1, len(grid) - 1)]])
     threshold = math.exp(bounded_minimum(lambda log: profile.solution(math.exp(log)).cost, lower, upper, 1e-4))
     best = profile.solution(threshold)
     freedom, inflation = profile.inflation(threshold, best)
@@ -130,12 +134,12 @@ def identify_threshold(law_type: type[ForceLaw], dataset: IsobaricDataset, *, ro
     p_value = float(fdtrc(1, freedom, ratio))
     rise = scale * float(t_quantile(0.95, freedom)) ** 2
     interval = profile_interval(np.append(0.0, grid), costs, (threshold, best.cost), rise, 0.0)
-    significant = p_value < _SIGNIFICANT
+    significant = p_value < significance
     fit, law, notes = plain, plain.law, list[Remark]()
     if significant:
         fit = identify(law_type, _shifted(dataset, threshold), robust=robust)
         law = ThresholdLaw(law=fit.law, threshold=threshold)  # type: ignore[call-issue]
-    if inflation > _ONE_GROUP:
+    if inflation > 1e3:  # the variance is that of an error common to one group
         text = "the points of one pressure determine the threshold"
         notes.append(Remark.warning("threshold", text, "measure at several low pressures"))
     return ThresholdFit(
@@ -162,16 +166,21 @@ class _Profile:
         """Shape of the law without a threshold, from which all fits start."""
         return grid_search(FitProblem.of(self.law_type, self.points))
 
+    def grid(self, *, lowest: float = 1 * kPa, highest: float = 0.5, count: int = 40) -> Floats:
+        """Thresholds [Pa] of the search, from the `lowest` to the share `highest` of the highest pressure."""
+        return np.geomspace(lowest, highest * float(self.points.pressure.max()), count)
+
     def solution(self, threshold: float) -> Solution:
         """Solution at the effective pressures of a threshold [Pa]; 0 is none."""
         return solve(FitProblem.of(self.law_type, self._points(threshold)), self.start)
 
-    def inflation(self, threshold: float, best: Solution) -> tuple[float, float]:
+    def inflation(self, threshold: float, best: Solution, *, step: float = 1e-3) -> tuple[float, float]:
         """Degrees of freedom of the variance of the threshold, and its ratio to that of independent points.
 
         Errors are common to a stroke, or to a pressure where strokes are not known; the ratio is at least 1.
+        The derivative by the threshold is a difference quotient over a relative `step` on both sides.
         """
-        step = _STEP * threshold
+        step = step * threshold
         later, earlier = (
             FitProblem.of(self.law_type, self._points(threshold + sign * step)).response(best.values)[0]
             for sign in (1, -1)
