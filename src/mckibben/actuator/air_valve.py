@@ -33,7 +33,8 @@ from mckibben.units import (
 )
 
 _LEAST_RATE = 1e3  # Pa/s: of a model at the pressure of the supply, or without pressure
-_FASTER = 0.5  # lag of the command relative to that of the pressure that it serves
+FASTER = 0.5
+"""Lag of a command, or of the pressure behind a valve, relative to that of the pressure which it serves."""
 
 PolytropicIndex = Annotated[float, Quantity("1", "1", 1, 1.67)]
 DeadVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6)]
@@ -96,11 +97,14 @@ class AirValve(AirActuator):
 
     @abc.abstractmethod
     def opening(self, state: State, command: ArrayLike, pressure: ArrayLike) -> Array:
-        """Return the opening -1 (exhaust) to 1 (supply) at a command and a pressure [Pa]."""
+        """Return the opening -1 (exhaust) to 1 (supply) at a command and a pressure [Pa].
+
+        The state is that of spool, command or modulation, as `init` and `rate` define it.
+        """
 
     @abc.abstractmethod
     def rate(self, state: State, command: ArrayLike, pressure: ArrayLike) -> State:
-        """Return the time derivative of the state."""
+        """Return the time derivative of the state, of the same structure."""
 
     @property
     def command_lag(self) -> ArrayLike:
@@ -147,7 +151,10 @@ class AirValve(AirActuator):
         return Exchange(flows, self.rate(state, command, pressure), jnp.where(opening > 0, flows[0], 0.0))  # pyrefly: ignore[bad-argument-type]
 
     def flow(self, opening: ArrayLike, inlet: ArrayLike, pressure: ArrayLike) -> Array:
-        """Return the mass flow [kg/s] into a muscle at a gauge pressure [Pa], from an absolute pressure [Pa]."""
+        """Return the mass flow [kg/s] into a muscle at a gauge pressure [Pa], from an absolute pressure [Pa].
+
+        By ISO 6358, with the part `opening` of the conductance; a negative opening lets the muscle vent.
+        """
         opening = jnp.asarray(opening)
         conductance = jnp.where(opening > 0, self.conductance * opening, -self.exhaust * opening)
         return mass_flow(
@@ -209,7 +216,7 @@ class AirValve(AirActuator):
         rate = (target - pressure) * (1 - exp(-jnp.asarray(period) / lag)) / period
         flow = jnp.clip(rate - drift, slowest, fastest)  # as a rate of the pressure [Pa/s]
         opening = flow / jnp.where(flow > 0, fastest, -slowest)
-        covered = lag_fraction(_FASTER * jnp.asarray(lag), period)
+        covered = lag_fraction(FASTER * jnp.asarray(lag), period)
         wanted = pressure + period / covered * (flow + drift) + self._error_for(opening)
         lead = covered / lag_fraction(self.command_lag, period)
         return state + _leading(lead * (wanted - state), self.held_within)
@@ -305,7 +312,9 @@ class FlowValve(AirValve):
     direct
         Whether commands are openings -1..1 in place of pressures, for a controller with its own pressure loop.
 
-    A `band` below 4 times `spool_lag` times the fastest change of the pressure makes the loop oscillate visibly.
+    The spool s follows the opening that the loop wants by T s' = u - s, and opens the valve by
+    (s - clip(s, -z, z)) / (1 - z), with the dead zone z. A `band` below 4 times `spool_lag` times the fastest change of
+    the pressure makes the loop oscillate visibly.
     """
 
     short_name = "flow"

@@ -66,7 +66,14 @@ class AirVolume(NamedTuple):
     by_pressure: Array | None = None
 
     def effective(self, index: ArrayLike, pressure: ArrayLike) -> Array:
-        """Return the volume [m^3] for `pressure_rate` at an absolute pressure [Pa]."""
+        """Return the volume [m^3] for `pressure_rate` at an absolute pressure [Pa].
+
+        It is V + n p dV/dp with the polytropic index n: a muscle in series with a spring takes up more air, as its
+        volume grows with the pressure.
+
+        >>> round(float(AirVolume(2e-5, 0.0, 1e-11).effective(1.2, 5e5)), 8)
+        2.6e-05
+        """
         return self.volume if self.by_pressure is None else self.volume + index * pressure * self.by_pressure
 
 
@@ -96,7 +103,11 @@ def air_volumes(
 
 
 def lag_fraction(time_constant: ArrayLike, duration: ArrayLike) -> Scalar:
-    """Part of a step that a first-order lag, 0 for none, covers within a time [s]."""
+    """Part 1 - exp(-t / T) of a step that a first-order lag T [s], 0 for none, covers within a time t [s].
+
+    >>> [round(float(lag_fraction(lag, 0.02)), 4) for lag in (0.02, 0.0)]
+    [0.6321, 1.0]
+    """
     lag = jnp.asarray(time_constant)
     return jnp.where(lag > 0, 1 - exp(-jnp.asarray(duration) / jnp.where(lag > 0, lag, 1.0)), 1.0)
 
@@ -105,6 +116,9 @@ def delay_periods(command_delay: ArrayLike, period: float, field: str = "command
     """Return the control periods [s] that hold the commands within a delay [s], the longest of several delays.
 
     Raises `RangeError` for more than 100, with the field that has the delay.
+
+    >>> delay_periods(2.4e-3, 1e-3)
+    3
     """
     longest = float(np.max(command_delay))
     periods = math.ceil(longest / period - _ROUNDING)
@@ -133,7 +147,12 @@ class Attainable(NamedTuple):
 
 
 class Reservoir(NamedTuple):
-    """Air at the inlets of all valves, filled from the supply through a line."""
+    r"""Air at the inlets of all valves, filled from the supply through a line.
+
+    .. math:: \dot p = \frac{n R T}{V} (\dot m_\mathrm{line} - \dot m_\mathrm{drawn})
+
+    with the flow of the line by ISO 6358 (`mckibben.muscle.air`).
+    """
 
     volume: Number  # [m^3]
     conductance: Number  # C of the line [m^3/(s*Pa)]
@@ -275,7 +294,10 @@ class Actuator(Labelled, Component):
         return air._replace(valves=tuple(self.for_muscle(i).before_step(*muscle, step) for i, muscle in muscles))
 
     def model_lag(self, joint: AntagonisticJoint, index: int | None = None) -> Any:
-        """Return the first-order time constant [s] of small changes in a joint, at one muscle; None if unknown."""
+        """Return the first-order time constant [s] of small changes in a joint, at one muscle; None if unknown.
+
+        A valve with air determines it from its flow and the volume of the muscle in the middle of its domain.
+        """
         return self.lag
 
     def init_model(self, pressure: Scalar) -> State:
@@ -294,7 +316,10 @@ class Actuator(Labelled, Component):
     def attainable(
         self, pressure: Scalar, state: State, commands: CommandRange, air: AirVolume | None, duration: ArrayLike
     ) -> Attainable:
-        """Return the pressures that the lowest and the highest command [Pa] reach within a time [s]."""
+        """Return the pressures that the lowest and the highest command [Pa] reach within a time [s].
+
+        A controller that allocates pressures keeps within them.
+        """
         fraction = lag_fraction(self.lag, duration)
         return Attainable(1 - fraction, fraction * commands[0], fraction * commands[1])
 
@@ -315,11 +340,14 @@ class Actuator(Labelled, Component):
         return pressure + speed * (target - pressure)
 
     def fastest_rate_in(self, volume: float) -> float:
-        """Return a bound on the rates [1/s] of the integrated states with an air volume [m^3]."""
+        """Return a bound on the rates [1/s] of the integrated states with an air volume [m^3].
+
+        Integration steps resolve it; 0 for a response in closed form, which does not limit the step.
+        """
         return 0.0
 
     def signals(self, state: State, command: ArrayLike, pressure: ArrayLike) -> dict[str, Array]:
-        """Return quantities of a run at the actuator of one muscle, by name."""
+        """Return quantities of a run at the actuator of one muscle, by name without the number of the muscle."""
         return {}
 
     def telemetry(
@@ -369,7 +397,14 @@ class Actuator(Labelled, Component):
         return rated.pressure_min, highest
 
     def clip_command(self, command: ArrayLike, rated: Domain) -> Float[Array, "..."]:
-        """Return a command within its range for a muscle."""
+        """Return a command within its range for a muscle, by `command_range`.
+
+        A supply of 5 bar limits a muscle rated for 8 bar:
+
+        >>> from mckibben import FirstOrderValve
+        >>> float(FirstOrderValve(0.02, supply=5e5).clip_command(7e5, Domain(pressure_min=0.0, pressure_max=8e5)))
+        500000.0
+        """
         return jnp.clip(jnp.asarray(command), *self.command_range(rated))
 
 

@@ -32,6 +32,15 @@ class SecondOrderValve(Valve):
         Damping ratio D [-].
     supply
         Gauge pressure [Pa] of the supply.
+
+    Examples
+    --------
+    With D = 0.5 the overshoot is exp(-pi D / sqrt(1 - D^2)), 16.3 %, at the time pi / (w sqrt(1 - D^2)):
+
+    >>> import math
+    >>> valve = SecondOrderValve(60.0, damping=0.5)
+    >>> round(float(valve.pressure_after(0.0, 1e5, math.pi / (60 * math.sqrt(0.75)))) / 1e5, 3)
+    1.163
     """
 
     short_name = "second_order"

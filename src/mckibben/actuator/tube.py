@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from mckibben.actuator.air_actuator import AirActuator, Exchange
-from mckibben.actuator.air_valve import AirValve
+from mckibben.actuator.air_valve import FASTER, AirValve
 from mckibben.actuator.base import AirVolume, Attainable, CommandRange, Reservoir, Scalar, State, lag_fraction
 from mckibben.component.columns import Label
 from mckibben.errors import RangeError
@@ -31,8 +31,6 @@ from mckibben.numerics.elementary import Number, exp, floating
 from mckibben.units import Conductance, Quantity
 
 TubeVolume = Annotated[float, Quantity("m^3", "cm^3", 0, 1e6, open_lower=True)]
-
-_FASTER = 0.5  # lag of the pressure at the valve relative to that of the muscle
 
 
 class TubeState(NamedTuple):
@@ -200,7 +198,7 @@ class Tube(AirActuator):
         needed = self._flow_for(pressure + ATMOSPHERE, rate, air)
         outlet = pressure_behind(self.conductance, self.critical_ratio, pressure + ATMOSPHERE, needed)
         at_valve = AirVolume(jnp.asarray(self.dead_volume), self._growth(needed, state.pressure + ATMOSPHERE))
-        faster = _FASTER * jnp.asarray(lag)
+        faster = FASTER * jnp.asarray(lag)
         ahead = outlet - ATMOSPHERE + period / lag_fraction(faster, period) * rate
         wanted = jnp.clip(ahead, 0.0, self.supply)
         return self._tight.command_toward(state.pressure, state.valve, wanted, at_valve, faster, period)

@@ -23,6 +23,15 @@ class UnequalValves(Actuator):
         Actuators of muscle 1 and 2: both with air, or both without. In a file, `muscle` gives both.
     reservoir_volume, line_conductance
         As for an `AirValve`: a reservoir at the inlets of both, filled from the supply of muscle 1.
+
+    Raises `RangeError` for two actuators that cannot drive one joint, such as one with air and one without.
+
+    Examples
+    --------
+    >>> from mckibben import FirstOrderValve
+    >>> pair = UnequalValves(FirstOrderValve(0.02), FirstOrderValve(0.03))
+    >>> [round(float(pair.for_muscle(i).lag), 3) for i in (0, 1)]
+    [0.02, 0.03]
     """
 
     short_name = "unequal"

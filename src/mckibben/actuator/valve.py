@@ -32,15 +32,21 @@ class Valve(Actuator):
 
     @abc.abstractmethod
     def pressure_after(self, pressure: ArrayLike, command: ArrayLike, elapsed: ArrayLike) -> Float[Array, "..."]:
-        """Return the pressure [Pa] a time [s] after a pressure [Pa], under a constant command [Pa]."""
+        """Return the pressure [Pa] a time [s] after a pressure [Pa], under a constant command [Pa].
+
+        The arguments broadcast.
+        """
 
     @abc.abstractmethod
     def command_for(self, pressure: ArrayLike, rate: ArrayLike) -> Float[Array, "..."]:
-        """Return the command [Pa] at which a pressure [Pa] changes at a rate [Pa/s]."""
+        """Return the command [Pa] at which a pressure [Pa] changes at a rate [Pa/s]; infinite if there is none."""
 
 
 class IdealValve(Valve):
-    """Pressure equal to the command, as in the paper's simulation."""
+    """Pressure equal to the command, as in the paper's simulation.
+
+    It has no state and no lag: the pressure before a command does not matter.
+    """
 
     short_name = "ideal"
     holds_pressure = False
@@ -73,6 +79,11 @@ class FirstOrderValve(Valve):
     >>> valve = FirstOrderValve(0.1, rate=10 * bar)
     >>> [round(float(valve.pressure_after(0.0, 3 * bar, at)) / bar, 3) for at in (0.1, 0.2, 0.3)]
     [1.0, 2.0, 2.632]
+
+    The command that makes the pressure rise at 5 bar/s leads it by T times the rate:
+
+    >>> round(float(valve.command_for(1 * bar, 5 * bar)) / bar, 3)
+    1.5
     """
 
     short_name = "first_order"

@@ -28,7 +28,11 @@ if TYPE_CHECKING:
 @checked_call
 @functools.cache
 def specimen(name: str) -> Specimen:
-    """Return a specimen such as "MAS-10-180N-AA-MC-O"."""
+    """Return a specimen such as "MAS-10-180N-AA-MC-O"; `NotInCatalogError` with a suggestion for other names.
+
+    >>> specimen("MAS-10-180N-AA-MC-O").initial_length
+    0.18
+    """
     entry, _ = find("specimens", name)
     return Specimen(
         name=name,
@@ -43,7 +47,13 @@ def specimen(name: str) -> Specimen:
 @checked_call
 @functools.cache
 def law(name: str) -> ForceLaw:
-    """Return a published parameter set as a law, such as "lei-mas-10-180n" (Eq. 3 of the paper)."""
+    """Return a published parameter set as a law in SI, with the domain of its data.
+
+    "lei-mas-10-180n" is Eq. 3 of the paper: 584.7 N at the initial length and 6 bar.
+
+    >>> round(float(law("lei-mas-10-180n").force(0.0, 6e5)), 1)
+    584.7
+    """
     entry, _ = find("laws", name)
     law_type = LAWS[entry["type"]]
     values = {p.name: quantity(entry["parameters"][p.name], p.unit) for p in law_type.parameters()}
@@ -52,7 +62,11 @@ def law(name: str) -> ForceLaw:
 
 @checked_call
 def dataset(name: str) -> IsobaricDataset:
-    """Return a measured table such as "dmsp-10-250-martens2017"."""
+    """Return a measured table such as "dmsp-10-250-martens2017", with its source as an attribute.
+
+    >>> len(dataset("dmsp-10-250-martens2017"))
+    85
+    """
     from mckibben.dataset import IsobaricDataset, read_dataset  # xarray: only where data is read
 
     entry, source = find("datasets", name)
@@ -67,21 +81,35 @@ def dataset(name: str) -> IsobaricDataset:
 @checked_call
 @functools.cache
 def geometry(name: str) -> KneeGeometry:
-    """Return the geometry of a published joint, such as "knee-table-2"."""
+    """Return the geometry of a published joint, such as "knee-table-2" (Eqs. 4 and 5 with Table 2).
+
+    >>> geometry("knee-table-2").joint_radius
+    0.03
+    """
     return KneeGeometry(**_quantities(KneeGeometry, find("geometries", name)[0]))
 
 
 @checked_call
 @functools.cache
 def load(name: str) -> KneeLoad:
-    """Return the load of a published joint, such as "knee-table-2"."""
+    """Return the load of a published joint, such as "knee-table-2" (Eq. 6 with Table 2).
+
+    >>> round(float(load("knee-table-2").total_inertia), 3)
+    0.045
+    """
     return KneeLoad(**_quantities(KneeLoad, find("loads", name)[0]))
 
 
 @checked_call
 @functools.cache
 def joint(name: str) -> AntagonisticJoint:
-    """Return a published joint with its muscles, such as "knee-table-2"."""
+    """Return a published joint with its muscles, such as "knee-table-2" with two muscles of Eq. 3.
+
+    Torque [N*m] at 0 deg, 3 bar against 6 bar (Eq. 7):
+
+    >>> round(float(joint("knee-table-2").torque(0.0, (3e5, 6e5))), 3)
+    8.624
+    """
     entry, _ = find("joints", name)
     muscle = Muscle(specimen(entry["specimen"]), law(entry["law"]))
     return AntagonisticJoint(geometry(entry["geometry"]), muscle, muscle)
@@ -90,6 +118,8 @@ def joint(name: str) -> AntagonisticJoint:
 @checked_call
 def valve(name: str, **others: Any) -> AirValve:
     """Return a valve such as "festo-mh1"; supply [Pa] and switching period [s] complete its data sheet.
+
+    Raises `ParameterError` for a field that neither the data sheet nor the arguments give.
 
     >>> from mckibben.units import bar, ms
     >>> valve("festo-mh1", supply=7 * bar, period=20 * ms)
@@ -117,7 +147,7 @@ def valve_section(name: str) -> dict[str, Any]:
 
 
 def leg_section(name: str) -> dict[str, Any]:
-    """Return the entries that `from` adds to a `leg` section."""
+    """Return the entries that `from` adds to a `leg` section of a file, in the units of the source."""
     return {key: value for key, value in find("legs", name)[0].items() if key != "where"}
 
 

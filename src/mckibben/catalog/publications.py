@@ -24,7 +24,13 @@ def names(kind: str) -> list[str]:
 
 
 def cite(name: str) -> str:
-    """Return the source of an entry, the location within it, and notes."""
+    """Return the source of an entry, the location within it, and notes; one line each.
+
+    Raises `NotInCatalogError`, with a suggestion, for a name that no kind has.
+
+    >>> cite("lei-mas-10-180n").splitlines()[1]
+    '(Eq. 3; identified from 0 to 6 bar)'
+    """
     entries = [
         (publication, publication[kind][name])
         for publication in _publications()
@@ -39,7 +45,10 @@ def cite(name: str) -> str:
 
 
 def find(kind: str, name: str) -> tuple[dict[str, Any], str]:
-    """Return an entry in the units of its source, with the source."""
+    """Return an entry in the units of its source, with the source.
+
+    Raises `NotInCatalogError`, with a suggestion, for an unknown name.
+    """
     for publication in _publications():
         if name in publication.get(kind, {}):
             return publication[kind][name], publication["source"]

@@ -51,7 +51,11 @@ def pressure_pair(pressures: Pressures) -> Pressures:
 
 
 class AffineMap(NamedTuple):
-    """Quantity affine in the two pressures: offset + slope1 p1 + slope2 p2."""
+    """Quantity affine in the two pressures: offset + slope1 p1 + slope2 p2.
+
+    >>> round(float(AffineMap(jnp.asarray(1.0), jnp.asarray(2e-5), jnp.asarray(-1e-5))((3e5, 2e5))), 9)
+    5.0
+    """
 
     offset: Array
     slope1: Array
@@ -64,7 +68,11 @@ class AffineMap(NamedTuple):
 
 
 class TorqueStiffnessMap(NamedTuple):
-    """Torque [N*m] and stiffness [N*m/rad] at one angle as functions of the pressures of two taut muscles."""
+    """Torque [N*m] and stiffness [N*m/rad] at one angle as functions of the pressures of two taut muscles.
+
+    Exact for rigid tendons and laws affine in pressure, such as Eq. 2: F = f(eps) + g(eps) p gives Eqs. 7 and 8 terms
+    without pressure and terms proportional to p1 and p2.
+    """
 
     torque: AffineMap
     stiffness: AffineMap
@@ -73,6 +81,12 @@ class TorqueStiffnessMap(NamedTuple):
         """Return the gauge pressures [Pa] that give a torque [N*m] and a stiffness [N*m/rad], without limits.
 
         The exact inverse of the 2x2 map; not finite where it is singular.
+
+        >>> from mckibben import catalog
+        >>> affine = catalog.joint("knee-table-2").affine_map(0.1)
+        >>> back = affine.pressures_for(affine.torque((3e5, 4e5)), affine.stiffness((3e5, 4e5)))
+        >>> [round(float(pressure)) for pressure in back]
+        [300000, 400000]
         """
         (torque0, t1, t2), (stiffness0, k1, k2) = self.torque, self.stiffness
         more_torque, more_stiffness = torque - torque0, stiffness - stiffness0
@@ -92,7 +106,7 @@ class MuscleForces(NamedTuple):
 
 
 class AntagonisticJoint(Component):
-    """A joint actuated by two antagonistic muscles.
+    r"""A joint actuated by two antagonistic muscles.
 
     In all methods `pressures` is a pair of gauge pressures [Pa], (p1, p2), `angle` is in rad, and scalars and arrays
     broadcast; anything other than a pair raises `RangeError`. Torque and stiffness follow from the muscles' laws;
@@ -101,6 +115,22 @@ class AntagonisticJoint(Component):
     muscles: `init_state`, `state_rate`, `update_state`, and `forces`, which includes them.
 
     Muscle 1, the antagonist, lengthens as the angle increases, muscle 2 shortens; the tendons are rigid by default.
+    With tensions F and moment arms d,
+
+    .. math:: \tau = F_2 d_2 - F_1 d_1 \quad \text{(Eq. 7)}, \qquad
+        K = -\frac{\partial \tau}{\partial \theta}\Big|_{p_1, p_2} \quad \text{(Eq. 8)}
+
+    Parameters
+    ----------
+    geometry
+        Path lengths of both muscles over the angle.
+    muscle1, muscle2
+        The muscles, one of which may be a return spring. In a file, `muscle` gives both.
+    tendon
+        Connection of each muscle to its path: rigid, or a series spring.
+
+    Raises `RangeError` for two return springs, for a muscle without a highest pressure, and for friction or creep that
+    follows the rate of the length in series with a spring.
 
     >>> from mckibben import catalog
     >>> round(float(catalog.joint("knee-table-2").stiffness(0.0, (3e5, 3e5))), 2)
@@ -176,13 +206,13 @@ class AntagonisticJoint(Component):
 
     @jit_inline
     def contractions(self, angle: ArrayLike, pressures: Pressures, states: MuscleStates = NO_STATES) -> Pair:
-        """Return the contraction [-] of each muscle."""
+        """Return the contraction [-] of each muscle, (l0 - l)/l0 from the length of its path (Eq. 4)."""
         points = zip(self.muscles, self.geometry.path_lengths(angle), pressure_pair(pressures), states, strict=True)
         contraction1, contraction2 = (self.tendon.contraction(*point) for point in points)
         return contraction1, contraction2
 
     def tensions(self, angle: ArrayLike, pressures: Pressures) -> Pair:
-        """Return the tension [N] of each muscle, F1 and F2."""
+        """Return the tension [N] of each muscle, F1 and F2, by its law; 0 where it is slack."""
         _warn_outside(self, angle, pressures)
         return self._tensions(angle, pressures)
 
@@ -217,7 +247,7 @@ class AntagonisticJoint(Component):
         return self.evaluate(angle, pressures)[1]
 
     def torque_and_stiffness(self, angle: ArrayLike, pressures: Pressures) -> Pair:
-        """Return torque [N*m] and stiffness [N*m/rad] from one pass."""
+        """Return torque [N*m] (Eq. 7) and isobaric stiffness [N*m/rad] (Eq. 8) from one pass."""
         _warn_outside(self, angle, pressures)
         return self.evaluate(angle, pressures)
 
@@ -268,7 +298,10 @@ class AntagonisticJoint(Component):
     def forces(
         self, angle: ArrayLike, velocity: ArrayLike | None, pressures: Pressures, states: MuscleStates = NO_STATES
     ) -> MuscleForces:
-        """Return tensions, torque and contractions with friction and creep, at rest or at a velocity [rad/s]."""
+        """Return tensions, torque and contractions with friction and creep, at rest or at a velocity [rad/s].
+
+        A velocity of None leaves out the viscous part of friction. No tension is negative.
+        """
         _warn_outside(self, angle, pressures)
         pressure1, pressure2 = pressure_pair(pressures)
         (path1, path2), (arm1, arm2) = self.geometry.paths_and_arms(angle)
@@ -427,7 +460,14 @@ class AntagonisticJoint(Component):
     def attainable_torque(
         self, angle: ArrayLike, *, pressure_limits: tuple[float, float] | None = None, minimum_tension: float = 0.0
     ) -> Pair:
-        """Return the range of static torque [N*m] at an angle; arguments as for `attainable_stiffness`."""
+        """Return the range of static torque [N*m] at an angle; arguments as for `attainable_stiffness`.
+
+        From the lowest tension of one muscle with the highest of the other; NaN where no tensions are within limits.
+
+        >>> from mckibben import catalog
+        >>> [round(float(torque), 2) for torque in catalog.joint("knee-table-2").attainable_torque(0.0)]
+        [-17.25, 17.25]
+        """
         attainable.check_angle(angle)
         return attainable.torque_range(self, angle, pressure_limits, minimum_tension)
 

@@ -37,13 +37,12 @@ _SCANNED = 401
 _SCANNED_FRICTION = 33
 _TOLERANCE = 1e-6  # relative tolerance of a stiffness
 _ROUNDING = 1e-12  # relative tolerance of a tension
-_TURN = 2 * math.pi
 _INSIDE = 1e-9  # margin at the ends of a segment, as a fraction: at the end itself a muscle is slack
 
 
 def check_angle(angle: ArrayLike) -> None:
     """Refuse text, and warn of an angle of more than a turn, in a direct call."""
-    if (largest := np.abs(known_numbers("joint", "angle", angle)).max(initial=0.0)) > _TURN:
+    if (largest := np.abs(known_numbers("joint", "angle", angle)).max(initial=0.0)) > 2 * math.pi:
         text = f"an angle of {largest:.4g} rad is more than a turn: numbers are in SI, such as 10 * deg"
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
 
@@ -86,7 +85,11 @@ class StaticSolution(NamedTuple):
 
 @jit
 def solve_static(joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, stiffness: ArrayLike) -> StaticSolution:
-    """Return the pressures for a torque and a stiffness at an angle; NaN selects the middle of the range."""
+    """Return the pressures for a torque [N*m] and a stiffness [N*m/rad] at an angle [rad].
+
+    A stiffness of NaN selects the middle of the segment of co-contraction. Compiled; differentiable with respect to the
+    arguments and the joint's parameters by one Newton step at the root.
+    """
     return _solve_static(joint, angle, torque, stiffness)
 
 
@@ -294,7 +297,10 @@ Profile = Callable[[ArrayLike], tuple[Pair, Array]]
 
 
 class Segment(NamedTuple):
-    """States of equal torque at one angle; fraction 0 has the lowest tension of muscle 1, fraction 1 the highest."""
+    """States of equal torque at one angle; fraction 0 has the lowest tension of muscle 1, fraction 1 the highest.
+
+    The tension of muscle 2 follows from the torque: T2 = (torque + T1 d1) / d2, with the moment arms d.
+    """
 
     joint: AntagonisticJoint
     angle: Array
@@ -389,6 +395,6 @@ def _tension_ranges(
 
 
 def is_affine(joint: AntagonisticJoint) -> bool:
-    """Return whether torque and stiffness are affine in the two pressures."""
+    """Return whether torque and stiffness are affine in the two pressures: affine laws, and rigid tendons."""
     laws_affine = all(isinstance(m.law, PressureAffineLaw) for m in joint.muscles)
     return laws_affine and isinstance(joint.tendon, RigidTendon)

@@ -157,7 +157,13 @@ def muscle_sizes(joint: AntagonisticJoint, contractions: Any) -> tuple[list[Poin
 
 
 def specimen_size(specimen: Specimen, contraction: Any) -> tuple[Points, Points | None]:
-    """Length [m], and diameter [m] of the cylinder of that length and volume; None for an unknown volume."""
+    """Length [m], and diameter [m] of the cylinder of that length and volume; None for an unknown volume.
+
+    >>> from mckibben import catalog
+    >>> length, diameter = specimen_size(catalog.specimen("MAS-10-180N-AA-MC-O"), 0.0)
+    >>> float(length), round(float(diameter), 6)
+    (0.18, 0.01)
+    """
     length = np.asarray(specimen.length_at(contraction), float)
     if not specimen.has_volume:
         return length, None

@@ -62,6 +62,12 @@ class Pulley(MusclePath):
     ----------
     radius, rest_length
         Moment arm [m], and length of the muscle at angle 0 [m].
+
+    Muscle 1 lengthens, and muscle 2 shortens:
+
+    >>> pulley = Pulley(radius=0.03, rest_length=0.16)
+    >>> [round(float(pulley.length(0.5, side)), 3) for side in (1, -1)]
+    [0.175, 0.145]
     """
 
     short_name = "pulley"
@@ -109,6 +115,12 @@ class TwoBonePath(MusclePath):
         Anchors on the fixed and on the moving bone [m].
     connector_length
         Length of the connectors in series with the muscle [m].
+
+    Raises `RangeError` if the anchors come so close that no muscle fits between them.
+
+    >>> path = TwoBonePath(proximal_x=0.03, proximal_y=0.16, distal_x=0.03, distal_y=0.0)
+    >>> round(float(path.length(0.0, -1)), 6)
+    0.16
     """
 
     short_name = "two_bone"

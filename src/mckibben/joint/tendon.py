@@ -36,7 +36,10 @@ class Tendon(Component):
 
     @abc.abstractmethod
     def permitted(self, muscle: Muscle, path: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-        """Return the range of tension [N] with the muscle in its domain; empty if lowest exceeds highest."""
+        """Return the range of tension [N] with the muscle in its domain; empty if lowest exceeds highest.
+
+        At a path length [m] the extension of the tendon, and with it the contraction, follows from the tension.
+        """
 
     def tension(
         self, muscle: Muscle, path: ArrayLike, pressure: ArrayLike, state: MuscleState = NO_STATE
@@ -72,6 +75,10 @@ class SeriesSpring(Tendon):
     """Preloaded spring in series with the muscle: our reading of the paper's "mechanical stretch structure".
 
     It is rigid up to the preload [N], then extends by (tension - preload) / stiffness [N/m] up to its travel [m].
+
+    >>> spring = SeriesSpring(stiffness=2e4, preload=60.0, travel=0.01)
+    >>> [round(float(spring.extension(tension)), 4) for tension in (50.0, 160.0, 500.0)]
+    [0.0, 0.005, 0.01]
     """
 
     short_name = "spring"

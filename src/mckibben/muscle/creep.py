@@ -24,8 +24,6 @@ CreepState = tuple[Array, ...]
 TensionAt = Callable[[ArrayLike], Array]
 """Tension [N] of the law at the present length, as a function of the gauge pressure [Pa]."""
 
-_DECADE = 10.0
-
 
 class Creep(Component):
     """Creep force [N] added to a muscle's law, positive after stretching; its state is explicit."""
@@ -191,7 +189,7 @@ class MaxwellCreep(Creep):
     @property
     def time_constants(self) -> list[float]:
         """Time constant [s] of each arm."""
-        return [self.time_constant * _DECADE**arm for arm in range(self.arms)]
+        return [self.time_constant * 10.0**arm for arm in range(self.arms)]
 
     @property
     def pressure_time_constants(self) -> list[float]:
@@ -199,7 +197,7 @@ class MaxwellCreep(Creep):
         if self.pressure_share is None:
             return []
         first = self.time_constant if self.pressure_time_constant is None else self.pressure_time_constant
-        return [first * _DECADE**arm for arm in range(self.arms)]
+        return [first * 10.0**arm for arm in range(self.arms)]
 
     @property
     def state_units(self) -> tuple[str, ...]:

@@ -72,7 +72,10 @@ class Claim:
 def evaluate_claims(
     identification: Identification, joint: dict[str, JointMap], tracking: Tracking
 ) -> tuple[Claim, ...]:
-    """The paper's claims, then our questions, with their verdicts."""
+    """Return the six claims of the paper, then our six questions, with their verdicts and evidence.
+
+    Each verdict is a comparison of numbers of the results, which the evidence quotes; it may come out either way.
+    """
     return (
         _closer_than_chou(identification),
         _directions_similar(identification),
@@ -88,6 +91,7 @@ def evaluate_claims(
 
 
 def _closer_than_chou(identification: Identification) -> Claim:
+    """Holds if Eq. 2 has the smaller RMSE at each of the four pressures of the second test."""
     retested = identification.retested
     errors = {
         p: (retested.of(EXPERIMENTAL, pressure=p).rmse, retested.of(CHOU, pressure=p).rmse) for p in TEST_PRESSURES
@@ -105,6 +109,7 @@ def _closer_than_chou(identification: Identification) -> Claim:
 
 
 def _closer_on_real_muscles(identification: Identification) -> Claim:
+    """Holds if Eq. 2, at pressures left out of its fit, has a smaller RMSE than Chou's law fitted to all points."""
     numbers = []
     for name in (MARTENS, FESTO):
         held_out = identification.fits[name].leave_one_pressure_out
@@ -126,6 +131,7 @@ def _closer_on_real_muscles(identification: Identification) -> Claim:
 
 
 def _directions_similar(identification: Identification) -> Claim:
+    """Holds if loading and unloading differ by less than 10 % of the largest force."""
     gap, largest = direction_gap(identification.data[RIG])
     band = identification.rig.rig.hysteresis
     return Claim(
@@ -147,6 +153,7 @@ def _compared(tuned: bool) -> tuple[str, str, str]:
 
 
 def _smaller_angle_error(tracking: Tracking, reference: StiffnessReference, *, tuned: bool) -> Claim:
+    """Holds if in both geometries the median RMSE of BP is 5 % below that of PID, and no seed is unstable."""
     pid, bp, gains = _compared(tuned)
     parts, holds = [], True
     for setting in SETTINGS:
@@ -172,6 +179,7 @@ def _smaller_angle_error(tracking: Tracking, reference: StiffnessReference, *, t
 
 
 def _settles_sooner(tracking: Tracking, *, tuned: bool) -> Claim:
+    """Holds if BP settles sooner by 5 % in most of the four cases, and later in none; a run may never settle."""
     pid, bp, gains = _compared(tuned)
     parts, sooner, later = [], 0, 0
     for setting in SETTINGS:
@@ -193,6 +201,7 @@ def _settles_sooner(tracking: Tracking, *, tuned: bool) -> Claim:
 
 
 def _learning_is_safe(tracking: Tracking) -> Claim:
+    """Holds if BP on tuned gains, free to double them, is never unstable and nowhere worse than PID."""
     parts, holds = [], True
     for setting in SETTINGS:
         for reference in StiffnessReference:
@@ -213,6 +222,7 @@ def _learning_is_safe(tracking: Tracking) -> Claim:
 
 
 def _coupled(tracking: Tracking) -> Claim:
+    """Holds if in one geometry angle and stiffness disturb each other by 1 % or more of amplitude and step."""
     parts, holds = [], False
     for setting in SETTINGS:
         coupling = tracking.coupling[setting.key]
@@ -235,6 +245,7 @@ def _coupled(tracking: Tracking) -> Claim:
 
 
 def _range(joint: dict[str, JointMap]) -> Claim:
+    """Holds if the static range of angles of Table 2 as printed is 55 deg or more."""
     printed = joint[SETTINGS[0].key].static_range
     parts = []
     for setting in SETTINGS:

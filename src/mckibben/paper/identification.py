@@ -30,7 +30,11 @@ RIG, MARTENS, FESTO = "virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm
 
 @dataclass(frozen=True)
 class SimulatedRigTest:
-    """Isobaric test of the paper on the simulated rig (Fig. 3), and a second test with different noise (Fig. 4)."""
+    """Isobaric test of the paper on the simulated rig (Fig. 3), and a second test with different noise (Fig. 4).
+
+    `test` has the mean of each plateau, `settled` those away from turns, where friction is fully developed, and
+    `retest` those of the second test; `samples` is the number of force samples of the first one.
+    """
 
     muscle: Muscle
     rig: SimulatedIsobaricTest
@@ -43,7 +47,11 @@ class SimulatedRigTest:
 
 @dataclass(frozen=True)
 class Identification:
-    """Points, Eq. 2 fitted to them, and validations, by dataset."""
+    """Points, Eq. 2 fitted to them, and validations, by dataset.
+
+    `retested` validates on the second test, `held_out_pressures` and `held_out_repeat` on points left out of a further
+    fit, and `measured` on two measured muscles, with Chou's law and Eq. 3 as published for comparison.
+    """
 
     rig: SimulatedRigTest
     data: dict[str, IsobaricDataset]
@@ -55,7 +63,11 @@ class Identification:
 
 
 def run_identification(*, repeats: int = 5) -> Identification:
-    """Run the isobaric test with a number of repeats (five in the paper), fit and validate."""
+    """Run the isobaric test with a number of repeats (five in the paper), fit Eq. 2 and validate it.
+
+    The simulated muscle has the law of Eq. 3 and a friction from the literature. Two measured muscles of the catalog
+    are fitted in the same way.
+    """
     rig = _test(repeats)
     real = {name: catalog.dataset(name) for name in (MARTENS, FESTO)}
     fits = {RIG: identify(ExponentialLaw, rig.settled)} | {
@@ -90,7 +102,10 @@ def _held_out(chou: ChouLaw, train: IsobaricDataset, held_out: IsobaricDataset) 
 
 
 def direction_gap(data: IsobaricDataset) -> tuple[float, float]:
-    """Mean force of loading minus unloading at the same state, and the largest force [N]."""
+    """Return the mean force of loading minus unloading at the same state, and the largest force [N].
+
+    Only taut points count at which both directions were measured.
+    """
     forces: dict[tuple[float, float], dict[str, list[float]]] = {}
     taut = data.taut
     for level, contraction, direction, force in zip(
@@ -115,7 +130,21 @@ def _test(repeats: int) -> SimulatedRigTest:
 
 @dataclass(frozen=True)
 class JointMap:
-    """Attainable stiffness over angles, under gravity and at each muscle torque; NaN where there is none."""
+    """Attainable stiffness over angles, under gravity and at each muscle torque; NaN where there is none.
+
+    Parameters
+    ----------
+    angles, torques
+        Grids [rad], [N*m], of shape (n,).
+    lowest, highest
+        Stiffness [N*m/rad] under gravity, shape (n,).
+    lowest_at, highest_at
+        Stiffness [N*m/rad] at each torque (rows) and angle (columns), shape (n, n).
+    gravity_torque
+        Torque [N*m] of the muscles that balances gravity at each angle.
+    static_range
+        Lowest and highest angle [rad] that can be held.
+    """
 
     angles: NDArray[np.float64]
     lowest: NDArray[np.float64]
@@ -133,7 +162,7 @@ class JointMap:
 
 
 def run_joint(*, resolution: int = 241) -> dict[str, JointMap]:
-    """Attainable stiffness of both geometries, by setting key, at an odd number of angles (with 0)."""
+    """Return the attainable stiffness of both geometries, by setting key, at an odd number of angles (with 0)."""
     return {setting.key: _map(setting, resolution) for setting in SETTINGS}
 
 

@@ -24,7 +24,19 @@ from mckibben.units import bar, deg, factor
 
 @dataclass(frozen=True)
 class Reproduction:
-    """All results of the reproduction of the paper; `seconds` is its duration."""
+    """All results of the reproduction of the paper.
+
+    Parameters
+    ----------
+    identification, joint, tracking
+        Results of test and identification, the attainable set of the knee by setting key, and the runs of Figs. 7, 8.
+    claims
+        The paper's claims, then our questions, with verdicts.
+    quick
+        Whether repeats, seeds and tuning were reduced.
+    seconds
+        Duration.
+    """
 
     identification: Identification
     joint: dict[str, JointMap]
@@ -81,7 +93,10 @@ class Reproduction:
         )
 
     def save(self, folder: Path) -> None:
-        """Write results.json, fits, datasets, scenarios and trajectories."""
+        """Write results.json, fits, datasets, scenarios and trajectories to a folder, which is made if it is missing.
+
+        A scenario that is run alone gives its trajectory to the last bit.
+        """
         for name in ("fits", "data", "scenarios", "trajectories"):
             (folder / name).mkdir(parents=True, exist_ok=True)
         for name, fit in self.identification.fits.items():
@@ -96,7 +111,11 @@ class Reproduction:
 
 
 def file_stem(key: str, reference: StiffnessReference, controller: str) -> str:
-    """File name of a run, such as ``as-printed-step-bp-on-tuned-gains-free``."""
+    """Return the file name of a run without its extension.
+
+    >>> file_stem("as_printed", StiffnessReference.STEP, "BP on tuned gains, free")
+    'as-printed-step-bp-on-tuned-gains-free'
+    """
     return "-".join((key, reference.value, controller)).lower().replace(",", "").replace(" ", "-").replace("_", "-")
 
 

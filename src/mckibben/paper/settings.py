@@ -23,7 +23,7 @@ class StiffnessReference(enum.Enum):
 
 @dataclass(frozen=True)
 class Gains:
-    """Gains of the two PID loops, as text with units; base of both methods."""
+    """Moderate gains of the two PID loops, as text with units; base of both methods."""
 
     position: str
     stiffness: str
@@ -31,7 +31,25 @@ class Gains:
 
 @dataclass(frozen=True)
 class Setting:
-    """A geometry with its references and gains, as text with units."""
+    """A geometry with its references and gains, as text with units.
+
+    Parameters
+    ----------
+    name, key
+        Name in reports, and in files.
+    connectors
+        Length of the connectors, 190 mm in Table 2.
+    amplitude
+        Amplitude of the desired angle, a sine of 0.5 Hz.
+    constant, before, after
+        Desired stiffness: constant, or a step after 5 s.
+    start
+        Stiffness of the equilibrium at 0 deg in which runs start.
+    moderate
+        Gains set by hand, for PID and as the base of BP.
+    angle_scale, stiffness_scale, rates
+        Scales of the errors and outputs of BP; a tenth of the errors is the scale of the cost of tuning.
+    """
 
     name: str
     key: str

@@ -37,7 +37,10 @@ _GAIN_MARGIN = 1.5
 
 @dataclass(frozen=True)
 class ControllerRun:
-    """A run (for BP, with the first seed) and the metrics per seed; None for a controller without seeds."""
+    """A run (for BP, with the first seed) and the metrics per seed; None for a controller without seeds.
+
+    A metric that is not finite, such as the settling time of a run that never settles, ranks above all others.
+    """
 
     scenario: Scenario
     result: SimulationResult
@@ -72,7 +75,11 @@ _Runs = dict[tuple[str, StiffnessReference, str], ControllerRun]
 
 @dataclass(frozen=True)
 class Coupling:
-    """Mutual disturbance of position and stiffness under PID with moderate gains."""
+    """Mutual disturbance of position and stiffness under PID with moderate gains.
+
+    Largest change [rad] of the angle by the step of the stiffness; RMS error [N*m/rad] of the stiffness in the second
+    half of a run in motion, and of one at rest.
+    """
 
     angle_by_step: float
     stiffness_by_motion: float
@@ -92,7 +99,17 @@ class Tracking:
 def run_tracking(
     *, seeds: int, generations: int, population: int = 32, progress: Callable[[float], None] | None = None
 ) -> Tracking:
-    """Tune, run and compare all controllers; `progress` is called with the fraction done, 0 to 1."""
+    """Tune, run and compare all controllers in both geometries, with constant and stepping stiffness.
+
+    Parameters
+    ----------
+    seeds
+        Number of initial weights of BP; the metrics are medians over them.
+    generations, population
+        Size of the tuning of the PID gains by differential evolution, on both references together.
+    progress
+        Called with the fraction done, 0 to 1.
+    """
     report = progress or (lambda part: None)
     count = len(SETTINGS)
     with ThreadPoolExecutor(max_workers=1) as pool:  # both spend most time compiling, on one core each

@@ -107,8 +107,18 @@ class Motion(NamedTuple):
 class Plant(Component, Generic[S]):
     """Bodies moved by muscles, with actuators, sensors, disturbances and a delay of the commands.
 
-    `command_delay` is the time from a command to the valves [s]; `delay_periods`, its length in control periods, is set
-    by `with_period`.
+    Commands are constant over a control period. Within it, the motion is integrated in steps of equal length by the
+    classical method of Runge and Kutta; pressures follow in closed form, or, with air, are integrated along. After each
+    step `project` updates the internal states of friction and creep, by which no force changes.
+
+    Parameters
+    ----------
+    sensors
+        Model of the sensors, read once in a control period; perfect by default.
+    command_delay
+        Time from a command to the valves [s]; a delay that is no multiple of the control period mixes two commands.
+    delay_periods
+        Its length in control periods, set by `with_period`.
     """
 
     sensors: Sensors = eqx.field(kw_only=True, default=PerfectSensors())
@@ -140,7 +150,7 @@ class Plant(Component, Generic[S]):
 
     @abc.abstractmethod
     def true_measurement(self, state: S) -> Measurement:
-        """Return what perfect sensors measure."""
+        """Return what perfect sensors measure: angle [rad] and gauge pressures [Pa]."""
 
     @abc.abstractmethod
     def disturbing_torque(self, time: ArrayLike) -> Any:
@@ -222,7 +232,10 @@ class Plant(Component, Generic[S]):
         return dataclasses.replace(self, delay_periods=delay_periods(self.command_delay, period))
 
     def sample(self, state: S, period: ArrayLike) -> tuple[S, Any]:
-        """Return the state at the start of a control period [s], with its disturbance, and the measurement."""
+        """Return the state at the start of a control period [s], with its disturbance, and the measurement.
+
+        The disturbance [N*m] holds until the next sample.
+        """
         true, io = self.true_measurement(state), state.io
         if not isinstance(io, IOState):
             return state, true
@@ -257,7 +270,10 @@ class Plant(Component, Generic[S]):
         )
 
     def follow(self, state: S, commands: Sequence[ArrayLike], period: ArrayLike, substeps: int) -> S:
-        """Return the state after a control period [s] at whose start commands [Pa] are sent to the valves."""
+        """Return the state after a control period [s] at whose start commands [Pa] are sent to the valves.
+
+        With a `command_delay` the valves receive earlier commands, which the state holds.
+        """
         sent = (tuple(commands), *state.sent)[: len(state.sent)]
         after = self.advance(state._replace(sent=()), self.arriving(state, commands, period), period, substeps)
         return after._replace(sent=sent)

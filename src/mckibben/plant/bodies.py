@@ -42,7 +42,7 @@ class Body(NamedTuple):
         return _in_axes(self.inertia, axes)
 
     def inertia_about_hinge(self, axes: Rotation) -> Tensor:
-        """Return the inertia about the origin of the body, in world axes."""
+        """Return the inertia [kg*m^2] about the origin of the body, in world axes, by the parallel axis theorem."""
         shift = product(self.moment, self.centre)
         x = total(self.inertia.x, shift)
         y = x if self.inertia.x is self.inertia.y else total(self.inertia.y, shift)
@@ -74,7 +74,7 @@ class Frame(NamedTuple):
     arm: Vector = ZERO  # from the hinge of the body above
 
     def point(self, along: Number) -> tuple[Vector, Vector]:
-        """Return position and velocity of a point at a coordinate [m] on the z axis of the body."""
+        """Return position [m] and velocity [m/s] of a point at a coordinate [m] on the z axis of the body."""
         arm = self.axes.z.scaled(along)
         return self.position + arm, self.velocity + self.rate.cross(arm)
 
@@ -100,7 +100,10 @@ def frames_of(base: Frame, hinges: Sequence[Hinge]) -> list[Frame]:
 
 
 class Equations(NamedTuple):
-    """Equations of motion: matrix times accelerations = torques and forces on slides and free hinges - bias."""
+    """Equations of motion: matrix times accelerations = torques and forces on slides and free hinges - bias.
+
+    The motions are the slides of the base, in order, and then the free hinges [N, N*m].
+    """
 
     matrix: list[list[Any]]  # rows up to the diagonal
     bias: list[Any]
@@ -119,7 +122,14 @@ def equations(
     force: Vector = ZERO,  # on the last body [N]
     arm: Vector = ZERO,  # of its point from the hinge [m]
 ) -> Equations:
-    """Return the equations of motion of a chain."""
+    r"""Return the equations of motion of a chain.
+
+    .. math:: M(q) \ddot q = \tau - b(q, \dot q)
+
+    The bias b holds the forces of velocities, of gravity and of the force on the last body: those of a motion without
+    accelerations (ch. 5). A column of M is the momentum that a unit rate of one motion gives all bodies beyond it,
+    taken about each hinge and along each slide above (ch. 6).
+    """
     moving = _velocity_accelerations(frames, gravity)
     load, moment = -force, -arm.cross(force)
     mass, first, second = 0.0, ZERO, Tensor.diagonal(0.0)  # of the bodies from here on, about the hinge
@@ -177,7 +187,14 @@ def _column(
 
 
 def solve_symmetric(matrix: Sequence[Sequence[Any]], right: Sequence[Any]) -> list[Any]:
-    """Return the solution of equations with a positive definite matrix, whose rows go up to the diagonal."""
+    """Return the solution of equations with a positive definite matrix, whose rows go up to the diagonal.
+
+    By its decomposition into L D L^T. Entries that are known numbers when traced, such as the zeros of a chain in a
+    plane, take no operations.
+
+    >>> [round(x, 6) for x in solve_symmetric([[4.0], [1.0, 3.0]], [1.0, 2.0])]
+    [0.090909, 0.636364]
+    """
     rows, right, size = [list(row) for row in matrix], list(right), len(right)
     factors: list[list[Any]] = []
     inverses = []

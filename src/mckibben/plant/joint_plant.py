@@ -57,8 +57,30 @@ def rated_for(joint: AntagonisticJoint, pressures: tuple[Any, ...]) -> Antagonis
 class JointPlant(Plant[PlantState]):
     """The simulated system: joint, load, valves, sensors and disturbance; controllers have no access to it.
 
-    `friction` is that of the joint itself (default: none); that of a muscle belongs to the muscle. `command_delay` is
-    the time from a command to the valves [s]; `delay_periods`, its length in control periods, is set by `with_period`.
+    Its motion follows Eq. 6 of the paper with the torque of Eq. 7, the disturbance, and friction.
+
+    Parameters
+    ----------
+    joint, load, valve
+        Joint with its muscles, load, and the actuators of the muscles.
+    disturbance
+        External torque [N*m] over time; none by default.
+    friction
+        Dry friction of the joint itself (default: none); that of a muscle belongs to the muscle.
+    sensors, command_delay, delay_periods
+        As for `Plant`.
+
+    Raises `RangeError` for a valve that fills a muscle of unknown volume.
+
+    Examples
+    --------
+    The paper's knee in equilibrium at 0 deg, with the torque [N*m] of its muscles against that of gravity:
+
+    >>> from mckibben import IdealValve, catalog
+    >>> plant = JointPlant(catalog.joint("knee-table-2"), catalog.load("knee-table-2"), IdealValve())
+    >>> state = plant.equilibrium(0.0)
+    >>> round(float(plant.joint.torque(state.angle, state.pressures)), 4)
+    -0.7358
     """
 
     joint: AntagonisticJoint
@@ -112,7 +134,7 @@ class JointPlant(Plant[PlantState]):
         return floating(self.disturbance.torque(time))
 
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> Float[Array, "..."]:
-        """Return the total stiffness [N*m/rad], of muscles and gravity."""
+        """Return the total stiffness [N*m/rad], of muscles (Eq. 8) and gravity, at an angle [rad] and pressures."""
         return self.joint.stiffness(angle, pressures) + self.load.gravity_stiffness(angle)
 
     def air_volumes(self, state: PlantState) -> tuple[AirVolume, AirVolume]:
@@ -121,7 +143,7 @@ class JointPlant(Plant[PlantState]):
         return air_volumes(self.joint, state.angle, state.velocity, state.pressures, state.muscles, (dead1, dead2))
 
     def rate(self, state: PlantState) -> Motion:
-        """Return the time derivative of the motion (Eq. 6) at the pressures of a state."""
+        """Return the time derivative of the motion (Eq. 6) and of creep, at the pressures of a state."""
         angle, velocity, pressures, muscles, io, _, friction, _ = state
         creep1, creep2 = (state.creep for state in self.joint.state_rate(muscles, angle, velocity, pressures))
         if muscles == NO_STATES:

@@ -32,7 +32,7 @@ class Sensors(Component):
 
     @abc.abstractmethod
     def init(self, true: Measurement) -> Any:
-        """Return the initial sensor state."""
+        """Return the sensor state at the start of a run, at rest at a true measurement."""
 
     @abc.abstractmethod
     def measure(self, state: Any, index: ArrayLike, true: Measurement) -> tuple[Any, Measurement]:
@@ -40,7 +40,7 @@ class Sensors(Component):
 
 
 class PerfectSensors(Sensors):
-    """Exact measurement without delay, as in the paper's simulation."""
+    """Exact measurement without delay, as in the paper's simulation; it has no state."""
 
     short_name = "perfect"
 
@@ -54,9 +54,22 @@ class PerfectSensors(Sensors):
 class SampledSensors(Sensors):
     """Quantised encoder, white pressure noise and a delay.
 
-    The angle plus the encoder's offset [rad] is rounded to the nearest of its steps [rad], 0 for none; the noise of
-    each pressure is normal, with a standard deviation [Pa] and a seed; the delay is 0 to 1 control periods, in between
-    which samples are interpolated.
+    Parameters
+    ----------
+    encoder, encoder_offset
+        Step [rad], 0 for none, to the nearest multiple of which the angle plus its offset [rad] is rounded.
+    pressure_noise, seed
+        Standard deviation [Pa] of the noise of each pressure, normal and white over the control periods, and the seed
+        of its draws. A period has the same draws in 32 and 64 bits.
+    delay
+        Delay, 0 to 1 control periods; samples are interpolated linearly.
+
+    Examples
+    --------
+    >>> sensors = SampledSensors(encoder=0.01)
+    >>> true = Measurement(jnp.asarray(0.123), (jnp.asarray(2e5), jnp.asarray(3e5)))
+    >>> round(float(sensors.measure(sensors.init(true), 1, true)[1].angle), 6)
+    0.12
     """
 
     short_name = "sampled"
