@@ -38,9 +38,7 @@ _LARGEST = 0.5  # share of the form
 _FEWEST_LEVELS = 3  # of the pressure at a length
 _FEWEST_PLATEAUS = 6
 _MOVED = 0.001  # change of the contraction between two lengths [-]
-_BINS = 20_000  # a recording is averaged to this number of bins at most
 _BLOCKS = 16  # of a plateau, narrower at its start
-_STEADY = 2 * kPa  # largest deviation of the pressure in a plateau from its middle
 _LEVEL = 10 * kPa  # distance of two levels of the pressure
 _PARTS = 20  # of a plateau: the valve settles in the first, and no time constant is shorter
 _GRID = 61  # time constants of a search
@@ -191,21 +189,27 @@ class RecordedBins:
     contraction: Floats
 
     @classmethod
-    def of(cls, recording: Recording, number: int) -> RecordedBins:
-        """Bins of a recording; without contraction, each number of a recording is another length."""
+    def of(cls, recording: Recording, number: int, *, most: int = 20_000) -> RecordedBins:
+        """Bins of a recording, of one sample or longer, so that there are at most `most`.
+
+        Without contraction, each number of a recording is another length.
+        """
         time = recording.time
         if not len(time) or not time[-1] > time[0]:
             raise IdentificationError("the time of a recording does not advance", remedy="check its time column")
-        width = max(float(np.median(np.diff(time))), (time[-1] - time[0]) / _BINS)
+        width = max(float(np.median(np.diff(time))), (time[-1] - time[0]) / most)
         bins = np.unique(np.floor((time - time[0]) / width * (1 + 1e-9)), return_inverse=True)[1]
         samples = np.bincount(bins).astype(float)
         contraction = np.full(len(time), -1.0 - number) if recording.contraction is None else recording.contraction
         columns = (time, recording.pressure, recording.force, contraction)
         return cls(samples, *(np.bincount(bins, column) / samples for column in columns))
 
-    def plateaus(self, number: int) -> list[PressurePlateau]:
-        """Plateaus of the pressure at one length, with the direction of the step before each."""
-        signals = [(self.pressure, _STEADY), (self.contraction, _MOVED / 2)]
+    def plateaus(self, number: int, *, steady: float = 2 * kPa) -> list[PressurePlateau]:
+        """Plateaus of the pressure at one length, with the direction of the step before each.
+
+        In a plateau the pressure is within `steady` [Pa] of its middle.
+        """
+        signals = [(self.pressure, steady), (self.contraction, _MOVED / 2)]
         segments = steady_segments(signals, np.zeros(len(self.time), bool), _PARTS)
         before, plateaus = None, []
         for start, last in zip(segments.first.tolist(), segments.last.tolist(), strict=True):

@@ -25,6 +25,7 @@ from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
 from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, laws_from, smooth_refit
 from mckibben.identification.summary import (
+    CONTRACTION_NOISE,
     DatasetSummary,
     LeaveOnePressureOut,
     Outlier,
@@ -34,10 +35,9 @@ from mckibben.identification.summary import (
 )
 from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothLaw
 from mckibben.result import Remark
-from mckibben.units import percent, show
+from mckibben.units import show
 
 _GOOD = 0.005  # RMSE of the largest force up to which a misspecified law is a detail
-_CONTRACTION_NOISE = 0.1 * percent  # excess beyond a law's validity that counts as measurement noise
 
 
 @checked_call
@@ -165,7 +165,7 @@ def _within_validity(law_type: type[ForceLaw], points: IsobaricDataset) -> Isoba
     """Move points outside the law's contraction range by no more than noise to its limit; refuse others."""
     valid = law_type.formula_domain
     contraction = np.clip(points.contraction, float(valid.contraction_min), float(valid.contraction_max))
-    near = np.abs(contraction - points.contraction) <= _CONTRACTION_NOISE
+    near = np.abs(contraction - points.contraction) <= CONTRACTION_NOISE
     contraction = np.where(near, contraction, points.contraction)
     beyond = ~np.asarray(valid.contains(contraction, points.levels))
     if beyond.any():

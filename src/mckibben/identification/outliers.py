@@ -24,32 +24,54 @@ from mckibben.identification.estimator import Bools, Floats
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.smooth import Deviations
-from mckibben.identification.summary import Outlier
+from mckibben.identification.summary import CONTRACTION_NOISE, Outlier
 from mckibben.muscle import ExponentialLaw, GaussianProcessLaw
-from mckibben.units import percent
-
-_LEVEL = 0.01  # probability of any outlier among good points
-_SMALLEST = 0.005  # of the largest force: a smaller error is that of a load cell
-_CONTRACTION = 0.1 * percent  # an error that a smaller one of the contraction explains is that of its measurement
-_NEAREST, _ISOLATED = 8, 2.0  # an outlier is off the surface by as many times the residuals of the points around it
-_MOST = 0.05  # share of the points: more are not isolated errors
-_AHEAD = 2  # further points that are tested after the last significant one
-_TOGETHER = 1000  # points for each that is tested at once
-_FEWEST = 12  # points
-_SURFACE = 28  # points that a surface needs; fewer are compared with Eq. 2 alone
 
 
-def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
-    """Outliers among the taut plateau means of a dataset, in the order of its rows."""
+def find_outliers(
+    means: IsobaricDataset,
+    *,
+    significance: float = 0.01,
+    smallest: float = 0.005,
+    most: float = 0.05,
+    ahead: int = 2,
+    fewest: int = 12,
+) -> tuple[Outlier, ...]:
+    """Outliers among the taut plateau means of a dataset, in the order of its rows.
+
+    Parameters
+    ----------
+    means
+        Plateau means; directions and phases, if any, each have an offset from the surface.
+    significance
+        Probability of any outlier among good points (Bonferroni).
+    smallest
+        Smallest error of an outlier, relative to the largest force: that of a load cell.
+    most
+        Largest share of outliers: more are not isolated errors, and none is left out.
+    ahead
+        Number of further points that are tested after the last significant one.
+    fewest
+        Number of points below which none is tested.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> data = catalog.dataset("festo-tool-10mm")
+    >>> force = data.force.copy()
+    >>> force[30] *= 1.12
+    >>> [outlier.row for outlier in find_outliers(IsobaricDataset(data.table.assign(force=("point", force))))]
+    [31]
+    """
     points = means.taut
     rows = np.flatnonzero(~means.slack)
     measured = points.force
     remaining, outlying, pending = np.ones(len(points), bool), [], []
-    most, together = max(1, int(_MOST * len(points))), max(1, len(points) // _TOGETHER)
+    limit, together = max(1, int(most * len(points))), max(1, len(points) // 1000)  # at once, of thousands
     starts: Sequence[Floats] = ()
-    smallest = np.maximum(_SMALLEST * float(measured.max(initial=0.0)), _loop_widths(points))
-    while np.count_nonzero(remaining) >= _FEWEST and len(outlying) + len(pending) < most + _AHEAD:
-        tested = _test(points, remaining, smallest[remaining], starts)
+    least = np.maximum(smallest * float(measured.max(initial=0.0)), _loop_widths(points))
+    while np.count_nonzero(remaining) >= fewest and len(outlying) + len(pending) < limit + ahead:
+        tested = _test(points, remaining, least[remaining], starts)
         if tested is None:
             break
         errors, sizes = tested.errors, tested.sizes
@@ -57,16 +79,16 @@ def find_outliers(means: IsobaricDataset) -> tuple[Outlier, ...]:
         order = np.argsort(-sizes, kind="stable")[:together]
         if not sizes[order[0]]:  # no error is large enough
             break
-        significant = order[[tested.stands_out(i) for i in order.tolist()]]
+        significant = order[[tested.stands_out(i, significance) for i in order.tolist()]]
         worst = significant if significant.size else order[:1]
         at = np.flatnonzero(remaining)[worst]
         pending += zip(at.tolist(), errors[worst].tolist(), strict=True)
         remaining[at] = False
         if significant.size:
             outlying, pending = [*outlying, *pending], []
-        elif len(pending) == _AHEAD:
+        elif len(pending) == ahead:
             break
-    if len(outlying) > most:
+    if len(outlying) > limit:
         return ()
     return tuple(
         Outlier(
@@ -96,30 +118,36 @@ class _Tested(NamedTuple):
     errors: Floats
     sizes: Floats
 
-    def stands_out(self, at: int) -> bool:
-        """Whether a residual is significant, and larger than those around it."""
+    def stands_out(self, at: int, significance: float, *, nearest: int = 8, ratio: float = 2.0) -> bool:
+        """Whether a residual is significant, and larger than a `ratio` of those of the `nearest` points without it."""
         from scipy.special import stdtrit
 
-        limit = float(stdtrit(self.model.freedom - 1, 1 - _LEVEL / (2 * len(self.sizes))))  # Bonferroni
+        limit = float(stdtrit(self.model.freedom - 1, 1 - significance / (2 * len(self.sizes))))  # Bonferroni
         if self.sizes[at] <= limit:
             return False
         others = np.arange(len(self.sizes)) != at
         residuals = self.model.select(others).deleted_residuals(self.hyperparameters)[1]
         axes = [axis / (np.ptp(axis) or 1.0) for axis in (self.points.contraction, self.points.pressure)]
         distances = np.sum([(axis - axis[at])[others] ** 2 for axis in axes], axis=0)
-        around = np.argsort(distances, kind="stable")[:_NEAREST]
-        return bool(self.sizes[at] > _ISOLATED * np.abs(residuals[around]).max())
+        around = np.argsort(distances, kind="stable")[:nearest]
+        return bool(self.sizes[at] > ratio * np.abs(residuals[around]).max())
 
 
-def _test(points: IsobaricDataset, remaining: Bools, smallest: Floats, starts: Sequence[Floats]) -> _Tested | None:
-    """Test of the remaining points; None with small errors of Eq. 2 or few points."""
+def _test(
+    points: IsobaricDataset, remaining: Bools, smallest: Floats, starts: Sequence[Floats], *, surface_points: int = 28
+) -> _Tested | None:
+    """Test of the remaining points; None with small errors of Eq. 2 or few points.
+
+    Fewer than `surface_points` are compared with Eq. 2 alone. An error that a small one of the contraction explains is
+    that of its measurement.
+    """
     eq2 = FitProblem.of(ExponentialLaw, points).subset(remaining)
     base, used = solve(eq2, grid_search(eq2)), points.select(remaining)
-    moved = replace(eq2, contraction=eq2.contraction + _CONTRACTION).response(base.values)[0]
+    moved = replace(eq2, contraction=eq2.contraction + CONTRACTION_NOISE).response(base.values)[0]
     smallest = np.maximum(smallest, np.abs(moved - base.residuals))
     if not np.any(np.abs(base.residuals) > smallest):
         return None
-    surface = len(used) >= _SURFACE and bool(np.ptp(used.contraction)) and bool(np.ptp(used.pressure))
+    surface = len(used) >= surface_points and bool(np.ptp(used.contraction)) and bool(np.ptp(used.pressure))
     if surface:
         deviations = Deviations.of(GaussianProcessLaw, points, base)
         model = deviations.prior.model(*deviations.columns(base))

@@ -14,6 +14,9 @@ from mckibben.muscle import Domain, ForceLaw, forces
 from mckibben.result import Remark
 from mckibben.units import bar, percent, show
 
+CONTRACTION_NOISE = 0.1 * percent
+"""Error of a contraction [-] that counts as measurement noise."""
+
 
 @dataclass(frozen=True)
 class LeaveOnePressureOut:
