@@ -113,7 +113,30 @@ CONDITION_LIMIT = 1e10
 
 
 def standard_errors(jacobian: Floats, residuals: Floats, at_bound: Bools) -> tuple[Floats, Floats]:
-    """Classical standard errors and correlations, NaN at a bound; the Jacobian has shape (points, parameters)."""
+    """Classical standard errors and correlations of a least-squares fit, NaN at a bound.
+
+    Parameters
+    ----------
+    jacobian, residuals
+        Shape (points, parameters) and (points,).
+    at_bound
+        Mask of the parameters that are not free, shape (parameters,).
+
+    Returns
+    -------
+    Errors, shape (parameters,), and correlations, (parameters, parameters).
+
+    Examples
+    --------
+    A straight line through 1, 2, 2, 4: the intercept and the slope of textbooks.
+
+    >>> x, y = np.arange(4.0), np.array([1.0, 2.0, 2.0, 4.0])
+    >>> design = np.column_stack([np.ones(4), x])
+    >>> residuals = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+    >>> errors, correlations = standard_errors(design, residuals, np.zeros(2, bool))
+    >>> errors.round(3), correlations[0, 1].round(3)
+    (array([0.495, 0.265]), np.float64(-0.802))
+    """
     count = jacobian.shape[1]
     free = np.flatnonzero(~at_bound)
     lengths, singular, directions = _decompose(jacobian[:, free])
@@ -129,7 +152,15 @@ def standard_errors(jacobian: Floats, residuals: Floats, at_bound: Bools) -> tup
 
 
 def condition_number(jacobian: Floats) -> float:
-    """Condition number of a Jacobian with columns scaled to unit length; infinite where singular."""
+    """Condition number of a Jacobian with columns scaled to unit length; infinite where singular.
+
+    Examples
+    --------
+    Units do not matter:
+
+    >>> condition_number(np.diag([1.0, 1e5]))
+    1.0
+    """
     _, singular, _ = _decompose(jacobian)
     if not len(singular):
         return 1.0
@@ -161,10 +192,18 @@ Pairs = tuple[Floats, Floats]
 
 @dataclass(frozen=True, eq=False)
 class IndependentErrors:
-    """Independent errors of equal variance: covariance s^2 (X^T X)^-1 with n - k degrees of freedom."""
+    """Independent errors of equal variance: covariance s^2 (X^T X)^-1 with n - k degrees of freedom.
 
-    triangle: Floats  # R factor of the Jacobian, (k, k)
-    residual_variance: tuple[float, float]  # of a single plateau mean about the law [N^2], and its degrees of freedom
+    Attributes
+    ----------
+    triangle
+        R factor of the Jacobian, shape (parameters, parameters).
+    residual_variance
+        Variance s^2 of a single plateau mean about the law [N^2], and its degrees of freedom.
+    """
+
+    triangle: Floats
+    residual_variance: tuple[float, float]
 
     @classmethod
     def of(cls, jacobian: Floats, residuals: Floats) -> IndependentErrors:
@@ -181,16 +220,32 @@ class IndependentErrors:
 
 @dataclass(frozen=True, eq=False)
 class ClusterRobustErrors:
-    """Cluster-robust covariance CR2 with Satterthwaite degrees of freedom: points of a group share an error."""
+    """Cluster-robust covariance CR2 with Satterthwaite degrees of freedom: points of a group share an error.
 
-    # R. Bell and D. McCaffrey, Survey Methodology 28 (2002) 169-181; J. Pustejovsky and E. Tipton, J. Business and
-    # Economic Statistics 36 (2018) 672-683.
-    triangle: Floats  # R factor of the Jacobian, (k, k)
-    scores: Floats  # Q_g^T A_g e_g, (groups, k)
-    own: Floats  # Q_g^T A_g^2 Q_g, (groups, k, k)
-    shared: Floats  # Q_g^T A_g Q_g
-    decisive: tuple[int, ...]  # groups without which the parameters are not determined
-    residual_variance: tuple[float, float]  # from the corrected residuals A_g e_g, and its degrees of freedom
+    R. Bell and D. McCaffrey, Survey Methodology 28 (2002) 169-181; J. Pustejovsky and E. Tipton, J. Business and
+    Economic Statistics 36 (2018) 672-683. With J = Q R and the adjustment A_g = (I - Q_g Q_g^T)^-1/2 of the residuals
+    e_g of group g:
+
+    Attributes
+    ----------
+    triangle
+        R, shape (parameters, parameters).
+    scores
+        Q_g^T A_g e_g, shape (groups, parameters).
+    own, shared
+        Q_g^T A_g^2 Q_g and Q_g^T A_g Q_g, shape (groups, parameters, parameters).
+    decisive
+        Groups without which the parameters are not determined.
+    residual_variance
+        Mean square of A_g e_g [N^2], and its degrees of freedom.
+    """
+
+    triangle: Floats
+    scores: Floats
+    own: Floats
+    shared: Floats
+    decisive: tuple[int, ...]
+    residual_variance: tuple[float, float]
 
     @classmethod
     def of(cls, jacobian: Floats, residuals: Floats, labels: Ints) -> ClusterRobustErrors:
@@ -308,7 +363,13 @@ def check_level(level: float) -> float:
 
 
 def t_quantile(level: float, freedom: ArrayLike) -> Floats:
-    """Half-width of a two-sided t interval in standard errors."""
+    """Half-width of a two-sided t interval in standard errors; raises as `check_level`.
+
+    Examples
+    --------
+    >>> t_quantile(0.95, [3, np.inf]).round(2)
+    array([3.18, 1.96])
+    """
     from scipy.special import stdtrit
 
     return np.asarray(stdtrit(np.minimum(freedom, 1e12), (1 + check_level(level)) / 2))

@@ -85,7 +85,16 @@ def check_law_type(kind: object) -> None:
 
 
 def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[Outlier, ...]) -> Fit:
-    """Fit a law to plateau means without the outliers."""
+    """Fit a law to plateau means without the outliers.
+
+    Points at a single pressure all have its level: their scatter about it says nothing about the pressure. A law with
+    smooth deviations may be replaced by a simpler one, as a note then explains.
+
+    Raises
+    ------
+    IdentificationError
+        If there are too few points, points outside the validity of the law, or parameters that they do not determine.
+    """
     means = without_outliers(means, outliers)
     taut = means.taut
     smooth = law_type in SMOOTH_LAWS
@@ -257,7 +266,10 @@ def _leave_one_pressure_out(regression: Regression) -> tuple[LeaveOnePressureOut
 
 
 def without_direction_means(residuals: Floats, points: IsobaricDataset) -> Floats:
-    """Residuals [N] less the mean of each direction and phase, which is friction, not an error of a static law."""
+    """Residuals [N] less the mean of each direction and phase, which is friction, not an error of a static law.
+
+    The residuals have the shape (points,); NaN is ignored.
+    """
     rest = np.array(residuals, float)
     for name in ("direction", "phase"):
         if name in points.table:

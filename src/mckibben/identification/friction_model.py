@@ -61,7 +61,23 @@ _LONGEST = 0.25  # of the range of lengths: with a longer presliding length fric
 
 @dataclass(frozen=True, eq=False)
 class PathDependentModel:
-    """Force along loading paths: law, Maxwell-slip friction (`MaxwellSlip.along`), and sensor drift."""
+    """Force along loading paths: law, Maxwell-slip friction, and sensor drift.
+
+    Attributes
+    ----------
+    template
+        Law whose parameters, unless they are estimated, are those of the model.
+    paths, means
+        Loading paths, and the plateau means of their rows.
+    drift
+        Basis of the drift of the sensor.
+    used
+        Mask of the rows that count, shape (rows,).
+    reference_pressure, reference_tension
+        Pressure [Pa] and tension [N] at which the friction has its half width.
+    rate
+        Rate of the length [m/s], shape (rows,); None without viscous friction.
+    """
 
     template: ForceLaw
     paths: LoadingPaths

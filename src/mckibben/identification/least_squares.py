@@ -157,8 +157,17 @@ class UnitCube:
 class FitProblem:
     """Least-squares problem of a law; subsets (`selected`) of one dataset share compiled code.
 
-    A `prior` of shape (rows, parameters) adds the residuals ``-prior @ values`` [N], each as uncertain as a point: a
-    Gaussian prior about zero. `constants` are fields of the law that are not estimated.
+    Attributes
+    ----------
+    contraction, pressure, force
+        Columns of the points [-], [Pa], [N], padded, shape (n,).
+    selected
+        Mask of the points that count, shape (n,).
+    constants
+        Fields of the law that are not estimated.
+    prior
+        Shape (rows, parameters): adds the residuals ``-prior @ values`` [N], each as uncertain as a point, which is a
+        Gaussian prior about zero.
     """
 
     law_type: type[ForceLaw]
@@ -233,7 +242,21 @@ class FitProblem:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Solution of a least-squares problem: values in SI, linear ones first; cost [N^2]."""
+    """Solution of a least-squares problem.
+
+    Attributes
+    ----------
+    values
+        Parameters [SI], linear ones first, shape (parameters,).
+    position
+        Position of the shape parameters in the unit cube.
+    cost
+        Sum of the squared residuals [N^2], with those of a prior.
+    triangle
+        R factor of the Jacobian, with the columns of the shape by position.
+    converged
+        False if the number of evaluations was exhausted.
+    """
 
     problem: FitProblem = field(repr=False)
     values: Floats

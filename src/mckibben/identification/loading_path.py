@@ -24,7 +24,25 @@ class NoHysteresisError(IdentificationError):
 
 @dataclass(frozen=True, eq=False)
 class LoadingPaths:
-    """Loading paths of a test: the points at constant pressure, in temporal order."""
+    """Loading paths of a test: the points at constant pressure, in temporal order.
+
+    Attributes
+    ----------
+    place
+        Row of each point of each path, shape (points, paths); shorter paths repeat their last row.
+    counts
+        Number of points of each path, shape (paths,).
+    side
+        Direction before the first point of each path: 1 for stretching, -1 for shortening, shape (paths,).
+    length
+        Length of each row [m], monotone along strokes, shape (rows,).
+    step
+        Median distance of successive points [m].
+    turns
+        1 or -1 at a loading or unloading row at the same position as a row of the other direction, else 0.
+    overshot
+        Whether the muscle overshot these points and came back, which reverses its friction.
+    """
 
     place: Ints = field(repr=False)
     counts: Ints
@@ -32,9 +50,7 @@ class LoadingPaths:
     length: Floats = field(repr=False)
     step: float
     turns: Floats = field(repr=False)
-    """1 or -1 at a loading or unloading row at the same position as a row of the other direction, else 0."""
     overshot: bool = False
-    """Whether the muscle overshot these points and came back, which reverses its friction."""
 
     @property
     def travel(self) -> Floats:

@@ -29,7 +29,17 @@ Scales = Callable[[Floats], tuple[Floats, Floats]]
 
 @dataclass(frozen=True, eq=False)
 class MixedModel:
-    """Columns and forces [N] of a mixed model: fixed (n, f), random (n, m) and residuals (n,)."""
+    """Columns and forces of a mixed model.
+
+    Attributes
+    ----------
+    fixed, random
+        Columns of the fixed and of the random coefficients, shape (n, f) and (n, m).
+    residuals
+        Measured forces less those of the linearisation [N], shape (n,).
+    scales
+        Scales of the random coefficients by hyperparameters.
+    """
 
     fixed: Floats = field(repr=False)
     random: Floats = field(repr=False)

@@ -128,7 +128,22 @@ Refit = Callable[[Bools], Solution]
 def cross_validate(
     problem: FitProblem, full: Solution, blocks: ArrayLike, refit: Refit | None = None
 ) -> CrossValidation:
-    """Predict each block from a fit of the law, shape included, to all other blocks."""
+    """Predict each block from a fit of the law, shape included, to all other blocks.
+
+    Parameters
+    ----------
+    problem, full
+        Problem and its solution for all points.
+    blocks
+        Label of the block of each point, shape (points,); those of "" are in no block.
+    refit
+        Identification method for a mask of points. Default: `solve` from the shape of the full solution.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the other blocks do not determine the law, or it has no force at the points of the block.
+    """
     blocks = np.asarray(blocks)
     residuals = np.full(len(blocks), np.nan)
     by_block: dict[float | str, float] = {}
@@ -155,7 +170,19 @@ _FEWEST_GROUPS = 5
 
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """Points of a fit and the least-squares solution."""
+    """Points of a fit and the least-squares solution.
+
+    Attributes
+    ----------
+    points
+        Taut plateau means of the fit.
+    problem, solution
+        Least-squares problem of these points, and its solution.
+    at_bound
+        Mask of the parameters at a bound of their range, shape (parameters,).
+    refit
+        Identification method for other points, if the law is chosen by them; None: the same law.
+    """
 
     points: IsobaricDataset = field(repr=False)
     problem: FitProblem = field(repr=False)
