@@ -206,16 +206,12 @@ class Fit(Result, metaclass=CheckedCalls):
     def verdict(self) -> str:
         """Return how well the law describes the points, and points at pressures that were left out."""
         name, lopo = self.dataset.specimen or "unnamed specimen", self.leave_one_pressure_out
-        share = f" ({100 * self.rmse / self.largest_force:.2g} % of the largest)" if self.largest_force else ""
+        points, share = self.regression.points if self.regression else None, ""
+        if points is not None and self.residuals is not None:
+            share = f" ({100 * self.rmse / float((points.force - self.residuals).max()):.2g} % of the largest)"
         unseen = f"; {lopo.rmse:.3g} N at pressures left out" if lopo else ""
         law = type(self.law).__name__
         return f"{law} describes {self.points_used} points of {name} to {self.rmse:.3g} N{share}{unseen}"
-
-    @property
-    def largest_force(self) -> float:
-        """Largest fitted force [N] at the points; 0 if the fit was read from a file without them."""
-        regression = self.regression
-        return float((regression.points.force - regression.solution.residuals).max()) if regression else 0.0
 
     @property
     def warnings(self) -> tuple[str, ...]:

@@ -15,7 +15,6 @@ from mckibben.identification.estimator import (
     CONDITION_LIMIT,
     Bools,
     Floats,
-    Ints,
     Minimum,
     condition_number,
     least_squares,
@@ -92,11 +91,6 @@ class PathDependentModel:
     def law_names(self) -> tuple[str, ...]:
         """Parameters of the law, linear ones first; penalised ones are fixed at the fit of the law alone."""
         return tuple(p.name for p in type(self.template).parameters() if not p.penalised)
-
-    @property
-    def labels(self) -> Ints:
-        """Groups of the used points that may share an error, as those of a fit of the law."""
-        return group_labels(self.means, finest_grouping(self.means))[self.used]
 
     def law(self, values: Mapping[str, float]) -> ForceLaw:
         """Law with the values of its parameters."""
@@ -253,7 +247,8 @@ class PathDependentModel:
                 remedy="look for outliers, wrong units and rows that are not in the order of the test",
             )
         errors, _ = standard_errors(minimum.jacobian, minimum.residuals, ~inside)
-        variance = robust_errors(jacobian, minimum.residuals, self.labels).variance(np.eye(jacobian.shape[1]))[0]
+        labels = group_labels(self.means, finest_grouping(self.means))[self.used]  # as of a fit of the law alone
+        variance = robust_errors(jacobian, minimum.residuals, labels).variance(np.eye(jacobian.shape[1]))[0]
         errors[inside] = np.maximum(errors[inside], np.sqrt(variance))
         return dataclasses.replace(solution, errors=errors)
 

@@ -98,13 +98,17 @@ def _columns_and_residuals(
 
 
 def _force_and_columns(
-    law: Callable[[dict[str, Any]], ForceLaw], names: tuple[str, ...], values: Any, contraction: Any, pressure: Any
+    law: Callable[[dict[str, Any]], ForceLaw],
+    names: tuple[str, ...],
+    values: ArrayLike,
+    contraction: ArrayLike,
+    pressure: ArrayLike,
 ) -> tuple[Array, Array]:
     def force(values: Array) -> Array:
-        return law(dict(zip(names, values, strict=True))).force(contraction, pressure)
+        return law(dict(zip(names, values, strict=True))).force(jnp.asarray(contraction), jnp.asarray(pressure))
 
     def column(direction: Array) -> tuple[Array, Array]:
-        return jax.jvp(force, (values,), (direction,))
+        return jax.jvp(force, (jnp.asarray(values),), (direction,))
 
     return jax.vmap(column, out_axes=(None, 0))(jnp.eye(len(names)))
 

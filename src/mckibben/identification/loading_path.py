@@ -71,10 +71,7 @@ class LoadingPaths:
     @property
     def label(self) -> Ints:
         """Path of each row, shape (rows,)."""
-        label = np.empty(len(self.length), np.int64)
-        for path, rows in enumerate(self.rows):
-            label[rows] = path
-        return label
+        return self.scattered(np.broadcast_to(np.arange(float(len(self.counts))), self.place.shape)).astype(np.int64)
 
     def stroke(self, means: IsobaricDataset) -> Ints:
         """Stroke of each row, shape (rows,): the rows of a path between reversals."""

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
 
 from mckibben.identification.fit import Fit
 from mckibben.units import factor
 
 
-def fit_numbers(fit: Fit) -> dict[str, Any]:
+def fit_numbers(fit: Fit) -> dict[str, object]:
     """A fit as plain data."""
     held_out = fit.leave_one_pressure_out
+    shown = {p.name: p.shown for p in type(fit.law).parameters()}
     published = {p.name: factor(p.shown, p.unit) for p in type(fit.law).parameters()}
     return {
         "law": type(fit.law).__name__,
@@ -26,14 +26,10 @@ def fit_numbers(fit: Fit) -> dict[str, Any]:
             name: {
                 "estimate": value / published[name],
                 "standard_error": fit.standard_errors[name] / published[name],
-                "unit": _unit(fit, name),
+                "unit": shown[name],
             }
             for name, value in fit.estimates.items()
         },
         "outliers": [dataclasses.asdict(outlier) for outlier in fit.outliers],
         "warnings": list(fit.warnings),
     }
-
-
-def _unit(fit: Fit, name: str) -> str:
-    return next(p.shown for p in type(fit.law).parameters() if p.name == name)

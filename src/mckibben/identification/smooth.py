@@ -24,11 +24,9 @@ import abc
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any
 
 import numpy as np
 from numpy.polynomial import legendre, polynomial
-from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.dataset.preprocessing import pressure_levels
@@ -129,7 +127,7 @@ class SurfacePrior(Prior):
 
 
 @cache
-def _roughness_root() -> NDArray[Any]:
+def _roughness_root() -> Floats:
     """Root C^T of the integral c^T C C^T c of s''^2 over the window, for the coefficients c of s."""
     window = polynomial.polypow([1.0, 0.0, -1.0], 3)
     places, weights = legendre.leggauss(20)
@@ -137,7 +135,7 @@ def _roughness_root() -> NDArray[Any]:
         polynomial.polyval(places, polynomial.polyder(polynomial.polymul(window, power), 2))
         for power in np.eye(DEGREE + 1)
     ]
-    return np.linalg.cholesky((np.array(curvature) * weights) @ np.array(curvature).T).T
+    return np.asarray(np.linalg.cholesky((np.array(curvature) * weights) @ np.array(curvature).T).T, np.float64)
 
 
 def prior_of(kind: type[ForceLaw], levels: Floats) -> Prior:

@@ -54,7 +54,7 @@ class _FitPoints(ConfigModel):
                 fail_validation(f"{name} has {len(values)} values instead of {len(self.force)}", "give one per point")
         return self
 
-    def columns(self) -> dict[str, list[Any]]:
+    def columns(self) -> dict[str, list[object]]:
         """Columns that are known, by name."""
         return {name: getattr(self, name) for name in _COLUMNS if getattr(self, name) is not None}
 
