@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from jaxtyping import PyTree
+from numpy.typing import NDArray
 
 from mckibben.codegen.functions import header
 from mckibben.codegen.kernels import THREADS
@@ -58,7 +59,7 @@ class DeviceProgram(NamedTuple):
 class Nvrtc:
     """NVIDIA's runtime compiler."""
 
-    def __init__(self, library: Any) -> None:
+    def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
         major, minor, count = c_int(), c_int(), c_int()
         self._call("nvrtcVersion", byref(major), byref(minor))
@@ -135,7 +136,7 @@ def nvrtc() -> Nvrtc:
     )
 
 
-def driver_library() -> Any:
+def driver_library() -> ctypes.CDLL:
     """The library of the CUDA driver; raises `DeviceError` if there is none."""
     try:
         return ctypes.CDLL(_DRIVER)
@@ -147,7 +148,7 @@ def driver_library() -> Any:
 class Device:
     """A CUDA device, with its primary context; raises `DeviceError` if its driver fails."""
 
-    def __init__(self, driver: Any, compiler: Nvrtc) -> None:
+    def __init__(self, driver: ctypes.CDLL, compiler: Nvrtc) -> None:
         self._driver, self._lock = driver, threading.Lock()
         self.compiler = f"NVRTC {compiler.name}"
         self._call("cuInit", 0)
@@ -178,7 +179,7 @@ class Device:
             self._call("cuModuleGetGlobal_v2", byref(program.constants), byref(program.size), module, b"known")
         return program
 
-    def run(self, program: DeviceProgram, scalars: bytes, words: Any, results: PyTree, lanes: int) -> None:
+    def run(self, program: DeviceProgram, scalars: bytes, words: NDArray, results: NDArray, lanes: int) -> None:
         """Compute all runs; `results`, an array in memory, is overwritten."""
         with self._used(), ExitStack() as memory:
             sizes = words.nbytes, max(results.nbytes, program.size.value)
@@ -243,7 +244,7 @@ def device() -> Device:
 class _OnDevice(Compiled):
     """A kernel on the device."""
 
-    def _call(self, scalars: bytes, words: Any, results: PyTree, lanes: int) -> None:
+    def _call(self, scalars: bytes, words: NDArray, results: NDArray, lanes: int) -> None:
         device().run(self.run, scalars, words, results, lanes)
 
 

@@ -49,7 +49,7 @@ class Scope:
 
     parent: Scope | None = None
     statements: list[Value | ForLoop | Branch | StoredArray] = field(default_factory=list)
-    known: dict[Any, Value] = field(default_factory=dict)
+    known: dict[object, Value] = field(default_factory=dict)
     depth: int = 0
     floor: Scope | None = None  # the innermost branch, beyond which nothing is hoisted
 
@@ -182,7 +182,7 @@ class Graph:
         self._room = most  # for more operations
         self._alive: list[Value] = []  # expressions are distinguished by the identities of values
 
-    def constant(self, number: Any, kind: Kind) -> Value:
+    def constant(self, number: float, kind: Kind) -> Value:
         """A known number."""
         number = {Kind.REAL: float, Kind.INTEGER: int, Kind.BOOLEAN: bool}[kind](number)
         if kind is Kind.INTEGER:
@@ -224,7 +224,7 @@ class Graph:
         key = ("element", place, *map(id, arguments))
         return self._known(key, scope, lambda: Value("element", array.kind, arguments, scope, place, array.uniform))
 
-    def _known(self, key: Any, scope: Scope, make: Callable[[], Value]) -> Value:
+    def _known(self, key: object, scope: Scope, make: Callable[[], Value]) -> Value:
         """The value of a key in a scope or an enclosing one; created and added to its statements if missing."""
         outer: Scope | None = scope
         while outer is not None:

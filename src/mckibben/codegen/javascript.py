@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.languages import JAVASCRIPT
@@ -99,7 +98,7 @@ def _function(function: Function, writer: Writer) -> str:
             if name != place:
                 lines.append(f"    const {name} = {place};")
     lines += writer.scope(function.scope)
-    returned: dict[str, Any] = {}
+    returned: dict[str, str] = {}
     for result, members in function.results.items():
         values = iter(function.values[result])
         texts = {member.name: [writer.text(next(values)) for _ in range(member.size)] for member in members}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -17,13 +16,13 @@ _SAME = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "a
 
 def literals(
     nan: str, infinity: str, *, booleans: tuple[str, str] = ("false", "true"), single: bool = False, suffix: str = ""
-) -> Callable[[Any, Kind], str]:
+) -> Callable[[float, Kind], str]:
     """Text of a number of a kind; those of 32 bits have nine digits, and no subnormal ones."""
     largest = np.finfo(np.float32 if single else float)
 
-    def literal(number: Any, kind: Kind) -> str:
+    def literal(number: float, kind: Kind) -> str:
         if kind is not Kind.REAL:
-            return booleans[number] if kind is Kind.BOOLEAN else str(number)
+            return booleans[bool(number)] if kind is Kind.BOOLEAN else str(number)
         if math.isnan(number):
             return nan
         if abs(number) > largest.max:

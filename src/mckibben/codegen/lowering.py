@@ -12,7 +12,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.extend import core
-from jaxtyping import PyTree
+from jax.typing import DTypeLike
+from jaxtyping import ArrayLike, PyTree
 
 from mckibben.codegen.array_rules import ArrayRules, Parameters, Shape, array_of
 from mckibben.codegen.graph import FOLDED, ForLoop, Graph, Kind, StoredArray, Value
@@ -36,6 +37,7 @@ _CALLS = {
 _TAKE_STORED = _CALLS | {"scan", "cond", "reshape", "squeeze", "expand_dims"}
 _LARGEST = 50_000  # elements of an array that is not in memory
 Array = Any  # an array of values, or `Stored`
+Equation = Jaxpr = Any  # JAX does not publish their types
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +55,12 @@ class Stored:
         return math.prod(self.shape)
 
     @property
-    def dtype(self) -> Any:
+    def dtype(self) -> np.dtype:
         """NumPy type, as of an array of values."""
         return np.dtype(object)
 
 
-def kind_of(dtype: Any) -> Kind:
+def kind_of(dtype: DTypeLike) -> Kind:
     """Kind of scalar of a NumPy type."""
     letter = np.dtype(dtype).kind
     if letter == "b":
@@ -66,7 +68,7 @@ def kind_of(dtype: Any) -> Kind:
     return Kind.INTEGER if letter in "iu" else Kind.REAL
 
 
-_DECOMPOSED: dict[str, Callable[[Any], Any]] = {
+_DECOMPOSED: dict[str, Callable[[Array], Array]] = {
     "square": lambda x: x * x,
     "one_minus_square": lambda x: (1 - x) * (1 + x),  # derivative of tanh by its value, in JAX 0.12 and newer
     "rsqrt": lambda x: 1 / jnp.sqrt(x),
@@ -80,7 +82,7 @@ _FOR_LANES = {"tanh": tanh, "exp": elementary.exp, "sin": elementary.sin, "cos":
 class _UnsupportedError(Exception):
     """An unsupported primitive, with its source location."""
 
-    def __init__(self, equation: Any) -> None:
+    def __init__(self, equation: Equation) -> None:
         super().__init__(equation.primitive.name)
         self.name = equation.primitive.name
         self.place = _source(equation)
@@ -93,8 +95,8 @@ class Lowering(ArrayRules):
         self._graph = graph
 
     def function(
-        self, function: Callable[..., Any], arguments: PyTree, inputs: Sequence[Array]
-    ) -> tuple[list[Array], Any]:
+        self, function: Callable[..., PyTree], arguments: PyTree, inputs: Sequence[Array]
+    ) -> tuple[list[Array], PyTree]:
         """Leaves of a function of trees for values of the leaves of arguments; tree of their shapes and types."""
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
         try:
@@ -104,15 +106,15 @@ class Lowering(ArrayRules):
             remedy = "use another option of this component, or write the function without it"
             raise ExportError(message, field=error.name, remedy=remedy) from None
 
-    def _closed(self, closed: Any, arguments: Sequence[Array]) -> list[Array]:
+    def _closed(self, closed: Jaxpr, arguments: Sequence[Array]) -> list[Array]:
         if not hasattr(closed, "consts"):
             return self._jaxpr(closed, (), arguments)
         return self._jaxpr(closed.jaxpr, [self.literal(constant) for constant in closed.consts], arguments)
 
-    def _jaxpr(self, jaxpr: Any, constants: Sequence[Array], arguments: Sequence[Array]) -> list[Array]:
-        known: dict[Any, Array] = {}
+    def _jaxpr(self, jaxpr: Jaxpr, constants: Sequence[Array], arguments: Sequence[Array]) -> list[Array]:
+        known: dict[core.Var, Array] = {}
 
-        def read(variable: Any) -> Array:
+        def read(variable: core.Var | core.Literal) -> Array:
             return self.literal(variable.val) if isinstance(variable, core.Literal) else known[variable]
 
         known.update(zip(jaxpr.constvars, constants, strict=True))
@@ -144,13 +146,13 @@ class Lowering(ArrayRules):
             values = [self._graph.element(stored.array, None, 0, place, self._graph.scope) for place in places]
         return np.array([*values, None], object)[:-1].reshape(stored.shape)
 
-    def literal(self, number: Any) -> Array:
+    def literal(self, number: ArrayLike) -> Array:
         """Constants with the shape of a number or array."""
         number = np.asarray(number)
         kind = kind_of(number.dtype)
         return array_of(number.shape, lambda at: self._graph.constant(number[at], kind))
 
-    def _equation(self, equation: Any, arguments: list[Array]) -> Sequence[Array]:
+    def _equation(self, equation: Equation, arguments: list[Array]) -> Sequence[Array]:
         """Results of one equation."""
         name, parameters = equation.primitive.name, equation.params
         aval = equation.outvars[0].aval
@@ -185,7 +187,7 @@ class Lowering(ArrayRules):
             raise _UnsupportedError(equation)
         return results if isinstance(results, list) else [results]
 
-    def _operation(self, name: str, dtype: Any, *arguments: Value) -> Value:
+    def _operation(self, name: str, dtype: DTypeLike, *arguments: Value) -> Value:
         """Result of an operation, in 32 bits if its type is 32-bit."""
         result = self._graph.operation(name, kind_of(dtype), *arguments)
         if dtype == np.float32 and not self._graph.single:
@@ -195,7 +197,12 @@ class Lowering(ArrayRules):
         return result
 
     def _random(
-        self, name: str, parameters: Parameters, aval: Any, arguments: list[Array], equation: Any
+        self,
+        name: str,
+        parameters: Parameters,
+        aval: jax.ShapeDtypeStruct,
+        arguments: list[Array],
+        equation: Equation,
     ) -> list[Array]:
         """Random keys (two words each) and the bits drawn from them."""
         if (
@@ -217,7 +224,7 @@ class Lowering(ArrayRules):
             array_of(aval.shape, lambda at: random_bits(self._graph, key, int(places[at]), parameters["bit_width"]))
         ]
 
-    def _rule(self, name: str, inner: Any, arguments: list[Array]) -> tuple[str, ...]:
+    def _rule(self, name: str, inner: Jaxpr, arguments: list[Array]) -> tuple[str, ...]:
         """Operations in place of one of our polynomials; of batches only the exponential, in kernels."""
         if name != "custom_jvp_call":
             return ()
@@ -247,7 +254,7 @@ class Lowering(ArrayRules):
             condition = self._graph.operation("boolean", Kind.BOOLEAN, index)
             branch_results: list[list[Array]] = []
 
-            def body(branch: Any) -> list[Value]:
+            def body(branch: Jaxpr) -> list[Value]:
                 arrays = [np.asarray(self.plain(array), object) for array in self._closed(branch, arguments)]
                 branch_results.append(arrays)
                 return [value for array in arrays for value in array.flat]
@@ -365,7 +372,13 @@ class Lowering(ArrayRules):
         return array_of(shape, lambda _: operation(column.kind.value, column.kind, number(next(places))))
 
     def _unrolled(
-        self, body: Any, length: int, reverse: bool, constants: Any, carry: Sequence[Array], columns: Any
+        self,
+        body: Jaxpr,
+        length: int,
+        reverse: bool,
+        constants: Sequence[Array],
+        carry: Sequence[Array],
+        columns: Sequence[Array],
     ) -> list[Array]:
         """An unrolled scan."""
         rows = []
@@ -386,16 +399,16 @@ def _is_uniform(array: Array) -> bool:
 
 
 @functools.cache
-def _jaxpr_of(function: Callable[..., Any], shape: tuple[int, ...], dtype: Any) -> Any:
+def _jaxpr_of(function: Callable[..., PyTree], shape: tuple[int, ...], dtype: DTypeLike) -> Jaxpr:
     return jax.make_jaxpr(function)(jnp.zeros(shape, dtype))
 
 
-def _equations(jaxpr: Any) -> int:
+def _equations(jaxpr: Jaxpr) -> int:
     """Equations of a jaxpr, including nested ones."""
     return sum(1 + sum(map(_equations, _inner(equation))) for equation in jaxpr.eqns)
 
 
-def _inner(equation: Any) -> Iterator[Any]:
+def _inner(equation: Equation) -> Iterator[Jaxpr]:
     for value in equation.params.values():
         for item in value if isinstance(value, tuple) else (value,):
             inner = getattr(item, "jaxpr", item)
@@ -403,7 +416,7 @@ def _inner(equation: Any) -> Iterator[Any]:
                 yield inner
 
 
-def _called(equation: Any) -> Any:
+def _called(equation: Equation) -> Jaxpr:
     """Jaxpr of the function that an equation calls."""
     parameters = equation.params
     if "_prim" in parameters:
@@ -413,7 +426,7 @@ def _called(equation: Any) -> Any:
     return parameters.get("jaxpr") or parameters["call_jaxpr"]
 
 
-def _source(equation: Any) -> str:
+def _source(equation: Equation) -> str:
     """Source location of an equation."""
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback is not None else ():
@@ -422,7 +435,9 @@ def _source(equation: Any) -> str:
     return ""
 
 
-def _varying_carry(body: Any, constants: Sequence[bool], carry: Sequence[bool], columns: Sequence[bool]) -> list[bool]:
+def _varying_carry(
+    body: Jaxpr, constants: Sequence[bool], carry: Sequence[bool], columns: Sequence[bool]
+) -> list[bool]:
     """Loop-carried variables that vary over lanes, given the constants, initial values and columns that do."""
     carry = list(carry)
     while True:
@@ -449,11 +464,11 @@ def _scan_sizes(parameters: Parameters) -> tuple[int, int]:
     return parameters["num_consts"], parameters["num_carry"]
 
 
-def _varying(jaxpr: Any, inputs: Sequence[bool]) -> list[bool]:
+def _varying(jaxpr: Jaxpr, inputs: Sequence[bool]) -> list[bool]:
     """Results that vary over lanes, given the inputs that do; results of branches and stored rows always vary."""
     known = dict(zip(jaxpr.invars, inputs, strict=True))
 
-    def read(variable: Any) -> bool:
+    def read(variable: core.Var | core.Literal) -> bool:
         return not isinstance(variable, core.Literal) and known.get(variable, False)
 
     for equation in jaxpr.eqns:

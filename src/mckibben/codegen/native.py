@@ -120,16 +120,16 @@ class NativeFunction:
         Further options of the compiler.
     """
 
-    def __init__(self, function: Callable[..., Any], flags: Sequence[str] = ()) -> None:
+    def __init__(self, function: Callable[..., PyTree], flags: Sequence[str] = ()) -> None:
         self._function, self._flags = function, tuple(flags)
-        self._known: dict[Any, Compiled | ExportError] = {}
+        self._known: dict[object, Compiled | ExportError] = {}
         self._lock = threading.Lock()
 
-    def __call__(self, shared: PyTree, lanes: Any = None, *, single: bool = False) -> Any:
+    def __call__(self, shared: PyTree, lanes: PyTree = None, *, single: bool = False) -> PyTree:
         """Results, with 32 bits where they differ between runs of a `single` program; raises `ExportError`."""
         return self.bound(shared, lanes, single=single)()
 
-    def bound(self, shared: PyTree, lanes: Any = None, *, single: bool = False) -> Callable[[], Any]:
+    def bound(self, shared: PyTree, lanes: PyTree = None, *, single: bool = False) -> Callable[[], PyTree]:
         """The compiled function with its arguments packed, as a callable that computes the results."""
         common, varying = Split.of(shared), Split.of(lanes, lanes=True)
         key = common.key, varying.key, single
@@ -145,7 +145,7 @@ class NativeFunction:
             raise _without_frames(program)
         return program.bound(common.arrays, varying.arrays)
 
-    def cached(self, key: Any, written: Callable[[], Written], *, many: bool = False) -> Compiled:
+    def cached(self, key: tuple[PyTree, ...], written: Callable[[], Written], *, many: bool = False) -> Compiled:
         """Return the program of a key from the program cache, or write and compile it."""
         folder, path = programs_folder(), None
         if folder is not None:
@@ -172,7 +172,7 @@ class NativeFunction:
     def written(self, shared: Split, lanes: Split, *, single: bool) -> Written:
         """Source for arguments."""
 
-        def function(common: Sequence[NDArray], varying: Sequence[NDArray]) -> Any:
+        def function(common: Sequence[NDArray], varying: Sequence[NDArray]) -> PyTree:
             return self._function(shared.filled(common), lanes.filled(varying))
 
         varying = [x[..., 0] for x in lanes.arrays]
@@ -180,7 +180,7 @@ class NativeFunction:
 
     _threads = False  # whether each run of a batch is a thread
 
-    def _state(self) -> tuple[Any, ...]:
+    def _state(self) -> tuple[object, ...]:
         """Identity of the compiler, for the program cache."""
         return _compiler_state(), self._flags, "native"
 
@@ -192,7 +192,7 @@ class NativeFunction:
             options += _FOR_LONG
         return compile_library(source, (*options, *self._flags))
 
-    def _loaded(self, program: bytes, leaves: Any, tree: PyTree) -> Compiled:
+    def _loaded(self, program: bytes, leaves: list[tuple[tuple[int, ...], str]], tree: PyTree) -> Compiled:
         return Compiled(*load_library(program), leaves, tree)
 
 
@@ -201,8 +201,8 @@ class Split:
     """Leaves of a tree, with the arrays separated."""
 
     structure: PyTreeDef
-    static: tuple[Any, ...]  # `ARRAY` in place of arrays
-    arrays: list[Any]
+    static: tuple[object, ...]  # `ARRAY` in place of arrays
+    arrays: list[NDArray]
     lanes: bool
 
     @classmethod
@@ -213,13 +213,13 @@ class Split:
         return cls(structure, static, arrays, lanes)
 
     @property
-    def key(self) -> tuple[Any, ...]:
+    def key(self) -> tuple[PyTree, ...]:
         """Cache key: structure, static leaves, shapes and types, without the number of runs."""
         shapes = tuple([x.shape[:-1] if self.lanes else x.shape for x in self.arrays])
         kinds = "".join([x.dtype.char for x in self.arrays])
         return self.structure, self.static, tuple(map(type, self.static)), shapes, kinds
 
-    def filled(self, arrays: Sequence[NDArray]) -> Any:
+    def filled(self, arrays: Sequence[NDArray]) -> PyTree:
         """The tree with new arrays."""
         rest = iter(arrays)
         return jax.tree.unflatten(self.structure, [next(rest) if leaf is ARRAY else leaf for leaf in self.static])
@@ -234,7 +234,7 @@ class Compiled:
     leaves: list[tuple[tuple[int, ...], str]]
     tree: PyTree
 
-    def bound(self, common: Sequence[NDArray], varying: Sequence[NDArray] = ()) -> Callable[[], Any]:
+    def bound(self, common: Sequence[NDArray], varying: Sequence[NDArray] = ()) -> Callable[[], PyTree]:
         """Arguments packed in 64-bit words, as a callable that computes the results of all runs."""
         count = varying[0].shape[-1] if varying else 1
         size = -(-count // self.width) * self.width if varying else 1
@@ -245,7 +245,7 @@ class Compiled:
         words = np.concatenate([np.empty(0), *arrays])
         lengths = [math.prod(shape) * size for shape, _ in self.leaves]
 
-        def compute() -> Any:
+        def compute() -> PyTree:
             results = np.empty(sum(lengths))
             self._call(packed, words, results, size)
             values, at = [], 0
@@ -258,7 +258,7 @@ class Compiled:
 
         return compute
 
-    def _call(self, scalars: bytes, words: Any, results: PyTree, lanes: int) -> None:
+    def _call(self, scalars: bytes, words: NDArray, results: NDArray, lanes: int) -> None:
         """Run the program on its arguments in memory."""
         self.run(scalars, words.ctypes.data, results.ctypes.data, lanes)
 
@@ -267,7 +267,9 @@ EXACT = ("-ffp-contract=off",)
 """Compiler option by which a computation has the same result in every program: no product and sum are fused."""
 
 
-def compile_native(function: Callable[..., Any], *sizes: int, static: tuple[Any, ...] = ()) -> Callable[..., Any]:
+def compile_native(
+    function: Callable[..., PyTree], *sizes: int, static: tuple[object, ...] = ()
+) -> Callable[..., PyTree]:
     """Compile a function of static arguments and float vectors for calls of microseconds.
 
     Products and sums are not fused, so that results are the same in every program. Raises `ExportError`.
@@ -297,7 +299,7 @@ class Written(NamedTuple):
 
 
 def write_native(
-    function: Callable[..., Any],
+    function: Callable[..., PyTree],
     common: Sequence[NDArray],
     varying: Sequence[NDArray],
     single: bool = False,
@@ -489,12 +491,12 @@ def _compiler_state() -> str:
     return f"{Path(name).resolve()} {status.st_size} {status.st_mtime_ns} {options}"
 
 
-def _words(x: NDArray) -> Any:
+def _words(x: NDArray) -> NDArray:
     """Elements of an array in 64-bit words."""
     return x.ravel() if x.dtype.kind == "f" else x.astype(np.int64).ravel().view(float)
 
 
-def _padded(x: NDArray, size: int) -> Any:
+def _padded(x: NDArray, size: int) -> NDArray:
     """Lanes padded with the last one."""
     short = size - x.shape[-1]
     return np.concatenate([x, np.repeat(x[..., -1:], short, axis=-1)], axis=-1) if short else x

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -19,14 +18,14 @@ _FAR = (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367342844, 0.005739
         1.00167406, 2.83297682)  # fmt: skip
 
 
-def tanh(x: Array) -> Any:
+def tanh(x: Array) -> Array:
     """Hyperbolic tangent, absolute error below 2e-16."""
     power = elementary.exp(-2 * jnp.abs(x))
     value = (1 - power) / (1 + power)
     return jnp.where(x < 0, -value, value)
 
 
-def log1p(x: Array) -> Any:
+def log1p(x: Array) -> Array:
     """Natural logarithm of 1 + x, a positive normal number, relative error below 2e-7 (Cephes), for `erf_inv`."""
     x = 1 + x
     kind, precision = (jnp.int32, np.finfo(np.float32)) if x.dtype == np.float32 else (jnp.int64, np.finfo(float))
@@ -41,7 +40,7 @@ _LOG = (3.3333331174e-1, -2.4999993993e-1, 2.0000714765e-1, -1.6668057665e-1, 1.
         1.1676998740e-1, -1.1514610310e-1, 7.0376836292e-2)  # fmt: skip
 
 
-def erf_inv(x: Array) -> Any:
+def erf_inv(x: Array) -> Array:
     """Inverse error function as in XLA's single precision (Giles 2012), accurate to 3e-7 except near 1."""
     w = -jnp.log1p(-x * x)
     near, far = w - 2.5, jnp.sqrt(w) - 3.0

@@ -5,11 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import PyTree
+from numpy.typing import NDArray
 
 from mckibben.codegen.graph import Graph, Kind, Scope, Value
 from mckibben.codegen.lowering import Lowering, kind_of
@@ -28,7 +29,7 @@ class Member(NamedTuple):
     name: str
     kind: Kind
     shape: tuple[int, ...]
-    value: Any  # in the example from which the module was made
+    value: NDArray  # in the example from which the module was made
     path: str  # in the tree, such as decoupling.poles.bandwidth
 
     @property
@@ -134,7 +135,7 @@ class SourceModule:
                     structures.setdefault(name, members)
         return structures
 
-    def _arrays(self, name: str, members: Sequence[Member]) -> list[Any]:
+    def _arrays(self, name: str, members: Sequence[Member]) -> list[NDArray]:
         """Inputs for the members of a structure, in the current scope."""
         arrays = []
         for member in members:

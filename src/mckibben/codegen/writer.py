@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from mckibben.codegen.graph import Branch, Carried, ForLoop, Kind, Scope, StoredArray, Value, needed
 
@@ -41,7 +40,7 @@ class Language:
     constants: Mapping[Kind, str]  # declarations of constants
     functions: Mapping[str, str]  # by operation
     helpers: Mapping[str, str]  # definitions of functions that the language lacks, by name
-    literal: Callable[[Any, Kind], str]
+    literal: Callable[[float, Kind], str]
     conversion: Callable[[str, Kind, Kind], str]  # text of an atom, from one kind to another
     array: Callable[[str, Kind, int, Sequence[str] | None, bool], str]  # declaration
 

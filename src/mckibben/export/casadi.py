@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any, NamedTuple
 
 from jaxtyping import Array, PyTree
@@ -67,8 +68,8 @@ def casadi_function(module: SourceModule, name: str, *, parameters: Sequence[str
     """
     casadi = _casadi()
     function = find_function(module.functions, name)
-    symbols: dict[str, Any] = {}
-    inputs: dict[str, Any] = {}
+    symbols: dict[str, PyTree] = {}
+    inputs: dict[str, PyTree] = {}
     names_by_argument = {argument: element_names(argument, members) for argument, members in function.arguments.items()}
     if parameters:
         names_by_argument["parameters"] = [_parameter(module, parameter) for parameter in parameters]
@@ -89,7 +90,7 @@ def _parameter(module: SourceModule, name: str) -> str:
     return element_names("parameters", [members[name]])[0]
 
 
-def _casadi() -> Any:
+def _casadi() -> ModuleType:
     try:
         import casadi
     except ImportError as error:
@@ -98,13 +99,13 @@ def _casadi() -> Any:
     return casadi
 
 
-def _operations(ca: Any) -> dict[str, Callable[..., Any]]:
+def _operations(ca: ModuleType) -> dict[str, Callable[..., PyTree]]:
     """Operations of graphs in CasADi."""
     same = ("sqrt", "exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh",
             "cosh", "tanh", "floor", "ceil", "sign")  # fmt: skip
     infix = ("add", "sub", "mul", "lt", "le", "gt", "ge", "eq", "ne", "neg")
 
-    def nearest(x: Array) -> Any:
+    def nearest(x: Array) -> Array:
         """Half to even."""
         up = ca.floor(x + 0.5)
         return up - ca.if_else(ca.logic_and(up - x == 0.5, ca.fmod(up, 2) != 0), 1.0, 0.0)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, PyTree
+from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
 from mckibben.codegen.source_module import SourceModule
@@ -53,9 +53,9 @@ class ControllerFunctions(NamedTuple):
     """Functions of a controller over its parameters, and examples of their arguments."""
 
     parameters: dict[str, PyTree]
-    of: Callable[[Any], Controller]  # parameters
-    init: Callable[[Any, Measurement], dict[str, PyTree]]
-    step: Callable[[Any, Any, Setpoint, Measurement], dict[str, PyTree]]
+    of: Callable[[PyTree], Controller]  # parameters
+    init: Callable[[PyTree, Measurement], dict[str, PyTree]]
+    step: Callable[[PyTree, PyTree, Setpoint, Measurement], dict[str, PyTree]]
     state: PyTree
     setpoint: Setpoint
     measurement: Measurement  # the first one
@@ -113,7 +113,7 @@ def controller_module(scenario: Scenario, name: str = "controller") -> Controlle
     return ControllerModule(module, units_of(module, "Pa, gauge"), columns, recording, left_out)
 
 
-def _setpoint_of(controller: Controller, state: PyTree, setpoint: Setpoint, *_: Any) -> Setpoint:
+def _setpoint_of(controller: Controller, state: PyTree, setpoint: Setpoint, *_: object) -> Setpoint:
     return setpoint
 
 
@@ -126,7 +126,13 @@ def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceMo
 
 
 def stepping_module(
-    name: str, parameters: PyTree, init: Any, step: Any, state: PyTree, setpoint: PyTree, measurement: PyTree
+    name: str,
+    parameters: PyTree,
+    init: Callable[..., PyTree],
+    step: Callable[..., PyTree],
+    state: PyTree,
+    setpoint: PyTree,
+    measurement: PyTree,
 ) -> SourceModule:
     """Source module of the first step and the subsequent steps of a controller."""
     module = SourceModule(name, parameters, "controller.")
@@ -136,18 +142,18 @@ def stepping_module(
     return module
 
 
-def _add_model(module: SourceModule, of: Any, model: AntagonisticJoint) -> list[str]:
+def _add_model(module: SourceModule, of: Callable[[PyTree], PyTree], model: AntagonisticJoint) -> list[str]:
     """Add functions of the controller's joint model; return the parts that cannot be exported."""
     number = np.zeros(())
     for muscle in ("muscle1", "muscle2"):
 
-        def force(parameters: PyTree, contraction: Any, pressure: Array, muscle: str = muscle) -> dict[str, PyTree]:
+        def force(parameters: PyTree, contraction: Array, pressure: Array, muscle: str = muscle) -> dict[str, PyTree]:
             return {"force": getattr(of(parameters).model, muscle).force(contraction, pressure)}
 
         text = f"force [N] of {muscle} by the model, at a contraction [1] and a gauge pressure [Pa]"
         module.add(f"{muscle}_force", text, force, {"contraction": number, "pressure": number})
 
-    def stiffness(parameters: PyTree, angle: Array, pressure1: Any, pressure2: Any) -> dict[str, PyTree]:
+    def stiffness(parameters: PyTree, angle: Array, pressure1: Array, pressure2: Array) -> dict[str, PyTree]:
         return {"stiffness": of(parameters).model.stiffness(angle, (pressure1, pressure2))}
 
     text = "isobaric stiffness [N*m/rad] by the model, at an angle [rad] and gauge pressures [Pa]"
@@ -169,9 +175,9 @@ def recorded(
     controller: PyTree,
     rows: PyTree,
     initial: PyTree,
-    period: Any,
+    period: ArrayLike,
     substeps: int,
-    setpoints: Callable[..., Any],
+    setpoints: Callable[..., PyTree],
 ) -> NDArray[np.float64]:
     """Recording of a run with the inputs `rows` of its controller in each period, from which `setpoints` follow."""
     measured, *columns = _recorded(plant, controller, rows, initial, period, substeps, setpoints)
@@ -186,13 +192,13 @@ def _recorded(
     controller: PyTree,
     rows: PyTree,
     initial: PyTree,
-    period: Any,
-    substeps: Any,
-    setpoints: Callable[..., Any],
-) -> tuple[Any, ...]:
+    period: ArrayLike,
+    substeps: int,
+    setpoints: Callable[..., PyTree],
+) -> tuple[PyTree, ...]:
     """First measurement; setpoints, measurements and commands of a run, each of shape (periods,)."""
 
-    def next_period(states: PyTree, rows: PyTree) -> Any:
+    def next_period(states: PyTree, rows: PyTree) -> PyTree:
         plant_state, measurement = plant.sample(states[0], period)
         wanted = setpoints(controller, states[1], rows, measurement, period)
         state, commands = controller.step(states[1], rows, measurement, period)

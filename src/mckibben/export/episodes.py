@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
+from numpy.typing import NDArray
 
 from mckibben.component.schema import ENDINGS, origin_of
 from mckibben.control import Setpoint
@@ -65,12 +66,15 @@ class RewardTerms(NamedTuple):
     air_price: float = 0.0
 
 
+Numbers = Array | NDArray[np.float64]
+
+
 class Settings(NamedTuple):
     """Settings of a step: control period [s], commands [Pa] at the actions -1 and 1, and the reward."""
 
-    period: Any
-    low: Any
-    high: Any
+    period: ArrayLike
+    low: Numbers
+    high: Numbers
     reward: RewardTerms
 
 
@@ -100,11 +104,11 @@ class Episode(NamedTuple):
 class EpisodeStep(NamedTuple):
     """Result of a step: observation (8 history - 2,), reward, whether the episode failed; stiffness, and air [L]."""
 
-    observation: Any
-    reward: Any
-    failed: Any
-    stiffness: Any
-    air: Any
+    observation: Numbers
+    reward: Numbers
+    failed: Numbers
+    stiffness: Numbers
+    air: Numbers
 
 
 def conditions_of(suite: Suite) -> tuple[str, ...]:
@@ -191,7 +195,7 @@ def names_of(history: int) -> dict[str, str]:
     return names
 
 
-def begin(problem: SimulationProblem, start: PlantState, period: Array, history: int) -> tuple[Episode, Array]:
+def begin(problem: SimulationProblem, start: PlantState, period: ArrayLike, history: int) -> tuple[Episode, Array]:
     """The start of an episode, and the first observation, which is repeated as its history, with actions of 0."""
     state, measured = problem.plant.sample(start, period)
     measured = jax.tree.map(jnp.asarray, measured)
@@ -310,14 +314,14 @@ class ManyProgram:
         self._plants = plants
         self._shared = (plants.fixed, settings, history), (plants.fixed, settings, (substeps, repeat))
 
-    def begin(self, rows: PyTree) -> Any:
+    def begin(self, rows: PyTree) -> NDArray[np.float64]:
         """Begin all episodes with the plants of the given rows; return their observations, shape (n, size)."""
         table = self._plants.varying, self._plants.starts
         self._varying, starts = jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf)[rows], 0, -1), table)
         (self._episodes, observations), _ = _BEGIN("auto", self._shared[0], (self._varying, starts))
         return np.asarray(observations).T
 
-    def advance(self, rows: PyTree, actions: Any, over: Any) -> EpisodeStep:
+    def advance(self, rows: PyTree, actions: NDArray[np.float32], over: NDArray[np.bool_]) -> EpisodeStep:
         """Advance; finished episodes restart with the plants of the given rows and ignore their action."""
         lanes = self._varying, self._episodes, np.asarray(actions, float).T
         (moved, step), _ = _ADVANCE("auto", self._shared[1], lanes)

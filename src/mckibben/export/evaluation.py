@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
 
 from jaxtyping import PyTree
 
@@ -12,13 +11,13 @@ from mckibben.codegen.source_module import Function, Member, SourceModule, eleme
 from mckibben.errors import ExportError
 
 _OF_INTEGERS = {"and", "or", "xor", "not", "div"}  # operators that have another meaning there
-Operations = Mapping[str, Callable[..., Any]]
+Operations = Mapping[str, Callable[..., PyTree]]
 """Operations by name as in `codegen.graph.FOLDED`; truncating or bitwise integer operations end in ``_integer``."""
 
 
 def evaluate(
     module: SourceModule, function: Function, operations: Operations, inputs: Mapping[str, object]
-) -> dict[str, list[Any]]:
+) -> dict[str, list[PyTree]]:
     """Results of a function, element by element, for inputs and parameters by their names in the graph.
 
     Parameters default to the module's values. Loops are unrolled, and both sides of a branch are computed. Raises
@@ -53,10 +52,10 @@ class _Evaluation:
 
     def __init__(self, operations: Operations, inputs: Mapping[str, object], wanted: set[int]) -> None:
         self._operations, self._inputs, self._wanted = operations, inputs, wanted
-        self._known: dict[int, Any] = {}
-        self._arrays: dict[int, list[Any]] = {}
+        self._known: dict[int, PyTree] = {}
+        self._arrays: dict[int, list[PyTree]] = {}
 
-    def value(self, value: Value) -> Any:
+    def value(self, value: Value) -> PyTree:
         """Value in the library."""
         if value.operation == "constant":
             return value.data
@@ -87,7 +86,7 @@ class _Evaluation:
                 yes, no = (self.value(values[value.data[1]]) for values in branch.values)
                 self._known[id(value)] = self._operations["select"](self.value(branch.condition), yes, no)
 
-    def _computed(self, value: Value) -> Any:
+    def _computed(self, value: Value) -> PyTree:
         arguments = [self.value(argument) for argument in value.arguments]
         if value.operation == "input":
             return self._inputs[value.data]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
 
 from mckibben.codegen.source_module import SourceModule
 from mckibben.component.columns import attributes
@@ -18,6 +17,7 @@ from mckibben.export.fmi import fmu
 from mckibben.export.functional_unit import FunctionalUnit
 from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported
+from mckibben.joint import Measurement
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import IOState, JointPlant, PlantState
@@ -63,7 +63,7 @@ def plant_unit(
 
     def commanded(
         parameters: PyTree, state: PlantState, inputs: PyTree
-    ) -> tuple[JointPlant, PlantState, tuple[Any, Any]]:
+    ) -> tuple[JointPlant, PlantState, tuple[Array, Array]]:
         """Plant, state under the torque and right after the commands, and these within their limits."""
         plant = eqx.combine(parameters, fixed)
         commands = plant.clip_commands((inputs["command1"], inputs["command2"]))
@@ -75,7 +75,7 @@ def plant_unit(
         pressures = start["pressures"] if held else plant.clip_commands((inputs["command1"], inputs["command2"]))
         return {"state": plant.complete_state(PlantState(start["angle"], start["velocity"], tuple(pressures)))}
 
-    def advance(parameters: PyTree, state: PlantState, inputs: PyTree, duration: Any) -> dict[str, PyTree]:
+    def advance(parameters: PyTree, state: PlantState, inputs: PyTree, duration: Array) -> dict[str, PyTree]:
         plant, at, commands = commanded(parameters, state, inputs)
         at = at._replace(pressures=state.pressures)
         return {"state": plant.advance(at, commands, duration, substeps)._replace(io=())}
@@ -192,7 +192,7 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
         "measurement": {"angle": _NUMBER, "pressure1": _NUMBER, "pressure2": _NUMBER},
     }
 
-    def measured(inputs: PyTree) -> Any:
+    def measured(inputs: PyTree) -> Measurement:
         at = inputs["measurement"]
         return source.measurement._replace(angle=at["angle"], pressures=(at["pressure1"], at["pressure2"]))
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from mckibben.codegen.source_module import SourceModule, element
+from mckibben.codegen.source_module import Member, SourceModule, element
 from mckibben.errors import ExportError
 
 
@@ -85,7 +85,7 @@ def _per_second(unit: str) -> str:
     return f"{unit}^2" if unit.endswith("/s") else f"{unit}/s" if unit else ""
 
 
-def _elements(module: SourceModule, structure: str, members: Any) -> Iterator[tuple[str, str, str]]:
+def _elements(module: SourceModule, structure: str, members: Sequence[Member]) -> Iterator[tuple[str, str, str]]:
     """Name, place and path of each number in a structure."""
     for member in members:
         for number in range(member.size):

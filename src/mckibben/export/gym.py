@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import gymnasium
 import numpy as np
@@ -34,7 +34,21 @@ from mckibben.study.compare.suite import Suite
 from mckibben.units import bar
 
 Floats = NDArray[np.float32]
+Info = dict[str, Any]  # as Gymnasium has it
 DEFAULT_REWARD = RewardTerms()
+
+
+class Options(TypedDict, total=False):
+    """Options of both environments, described in `JointEnv`."""
+
+    random_plant: Sequence[str]
+    repeat: int
+    history: int
+    reward: RewardTerms
+    plants: int
+    plants_seed: int
+
+
 _MOST_HISTORY = 100
 
 
@@ -123,10 +137,14 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         Terms of the reward, see `RewardTerms`.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012
+    metadata: Info = {"render_modes": []}  # noqa: RUF012
 
     def __init__(
-        self, scenario: Scenario | Suite | str | os.PathLike[str], *, render_mode: None = None, **options: Any
+        self,
+        scenario: Scenario | Suite | str | os.PathLike[str],
+        *,
+        render_mode: None = None,
+        **options: Unpack[Options],
     ) -> None:
         self.render_mode = render_mode
         self.joint = _Joint(scenario, **options)
@@ -134,15 +152,15 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         self.metadata = self.joint.metadata
         self._program = SingleProgram(self.joint.plants, self.joint.settings, **self.joint.options)
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Floats, Info]:
         """Begin an episode with one of the plants; `options` may select it, ``{"plant": 3}``."""
         super().reset(seed=seed)
         row = (options or {}).get("plant")
         row = int(self.np_random.integers(self.joint.plants.rows) if row is None else row)
         self._steps = 0
-        return self._program.begin(row).observation.astype(np.float32), {"plant": row}
+        return np.asarray(self._program.begin(row).observation, np.float32), {"plant": row}
 
-    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, Info]:
         """Apply commands for a step."""
         step = self._program.advance(action)
         self._steps += 1
@@ -166,7 +184,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         num_envs: int = 1,
         *,
         render_mode: None = None,
-        **options: Any,
+        **options: Unpack[Options],
     ) -> None:
         self.num_envs, self.render_mode = num_envs, render_mode
         self.joint = _Joint(scenario, **options)
@@ -176,7 +194,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         self._program = ManyProgram(self.joint.plants, self.joint.settings, **self.joint.options)
         self.metadata = {**self.joint.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Floats, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Floats, Info]:
         """Begin all episodes; one seed determines all of them."""
         super().reset(seed=seed)
         self._rows = self._draw()
@@ -184,17 +202,17 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         observations = self._program.begin(self._rows)
         return observations.astype(np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
 
-    def step(self, actions: Floats) -> tuple[Floats, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+    def step(self, actions: Floats) -> tuple[Floats, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
         """Apply the commands of all joints for a step."""
         if self._over.any():
             self._rows = np.where(self._over, self._draw(), self._rows)
         step = self._program.advance(self._rows, actions, self._over)
         self._steps = np.where(self._over, 0, self._steps + 1)
-        failed, ended = step.failed.astype(bool), self._steps >= self.joint.most_steps
+        failed, ended = np.asarray(step.failed, bool), self._steps >= self.joint.most_steps
         self._over = failed | ended
-        info: dict[str, Any] = {"stiffness": step.stiffness, "air": step.air, "plant": self._rows}
+        info: Info = {"stiffness": step.stiffness, "air": step.air, "plant": self._rows}
         info |= {f"_{name}": np.ones(self.num_envs, bool) for name in info}
-        return step.observation.astype(np.float32), step.reward, failed, ended, info
+        return np.asarray(step.observation, np.float32), np.asarray(step.reward), failed, ended, info
 
     def _draw(self) -> NDArray[np.int64]:
         return self.np_random.integers(self.joint.plants.rows, size=self.num_envs)

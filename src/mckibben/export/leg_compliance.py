@@ -10,11 +10,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 
-from mckibben.leg import Leg, LegPlant, LegState
+from mckibben.leg import Leg, LegJoint, LegPlant, LegState
 from mckibben.leg.dynamics import foot_mobility, joint_mobility, posture_of
 
 TOUCH_SPEED, LIMIT_SPEED = 1.0, 3.0
@@ -63,7 +63,7 @@ def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
     return softness
 
 
-def _stop(joint: Any, mobility: float) -> Compliance:
+def _stop(joint: LegJoint, mobility: float) -> Compliance:
     stiffness = float(joint.stop_stiffness)
     return _scaled(stiffness, _damper(stiffness, float(joint.stop_damping), 1 / mobility, LIMIT_SPEED), mobility)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -34,7 +33,7 @@ class _GivenSetpoints(LegReference):
 
     def step(
         self, state: PyTree, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
-    ) -> tuple[Any, tuple[Setpoint, ...]]:
+    ) -> tuple[PyTree, tuple[Setpoint, ...]]:
         return (), self.setpoints
 
 
@@ -117,8 +116,8 @@ def _module(
 
 
 def _wanted(
-    controller: JointwiseControl, state: PyTree, time: ArrayLike, measurement: LegMeasurement, period: Any
-) -> Any:
+    controller: JointwiseControl, state: PyTree, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
+) -> tuple[ArrayLike, ...]:
     """Angles and stiffness of all joints at a time [s]."""
     angles, stiffness = zip(*controller.reference.step(state[0], time, measurement, period)[1], strict=True)
     return *angles, *stiffness

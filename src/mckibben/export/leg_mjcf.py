@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, SupportsFloat
 from xml.sax.saxutils import quoteattr
 
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from mckibben.export.leg_compliance import FRICTION_RATIO, LIMIT_SPEED, TOUCH_SPEED, Compliance, compliance
 from mckibben.export.mjcf import (
@@ -30,7 +30,7 @@ from mckibben.export.muscle_plugin import plugin_files
 from mckibben.export.targets import Exported, filled
 from mckibben.joint import RigidTendon, Tendon
 from mckibben.leg import LegJoint, LegPlant, LegScenario, LegState
-from mckibben.leg.dynamics import SLIDES, TURNS
+from mckibben.leg.dynamics import SLIDES, TURNS, Posture, Velocity
 from mckibben.muscle import Muscle
 from mckibben.numerics.spatial import Vector, X, Z
 
@@ -164,7 +164,7 @@ def _bodies(plant: LegPlant) -> list[_Body]:
     return bodies
 
 
-def _inertial(mass: Any, height: Any, inertias: Sequence[Any]) -> str:
+def _inertial(mass: SupportsFloat, height: SupportsFloat, inertias: Sequence[SupportsFloat]) -> str:
     mass, *inertias = (max(float(number), _LIGHT) for number in (mass, *inertias))
     return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{numbers_text(inertias)}"/>'
 
@@ -202,7 +202,7 @@ class _Rigging:
             pair = plant.leg.joints[index].muscles
             return (pair.muscle1, pair.muscle2)[number], pair.tendon
 
-        def path(plant: LegPlant, angle: Array) -> Any:
+        def path(plant: LegPlant, angle: Array) -> Array:
             return plant.leg.joints[index].muscles.geometry.path_lengths(angle)[number]
 
         path_of = beyond(moved.offset) if tendon else path
@@ -269,7 +269,7 @@ def _spatial(name: str, parts: Sequence[tuple[str, str]]) -> str:
     return f'<spatial name={quoteattr(name)} class="muscle">{joined}</spatial>'
 
 
-def coordinates(plant: LegPlant, of: Any) -> list[Any]:
+def coordinates(plant: LegPlant, of: Posture | Velocity) -> list[ArrayLike]:
     """Posture or velocity of a leg, numbers or arrays of them, in the order of MuJoCo's joints."""
     leg = plant.leg
     moving = [angle for angle, joint in zip(of.angles, leg.joints, strict=True) if joint.locked is None]

@@ -6,12 +6,12 @@ import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, SupportsFloat
 from xml.sax.saxutils import quoteattr
 
 import equinox as eqx
 import numpy as np
-from jaxtyping import ArrayLike, PyTree
+from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.actuator import Actuator
 from mckibben.actuator.base import state_of_muscle
@@ -39,6 +39,9 @@ from mckibben.scenario import Scenario
 _GRAVITY = 9.81  # m/s^2
 COMMAND_DELAY = "delay of the commands"
 """Entry of the omitted parts for a plant with such a delay."""
+
+Place = tuple[SupportsFloat, SupportsFloat]
+"""Point in the plane of a joint [m]."""
 
 
 class Transmission(NamedTuple):
@@ -76,7 +79,7 @@ def path_transmission(number: int, path: object, side: int) -> Transmission:
     return Transmission()
 
 
-def _two_sites(number: int, fixed: tuple[Any, Any], moving: tuple[Any, Any], connector: Any) -> Transmission:
+def _two_sites(number: int, fixed: Place, moving: Place, connector: SupportsFloat) -> Transmission:
     ends = f'<site site="fixed{number}"/><site site="moving{number}"/>'
     tendon = f'<spatial name="muscle{number}" width="0.008" rgba="0.8 0.2 0.15 1">{ends}</spatial>'
     points = tuple((float(x), float(y)) for x, y in (fixed, moving))
@@ -90,8 +93,8 @@ class Drive(NamedTuple):
     tendon: str  # in MJCF; empty if it drives the joint
     joint: str
     index: int  # among the muscles of the plant
-    muscle: Callable[[Any], tuple[Muscle, Tendon]]  # of a plant
-    path: Callable[[Any, Any], Any]  # length [m] of the path, of a plant at MuJoCo's length
+    muscle: Callable[[PyTree], tuple[Muscle, Tendon]]  # of a plant
+    path: Callable[[PyTree, Array], Array]  # length [m] of the path, of a plant at MuJoCo's length
     parts: tuple[tuple[str, str], ...] = ()  # sites of the straight parts of the tendon
 
     @property
@@ -232,12 +235,12 @@ def _limits(plant: PyTree, drive: Drive) -> str:
     return f'ctrllimited="true" ctrlrange="{numbers_text((low, high))}"' if low < high else 'ctrllimited="false"'
 
 
-def numbers_text(numbers: Iterable[Any]) -> str:
+def numbers_text(numbers: Iterable[ArrayLike | SupportsFloat]) -> str:
     """Numbers of an attribute as text."""
-    return " ".join(repr(float(number) + 0.0) for number in numbers)  # no negative zeros
+    return " ".join(repr(float(np.asarray(number)) + 0.0) for number in numbers)  # no negative zeros
 
 
-def beyond(offset: float) -> Callable[[Any, Any], Any]:
+def beyond(offset: float) -> Callable[[PyTree, Array], Array]:
     """Length of a path that exceeds its tendon by an offset [m]."""
     return lambda plant, length: length + offset
 
@@ -248,7 +251,7 @@ def joint_drives(geometry: Geometry, moved: Sequence[Transmission] | None = None
     def muscle(index: int) -> Callable[[JointPlant], tuple[Muscle, Tendon]]:
         return lambda plant: ((plant.joint.muscle1, plant.joint.muscle2)[index], plant.joint.tendon)
 
-    def path(index: int) -> Callable[[JointPlant, Any], Any]:
+    def path(index: int) -> Callable[[JointPlant, Array], Array]:
         return lambda plant, angle: plant.joint.geometry.path_lengths(angle)[index]
 
     return [

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple, SupportsFloat
 
 import equinox as eqx
 import jax
@@ -25,8 +25,8 @@ from mckibben.realtime.compiled_step import FlatTree
 class Activations(NamedTuple):
     """Activations of an actuator; empty ones have no leaves."""
 
-    creep: Any  # [N, Pa]
-    valve: Any  # its state, and the temperature of the air [K]
+    creep: PyTree  # [N, Pa]
+    valve: PyTree  # its state, and the temperature of the air [K]
     pressure: PyTree  # [Pa], unless the valve is ideal
 
 
@@ -42,7 +42,7 @@ class PluginMuscle(NamedTuple):
     filtered: bool
     pressurized: bool = True
 
-    def dynamics(self, valve: Any) -> str:
+    def dynamics(self, valve: PyTree) -> str:
         """Attributes of the actuator in MJCF."""
         if not self.activations:
             return ""
@@ -50,7 +50,7 @@ class PluginMuscle(NamedTuple):
         return f'actdim="{self.activations}" dyntype="{"filter" if lag else "none"}" {lag}'
 
 
-def is_filter(valve: Any) -> bool:
+def is_filter(valve: PyTree) -> bool:
     """Return whether MuJoCo's filter models a valve."""
     return valve.is_first_order and valve.is_linear
 
@@ -62,9 +62,9 @@ class MuscleFunctions:
         self,
         fixed: PyTree,  # the plant without its real numbers, which are parameters of the module
         number: int,  # from 1
-        muscle_of: Callable[[Any], tuple[Muscle, Tendon]],
-        path_of: Callable[[Any, Any], Any],  # path [m] at MuJoCo's length
-        start: tuple[MuscleState, Any, Any],  # state, pressure [Pa], and state of valve and air
+        muscle_of: Callable[[PyTree], tuple[Muscle, Tendon]],
+        path_of: Callable[[PyTree, Array], Array],  # path [m] at MuJoCo's length
+        start: tuple[MuscleState, SupportsFloat, PyTree],  # state, pressure [Pa], and state of valve and air
         filtered: bool,  # whether MuJoCo's filter models the valve
     ) -> None:
         self._fixed, self._number, self._muscle_of, self._path_of = fixed, number, muscle_of, path_of
@@ -111,7 +111,7 @@ class MuscleFunctions:
 
     def _at(
         self, parameters: PyTree, inputs: PyTree
-    ) -> tuple[Any, tuple[Muscle, Tendon], Any, Any, Activations, MuscleState]:
+    ) -> tuple[PyTree, tuple[Muscle, Tendon], Array, Array, Activations, MuscleState]:
         """Plant, muscle with its tendon, path and its derivative, activations, and state of the muscle."""
         plant = eqx.combine(parameters["plant"], self._fixed)
         path, slope = value_and_derivative(lambda length: self._path_of(plant, length), inputs["length"])
@@ -121,13 +121,13 @@ class MuscleFunctions:
         state = MuscleState(tuple(inputs.get("anchors", ())), acts.creep)
         return plant, self._muscle_of(plant), path, slope, acts, state
 
-    def _force(self, parameters: PyTree, inputs: PyTree) -> Any:
+    def _force(self, parameters: PyTree, inputs: PyTree) -> Array:
         _, (muscle, tendon), path, slope, (_, _, pressure), state = self._at(parameters, inputs)
         contraction = tendon.contraction(muscle, path, pressure, state)
         viscous = muscle.viscous_force(contraction, pressure, slope * inputs["velocity"], state)
         return -(muscle.tension(contraction, pressure, state) + viscous) * slope
 
-    def _rates(self, parameters: PyTree, inputs: PyTree) -> Any:
+    def _rates(self, parameters: PyTree, inputs: PyTree) -> Array:
         plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, inputs)
         valve, command, velocity = plant.valve.for_muscle(self._number - 1), inputs["command"], inputs["velocity"]
         creep = muscle.state_rate(held, slope * velocity, pressure).creep
@@ -135,7 +135,7 @@ class MuscleFunctions:
             return self._layout.pack(Activations(creep, ((), ()), ()), jnp)
 
         def volumes() -> tuple[AirVolume, AirVolume]:
-            def volume(length: Array) -> Any:
+            def volume(length: Array) -> Array:
                 return muscle.specimen.volume(muscle.specimen.contraction_at(self._path_of(plant, length)))
 
             size, growth = value_and_derivative(volume, inputs["length"])
@@ -143,7 +143,7 @@ class MuscleFunctions:
             return air, air
 
         inner, temperature = state
-        states: Any = ()
+        states: PyTree = ()
         if jax.tree.leaves(state):
             states = AirState((inner,) * 2, (), (temperature,) * 2 if jax.tree.leaves(temperature) else ())
         (changed, _), moved = valve.rates((pressure, pressure), states, (command, command), volumes)
@@ -158,7 +158,7 @@ class MuscleFunctions:
         settled = {"act": self._layout.pack(held, jnp)} if self._layout.size else {}
         return settled | ({"anchors": jnp.stack(friction)} if friction else {})
 
-    def _unset(self, parameters: PyTree, inputs: PyTree) -> Any:
+    def _unset(self, parameters: PyTree, inputs: PyTree) -> Array:
         _, (muscle, _), path, _, acts, _ = self._at(parameters, inputs)
         return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path), acts.pressure).friction)
 

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 from jaxtyping import PyTree
 
@@ -90,6 +90,10 @@ def osim_model(plant: JointPlant, pressures: tuple[float, float], name: str = "j
     return OsimModel(text, tuple(expressions), tuple(rests), (*left_out, *mass_point(plant.load).assumed))
 
 
+Atom: TypeAlias = PyTree
+"""A number, the text of an expression, or a condition."""
+
+
 class _Condition(NamedTuple):
     """A condition as an expression that is 1 or 0; for a comparison, its lower and upper side."""
 
@@ -98,7 +102,7 @@ class _Condition(NamedTuple):
     above: str = ""
 
 
-class _Expression(dict[str, Callable[..., Any]]):
+class _Expression(dict[str, Callable[..., PyTree]]):
     """Operations that write an expression for OpenSim, with folded constants and names of long subexpressions."""
 
     _SAME = ("sqrt", "exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "abs", "floor",
@@ -107,7 +111,7 @@ class _Expression(dict[str, Callable[..., Any]]):
 
     def __init__(self) -> None:
         self._names: dict[str, str] = {}
-        written: dict[str, Callable[..., Any]] = {
+        written: dict[str, Callable[..., PyTree]] = {
             name: lambda *xs, name=name: f"{name}({','.join(xs)})" for name in self._SAME
         }
         written |= {name: lambda x, y, sign=sign: f"({x}{sign}{y})" for name, sign in self._INFIX.items()}
@@ -118,7 +122,7 @@ class _Expression(dict[str, Callable[..., Any]]):
         super().__init__({name: self._folded(name, function) for name, function in written.items()})
         self["select"] = self._select
 
-    def text(self, result: Any) -> str:
+    def text(self, result: Atom) -> str:
         """The whole expression."""
         sizes: dict[str, int] = {}
         for text, name in [*self._names.items(), (str(result), "")]:
@@ -128,8 +132,8 @@ class _Expression(dict[str, Callable[..., Any]]):
         definitions = [f"{name}={text}" for text, name in self._names.items()]
         return ";".join([str(result), *reversed(definitions)])  # definitions follow their use
 
-    def _folded(self, name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def operation(*arguments: PyTree) -> Any:
+    def _folded(self, name: str, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
+        def operation(*arguments: PyTree) -> Atom:
             if not any(isinstance(argument, str) for argument in arguments):
                 return NUMERIC[name](*arguments)
             if name in ("add", "sub") and 0 in arguments[1:]:
@@ -138,12 +142,12 @@ class _Expression(dict[str, Callable[..., Any]]):
 
         return operation
 
-    def _named(self, text: Any) -> Any:
+    def _named(self, text: Atom) -> Atom:
         if isinstance(text, str) and len(text) > _LONGEST:
             return self._names.setdefault(text, f"v{len(self._names) + 1}")
         return text
 
-    def _select(self, condition: Any, yes: Any, no: Any) -> Any:
+    def _select(self, condition: Atom, yes: Atom, no: Atom) -> Atom:
         if not isinstance(condition, _Condition):
             return yes if condition else no
         share, below, above = condition
@@ -152,7 +156,7 @@ class _Expression(dict[str, Callable[..., Any]]):
         return self._named(f"({share}*{_number(yes)}+(1-{share})*{_number(no)})")
 
 
-def _number(value: Any) -> str:
+def _number(value: Atom) -> str:
     """Text of an atom."""
     if isinstance(value, str):
         return value

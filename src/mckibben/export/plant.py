@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.plant.joint_plant import Motion
 
-Commands = tuple[Any, Any]
+Commands = tuple[Array, Array]
 
 
 class PlantModule(NamedTuple):
@@ -91,6 +91,6 @@ def state_rate(plant: JointPlant, state: PlantState, commands: Commands) -> Plan
     )
 
 
-def is_real(leaf: Any) -> bool:
+def is_real(leaf: object) -> bool:
     """Whether a leaf is a real number or an array of them."""
     return eqx.is_array_like(leaf) and np.asarray(leaf).dtype.kind == "f"

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import jax
 from jaxtyping import PyTree
@@ -57,7 +56,7 @@ def _files(model: MuscleModel, plant: Plant, title: str) -> Exported:
     return Exported({f"{name}.xml": model.xml, f"{name}_warp.py": text}, left_out)
 
 
-def _with_strengths(plant: PyTree) -> Any:
+def _with_strengths(plant: PyTree) -> PyTree:
     """A plant whose muscles have their strength as a number, a parameter."""
     known = lambda part: isinstance(part, Muscle)  # noqa: E731
     numbered = lambda part: replace(part, strength=1.0) if known(part) and part.strength is None else part  # noqa: E731

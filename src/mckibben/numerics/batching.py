@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Any, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
@@ -19,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.tree_util import PyTreeDef
+from jax.typing import DTypeLike
 from jaxtyping import ArrayLike, PyTree
 
 from mckibben.errors import ParameterError
@@ -34,7 +35,7 @@ RANK = "rank"
 """Metadata key of a field that holds arrays in a single run, such as samples over time: their number of axes."""
 
 
-def lanes_of(tree: PyTree) -> tuple[int | None, Any]:
+def lanes_of(tree: PyTree) -> tuple[int | None, PyTree]:
     """Number of lanes of a tree (None if no leaf varies), and flags of its varying leaves, which have an extra axis.
 
     A leaf is a number in a single run, unless its field has a `RANK`; in a batch it is a number, shared by all runs, or
@@ -115,7 +116,7 @@ def _aliased(trees: Mapping[str, PyTree], name: str) -> list[str]:
     return [name]
 
 
-def _numbers(trees: Mapping[str, PyTree], name: str, leaf: Any, value: ArrayLike) -> np.ndarray:
+def _numbers(trees: Mapping[str, PyTree], name: str, leaf: ArrayLike, value: ArrayLike) -> np.ndarray:
     """Values of a leaf as an array of its type."""
     try:
         array = np.asarray(value)
@@ -190,16 +191,16 @@ def recheck(tree: PyTree) -> None:
             recheck(value)
 
 
-def _check(module: Any) -> None:
+def _check(module: object) -> None:
     """Run the check of one module."""
     if isinstance(module, eqx.Module) and (check := getattr(type(module), "__check_init__", None)):
         check(module)
 
 
-def cast(tree: Tree, kind: Any) -> Tree:
+def cast(tree: Tree, kind: DTypeLike) -> Tree:
     """Tree with all floats as arrays of one type."""
 
-    def convert(leaf: Any) -> Any:
+    def convert(leaf: PyTree) -> PyTree:
         return jnp.asarray(leaf, kind) if isinstance(leaf, float) or eqx.is_inexact_array(leaf) else leaf
 
     return jax.tree.map(convert, tree)
@@ -208,7 +209,7 @@ def cast(tree: Tree, kind: Any) -> Tree:
 def pad_chunk(tree: Tree, chunk: slice, size: int) -> Tree:
     """Chunk of every leaf along its first axis, padded to `size` with the last lane: programs have one size."""
 
-    def piece(leaf: Any) -> Any:
+    def piece(leaf: PyTree) -> PyTree:
         part = np.asarray(leaf[chunk])
         return np.concatenate([part, np.repeat(part[-1:], size - len(part), axis=0)]) if len(part) < size else part
 
@@ -255,7 +256,7 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _rank(tree: PyTree, path: tuple[Any, ...]) -> int:
+def _rank(tree: PyTree, path: tuple[PyTree, ...]) -> int:
     """Number of axes of a leaf in a single run."""
     *owners, last = path
     for step in owners:
@@ -268,7 +269,7 @@ def _rank(tree: PyTree, path: tuple[Any, ...]) -> int:
     return field.metadata.get(RANK, 0)
 
 
-def _descend(tree: PyTree, steps: tuple[str, ...]) -> Any:
+def _descend(tree: PyTree, steps: tuple[str, ...]) -> PyTree:
     for step in steps:
         tree = tree[int(step)] if step.isdigit() else getattr(tree, step)
     return tree

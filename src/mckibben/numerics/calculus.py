@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike, Float, PyTree
 from numpy.typing import NDArray
 
 from mckibben.numerics.batching import trace_mode
-from mckibben.numerics.elementary import floating
+from mckibben.numerics.elementary import Number, floating
 
 Values = TypeVar("Values")
 
@@ -85,7 +85,7 @@ State = TypeVar("State")
 
 
 def rk4(
-    rate: Callable[..., State], state: State, step: ArrayLike, inputs: tuple[tuple[Any, ...], ...] = ((), (), ())
+    rate: Callable[..., State], state: State, step: ArrayLike, inputs: tuple[tuple[PyTree, ...], ...] = ((), (), ())
 ) -> State:
     """State after one step of the classical Runge-Kutta method, of order 4.
 
@@ -118,7 +118,7 @@ def rk4(
 
     # The barrier keeps XLA from computing parts of one stage's derivative again inside the next stage's fusion.
     @functools.partial(jax.jit, inline=True)  # traced once for all stages
-    def stage(at: State, inputs: tuple[Any, ...]) -> State:
+    def stage(at: State, inputs: tuple[PyTree, ...]) -> State:
         return lax.optimization_barrier(rate(at, *inputs))
 
     beginning, middle, end = inputs
@@ -139,7 +139,7 @@ _WEIGHTS = 0.0, 1 / 6, 1 / 6, 2 / 3
 
 
 def semi_implicit(
-    rate: Callable[..., State], state: State, step: ArrayLike, inputs: tuple[tuple[Any, ...], ...] = ((), (), ())
+    rate: Callable[..., State], state: State, step: ArrayLike, inputs: tuple[tuple[PyTree, ...], ...] = ((), (), ())
 ) -> State:
     """State after one step of order 3 in which a stiff, linear part of the rate is implicit; arguments as for `rk4`.
 
@@ -150,13 +150,15 @@ def semi_implicit(
     beginning, middle, end = inputs
     zero = jax.tree.map(jnp.zeros_like, state)
 
-    def moved(shares: Any, slopes: Sequence[State]) -> State:
+    def moved(shares: Sequence[Number], slopes: Sequence[State]) -> State:
         used = [pair for pair in zip(shares, slopes, strict=False) if not isinstance(pair[0], float) or pair[0]]
         return functools.reduce(
             lambda at, pair: jax.tree.map(lambda x, dx: x + pair[0] * step * dx, at, pair[1]), used, state
         )
 
-    def stage(explicit: Any, implicit: Any, slopes: Sequence[State], inputs: tuple[Any, ...]) -> State:
+    def stage(
+        explicit: Sequence[Number], implicit: Sequence[Number], slopes: Sequence[State], inputs: tuple[PyTree, ...]
+    ) -> State:
         return rate(moved(explicit, slopes), *inputs, ahead=(moved(implicit, slopes), _A * step))
 
     if trace_mode()[1]:

@@ -11,8 +11,9 @@ from typing import Any, ParamSpec, TypeVar, cast
 import jax
 import jax.core
 import numpy as np
+from jax.stages import Wrapped as JitWrapped
 from jax.tree_util import PyTreeDef
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
 
 from mckibben.numerics.batching import fusion_barrier, trace_mode
 from mckibben.numerics.program_cache import ARRAY, ARRAYS, load_or_compile
@@ -30,7 +31,7 @@ def numeric(tree: PyTree) -> Any:
     Booleans, texts and other leaves stay as they are: they are static in programs.
     """
 
-    def convert(leaf: Any) -> Any:
+    def convert(leaf: object) -> object:
         if isinstance(leaf, float):  # the common case, and the quicker check
             return np.asarray(leaf, float)
         if isinstance(leaf, Integral) and not isinstance(leaf, bool):
@@ -101,14 +102,14 @@ def jit_lanes(function: Callable[P, R]) -> Callable[P, R]:
 class Program:
     """Pure function of arrays, compiled once per structure of its arguments; all other leaves are static."""
 
-    def __init__(self, function: Callable[..., Any], options: Callable[[], dict[str, int]] = dict) -> None:
+    def __init__(self, function: Callable[..., PyTree], options: Callable[[], dict[str, int]] = dict) -> None:
         self._function = function
         self._options = options
-        self._programs: dict[Any, Callable[..., Any]] = {}
-        self._parts: dict[Any, Callable[..., Any]] = {}
-        self._locks: dict[Any, threading.RLock] = {}
+        self._programs: dict[object, Callable[..., PyTree]] = {}
+        self._parts: dict[object, Callable[..., PyTree]] = {}
+        self._locks: dict[object, threading.RLock] = {}
 
-    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+    def __call__(self, *args: PyTree, **kwargs: PyTree) -> PyTree:
         leaves, structure = jax.tree.flatten((args, kwargs))
         static = tuple(ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves)
         arrays = [leaf for leaf, mark in zip(leaves, static, strict=True) if mark is ARRAY]
@@ -132,10 +133,10 @@ class Program:
                     return answer
         return program(*arrays)
 
-    def _jitted(self, structure: PyTreeDef, static: tuple[Any, ...], *, inline: bool = False) -> Any:
+    def _jitted(self, structure: PyTreeDef, static: tuple[object, ...], *, inline: bool = False) -> JitWrapped:
         """`jax.jit` of the function over its array leaves."""
 
-        def call(*arrays: Any) -> Any:
+        def call(*arrays: Array) -> PyTree:
             rest = iter(arrays)
             args, kwargs = jax.tree.unflatten(structure, [next(rest) if leaf is ARRAY else leaf for leaf in static])
             return self._function(*args, **kwargs)

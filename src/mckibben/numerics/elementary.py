@@ -7,15 +7,18 @@ Compared with XLA's own in jaxlib 0.10.2: `exp` takes 17 instead of 25 ns in a c
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array, ArrayLike, Float
+from jax.typing import DTypeLike
+from jaxtyping import Array, ArrayLike, Float, PyTree
 
 Number: TypeAlias = float | Array
 """A float, an array or a tracer."""
+
+Term = TypeVar("Term", float, Array)
 
 
 def floating(x: ArrayLike) -> Float[Array, "..."]:
@@ -27,7 +30,7 @@ def floating(x: ArrayLike) -> Float[Array, "..."]:
 class _Constants(NamedTuple):
     """Constants of the range reductions and polynomials in one precision."""
 
-    integer: Any
+    integer: DTypeLike
     mantissa_bits: int
     integer_magic: float  # added to an integral float, it leaves the integer in the low bits of the mantissa
     lowest_exp: float  # below it exp is 0 (subnormal results are flushed)
@@ -194,13 +197,13 @@ def _bits(x: Array, k: _Constants) -> Array:
     return lax.bitcast_convert_type(x, k.integer)
 
 
-def _from_bits(bits: Array, dtype: Any) -> Array:
+def _from_bits(bits: Array, dtype: DTypeLike) -> Array:
     return lax.bitcast_convert_type(bits, dtype)
 
 
-def polynomial(x: Any, coefficients: tuple[float, ...]) -> Any:
+def polynomial(x: Term, coefficients: tuple[float, ...]) -> Term:
     """Constant term first, by Estrin's scheme: short chains, so that a single simulation gains as well."""
-    terms: list[Any] = list(coefficients)
+    terms: list[PyTree] = list(coefficients)
     power = x
     while len(terms) > 1:
         paired = [low + high * power for low, high in zip(terms[::2], terms[1::2], strict=False)]

@@ -19,14 +19,14 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import FunctionType
-from typing import Any
 
 import equinox
 import jax
 import jaxlib.version
 import numpy as np
+from jax.stages import Wrapped as JitWrapped
 from jax.tree_util import PyTreeDef
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
 
 from mckibben.numerics.runtime import processor
 from mckibben.storage.private import SOURCES, is_private, read_private, source_files, write_private
@@ -51,7 +51,7 @@ class FingerprintError(ValueError):
     """A value has no fingerprint that is valid in other processes."""
 
 
-def program_path(folder: Path, function: Callable[..., Any], static: Sequence[PyTree], *rest: PyTree) -> Path | None:
+def program_path(folder: Path, function: Callable[..., PyTree], static: Sequence[PyTree], *rest: PyTree) -> Path | None:
     """File of a program in `folder`; None without fingerprint or trusted folder."""
     try:
         words = [code_fingerprint(function), *map(fingerprint, static)]
@@ -81,13 +81,13 @@ def write_program(path: Path, content: bytes) -> None:
 
 def load_or_compile(
     folder: Path,
-    jitted: Any,
-    arrays: list[Any],
-    function: Callable[..., Any],
+    jitted: JitWrapped,
+    arrays: list[Array],
+    function: Callable[..., PyTree],
     structure: PyTreeDef,
     static: PyTree,
     *rest: PyTree,
-) -> Callable[..., Any]:
+) -> Callable[..., PyTree]:
     """Program from its file in `folder`, or compiled and written; `jitted` without fingerprint or trusted folder."""
     from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
@@ -117,7 +117,7 @@ def _environment() -> str:
     return repr((SOURCES, versions, flags, processor()))
 
 
-def code_fingerprint(thing: Any) -> str:
+def code_fingerprint(thing: object) -> str:
     """Qualified name of a class or function; `FingerprintError` for a foreign or local one, or a closure."""
     name = f"{getattr(thing, '__module__', '')}.{getattr(thing, '__qualname__', '<nothing>')}"
     is_closure = getattr(thing, "__closure__", None) is not None and not isinstance(thing, type)
@@ -136,7 +136,7 @@ def structure_fingerprint(structure: PyTreeDef) -> str:
     return f"{code_fingerprint(kind)}(={fingerprint(static)}{' ' if parts else ''}{parts})"
 
 
-def fingerprint(value: Any) -> str:
+def fingerprint(value: object) -> str:
     """Text that identifies a static value uniquely; raises `FingerprintError` if there is none."""
     if isinstance(value, jax.tree_util.PyTreeDef):
         return structure_fingerprint(value)

@@ -12,8 +12,11 @@ from typing import Any, NamedTuple
 
 from mckibben.numerics.elementary import sincos
 
+Scalar = Any
+"""A number, known when traced if a float, or an array."""
 
-def product(a: Any, b: Any) -> Any:
+
+def product(a: Scalar, b: Scalar) -> Scalar:
     """Return a times b."""
     for known, other in ((a, b), (b, a)):
         if isinstance(known, int | float):
@@ -24,7 +27,7 @@ def product(a: Any, b: Any) -> Any:
     return a * b
 
 
-def total(a: Any, b: Any) -> Any:
+def total(a: Scalar, b: Scalar) -> Scalar:
     """Return a plus b."""
     for known, other in ((a, b), (b, a)):
         if isinstance(known, int | float) and known == 0:
@@ -32,7 +35,7 @@ def total(a: Any, b: Any) -> Any:
     return a + b
 
 
-def difference(a: Any, b: Any) -> Any:
+def difference(a: Scalar, b: Scalar) -> Scalar:
     """Return a minus b."""
     if a is b:
         return 0.0
@@ -44,24 +47,24 @@ def difference(a: Any, b: Any) -> Any:
 class Vector(NamedTuple):
     """Vector in space."""
 
-    x: Any
-    y: Any
-    z: Any
+    x: Scalar
+    y: Scalar
+    z: Scalar
 
-    def __add__(self, other: Sequence[Any]) -> Vector:  # type: ignore[override]
+    def __add__(self, other: Sequence[Scalar]) -> Vector:  # type: ignore[override]
         return Vector(*map(total, self, other))
 
-    def __sub__(self, other: Sequence[Any]) -> Vector:
+    def __sub__(self, other: Sequence[Scalar]) -> Vector:
         return Vector(*map(difference, self, other))
 
     def __neg__(self) -> Vector:
         return Vector(0.0, 0.0, 0.0) - self
 
-    def scaled(self, factor: Any) -> Vector:
+    def scaled(self, factor: Scalar) -> Vector:
         """Return the vector times a factor."""
         return Vector(*(product(factor, number) for number in self))
 
-    def dot(self, other: Vector) -> Any:
+    def dot(self, other: Vector) -> Scalar:
         """Return the scalar product."""
         x, y, z = map(product, self, other)
         return total(total(x, y), z)
@@ -102,7 +105,7 @@ class Rotation(NamedTuple):
         return Rotation(*map(self.apply, inner))
 
     @classmethod
-    def about(cls, axis: Vector, angle: Any) -> Rotation:
+    def about(cls, axis: Vector, angle: Scalar) -> Rotation:
         """Return the axes of a body after a turn by an angle [rad] about a unit vector of known numbers."""
         sine, cosine = sincos(angle)
 
@@ -120,14 +123,14 @@ IDENTITY = Rotation(X, Y, Z)
 class Tensor(NamedTuple):
     """Symmetric tensor."""
 
-    xx: Any
-    xy: Any
-    xz: Any
-    yy: Any
-    yz: Any
-    zz: Any
+    xx: Scalar
+    xy: Scalar
+    xz: Scalar
+    yy: Scalar
+    yz: Scalar
+    zz: Scalar
 
-    def __add__(self, other: Sequence[Any]) -> Tensor:  # type: ignore[override]
+    def __add__(self, other: Sequence[Scalar]) -> Tensor:  # type: ignore[override]
         return Tensor(*map(total, self, other))
 
     def apply(self, vector: Vector) -> Vector:
@@ -139,7 +142,7 @@ class Tensor(NamedTuple):
         )
 
     @classmethod
-    def diagonal(cls, number: Any) -> Tensor:
+    def diagonal(cls, number: Scalar) -> Tensor:
         """Return a number times the unit tensor."""
         return cls(number, 0.0, 0.0, number, 0.0, number)
 
@@ -147,7 +150,7 @@ class Tensor(NamedTuple):
     def dyad(cls, a: Vector, b: Vector) -> Tensor:
         """Return the symmetric part of the dyadic product."""
 
-        def mean(a: Any, b: Any) -> Any:
+        def mean(a: Scalar, b: Scalar) -> Scalar:
             return product(0.5, total(a, b))
 
         return cls(

@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 from PIL import Image
 
@@ -140,7 +141,7 @@ def _frames(result: SimulationResult, plant: JointPlant) -> list[Image.Image]:
     return images
 
 
-def _plots(figure: SubFigure, result: SimulationResult, times: NDArray[np.float64]) -> list[Any]:
+def _plots(figure: SubFigure, result: SimulationResult, times: NDArray[np.float64]) -> list[Line2D]:
     """Plot angle, stiffness and pressures over time; return their cursors."""
     rows = figure.subplots(3, 1, sharex=True)
     rows[0].plot(times, result["desired_angle"] / deg, **DESIRED)

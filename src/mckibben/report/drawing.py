@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, SupportsFloat
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, Polygon
+from matplotlib.typing import ColorType
 from numpy.typing import NDArray
 
 from mckibben.component.checks import check_kind
@@ -62,7 +63,7 @@ class JointPicture:
         self.artists = [*self._cams, self._bone, self._levers, self._weights, *self._cables, *self._bodies]
 
     def update(
-        self, angle: float, lengths: Sequence[float], diameters: Sequence[float | None], colours: Sequence[Any]
+        self, angle: float, lengths: Sequence[float], diameters: Sequence[float | None], colours: Sequence[ColorType]
     ) -> tuple[Strand, Strand]:
         """Move all artists to an angle [rad], with muscles of given lengths and diameters [m]; return the strands."""
         mechanism = self.mechanism
@@ -168,8 +169,8 @@ def draw_joint(
     check_kind("draw_joint", "joint", geometry, Geometry)
     mechanism = Mechanism(geometry, (angle,))
     limb, masses = limb_and_masses(plant, mechanism)
-    lengths: Sequence[Any] = geometry.path_lengths(angle)
-    diameters: Sequence[Any] = (None, None)
+    lengths: Sequence[SupportsFloat] = geometry.path_lengths(angle)
+    diameters: Sequence[SupportsFloat | None] = (None, None)
     if muscles is not None:
         lengths, diameters = muscle_sizes(muscles, muscles.contractions(angle, pressures or (0.0, 0.0)))
     sizes = [float(length) for length in lengths], [None if width is None else float(width) for width in diameters]

@@ -8,7 +8,7 @@ import re
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jinja2
 import markupsafe
@@ -100,7 +100,7 @@ class Section(NamedTuple):
 
     title: str
     tables: Sequence[tables.Table]
-    figures: Sequence[Any] = ()
+    figures: Sequence[ReportFigure] = ()
     words: bool = False
 
 
@@ -111,9 +111,7 @@ def write_document(
 
     `source` is the file from which the results follow, `again` the commands that repeat them.
     """
-    parts = [
-        section._replace(figures=[embedded(figure, path.parent) for figure in section.figures]) for section in sections
-    ]
+    parts = [(section, [embedded(figure, path.parent) for figure in section.figures]) for section in sections]
     template = template_of("document.html.jinja")
     texts = {"title": title, "lead": lead, "source_title": source_title, "source": source, "again": again}
     return write_page(path, template.render(style=style_sheet(), sections=parts, **texts))

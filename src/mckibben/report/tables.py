@@ -41,7 +41,7 @@ def name_of(dataset: str) -> str:
     return NAMES.get(dataset, dataset)
 
 
-def decision_context(reproduction: Reproduction) -> dict[str, Any]:
+def decision_context(reproduction: Reproduction) -> dict[str, object]:
     """Names of the template of the decisions: objects, and functions of contraction in percent and pressure in bar."""
     law, rig = catalog.law("lei-mas-10-180n"), reproduction.identification.rig
     printed, contracted = (plant_of(setting) for setting in SETTINGS)
@@ -79,7 +79,7 @@ def table_of(listing: Listing) -> Table:
     return Table(listing.title, head, listing.rows())
 
 
-def number(value: Any, digits: int = 3) -> str:
+def number(value: float | None, digits: int = 3) -> str:
     """Format a number with significant digits and a typographic minus; None and NaN are "–"."""
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"

@@ -1,0 +1,51 @@
+"""The studies behind tables of the documentation run at their smallest size."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import pytest
+
+from mckibben.dataset import read_dataset
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+def prediction_and_learning(tool, folder):
+    tool.looking_ahead([(20, 100)])
+    tool.learning(2)
+
+
+def stiffness_errors(tool, folder):
+    assert all(tool.errors(1, 2, tool.NAMES[1], excited=True, torque_error=0.1) < 2)  # N*m/rad
+
+
+def left_out_points(tool, folder):
+    tool.print_table({"Martens": tool.catalog.dataset("dmsp-10-250-martens2017")}, ["Exponential", tool.PLAIN])
+
+
+def foreign_files(tool, folder):
+    tool.files("servo", folder)
+    assert len(read_dataset(folder / "muscle.csv")) > 100
+
+
+def real_time(tool, folder):
+    tool.print_runs(0.2, 2e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "run", "rows"),
+    [
+        ("decoupling", prediction_and_learning, 9),
+        ("stiffness", stiffness_errors, 0),
+        ("left_out", left_out_points, 4),
+        ("foreign_lab", foreign_files, 0),
+        ("realtime", real_time, 5),
+    ],
+)
+def test_a_study_prints_its_table(monkeypatch, tmp_path, capsys, name, run, rows):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    run(importlib.import_module(name), tmp_path)
+    assert capsys.readouterr().out.count("\n|") + bool(rows) == rows
