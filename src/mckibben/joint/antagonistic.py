@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax.numpy as jnp
 from jax.core import Tracer
@@ -317,7 +317,9 @@ class AntagonisticJoint(Component):
         tension2, contraction2 = pull(self.muscle2, states[1], path2, -arm2, pressure2)
         return MuscleForces((tension1, tension2), tension2 * arm2 - tension1 * arm1, (contraction1, contraction2))
 
-    def friction_torque(self, angle: ArrayLike, velocity: Any, pressures: Pressures, states: MuscleStates) -> Array:
+    def friction_torque(
+        self, angle: ArrayLike, velocity: ArrayLike | None, pressures: Pressures, states: MuscleStates
+    ) -> Array:
         """Return the friction part [N*m] of the torque of `forces`."""
         added = jnp.asarray(self.forces(angle, velocity, pressures, states).torque) - self.torque(angle, pressures)
         return added - self.creep_torque(angle, pressures, states) if self.has_creep else added
@@ -347,7 +349,7 @@ class AntagonisticJoint(Component):
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
         path1, path2 = self.geometry.path_lengths(angle)
 
-        def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike, index: Any) -> Array:
+        def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike, index: Number) -> Array:
             """Derivative of one muscle's tension with respect to the angle, valve closed."""
             pressure = floating(pressure)
             contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)

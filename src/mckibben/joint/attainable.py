@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import jax
 import jax.numpy as jnp
@@ -200,7 +200,11 @@ def _outside_domain(joint: AntagonisticJoint, angle: float) -> RangeError | None
 
 
 def warn_unattainable(
-    joint: AntagonisticJoint, angle: ArrayLike, torque: ArrayLike, lowest: Array, *limits: Any
+    joint: AntagonisticJoint,
+    angle: ArrayLike,
+    torque: ArrayLike,
+    lowest: Array,
+    *limits: tuple[float, float] | float | None,
 ) -> None:
     """Warn of a direct call without any attainable stiffness, and say why there is none at the first angle."""
     if isinstance(lowest, Tracer) or not lowest.size or not jnp.isnan(lowest).all():

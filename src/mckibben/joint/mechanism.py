@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import ArrayLike
@@ -149,14 +150,16 @@ class _Cam:
         return points[len(_BEYOND) :] if wrapped else points
 
 
-def muscle_sizes(joint: AntagonisticJoint, contractions: Any) -> tuple[list[Points], list[Points | None]]:
+def muscle_sizes(
+    joint: AntagonisticJoint, contractions: Iterable[ArrayLike]
+) -> tuple[list[Points], list[Points | None]]:
     """Lengths [m] and diameters [m] of the muscles at pairs of contractions; None for an unknown volume."""
     pairs = zip(joint.muscles, contractions, strict=True)
     sizes = [specimen_size(muscle.specimen, contraction) for muscle, contraction in pairs]
     return [length for length, _ in sizes], [diameter for _, diameter in sizes]
 
 
-def specimen_size(specimen: Specimen, contraction: Any) -> tuple[Points, Points | None]:
+def specimen_size(specimen: Specimen, contraction: ArrayLike) -> tuple[Points, Points | None]:
     """Length [m], and diameter [m] of the cylinder of that length and volume; None for an unknown volume.
 
     >>> from mckibben import catalog

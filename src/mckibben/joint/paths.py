@@ -7,7 +7,7 @@ import math
 import warnings
 from collections.abc import Sequence
 from numbers import Real
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, ClassVar
 
 import equinox as eqx
 import jax
@@ -174,8 +174,8 @@ class TabulatedPath(MusclePath):
     arms: tuple[MomentArm, ...] | None = None
     rest_length: Length | None = None
     error: float = eqx.field(static=True, default=0.0)
-    coefficients: Any = eqx.field(static=True, default=())
-    window: Any = eqx.field(static=True, default=())
+    coefficients: tuple[float, ...] = eqx.field(static=True, default=())
+    window: tuple[float, float] = eqx.field(static=True, default=(0.0, 0.0))
 
     def __init__(
         self,
@@ -210,7 +210,7 @@ class TabulatedPath(MusclePath):
             warnings.warn(text, McKibbenWarning, stacklevel=2)
         if arms is not None:
             series = series.integ(lbnd=0)
-        self.coefficients, self.window = tuple(series.coef.tolist()), (float(x.min()), float(x.max()))
+        self.coefficients, self.window = tuple(map(float, series.coef)), (float(x.min()), float(x.max()))
         self.angles, self.rest_length = tuple(x.tolist()), rest_length
         self.lengths = None if lengths is None else tuple(y.tolist())
         self.arms = None if arms is None else tuple(y.tolist())

@@ -143,10 +143,15 @@ def check_point(contraction: ArrayLike, pressure: ArrayLike) -> tuple[ArrayLike,
     if (lowest := pressures.min(initial=0.0)) < -atm:
         text = f"a gauge pressure of {show(float(lowest), 'bar')} is impossible: it is below a vacuum"
         warnings.warn(text, DomainWarning, stacklevel=user_level())
-    if ZERO_PRESSURE < (highest := pressures.max(initial=0.0)) < LEAST_PRESSURE:
+    warn_small_pressure(float(pressures.max(initial=0.0)))
+    return _as_array(contraction), _as_array(pressure)
+
+
+def warn_small_pressure(highest: float) -> None:
+    """Warn of a highest pressure [Pa] that was probably given in bar or kPa."""
+    if ZERO_PRESSURE < highest < LEAST_PRESSURE:
         text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
-    return _as_array(contraction), _as_array(pressure)
 
 
 def _as_array(numbers: ArrayLike) -> ArrayLike:

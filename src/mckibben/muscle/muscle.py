@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from mckibben.component.base import Component
 from mckibben.component.calls import checked_call, user_level
 from mckibben.component.checks import check_number
-from mckibben.errors import DomainWarning, McKibbenWarning, RangeError
+from mckibben.errors import DomainWarning, RangeError
 from mckibben.muscle.adjusted import ForceCorrection, adjusted_law
-from mckibben.muscle.base import LEAST_PRESSURE, ZERO_PRESSURE, ForceLaw
+from mckibben.muscle.base import LEAST_PRESSURE, ForceLaw, warn_small_pressure
 from mckibben.muscle.creep import Creep, CreepState, NoCreep
 from mckibben.muscle.friction import Friction, FrictionState, NoFriction
 from mckibben.muscle.specimen import Domain, Specimen
@@ -215,10 +215,7 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
     """Issue one `DomainWarning` for concrete values outside their muscle's domain; warn of pressures in bar."""
     if any(isinstance(value, Tracer) for _, *values in points for value in values):
         return
-    highest = max(float(np.max(pressure, initial=0.0)) for _, _, pressure in points)
-    if ZERO_PRESSURE < highest < LEAST_PRESSURE:
-        text = f"the highest pressure is {highest:g} Pa: numbers are in SI, such as 6 * bar"
-        warnings.warn(text, McKibbenWarning, stacklevel=user_level())
+    warn_small_pressure(max(float(np.max(pressure, initial=0.0)) for _, _, pressure in points))
     texts = [
         (f"muscle {muscle.specimen.name!r}", muscle.domain.describe_outside(*values)) for muscle, *values in points
     ]

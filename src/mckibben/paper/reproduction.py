@@ -19,6 +19,7 @@ from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import json_ready, write_json
+from mckibben.study.tune import TuneResult
 from mckibben.units import bar, deg, factor
 
 
@@ -157,7 +158,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
     return Reproduction(identification, joint, tracking, claims, quick, time.perf_counter() - start)
 
 
-def _rig(identification: Identification) -> dict[str, Any]:
+def _rig(identification: Identification) -> dict[str, object]:
     test = identification.rig
     return {
         "plateaus": len(test.test),
@@ -171,7 +172,7 @@ def _rig(identification: Identification) -> dict[str, Any]:
     }
 
 
-def _validation(identification: Identification) -> dict[str, Any]:
+def _validation(identification: Identification) -> dict[str, object]:
     on_rig = {
         "retest": identification.retested,
         "held_out_pressures": identification.held_out_pressures,
@@ -192,29 +193,29 @@ def _errors(validation: Validation) -> dict[str, dict[str, float]]:
     return table
 
 
-def _joint(joint_map: JointMap) -> dict[str, Any]:
+def _joint(joint_map: JointMap) -> dict[str, object]:
     low, high = joint_map.at(0.0)
     first, last = joint_map.static_range
     return {"attainable_stiffness_at_0_deg": [low, high], "static_range_deg": [first / deg, last / deg]}
 
 
-def _tracking(tracking: Tracking) -> dict[str, Any]:
-    table: dict[str, Any] = {}
+def _tracking(tracking: Tracking) -> dict[str, dict[str, dict[str, object]]]:
+    table: dict[str, dict[str, dict[str, object]]] = {}
     for (key, reference, controller), run in tracking.runs.items():
         table.setdefault(key, {}).setdefault(reference.value, {})[controller] = _run(run)
     return table
 
 
-def _run(run: ControllerRun) -> dict[str, Any]:
-    numbers: dict[str, Any] = {name: run.median(metric) / unit for name, (metric, _, unit) in METRICS.items()}
+def _run(run: ControllerRun) -> dict[str, object]:
+    numbers: dict[str, object] = {name: run.median(metric) / unit for name, (metric, _, unit) in METRICS.items()}
     if run.seeds is not None:
         numbers["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
         numbers["unstable"] = run.unstable
     return numbers | {"outcome": run.result.verdict()}
 
 
-def _tuned(tuned: Any) -> dict[str, Any]:
-    control = tuned.scenarios[0].control()
+def _tuned(tuned: TuneResult) -> dict[str, object]:
+    control: Any = tuned.scenarios[0].control()
     return {
         "position": {name: getattr(control.position, name) for name in ("kp", "ki", "kd")},
         "stiffness": {name: getattr(control.stiffness, name) for name in ("kp", "ki", "kd")},

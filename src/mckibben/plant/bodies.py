@@ -105,8 +105,8 @@ class Equations(NamedTuple):
     The motions are the slides of the base, in order, and then the free hinges [N, N*m].
     """
 
-    matrix: list[list[Any]]  # rows up to the diagonal
-    bias: list[Any]
+    matrix: list[list[Number]]  # rows up to the diagonal
+    bias: list[Number]
 
     def accelerations(self, torques: Sequence[Any]) -> list[Any]:
         """Return the accelerations under forces and torques on the free motions."""
@@ -133,8 +133,8 @@ def equations(
     moving = _velocity_accelerations(frames, gravity)
     load, moment = -force, -arm.cross(force)
     mass, first, second = 0.0, ZERO, Tensor.diagonal(0.0)  # of the bodies from here on, about the hinge
-    columns: list[list[Any]] = []
-    bias: list[Any] = []
+    columns: list[list[Number]] = []
+    bias: list[Number] = []
     for index in range(len(frames) - 1, -1, -1):
         frame, body, (spin, linear) = frames[index], bodies[index], moving[index]
         if body is not MASSLESS:
@@ -176,7 +176,7 @@ def _column(
     index: int,
     momentum: Vector,
     moment: Vector,
-) -> list[Any]:
+) -> list[Number]:
     """Row of the mass matrix for a hinge, from the momentum of a unit rate and its moment about the hinge."""
     upwards = [frames[index].axis.dot(moment)]
     for above in range(index - 1, 0, -1):

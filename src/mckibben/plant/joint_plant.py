@@ -29,8 +29,6 @@ from mckibben.units import deg
 
 Scalar = Float[Array, ""]
 
-_STEP = 1e-4  # rad, of the differences that give the moment arms
-
 
 class PlantState(NamedTuple):
     """State of a `JointPlant`; parts that a plant lacks have no leaves."""
@@ -49,7 +47,7 @@ def _rated(joint: AntagonisticJoint) -> tuple[Any, ...]:
     return tuple(muscle.specimen.domain.pressure_max for muscle in joint.muscles)
 
 
-def rated_for(joint: AntagonisticJoint, pressures: tuple[Any, ...]) -> AntagonisticJoint:
+def rated_for(joint: AntagonisticJoint, pressures: tuple[ArrayLike, ...]) -> AntagonisticJoint:
     """Return the joint with its muscles rated for highest pressures [Pa]."""
     return eqx.tree_at(_rated, joint, pressures)
 
@@ -218,10 +216,8 @@ def _fastest_mode(plant: JointPlant, angles: Angles, stiffness: ArrayLike | None
     total = float(np.nanmax(np.abs(np.asarray(stiffness, float)))) + abs(float(plant.load.gravity_moment))
     modes = [0.0]
     if plant.joint.has_friction or plant.joint.has_creep:
-        at = _extremes(angles)
-        lengths = [np.asarray(plant.joint.geometry.path_lengths(at + step)) for step in (-_STEP, _STEP)]
-        arms = np.max(np.abs(lengths[1] - lengths[0]) / (2 * _STEP), axis=1)
-        for muscle, arm, path in zip(plant.muscles, map(float, arms), lengths[0], strict=True):
+        paths, arms = map(np.asarray, plant.joint.geometry.paths_and_arms(_extremes(angles)))
+        for muscle, arm, path in zip(plant.muscles, map(float, np.abs(arms).max(axis=1)), paths, strict=True):
             friction, creep = muscle.friction, muscle.creep
             if isinstance(friction, MaxwellSlip):
                 total += float(np.sum(friction.stiffnesses)) * arm**2
