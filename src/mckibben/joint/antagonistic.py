@@ -20,7 +20,7 @@ from mckibben.muscle.air import ATMOSPHERE
 from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.compiled import cached_trace, jit_inline
-from mckibben.numerics.elementary import floating
+from mckibben.numerics.elementary import Number, floating
 from mckibben.units import deg
 
 SMALL_MOTION = 0.1 * deg
