@@ -20,7 +20,7 @@ from mckibben.muscle.air import ATMOSPHERE
 from mckibben.muscle.muscle import warn_outside
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.compiled import cached_trace, jit_inline
-from mckibben.numerics.elementary import Number, floating
+from mckibben.numerics.elementary import floating
 from mckibben.units import deg
 
 SMALL_MOTION = 0.1 * deg
@@ -355,7 +355,7 @@ class AntagonisticJoint(Component):
             contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
             by_pressure = derivative(lambda p: self.tendon.contraction(muscle, path, p), pressure)
             volume, volume_slope = value_and_derivative(muscle.specimen.volume, contraction)
-            compression = -index * (pressure + ATMOSPHERE) * volume_slope / (volume + dead_volume)  # dp / d contraction
+            compression = index * (pressure + ATMOSPHERE) * -volume_slope / (volume + dead_volume)  # dp / d contraction
             pressure_slope = compression * by_path / (1 - compression * by_pressure)  # dp / d path
             isobaric = derivative(lambda x: self.tendon.tension(muscle, x, pressure), path)
             by_air = derivative(lambda p: self.tendon.tension(muscle, path, p), pressure)
