@@ -349,7 +349,9 @@ class AntagonisticJoint(Component):
         path_slope1, path_slope2 = value_and_derivative(self.geometry.path_lengths, angle)[1]
         path1, path2 = self.geometry.path_lengths(angle)
 
-        def tension_slope(muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike, index: Number) -> Array:
+        def tension_slope(
+            muscle: Muscle, path: Array, path_slope: Array, pressure: ArrayLike, index: ArrayLike
+        ) -> Array:
             """Derivative of one muscle's tension with respect to the angle, valve closed."""
             pressure = floating(pressure)
             contraction, by_path = value_and_derivative(lambda x: self.tendon.contraction(muscle, x, pressure), path)
