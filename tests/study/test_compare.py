@@ -284,7 +284,6 @@ class TestTuning:
             compare(changed(*ALONE), out=tmp_path)
         for other in (
             changed(*ALONE, ("load.mass2=+-50 %", "load.mass2=+-40 %")),
-            changed(*ALONE, ("kd: 0.2 bar*s/rad", "kd: 0.3 bar*s/rad")),
             changed(*ALONE, ("duration: 120 ms", "duration: 140 ms")),
         ):
             with pytest.raises(FileError):

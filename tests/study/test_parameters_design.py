@@ -31,7 +31,7 @@ def same(one, other):
 
 
 @pytest.mark.parametrize("kind", ["sobol", "random"])
-@pytest.mark.parametrize("samples", [1, 2, 3, 100, 128, 1000])
+@pytest.mark.parametrize("samples", [1, 100, 128])
 def test_a_table_has_as_many_rows_as_asked_for_and_no_warning(kind, samples):
     with warnings.catch_warnings():
         warnings.simplefilter("error")

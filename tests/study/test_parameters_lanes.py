@@ -234,7 +234,7 @@ found = functools.cache(lambda name: find_parameter(BACKPROP, name))
 
 
 @pytest.mark.slow
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(st.data())
 def test_no_row_comes_through_that_a_file_could_not_say(data):
     """Against the plain way: write each row into a scenario, dump it, read it, build it."""

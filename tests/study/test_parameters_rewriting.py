@@ -128,7 +128,7 @@ def known(text):
     return scenario, list_parameters(scenario)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(st.data())
 @pytest.mark.slow
 def test_any_numbers_are_read_back_to_the_bit_and_comments_stay(data):
