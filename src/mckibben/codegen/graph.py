@@ -86,7 +86,10 @@ class ForLoop:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Branch:
-    """Two blocks, one of which runs."""
+    """Two blocks, one of which runs.
+
+    Text runs one of them, `export.evaluation` computes both and selects. Vectors whose lanes differ have no branch.
+    """
 
     condition: Value
     scopes: tuple[Scope, Scope]
@@ -96,7 +99,10 @@ class Branch:
 
 @dataclass(eq=False, repr=False, slots=True)
 class StoredArray:
-    """Array in memory that a loop can index: constants, an input, or rows stored by a loop."""
+    """Array in memory that a loop can index: constants, an input, or rows stored by a loop.
+
+    The array of a loop has `size` elements in rows of ``len(elements)``, one row per iteration.
+    """
 
     kind: Kind
     size: int
@@ -162,6 +168,15 @@ class Graph:
 
     Equal operations on equal arguments are one value. Operations on known numbers, and neutral ones, are folded.
     Raises `ExportError` for more than `most` operations.
+
+    Examples
+    --------
+    >>> graph = Graph()
+    >>> x, two = graph.input("x", Kind.REAL), graph.constant(2.0, Kind.REAL)
+    >>> graph.operation("mul", Kind.REAL, x, two) is graph.operation("mul", Kind.REAL, x, two)
+    True
+    >>> graph.operation("pow", Kind.REAL, two, two).constant
+    4.0
     """
 
     def __init__(
@@ -264,7 +279,7 @@ class Graph:
         return arguments[1] if known[0] == neutral and name in ("add", "mul") else None
 
     def power(self, x: Value, exponent: int) -> Value:
-        """X to an integer power, by squaring."""
+        """X to an integer power by squaring: 2 log2(n) multiplications at most, and a division for a negative one."""
         if exponent == 0:
             return self.constant(1.0, x.kind)
         result, square, rest = None, x, abs(exponent)
@@ -338,7 +353,10 @@ class Graph:
 
 
 def needed(results: Sequence[Value | StoredArray]) -> set[int]:
-    """Identities of the values, loops, branches and arrays that results depend on."""
+    """Identities of the values, loops, branches and arrays that results depend on.
+
+    A loop counts only with those of its variables and arrays that something uses: the others are not written.
+    """
     reached: set[int] = set()
     waiting: list[Any] = list(results)
     while waiting:

@@ -17,18 +17,33 @@ _SAME = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "asin", "acos", "a
 def literals(
     nan: str, infinity: str, *, booleans: tuple[str, str] = ("false", "true"), single: bool = False, suffix: str = ""
 ) -> Callable[[float, Kind], str]:
-    """Text of a number of a kind; those of 32 bits have nine digits, and no subnormal ones."""
-    largest = np.finfo(np.float32 if single else float)
+    """Text of a number of a kind; those of 32 bits have nine digits, and no subnormal ones.
+
+    Parameters
+    ----------
+    nan, infinity
+        Names of these numbers in the language.
+    single, suffix
+        Whether real numbers have 32 bits, and what follows their digits.
+
+    Examples
+    --------
+    >>> text = literals("NAN", "INFINITY", single=True, suffix="f")
+    >>> text(0.1, Kind.REAL), text(-1e39, Kind.REAL), text(1e-40, Kind.REAL), text(True, Kind.BOOLEAN)
+    ('0.1f', '-INFINITY', '0.0f', 'true')
+    """
+    limits = np.finfo(np.float32 if single else float)
+    largest, smallest = float(limits.max), float(limits.tiny)
 
     def literal(number: float, kind: Kind) -> str:
         if kind is not Kind.REAL:
             return booleans[bool(number)] if kind is Kind.BOOLEAN else str(number)
         if math.isnan(number):
             return nan
-        if abs(number) > largest.max:
+        if abs(number) > largest:
             return infinity if number > 0 else f"-{infinity}"
         if single:
-            number = float(f"{number:.9g}") if abs(number) >= largest.tiny else 0.0
+            number = float(f"{number:.9g}") if abs(number) >= smallest else 0.0
         return f"{number!r}{suffix}"
 
     return literal

@@ -40,14 +40,24 @@ class Member(NamedTuple):
 
 @dataclass(frozen=True)
 class Function:
-    """A function, with arguments and results as named structures; `state` may be both."""
+    """A function, with arguments and results as named structures; `state` may be both.
+
+    Attributes
+    ----------
+    arguments, results
+        Members of each structure, by its name.
+    values
+        Values of the results in the graph, by the name of their structure, element by element.
+    text
+        Description, a comment in the source.
+    """
 
     name: str
     arguments: dict[str, list[Member]]
     results: dict[str, list[Member]]
     scope: Scope
-    values: dict[str, list[Value]]  # of the results, element by element
-    text: str  # description
+    values: dict[str, list[Value]]
+    text: str
 
     @property
     def returned(self) -> str | None:

@@ -187,7 +187,13 @@ def _starts(plants: Plants, rows: PyTree) -> tuple[PlantState, Array]:
 
 
 def names_of(history: int) -> dict[str, str]:
-    """Elements of an observation with the last observations and the actions between them, and their units."""
+    """Elements of an observation with the last observations and the actions between them, and their units.
+
+    Examples
+    --------
+    >>> list(names_of(2))[5:9], len(names_of(100))
+    (['reference_stiffness', 'action1_before1', 'action2_before1', 'angle_before1'], 798)
+    """
     names = dict(OBSERVATION)
     for back in range(1, history):
         names |= {f"action{number}_before{back}": "1" for number in (1, 2)}

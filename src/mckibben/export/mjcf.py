@@ -236,8 +236,14 @@ def _limits(plant: PyTree, drive: Drive) -> str:
 
 
 def numbers_text(numbers: Iterable[ArrayLike | SupportsFloat]) -> str:
-    """Numbers of an attribute as text."""
-    return " ".join(repr(float(np.asarray(number)) + 0.0) for number in numbers)  # no negative zeros
+    """Numbers of an attribute as text, with all digits, and without negative zeros.
+
+    Examples
+    --------
+    >>> numbers_text((0.1, -0.0, 2))
+    '0.1 0.0 2.0'
+    """
+    return " ".join(repr(float(np.asarray(number)) + 0.0) for number in numbers)
 
 
 def beyond(offset: float) -> Callable[[PyTree, Array], Array]:
@@ -378,6 +384,13 @@ def mass_point(load: Load) -> MassPoint:
 
     With the largest torque of gravity G = m g d, the body hangs at d = G / (m g) and has the inertia J - m d^2. If only
     G and the inertia J are known, m = 2 G^2 / (J g^2), for which half of J is that of the point.
+
+    Examples
+    --------
+    >>> from mckibben.joint import GeneralLoad
+    >>> point = mass_point(GeneralLoad(inertia=0.02, greatest_gravity_torque=0.981))
+    >>> round(point.mass, 6), round(point.distance, 6), round(point.inertia, 6)
+    (1.0, 0.1, 0.01)
     """
     inertia, moment, gravity = float(load.total_inertia), float(load.gravity_moment), gravity_of(load)
     angles = np.linspace(-1, 1, 5)

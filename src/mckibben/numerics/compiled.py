@@ -29,6 +29,11 @@ def numeric(tree: PyTree) -> Any:
     """Tree with its Python and NumPy numbers as NumPy arrays (JAX's would be put on the device one by one).
 
     Booleans, texts and other leaves stay as they are: they are static in programs.
+
+    Examples
+    --------
+    >>> numeric({"pressure": 2e5, "count": 3, "law": "Chou", "fixed": True})
+    {'count': array(3), 'fixed': True, 'law': 'Chou', 'pressure': array(200000.)}
     """
 
     def convert(leaf: object) -> object:
@@ -47,6 +52,13 @@ def jit(function: Callable[P, R]) -> Callable[P, R]:
     """`equinox.filter_jit` that traces Python numbers too: a new value does not recompile.
 
     The program is kept in the user's program cache, if that is in use (`numerics.program_cache`).
+
+    Examples
+    --------
+    >>> traced = []
+    >>> double = jit(lambda x: (traced.append(x), 2 * x)[1])
+    >>> float(double(1.5)), float(double(4.0)), len(traced)
+    (3.0, 8.0, 1)
     """
     program = Program(function)
 

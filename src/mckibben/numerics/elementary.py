@@ -107,6 +107,11 @@ def exp(x: ArrayLike) -> Float[Array, "..."]:
 
     With n the integer nearest to x / ln 2, exp x = 2^n exp(x - n ln 2), the latter by a polynomial. Subnormal results
     are 0. Derivatives of any order exist. Raises `TypeError` for other precisions.
+
+    Examples
+    --------
+    >>> round(float(exp(1.0)), 12), float(exp(-800.0))
+    (2.718281828459, 0.0)
     """
     return _exp(floating(x))
 
@@ -126,6 +131,12 @@ def sincos(x: ArrayLike) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
 
     The angle [rad] is reduced to [-pi/4, pi/4] by multiples of pi/2 in two parts (Cody and Waite); the polynomials are
     those of fdlibm in 64 bits and of Cephes (S. L. Moshier) in 32.
+
+    Examples
+    --------
+    >>> sine, cosine = sincos(math.pi / 6)
+    >>> round(float(sine), 12), round(float(cosine) ** 2, 12)
+    (0.5, 0.75)
     """
     return _sincos(floating(x))
 
@@ -202,7 +213,13 @@ def _from_bits(bits: Array, dtype: DTypeLike) -> Array:
 
 
 def polynomial(x: Term, coefficients: tuple[float, ...]) -> Term:
-    """Constant term first, by Estrin's scheme: short chains, so that a single simulation gains as well."""
+    """Constant term first, by Estrin's scheme: short chains, so that a single simulation gains as well.
+
+    Examples
+    --------
+    >>> polynomial(2.0, (1.0, 3.0, 5.0))  # 1 + 3 x + 5 x^2
+    27.0
+    """
     terms: list[PyTree] = list(coefficients)
     power = x
     while len(terms) > 1:

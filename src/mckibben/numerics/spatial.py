@@ -45,7 +45,17 @@ def difference(a: Scalar, b: Scalar) -> Scalar:
 
 
 class Vector(NamedTuple):
-    """Vector in space."""
+    """Vector in space, in the axes of a body or of the ground.
+
+    Sums, differences and products with known components are known themselves.
+
+    Examples
+    --------
+    >>> X.cross(Y)
+    Vector(x=0.0, y=0.0, z=1.0)
+    >>> Vector(1.0, 2.0, 3.0).dot(Vector(4.0, 5.0, 6.0))
+    32.0
+    """
 
     x: Scalar
     y: Scalar
@@ -84,13 +94,26 @@ X, Y, Z = Vector(1.0, 0.0, 0.0), Vector(0.0, 1.0, 0.0), Vector(0.0, 0.0, 1.0)
 
 
 def unit_vector(direction: Sequence[float]) -> Vector:
-    """Return a vector of known numbers with the length 1."""
+    """Return a vector of known numbers with the length 1.
+
+    Examples
+    --------
+    >>> unit_vector((3, 0, 4))
+    Vector(x=0.6, y=0.0, z=0.8)
+    """
     length = math.hypot(*direction)
     return Vector(*(float(number) / length for number in direction))
 
 
 class Rotation(NamedTuple):
-    """Axes of a body in those around it."""
+    """Axes of a body in those around it: the columns of its rotation matrix.
+
+    Examples
+    --------
+    >>> quarter = Rotation(Y, -X, Z)  # a turn by 90 deg about z
+    >>> quarter.apply(Vector(2.0, 0.0, 0.0)) == Y.scaled(2.0), quarter.then(quarter).x == -X
+    (True, True)
+    """
 
     x: Vector
     y: Vector

@@ -135,7 +135,14 @@ def blank(width: float, height: float) -> Figure:
 
 
 def looks_of(names: Iterable[str]) -> dict[str, Look]:
-    """Colour and line style by name: those of `CONTROLLERS`, and unused ones for other names, up to 28."""
+    """Colour and line style by name: those of `CONTROLLERS`, and unused ones for other names, up to 28.
+
+    Examples
+    --------
+    >>> looks = looks_of(["PID", "mine"])
+    >>> looks["PID"]["color"] == VERMILLION, looks["mine"]["color"] == VERMILLION
+    (True, False)
+    """
     names = list(names)
     known = {name: CONTROLLERS[name] for name in names if name in CONTROLLERS}
     fixed = {name: {key: look[key] for key in ("color", "linestyle")} for name, look in known.items()}
@@ -214,7 +221,17 @@ def panels(figure: Figure | SubFigure, count: int, columns: int, **options: Any)
 def robust_limits(
     curves: Sequence[ArrayLike], *, part: float = 0.995, margin: float = 0.12, floor: float = 0.0
 ) -> tuple[float, float]:
-    """Axis limits with all but the outermost values of each curve (`part`), with a margin and a minimum range."""
+    """Axis limits with all but the outermost values of each curve (`part`), with a margin and a minimum range.
+
+    Values that are not finite do not count; without a finite value the limits are 0 and 1.
+
+    Examples
+    --------
+    >>> robust_limits([np.linspace(0, 10, 1001), [np.nan]], part=1.0, margin=0.1)
+    (-1.0, 11.0)
+    >>> robust_limits([[3.0, 3.0]], floor=2.0, margin=0.0)
+    (2.0, 4.0)
+    """
     finite = [values[np.isfinite(values)] for values in (np.asarray(c, float) for c in curves)]
     finite = [values for values in finite if values.size]
     if not finite:
@@ -247,7 +264,13 @@ def note_off_scale(
 
 
 def minus(value: float, form: str = ".1f") -> str:
-    """Format a number with a typographic minus."""
+    """Format a number with a typographic minus.
+
+    Examples
+    --------
+    >>> minus(-12.34)
+    '−12.3'
+    """
     return format(value, form).replace("-", "−")
 
 
