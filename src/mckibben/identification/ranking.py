@@ -124,9 +124,8 @@ class Ranking(Result):
 
     def of(self, law: str) -> RankedLaw:
         """Entry of a law by the name of its class; an `IdentificationError` if it was not ranked."""
-        for entry in self.entries:
-            if entry.law == law:
-                return entry
+        if entry := next((entry for entry in self.entries if entry.law == law), None):
+            return entry
         ranked = ", ".join(entry.law for entry in self.entries)
         raise IdentificationError(f"{law!r} was not ranked", value=law, remedy=f"ranked are {ranked}")
 
@@ -161,15 +160,15 @@ class Ranking(Result):
         yield from super().listings()
         fitted = [entry for entry in self.entries if entry.fit]
         least = min((entry.aicc for entry in fitted if entry.aicc == entry.aicc), default=0.0)
-        newtons = [Column("N", f"held-out {name}s", digits=3) for name in self.blocks]
         columns: dict[str, tuple[Column, list[object]]] = {
             "law": (Column(), [entry.law.removesuffix("Law") for entry in fitted]),
             "parameters": (Column(), [entry.parameters for entry in fitted]),
             "rmse": (Column("N", "RMSE", digits=3), [entry.fit.rmse for entry in fitted if entry.fit]),
         }
-        for name, mark in zip(self.blocks, newtons, strict=True):
+        for name in self.blocks:
             crosses = [entry.cross_validation.get(name) for entry in fitted]
-            columns[name] = mark, [cross.rmse if cross else math.nan for cross in crosses]
+            errors = [cross.rmse if cross else math.nan for cross in crosses]
+            columns[name] = Column("N", f"held-out {name}s", digits=3), errors
         columns["aicc"] = Column("", "AICc difference"), [entry.aicc - least for entry in fitted]
         yield Listing("laws", columns)
 

@@ -58,9 +58,7 @@ class Validation(Result):
     def of(self, law: str, *, pressure: float | None = None, direction: str | None = None) -> ErrorStatistics:
         """Errors over all points, at a pressure [Pa, within 1 kPa], or in a direction; a `RangeError` if none."""
         for e in self.errors:
-            same = e.pressure is pressure or (
-                None not in (e.pressure, pressure) and abs((e.pressure or 0.0) - (pressure or 0.0)) <= 1e3
-            )
+            same = e.pressure == pressure or (e.pressure and pressure and abs(e.pressure - pressure) <= 1e3)
             if e.law == law and e.direction == direction and same:
                 return e
         message = f"there are no errors of {law} at pressure {pressure} Pa, direction {direction}"
