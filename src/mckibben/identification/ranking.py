@@ -167,7 +167,7 @@ class Ranking(Result):
         }
         for name in self.blocks:
             crosses = [entry.cross_validation.get(name) for entry in fitted]
-            errors = [cross.rmse if cross else math.nan for cross in crosses]
+            errors: list[object] = [cross.rmse if cross else math.nan for cross in crosses]
             columns[name] = Column("N", f"held-out {name}s", digits=3), errors
         columns["aicc"] = Column("", "AICc difference"), [entry.aicc - least for entry in fitted]
         yield Listing("laws", columns)
