@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import enum
 import functools
 import operator
 import sys
@@ -129,7 +128,14 @@ class Inherited:
 
 
 def check_fields(instance: Any) -> None:
-    """Raise `RangeError` for fields of another type, and numbers outside their range; defaults and tracers pass."""
+    """Check the fields of a component against their types and ranges; defaults and tracers pass.
+
+    Raises
+    ------
+    RangeError
+        For one field of another type, or with a number outside its range: field, value, limits in SI and remedy.
+        Several such fields are listed in one error, whose field and value are those of the first.
+    """
     errors = list(_errors(instance))
     if len(errors) == 1:
         raise errors[0]
@@ -278,25 +284,19 @@ def _rows(component: Component) -> Iterator[tuple[str, str]]:
             yield field.name, printable(" ".join(repr(value).split()), _LONGEST)
 
 
-def member_of(kind: type, name: str, value: Any) -> Any:
-    """Value of a field; the member of an enumeration that a file names."""
-    hint = field_hints(kind)[name]
-    kinds = (kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and issubclass(kind, enum.Enum))
-    members = next(kinds, None)
-    return members[value.upper()] if members and isinstance(value, str) else value
-
-
 def plain(value: Any) -> Any:
     """Value of a field as the model of its class has it: a word, a number or a tuple of numbers."""
-    if isinstance(value, enum.Enum):
-        return value.name.lower()
     if hasattr(value, "ndim"):
         return tuple(np.asarray(value, float).tolist()) if value.ndim else value.item()
     return value
 
 
-def same(value: Any, default: Any) -> bool:
-    """Return whether a value is that of the default; arrays never are."""
+def same(value: object, default: object) -> bool:
+    """Return whether a value is that of the default; arrays never are.
+
+    >>> same(2, 2.0), same("2", 2), same(np.ones(2), np.ones(2))
+    (True, False, False)
+    """
     if value is default:
         return True
     if type(value) is not type(default) and not (isinstance(value, int | float) and isinstance(default, int | float)):

@@ -45,7 +45,17 @@ def check_number(owner: str, **values: object) -> None:
 
 
 def check_within(owner: str, lower: float, upper: float, unit: str = "", *, remedy: str = "", **values: object) -> None:
-    """Raise `RangeError` unless all numbers lie in a closed range."""
+    """Check that numbers, or arrays of any shape, lie in a closed range.
+
+    `lower` and `upper` have the `unit` of the values. Raises `RangeError` with the first value outside, the limits and
+    the remedy; traced values pass.
+
+        >>> check_within("Joint", 0, 1, "m", radius=0.02)
+        >>> check_within("Joint", 0, 1, "m", radius=2.0)
+        Traceback (most recent call last):
+            ...
+        mckibben.errors.RangeError: Joint: radius is 2, outside 0..1 m
+    """
     for name, value in values.items():
         numbers = known_numbers(owner, name, value, unit)
         right = (numbers >= lower) & (numbers <= upper)
@@ -63,7 +73,13 @@ def check_within(owner: str, lower: float, upper: float, unit: str = "", *, reme
 
 
 def check_count(field: str, given: int, count: int, each: str) -> None:
-    """Raise `RangeError` unless a field has one value for each of a number of things, named in words."""
+    """Raise `RangeError` unless a field has one value for each of a number of things, named in words.
+
+    >>> check_count("springs", 1, 2, "muscle")
+    Traceback (most recent call last):
+        ...
+    mckibben.errors.RangeError: 1 springs for 2; give one for each muscle
+    """
     if given != count:
         raise RangeError(f"{given} {field} for {count}", field=field, value=given, remedy=f"give one for each {each}")
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import enum
 import functools
 import inspect
 import warnings
@@ -30,7 +29,6 @@ from mckibben.component.base import (
     Units,
     field_hints,
     field_quantities,
-    member_of,
     plain,
     same,
 )
@@ -71,7 +69,10 @@ _NONE = BeforeValidator(lambda value: None if value == "none" else value)
 
 @functools.cache
 def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) -> type[Section]:  # noqa: B008
-    """Return the model of a class in files; in a `partial` one no field is required."""
+    """Return the pydantic model of a class in files; in a `partial` one no field is required.
+
+    Unit, shown unit and range of each field are those of its type in the class; `units` are those of symbolic fields.
+    """
     declared, types = declared_fields(runtime), field_types(runtime, units)
     aliases = getattr(runtime, "aliases", {})
     aliased = {name for names in aliases.values() for name in names}
@@ -150,8 +151,6 @@ def _type_in_files(hint: Any, units: Units) -> Any:
         return None
     if issubclass(hint, Component | Checked):
         return Annotated[Any, ComponentField(hint, units)]
-    if issubclass(hint, enum.Enum):
-        return Annotated[str, OneOf(tuple(member.name.lower() for member in hint))]
     return {bool: Flag, str: Title, Path: FilePath}.get(hint)
 
 
@@ -330,14 +329,14 @@ def _default_of(component: Any, name: str | None) -> Any:
 
 
 def _expanded(kind: type, fields: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a class from those of its section: one key may give several, and a word may name a member."""
+    """Fields of a class from those of its section: one key may give several."""
     for alias, names in getattr(kind, "aliases", {}).items():
         if alias in fields:
             if both := [name for name in names if name in fields]:
                 remedy = f"give {alias}, or {' and '.join(names)}"
                 fail_validation(f"has {alias} in addition to {' and '.join(both)}", remedy)
             fields |= dict.fromkeys(names, fields.pop(alias))
-    return {name: member_of(kind, name, value) for name, value in fields.items()}
+    return fields
 
 
 def build(kind: type, fields: Mapping[str, Any], scope: Scope) -> Any:
@@ -392,7 +391,11 @@ def _made(component: Any, fields: Mapping[str, Any]) -> Any:
 
 
 def inherit(component: Any, scope: Scope) -> Any:
-    """Return a component whose inherited fields, and those of its parts, are taken from a scope again."""
+    """Return a component whose inherited fields, and those of its parts, are taken from a scope again.
+
+    A study that varies a field of the plant thus varies what its parts inherit. The same object is returned if nothing
+    changes.
+    """
     if isinstance(component, tuple):
         return tuple(inherit(part, scope) for part in component)
     if not isinstance(component, Component):
@@ -421,7 +424,12 @@ def independent(component: Any) -> Any:
 
 
 def write(component: Any, field: ComponentField | None = None, *, folder: Path = Path()) -> Any:
-    """Return the section of a component, as plain data with units: what differs from the defaults of its class."""
+    """Return the section of a component in a file, as plain data with units.
+
+    It holds the fields that differ from the defaults of the class. A component that is unchanged since it was read
+    from a catalog or a file is its name or its path, relative to `folder`. Raises `McKibbenError` for a component that
+    no file can hold, such as one with a field of a type without a form in files.
+    """
     if origin := origin_of(component):
         return relative_path(Path(origin), folder) if origin.endswith(ENDINGS) else origin
     kind = type(component)
@@ -465,7 +473,24 @@ def read_component(
     context: Mapping[str, Any] | None = None,
     units: Units = Units(),  # noqa: B008
 ) -> C:
-    """Return the component of a file, or that under a key of it; ScenarioError with every problem and its line."""
+    """Return the component of a YAML file.
+
+    Parameters
+    ----------
+    base
+        Class of the component, or a base of it; the section then names the class.
+    key
+        Key of the section, if the file has it; otherwise the whole file is the section.
+    context
+        Fields around the section, from which it may inherit.
+    units
+        Units of fields whose unit depends on where the component is used.
+
+    Raises
+    ------
+    ScenarioError
+        With every problem of the file: line, field, value, range and remedy.
+    """
     text = read_text(path, f"a {base.__name__}", "docs/scenarios.md")
     return parse_component(base, text, source=str(path), folder=path.parent, key=key, context=context, units=units)
 

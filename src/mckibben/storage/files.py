@@ -61,7 +61,11 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.EOPNOTSUPP)  # errors of file sys
 
 @contextmanager
 def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a temporary file that replaces the target, complete and synced, at the end of the block, or not at all."""
+    """Yield a temporary file that replaces the target, complete and synced, at the end of the block, or not at all.
+
+    A killed process or a full disk leaves the target as it was. Raises `FileError` for an existing target unless
+    `overwrite`, and `OSError` as the file system does.
+    """
     path = Path(path)
     temporary = path.with_name(f".{uuid.uuid4().hex}.part")
     try:
@@ -130,7 +134,11 @@ _WRITE_ERRORS = {
 
 @contextmanager
 def explain_write_errors(folder: Path, kept: Callable[[], str], remedy: str) -> Iterator[None]:
-    """Raise a `FileError` that says what is kept if the disk is full or fails, or the folder has disappeared."""
+    """Turn failures of the disk into a `FileError` that says what is safe.
+
+    `kept` returns the description of the records on disk, and is called after a failure only. Other kinds of `OSError`
+    pass unchanged.
+    """
     try:
         yield
     except OSError as error:
@@ -197,7 +205,10 @@ def check_free(folder: Path, names: Iterable[str], remedy: str = _ELSEWHERE) -> 
 
 @contextmanager
 def file_lock(path: Path, task: str) -> Iterator[None]:
-    """Hold a lock on a file, released at the end or if the process dies; other processes' errors name `task`."""
+    """Hold a lock on a file, released at the end or if the process dies; other processes' errors name `task`.
+
+    Raises `FileError` if another process holds it, or if the file cannot be written.
+    """
     try:
         file = _lock(path, task)
     except OSError as error:

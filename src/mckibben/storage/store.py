@@ -145,7 +145,11 @@ class Store:
 
 
 class Job:
-    """Records of a job by number; `numbers` are those of the intact ones."""
+    """Records of a job by number; `numbers` are those of the intact ones.
+
+    Each record has a checksum over its number, the settings of the job and its content, so that one that is damaged, or
+    belongs to another job, is computed again with a warning.
+    """
 
     def __init__(self, store: Store, name: str, about: Mapping[str, Any]) -> None:
         self.about = dict(about)
