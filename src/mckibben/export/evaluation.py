@@ -29,6 +29,18 @@ def evaluate(
         Functions of numbers, symbols or texts by the name of their operation, and ``select``.
     inputs
         Values by the names of inputs, such as ``angle`` or ``pressures[0]``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from mckibben.codegen.graph import FOLDED
+    >>> module = SourceModule("spring", {"stiffness": np.array(40.0)})
+    >>> module.add("force", "force [N]", lambda p, x: {"force": -p["stiffness"] * x}, {"x": np.array(0.0)})
+    >>> evaluate(module, module.functions[0], FOLDED, {"x": 0.5})
+    {'force': [-20.0]}
+    >>> text = {"mul": "({} * {})".format, "neg": "-{}".format}
+    >>> evaluate(module, module.functions[0], text, {"x": "x", "parameters.stiffness": "k"})
+    {'force': ['(-k * x)']}
     """
     results = [value for values in function.values.values() for value in values]
     evaluation = _Evaluation(operations, _defaults(module) | dict(inputs), needed(results))

@@ -14,16 +14,30 @@ from mckibben.errors import ExportError
 
 @dataclass(frozen=True)
 class FunctionalUnit:
-    """Program of an FMU, with functions `evaluate` and possibly `init`, `differentiate`, `advance` and `project`."""
+    """Program of an FMU, with functions `evaluate` and possibly `init`, `differentiate`, `advance` and `project`.
+
+    Attributes
+    ----------
+    longest
+        Longest step [s] of `advance`; a communication step is a whole number of them if `sampled`.
+    start
+        Start values by the path of a state or input.
+    units
+        Units of the variables by structure and path, such as ``state.angle``.
+    names
+        Names of states that replace their paths.
+    fixed
+        Paths of parameters that the FMU does not expose.
+    """
 
     module: SourceModule
     title: str
-    longest: float  # step [s] of `advance`
-    start: Mapping[str, float]  # by path of a state or input
-    units: Mapping[str, str]  # of variables, by structure and path
-    names: Mapping[str, str] = field(default_factory=dict)  # of states, instead of their paths
-    fixed: tuple[str, ...] = ()  # parameters not exposed by the FMU
-    sampled: bool = False  # whether a step is a whole number of periods `longest`
+    longest: float
+    start: Mapping[str, float]
+    units: Mapping[str, str]
+    names: Mapping[str, str] = field(default_factory=dict)
+    fixed: tuple[str, ...] = ()
+    sampled: bool = False
     model_exchange: bool = False
 
 
@@ -94,6 +108,12 @@ def _elements(module: SourceModule, structure: str, members: Sequence[Member]) -
 
 
 def _named(path: str, number: int | None) -> str:
-    """Structured name from a path, such as muscles[1].creep[1]."""
+    """Structured name from a path, counted from 1.
+
+    Examples
+    --------
+    >>> _named("muscles.0.creep", 1)
+    'muscles[1].creep[2]'
+    """
     text = path if number is None else f"{path}.{number}"
     return re.sub(r"\.(\d+)", lambda match: f"[{int(match[1]) + 1}]", text)

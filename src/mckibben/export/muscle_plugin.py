@@ -31,9 +31,18 @@ class Activations(NamedTuple):
 
 
 class PluginMuscle(NamedTuple):
-    """Numbers of activations and anchors, whether they slip, and whether MuJoCo's own filter models the valve.
+    """State of a muscle in MuJoCo.
 
-    With `pressurized`, the last activation is the pressure.
+    Attributes
+    ----------
+    activations, anchors
+        Numbers of activations, which MuJoCo integrates, and of anchors of friction elements, which the plugin holds.
+    slips
+        Whether friction or creep slip after each step.
+    filtered
+        Whether MuJoCo's own filter models the valve.
+    pressurized
+        Whether the last activation is the pressure [Pa].
     """
 
     activations: int
