@@ -181,7 +181,9 @@ def semi_implicit(
 def evenly_spaced(count: int, most: int) -> NDArray[np.int_]:
     """Indices of at most `most` of `count` samples, in equal distances from the first to the last.
 
-    >>> evenly_spaced(11, 3)
-    array([ 0,  5, 10])
+    Examples
+    --------
+    >>> evenly_spaced(11, 3), evenly_spaced(3, 11), evenly_spaced(1, 4)
+    (array([ 0,  5, 10]), array([0, 1, 2]), array([0]))
     """
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int))
