@@ -17,16 +17,16 @@ Progress: TypeAlias = Callable[[str, float], None]
 stop_check: ContextVar[Callable[[], None]] = ContextVar("stop_check", default=lambda: None)
 """Called at each evaluation of a fit in this thread; raises to interrupt it from outside."""
 
-_PERIOD = 0.2  # s between updates of the bar
-_LONGEST = 120  # characters of a value
-
 
 def silent(step: str, part: float) -> None:
     """Progress callback of a computation within another."""
 
 
-def notebook_progress() -> Progress | None:
-    """Progress bar below the running cell of a notebook, removed at the end; None outside of a notebook."""
+def notebook_progress(*, interval: float = 0.2, longest: int = 120) -> Progress | None:
+    """Return a progress bar below the running cell of a notebook, removed at the end; None outside of a notebook.
+
+    It is updated once per `interval` [s] at most, and shows up to `longest` characters of the current step.
+    """
     python = sys.modules.get("IPython")
     if python is None or not hasattr(python.get_ipython(), "kernel"):
         return None
@@ -38,10 +38,10 @@ def notebook_progress() -> Progress | None:
     def update(step: str, part: float) -> None:
         nonlocal last
         now = time.monotonic()
-        if part < 1 and now < last + _PERIOD:
+        if part < 1 and now < last + interval:
             return
         last = now
-        bar = f"<progress max='1' value='{part:.3f}'></progress> {part:.0%} {escape(printable(step, _LONGEST))}"
+        bar = f"<progress max='1' value='{part:.3f}'></progress> {part:.0%} {escape(printable(step, longest))}"
         shown.update(HTML(bar if part < 1 else ""))
 
     return update

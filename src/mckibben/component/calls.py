@@ -23,7 +23,7 @@ from mckibben.errors import CallError, McKibbenError, described, suggest, with_a
 
 P = ParamSpec("P")
 R = TypeVar("R")
-Arguments = tuple[tuple[Any, ...], Mapping[str, Any]]
+Arguments = tuple[tuple[object, ...], Mapping[str, object]]
 """Arguments of a call by position, and by name."""
 
 _CERTAIN = NoneType, str, Mapping, os.PathLike  # classes for which nothing else stands in
@@ -60,7 +60,7 @@ class CheckedCalls(ABCMeta):
         whole = inspect.signature(cls.__init__)
         return whole.replace(parameters=list(whole.parameters.values())[1:])
 
-    def __call__(cls, *args: Any, **named: Any) -> Any:
+    def __call__(cls, *args: object, **named: object) -> Any:
         try:
             return super().__call__(*args, **named)
         except TypeError as error:
@@ -103,7 +103,7 @@ class _Parameters(NamedTuple):
         needed = [parameter.name for parameter in named if parameter.default is parameter.empty]
         return cls([parameter.name for parameter in named], places, needed)
 
-    def suggest(self, unknown: str, named: Mapping[str, Any]) -> str:
+    def suggest(self, unknown: str, named: Mapping[str, object]) -> str:
         """Return the remedy for an unknown name: the one in Python of an option, or the closest that is not given."""
         if (option := _OPTIONS.get(unknown, "")) and option.partition("=")[0] in self.names:
             return f"write {option}"
@@ -137,7 +137,7 @@ def _unbound(
     return CallError(text, field="".join(missing[:1]), remedy=write)
 
 
-def _items(name: str, value: Any, hints: list[Any]) -> Iterator[tuple[str, Any, list[Any]]]:
+def _items(name: str, value: object, hints: list[object]) -> Iterator[tuple[str, object, list[object]]]:
     """An argument and each item of a list or mapping: its name, its value and the types that it may have."""
     yield name, value, hints
     if isinstance(value, list | tuple | dict):
@@ -147,7 +147,7 @@ def _items(name: str, value: Any, hints: list[Any]) -> Iterator[tuple[str, Any, 
             yield f"{name}[{place!r}]", item, inner
 
 
-def _remedy(value: object, kinds: list[type], others: list[Any]) -> str:
+def _remedy(value: object, kinds: list[type], others: list[object]) -> str:
     """Remedy for an argument of the wrong type."""
     if kinds == [Mapping]:
         return "give values by name, such as {'name': value}"
@@ -176,7 +176,7 @@ def _hint(function: Callable[..., Any], name: str) -> Any:
     return Any
 
 
-def _alternatives(hint: Any) -> Iterator[Any]:
+def _alternatives(hint: object) -> Iterator[object]:
     """Alternatives of a type."""
     origin = get_origin(hint)
     if origin in (Union, UnionType, Annotated):

@@ -144,7 +144,7 @@ class Keyed:
         return {name: inner[shorthand] if list(inner) == [shorthand] else inner}
 
 
-def short_key(written: Any, section: Any) -> tuple[str, ...]:
+def short_key(written: object, section: object) -> tuple[str, ...]:
     """Return the key of a section or value below the name of its class, as in ``move: 10 %``; none of another form."""
     named = isinstance(written, dict) and isinstance(section, dict) and list(written) == [section.get("class")]
     return tuple(written) if named else ()

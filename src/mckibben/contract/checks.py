@@ -15,9 +15,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.extend.core import jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.component.base import Component, Units, field_hints, field_quantities
@@ -255,9 +256,9 @@ def _check_units(kind: type) -> None:
             raise _BrokenError(f"{name} is in {mark.unit}", f"fields are in SI: Quantity('SI unit', '{mark.unit}')")
 
 
-def _has_bare_float(hint: Any) -> bool:
+def _has_bare_float(hint: object) -> bool:
     """Whether a type contains a float without a unit."""
-    if get_origin(hint) is Annotated and any(isinstance(mark, Quantity | BoundedInt) for mark in hint.__metadata__):
+    if get_origin(hint) is Annotated and any(isinstance(mark, Quantity | BoundedInt) for mark in get_args(hint)[1:]):
         return False
     return hint is float or any(_has_bare_float(part) for part in get_args(hint))
 
@@ -315,7 +316,7 @@ class _Sampled:
         sides = [self._middle[:, None] + sign * _STEP * moves for sign in (1, -1)]
         self._points = np.concatenate([self.points, self._middle, *(x.reshape(-1, len(self.scales)) for x in sides)])
 
-    def __call__(self, point: Any) -> Any:
+    def __call__(self, point: Array) -> Array:
         """Results, flat."""
         count = len(self.ranges)
         component = eqx.combine(self._restore(point[count:]), self._rest)
@@ -330,7 +331,7 @@ class _Sampled:
         """The evaluation of a sample as it is traced first; batches and derivatives are made of it."""
         return self._trace()
 
-    def _traced(self, point: Any) -> Any:
+    def _traced(self, point: Array) -> Array:
         return jaxpr_as_fun(self._single.jaxpr)(point)[0]
 
     @functools.cached_property
@@ -366,7 +367,7 @@ class _Sampled:
                 raise _BrokenError("an array of arguments does not give an array of results", "use jax.numpy")
             self._compare(self.values, np.stack(leaves, axis=1), "of an array of arguments")
 
-    def _compare(self, values: Any, single: Any, where: str) -> None:
+    def _compare(self, values: ArrayLike, single: ArrayLike, where: str) -> None:
         if (pair := _difference(values, single, self.values)) is not None:
             text = f"the result {where} is {pair[0]:.6g}, that of a single evaluation {pair[1]:.6g}"
             raise _BrokenError(text, "the result must not depend on other samples or on their number")
@@ -409,7 +410,7 @@ class _Sampled:
             )
             raise _BrokenError(text, "use operations of jax.numpy that have derivatives, no stop_gradient or rounding")
 
-    def _in_reverse(self, points: NDArray[np.float64]) -> Any:
+    def _in_reverse(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Jacobians by reverse mode; where C can be compiled, in a fifth of XLA's time for large programs."""
         pulled = NativeFunction(lambda x, _: jax.vjp(self._traced, x[0])[1](x[1])[0], ("-O0",))
         try:
@@ -441,7 +442,7 @@ class _Sampled:
             raise _BrokenError(f"emitted C gives {pair[0]:.6g}, JAX {pair[1]:.6g}", "report it, with the class")
 
 
-def _text(program: Any) -> tuple[Any, ...]:
+def _text(program: Any) -> tuple[str | bytes, ...]:
     """Equations of a traced function, and its constants."""
     return _ADDRESS.sub("", str(program.jaxpr)), *(np.asarray(constant).tobytes() for constant in program.consts)
 
@@ -451,7 +452,7 @@ def _compiled(function: Callable[[Any], Any], points: NDArray[np.float64]) -> Ca
     return jax.jit(function).lower(points).compile(compiler_options=_COMPILER)
 
 
-def _apply(shared: Any, _: Any) -> Any:
+def _apply(shared: tuple[Any, ...], _: object) -> Any:
     function, component, *arguments = shared
     return function(component, *arguments)
 
@@ -470,7 +471,7 @@ def _sizes(values: NDArray[np.float64], rounding: float) -> NDArray[np.float64]:
     return np.maximum(sizes, rounding * sizes.max(initial=0.0))
 
 
-def _difference(results: Any, others: Any, values: NDArray[np.float64]) -> tuple[float, float] | None:
+def _difference(results: ArrayLike, others: ArrayLike, values: NDArray[np.float64]) -> tuple[float, float] | None:
     """First two results that differ by more than rounding, for the sizes of all `values`; None if there are none."""
     results, others = np.broadcast_arrays(np.asarray(results, float), np.asarray(others, float))
     allowed = _EQUAL * _sizes(values, _ROUNDING / _EQUAL)

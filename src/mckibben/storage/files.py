@@ -278,12 +278,12 @@ def json_ready(value: Any) -> Any:
     return value
 
 
-def to_json(value: Any) -> str:
+def to_json(value: object) -> str:
     """Indented JSON."""
     return json.dumps(json_ready(value), indent=2, allow_nan=False)
 
 
-def write_json(path: Path, value: Any) -> None:
+def write_json(path: Path, value: object) -> None:
     """Write JSON atomically."""
     text = to_json(value)
     with atomic_write(path, overwrite=True) as part:
