@@ -10,8 +10,9 @@ import numpy as np
 from mckibben.dataset.raw import Floats
 from mckibben.dataset.vocabulary import Header
 
-_EPOCHS = ((1.0, 0.9e9, 4.2e9), (1e-3, 0.9e12, 4.2e12), (1e-6, 0.9e15, 4.2e15), (1e-9, 0.9e18, 4.2e18))
-"""Unit [s] of the numbers of an epoch since 1970, and their range from 1998 to 2103."""
+_EPOCH = 0.9e9, 4.2e9  # s since 1970: from 1998 to 2103
+_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+"""Units [s] in which loggers count an epoch."""
 _TIME = re.compile(r"(\d{1,2}):(\d\d):(\d\d)(?:[.,:](\d{1,9}))?(?:\s*([AaPp])[Mm])?")
 _DATE = re.compile(r"(\d{1,4})[-./](\d{1,2})[-./](\d{1,4})")
 
@@ -29,10 +30,11 @@ def seconds_of(header: Header, cells: Floats | Sequence[str]) -> Floats | None:
     if isinstance(cells, np.ndarray):
         if not len(cells) or not np.isfinite(cells).all():
             return None
-        unit = next((scale for scale, low, high in _EPOCHS if low < cells.min() and cells.max() < high), None)
-        if unit is not None and header.unit in ("", "s", "ns", "ms", "us"):
+        low, high = _EPOCH
+        unit = next((unit for unit in _UNITS.values() if low < cells.min() * unit and cells.max() * unit < high), None)
+        if unit is not None and header.unit in ("", *_UNITS):
             return (cells - cells[0]) * unit
-        scale = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0}.get(header.unit)
+        scale = {**_UNITS, "min": 60.0}.get(header.unit)
         return None if scale is None else cells * scale
     return _of_stamps(cells)
 
