@@ -42,7 +42,7 @@ def real_time(tool, folder):
         ("stiffness", stiffness_errors, 0),
         ("left_out", left_out_points, 4),
         ("foreign_lab", foreign_files, 0),
-        ("realtime", real_time, 5),
+        ("real_time", real_time, 5),
     ],
 )
 def test_a_study_prints_its_table(monkeypatch, tmp_path, capsys, name, run, rows):

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 import pytest
 
-from mckibben.actuator import IdealValve, UnequalValves
+from mckibben.actuator import IdealValve
 from mckibben.errors import ScenarioError
 from mckibben.plant import PerfectSensors
 from mckibben.study.compare import NOMINAL_JOINT, Suite, draw
@@ -53,16 +53,6 @@ def test_what_a_suite_says_comes_back(suite, tmp_path):
     assert len(example.references) == 5
     assert example.evaluation.runs >= 500
     assert Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG)).valve == IdealValve()
-
-
-@pytest.mark.slow
-def test_the_suite_of_a_lab_has_every_setup_of_valves_with_tubes_and_a_common_supply():
-    plain, lab = (Suite.read(ROOT / "examples" / "comparison" / f"{name}.yaml") for name in ("valves", "lab"))
-    assert set(lab.setups) == set(plain.setups) and lab.controllers == plain.controllers
-    for name, setup in lab.setups.items():
-        assert isinstance(setup.valve, UnequalValves) and setup.valve.reservoir is not None
-        assert setup.valve.muscle1.valve.supply == plain.setups[name].valve.supply
-        assert draw(lab.of_setup(name), 8, 1).count == 8
 
 
 def test_the_delay_of_the_commands_is_a_condition():

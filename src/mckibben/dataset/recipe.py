@@ -71,7 +71,7 @@ class Recipe(DocumentModel):
     --------
     >>> recipe = Recipe(columns={"Weg [mm]": "shortening_mm"}, initial_length=0.3, accept=["words"])
     >>> print(recipe.dumps())
-    columns: {"Weg [mm]": shortening_mm}
+    columns: {'Weg [mm]': shortening_mm}
     initial_length: 300 mm
     accept: [words]
     <BLANKLINE>

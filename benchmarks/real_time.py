@@ -1,6 +1,6 @@
 """Control in real time: the table of docs/joint-rig.md.
 
-    python benchmarks/realtime.py [--duration 60] [--period 1] [--ordinary]
+    python benchmarks/real_time.py [--duration 60] [--period 1] [--ordinary]
 
 The knee of examples/, simulated in real time, under PID and under decoupling control, recorded to disk as `mckibben rig
 control` does. It prints how many deadlines were missed, how late samples were taken and commands given, and beside it
