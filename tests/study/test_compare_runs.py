@@ -116,15 +116,6 @@ def test_a_run_of_the_arrays_is_that_of_its_scenario(runs):
         assert scenario.start.angle == pytest.approx(float(reference.angle(0.0)), abs=1e-15)
 
 
-def test_a_run_in_which_nothing_differs_is_the_scenario_as_it_stands(suite):
-    reference = suite.references["both move"].model_copy(update={"over": ()})
-    bare = suite.model_copy(
-        update={"sensors": PerfectSensors(), "conditions": (), "references": {"both move": reference}}
-    )
-    drawn = draw(bare, 4, 1)
-    assert drawn.scenario("PID 3", 2) == bare.scenario("PID 3", "both move", drawn.joint[2])
-
-
 @pytest.mark.slow
 def test_any_signal_is_a_reference(tmp_path):
     """Each run has what its scenario says: other random steps for another seed, ramps, samples, single sines."""

@@ -12,7 +12,7 @@ from mckibben.actuator import IdealValve
 from mckibben.errors import ScenarioError
 from mckibben.plant import PerfectSensors
 from mckibben.study.compare import NOMINAL_JOINT, Suite, draw
-from mckibben.units import deg, ms
+from mckibben.units import ms
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "tests" / "small-suite.yaml").read_text(encoding="utf-8")
@@ -63,12 +63,6 @@ def test_the_delay_of_the_commands_is_a_condition():
     assert Suite.parse(TEXT + "command_delay: 5 ms\n").example().plant().command_delay == 5 * ms
 
 
-def test_a_run_starts_at_rest_where_its_reference_begins(suite):
-    starts = {reference: suite.scenario("PID 3", reference).start for reference in REFERENCES}
-    assert [start.angle for start in starts.values()] == pytest.approx([5 * deg, 0.0, 1 * deg], abs=1e-15)
-    assert {start.stiffness for start in starts.values()} == {None}
-
-
 @pytest.mark.parametrize("controller", ["PID 3", "decoupling"])
 def test_controllers_believe_in_the_suites_own_plant(suite, controller):
     """In whatever plant a run has; and two plants whose numbers all differ have the same controller."""
@@ -87,17 +81,6 @@ def test_controllers_believe_in_the_suites_own_plant(suite, controller):
         control = heavy.control()
         assert float(control.load.mass2) == float(own.plant().load.mass2) == 0.5
         assert float(control.valve.time_constant) == 0.02
-
-
-def test_what_a_controller_says_it_believes_is_kept():
-    text = changed(
-        ("feedback: {bandwidth: 40 rad/s}", "feedback: {bandwidth: 40 rad/s}\n    valve: {time_constant: 33 ms}")
-    )
-    control = Suite.parse(text).scenario("decoupling", "angle step").control()
-    assert float(control.valve.time_constant) == 0.033
-    assert float(control.load.mass2) == 0.5
-    ideal = Suite.parse(changed(("valve: {time_constant: 20 ms}", "valve: ideal"), *WITHOUT_LAG))
-    assert isinstance(ideal.scenario("decoupling", "angle step").control().valve, IdealValve)
 
 
 def test_what_is_tuned(suite):

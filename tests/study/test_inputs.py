@@ -3,8 +3,7 @@
 import pytest
 
 from mckibben import catalog
-from mckibben.dataset import Recipe
-from mckibben.errors import FileError, McKibbenError, NotInCatalogError
+from mckibben.errors import FileError, NotInCatalogError
 from mckibben.identification import identify
 from mckibben.muscle import ChouLaw, ExponentialLaw, ThresholdLaw
 from mckibben.study.inputs import data_named, law_named, law_type_named
@@ -29,11 +28,6 @@ def test_a_name_of_no_dataset_names_those_there_are(tmp_path, monkeypatch, name,
     with pytest.raises(NotInCatalogError) as caught:
         data_named(name)
     assert caught.value.value == name and named in caught.value.remedy
-
-
-def test_data_that_is_neither_is_an_error(tmp_path):
-    with pytest.raises(FileError, match="nowhere"):
-        data_named(str(tmp_path / "nowhere.csv"))
 
 
 def test_a_law_by_name_of_a_specimen_and_of_a_fit_file(tmp_path):
@@ -80,22 +74,3 @@ def test_no_other_kind_is_guessed(name):
     with pytest.raises(NotInCatalogError, match=r"chou|exponential") as caught:
         law_type_named(name)
     assert caught.value.value == name
-
-
-def test_a_misspelt_law_has_a_suggestion():
-    with pytest.raises(NotInCatalogError, match="did you mean 'tondu-lopez'"):
-        law_type_named("Tondu-Lopes")
-
-
-def test_options_are_followed_or_refused_for_catalog_entries_too():
-    try:
-        found = data_named("festo-tool-10mm", Recipe(slack_force=100.0))
-    except McKibbenError:
-        return
-    assert found.taut.force.min() > 100.0
-
-
-def test_a_folder_of_the_name_of_a_law_is_no_fit_file(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "lei-mas-10-180n").mkdir()
-    assert isinstance(law_named("lei-mas-10-180n"), ExponentialLaw)

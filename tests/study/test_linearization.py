@@ -35,11 +35,6 @@ def test_a_time_outside_the_run_is_refused(scenario, time):
     assert (caught.value.field, caught.value.lower, caught.value.upper) == ("time", 0.0, scenario.duration)
 
 
-def test_the_time_is_that_of_the_control_period(scenario):
-    assert mk.linearize(scenario, 0.2503).time == pytest.approx(0.25, abs=1e-12)
-    assert mk.linearize(scenario, scenario.duration).time == pytest.approx(0.5 - PERIOD, abs=1e-12)
-
-
 def entry(system, row, column):
     return system.a[system.states.index(row), system.states.index(column)]
 
@@ -141,10 +136,3 @@ def test_python_control_has_the_same_system(opened):
     z = np.exp(1j * 2 * np.pi * 3.0 * PERIOD)
     by_hand = opened.c @ np.linalg.solve(z * np.eye(len(opened.states)) - opened.a, opened.b) + opened.d
     np.testing.assert_allclose(control.evalfr(system, z), by_hand, rtol=1e-6)
-
-
-def test_without_python_control_the_remedy_is_said(opened, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "control", None)
-    with pytest.raises(ParameterError) as caught:
-        opened.to_control()
-    assert caught.value.remedy

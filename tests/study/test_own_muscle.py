@@ -4,7 +4,6 @@ import re
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 import mckibben as mk
@@ -104,41 +103,6 @@ def test_a_mistake_in_a_muscle_file_names_both_files(tmp_path, text, said):
     assert "muscle.yaml: line" in found.message and said in found.message
 
 
-@pytest.mark.parametrize(
-    ("load", "inertia", "moment", "damping"),
-    [
-        ("{class: pendulum, mass: 0.3 kg, length: 250 mm}", 0.3 * 0.25**2, 0.3 * 0.25 * 9.81, 0.0),
-        (
-            "{class: general, inertia: 0.02 kg*m^2, greatest_gravity_torque: 0.7 N*m, damping: 0.1 N*m*s/rad}",
-            0.02,
-            0.7,
-            0.1,
-        ),
-    ],
-)
-def test_loads(load, inertia, moment, damping, tmp_path):
-    scenario = read(load=f"load: {load}")
-    built = scenario.plant().load
-    assert (float(built.total_inertia), float(built.gravity_moment)) == pytest.approx((inertia, moment))
-    angle, velocity, torque = 0.4, 0.3, 1.2
-    by_hand = (torque - moment * np.sin(angle) - damping * velocity) / inertia
-    assert float(built.acceleration(angle, velocity, torque)) == pytest.approx(by_hand)
-    assert float(built.required_torque(angle, velocity, by_hand)) == pytest.approx(torque)
-    scenario.to_yaml(tmp_path / "kept.yaml")
-    assert Scenario.read(tmp_path / "kept.yaml") == scenario
-
-
-def test_adaptation_of_a_load_without_a_mass():
-    text = TEXT[: TEXT.index("controller:")] + TEXT[TEXT.index("reference:") :]
-    text += "controller: {class: decoupling, feedback: {bandwidth: 40 rad/s}, adaptation: {mass_spread: 0.2 kg}}\n"
-    Scenario.parse(text, folder=FOLDER).control()
-    general = text.replace(LOAD, "load: {class: general, inertia: 0.02 kg*m^2, greatest_gravity_torque: 1 N*m}")
-    with pytest.raises(ScenarioError) as caught:
-        Scenario.parse(general, folder=FOLDER)
-    (found,) = caught.value.problems
-    assert found.field.startswith("controller") and "mass_spread" in found.remedy
-
-
 RIG = """
 name: own test
 muscle: fit/muscle.yaml
@@ -176,15 +140,6 @@ def test_a_muscle_file_is_written_from_what_is_known(tmp_path):
     assert any(line.startswith("#") and "presliding_length" in line for line in guessed.splitlines())
     assert "specimen: DMSP-10-250" in muscle_text(law, specimen="DMSP-10-250", initial_length=None)
     assert muscle_text(law, specimen="mine", initial_length=None) == ""
-
-
-@pytest.mark.slow
-def test_a_muscle_without_a_volume_runs():
-    scenario = read("{specimen: {name: x, initial_length: 300 mm}, law: fit/fit.yaml}")
-    short = scenario.model_copy(update={"duration": 0.05})
-    result = mk.simulate(short.plant(), short.control(), short.reference(), duration=0.05, control_period=1e-3)
-    assert not result.outcome.failed
-    assert np.isnan(result.metrics["air"]) and result.metrics["force_max"] > 0
 
 
 def test_a_valve_with_air_needs_the_volume_of_the_muscle():

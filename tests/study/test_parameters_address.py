@@ -95,19 +95,6 @@ def test_every_listed_name_finds_itself_and_nominal_values_are_allowed(scenario)
 
 
 @pytest.mark.parametrize(
-    ("scenario", "spelling", "name"),
-    [
-        (PID, "position.kp", "controller.position.kp"),
-        (PID, "mass1", "load.mass1"),
-        (PRINTED, "reference.stiffness.value", "reference.stiffness"),
-        (PID, " load.mass2 ", "load.mass2"),
-    ],
-)
-def test_other_spellings(scenario, spelling, name):
-    assert find_parameter(scenario, spelling).name == name
-
-
-@pytest.mark.parametrize(
     ("name", "why"),
     [
         ("duration", "one number for all runs"),
@@ -131,21 +118,6 @@ def test_what_is_refused_says_why_and_what_to_do(name, why):
     assert caught.value.remedy
 
 
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        ("valve.time_constant", "valve, of class ideal"),
-        ("reference.angle.amplitudes", "a list"),
-        ("kp", "end of several names"),
-        ("controller.model.tendon.travel", "tendon, of class rigid"),
-        ("controller.position.seed", "of class pid"),
-    ],
-)
-def test_what_is_refused_in_another_scenario(full, name, why):
-    with pytest.raises(ParameterError, match=why):
-        find_parameter(full, name)
-
-
 def test_an_item_of_a_list_of_sines_is_a_parameter(full):
     found = find_parameter(full, "reference.angle.amplitudes.1")
     assert found.name == "reference.angle.amplitudes.1"
@@ -156,11 +128,6 @@ def test_an_item_of_a_list_of_sines_is_a_parameter(full):
     with pytest.raises(ParameterError) as caught:
         find_parameter(full, "reference.angle.amplitudes.2")
     assert "reference.angle.amplitudes.0" in caught.value.remedy
-
-
-def test_a_name_like_no_other_is_answered_with_the_way_to_all():
-    with pytest.raises(ParameterError, match=r"'xyzzy'; .*--list"):
-        find_parameter(PID, "xyzzy")
 
 
 def test_one_number_by_two_spellings_is_an_error():

@@ -50,13 +50,6 @@ def test_the_first_rows_do_not_depend_on_how_many_follow(samples, more, seed, ki
     assert same(short, {name: column[:samples] for name, column in long.items()})
 
 
-@pytest.mark.parametrize("kind", ["sobol", "random"])
-def test_a_seed_is_a_table_and_another_seed_another(kind):
-    assert same(sample(MIXED, kind, 50, seed=1), sample(MIXED, kind, 50, seed=1))
-    assert not same(sample(MIXED, kind, 50, seed=1), sample(MIXED, kind, 50, seed=2))
-    assert not same(sample(MIXED, "sobol", 50, seed=1), sample(MIXED, "random", 50, seed=1))
-
-
 def test_a_sobol_table_puts_one_row_into_each_of_as_many_slices():
     table = sample(MIXED, "sobol", 256, seed=5)
     for each in MIXED[:2]:
@@ -64,15 +57,6 @@ def test_a_sobol_table_puts_one_row_into_each_of_as_many_slices():
         assert sorted(slices) == list(range(256))
     counts = np.unique(table["load.distance2"], return_counts=True)[1]
     assert np.all(np.abs(counts - 256 / 3) < 2)
-
-
-def test_random_columns_do_not_depend_on_each_other():
-    table = sample(MIXED[:2], "random", 20_000, seed=1)
-    columns = [each.distribution.quantile(table[each.name]) for each in MIXED[:2]]
-    assert abs(np.corrcoef(columns)[0, 1]) < 0.03
-    for column in columns:
-        assert column.mean() == pytest.approx(0.5, abs=0.01)
-        assert column.std() == pytest.approx(12**-0.5, abs=0.01)
 
 
 def test_a_grid_is_every_combination_the_last_number_fastest():

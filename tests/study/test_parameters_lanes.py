@@ -1,17 +1,14 @@
 """Scenarios with other numbers, one or many: nothing that a file may not say comes through."""
 
-import functools
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from mckibben.component.schema import parse_component, replaced
 from mckibben.control import Controller
-from mckibben.errors import ParameterError, RangeError, ScenarioError
+from mckibben.errors import ParameterError
 from mckibben.scenario import (
     Scenario,
     batched,
@@ -219,65 +216,3 @@ def test_tables_that_are_none_are_refused(table, why):
     for take in (batched, valid_rows):
         with pytest.raises(ParameterError, match=why):
             take(BACKPROP, table)
-
-
-VARIED = {
-    "joint": ["joint.geometry.joint_length", "joint.geometry.joint_radius", "joint.geometry.connector_length"],
-    "load": ["load.mass1", "load.mass2", "load.distance2", "load.inertia", "load.hanging_angle"],
-    "gains": [f"controller.position.base.{gain}" for gain in ("kp", "ki", "kd")],
-    "network": ["controller.stiffness.base.ki", "controller.stiffness.base.kd", "controller.stiffness.momentum"],
-    "several": ["joint.geometry.connector_length", "controller.position.base.kd", "valve.time_constant"],
-}
-
-
-found = functools.cache(lambda name: find_parameter(BACKPROP, name))
-
-
-@pytest.mark.slow
-@settings(max_examples=15)
-@given(st.data())
-def test_no_row_comes_through_that_a_file_could_not_say(data):
-    """Against the plain way: write each row into a scenario, dump it, read it, build it."""
-    names = VARIED[data.draw(st.sampled_from(sorted(VARIED)))]
-    rows = data.draw(st.integers(1, 30))
-    generator = np.random.default_rng(data.draw(st.integers(0, 2**32)))
-    table = {}
-    for name in names:
-        address = found(name)
-        scale = 4 * (address.nominal or 1.0) if address.unit != "1" else 1.0
-        lowest = max(float(address.lower), -scale)
-        choice = lowest + (min(scale, float(address.upper)) - lowest) * generator.random(rows)
-        column = np.where(generator.random(rows) < 0.3, 0.0, choice)
-        table[name] = np.where(address.holds(column), column, address.nominal)
-    mask = valid_rows(BACKPROP, table)
-    for row in range(rows):
-        assert mask[row] == plainly_allowed({name: column[row].item() for name, column in table.items()})
-    if mask.all():
-        batched(BACKPROP, table)
-    else:
-        with pytest.raises(ParameterError, match=f"row {np.argmin(mask)}: " if rows > 1 else "with "):
-            batched(BACKPROP, table)
-
-
-def plainly_allowed(values):
-    data = BACKPROP.model_dump(mode="json", by_alias=True)
-    data["load"] = {"from": "knee-table-2"}
-    data["joint"]["geometry"] = {"from": "knee-table-2"}
-    for name, value in values.items():
-        address = found(name)
-        inner = data
-        *path, last = address.name.split(".")
-        for key in path:
-            inner = inner[key]
-        inner[last] = address.write(value)
-    try:
-        built(Scenario.model_validate(_without_none(data)))
-    except (ValueError, RangeError, ScenarioError):
-        return False
-    return True
-
-
-def _without_none(data):
-    if isinstance(data, dict):
-        return {key: _without_none(value) for key, value in data.items() if value is not None}
-    return data

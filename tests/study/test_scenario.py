@@ -116,17 +116,6 @@ def test_the_parts_are_those_of_the_text():
     assert Scenario.parse(scenario.dumps()) == scenario
 
 
-def test_the_controllers_model_is_another_object_than_the_plants():
-    scenario = Scenario.parse(BASE)
-    assert scenario.control().model is not scenario.plant().joint
-
-
-def test_units_of_the_same_kind_are_the_same_scenario():
-    other = changed("1 ms", "0.001 s")
-    other = changed("0.08 bar/(N*m/rad)", "8 kPa/(N*m/rad)", other)
-    assert Scenario.parse(other) == Scenario.parse(BASE)
-
-
 def test_short_forms():
     load = Scenario.parse(changed("load: knee-table-2  ", "load: {from: knee-table-2}  "))
     assert load == Scenario.parse(BASE)
@@ -204,21 +193,13 @@ def test_three_mistakes_are_three_problems_with_lines():
     [
         ("208 mm", "208", "joint.geometry.connector_length", "'208' has no unit; write it like '208 mm'"),
         ("duration: 10 s", "duration: 4,5 s", "duration", "write it like '4.5 s'"),
-        ("208 mm", "208 MM", "joint.geometry.connector_length", "unknown unit 'MM'"),
-        ("208 mm", "-1 mm", "joint.geometry.connector_length", "outside 0 to 10000 mm"),
         ("208 mm", "1e400 m", "joint.geometry.connector_length", "not a finite number"),
-        ("208 mm", "9**9**9 m", "joint.geometry.connector_length", "is not a"),
-        ("208 mm", "1 " + "m*" * 2000 + "m", "joint.geometry.connector_length", "not a number"),
-        ("208 mm", "1 " + "MPa^9*" * 9 + "MPa", "joint.geometry.connector_length", "dimensions"),
         ("208 mm", "", "joint.geometry.connector_length", "has no value"),
-        ("208 mm", "[208 mm]", "joint.geometry.connector_length", "not a quantity"),
         ("from: knee-table-2, conn", "from: knee-tabel-2, conn", "joint.geometry", "did you mean 'knee-table-2'"),
         ("law: lei-mas-10-180n", "law: lei", "joint.muscle.law", "did you mean 'lei-mas-10-180n'"),
         ("law: lei-mas-10-180n", "law: missing.yaml", "joint.muscle.law", "there is no file 'missing.yaml'"),
-        ("specimen: MAS-10-180N-AA", "specimen: MAS-10-180N-O", "joint.muscle.specimen", "did you mean"),
         ("  muscle: {", "  muscles: {", "joint.muscles", "did you mean 'muscle'"),
         ("load: knee-table-2 ", "load: {class: pendulum, mass: 1 kg} ", "load.length", "is missing"),
-        ("load: knee-table-2 ", "load: {from: knee-table-2, mass1: -1 kg} ", "load.mass1", "outside 0 to 10000 kg"),
         ("load: knee-table-2 ", "load: [] ", "load", "a list"),
         (
             "{from: knee-table-2, connector_length: 208 mm}",
@@ -228,13 +209,8 @@ def test_three_mistakes_are_three_problems_with_lines():
         ),
         ("start: {angle", "disturbance: {amplitude: 1 N*m}\nstart: {angle", "disturbance", "give one of none, pulses"),
         (VALVE, "valve: perfect", "valve", "known are"),
-        (VALVE, "valve: {}", "valve.time_constant", "is missing"),
-        (VALVE, "valve: {time_constant: 0 ms}", "valve.time_constant", "outside above 0"),
         ("ki: 60", "ki: -60", "controller.position", "differ in sign"),
-        ("0.08 bar/(N*m/rad)", "0,08 bar/rad", "controller.stiffness", "decimals with a point"),
         ("kp: 2 bar/rad, ", "", "controller.position.kp", "add it, such as `kp: 12.5 bar/rad`"),
-        ("ki: 60", "k: 60", "controller.position.k", "did you mean 'ki'"),
-        ("position: {kp", "position: {class: pud, kp", "controller.position", "did you mean 'pid'"),
         (
             "{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}",
             "{sine: {amplitude: 10 deg}}",
@@ -242,33 +218,18 @@ def test_three_mistakes_are_three_problems_with_lines():
             "class: sine",
         ),
         ("{class: sine, amplitude: 10 deg, frequency: 0.5 Hz}", "{}", "reference.angle", "lacks the key `class`"),
-        ("amplitude: 10 deg", "amplitude: 10 N*m/rad", "reference.angle.amplitude", "unit such as deg"),
-        ("0.5 Hz", "-0.5 Hz", "reference.angle.frequency", "outside 0 to 1e+06 Hz"),
-        ("start: {angle: 0 deg,", "start: {angel: 0 deg,", "start.angel", "did you mean 'angle'"),
-        ("duration: 10 s", "duration: 10000 min", "control_period", "more than 10000000 periods"),
         ("duration: 10 s\n", "", "duration", "is missing"),
-        ("control_period: 1 ms", "control_period: 0 ms", "control_period", "outside above 0"),
         ("control_period: 1 ms", "control_period: 3 ms", "control_period", "duration 10 s is not a whole number"),
-        ("control_period: 1 ms", "control_period: 30 s", "control_period", "choose a duration of 30 s"),
-        ("accuracy: 1e-6 rad ", "substeps: 4.5 ", "substeps", "not a whole number"),
         ("accuracy: 1e-6 rad ", f"substeps: {'9' * 5000} ", "substeps", "not a whole number"),
-        ("accuracy: 1e-6 rad ", "substeps: 0 ", "substeps", "outside 1 to 1000"),
         ("name: pre-contracted knee, stiffness step, PID", 'name: "a\\0b"', "name", "not one line"),
-        ("name: pre-contracted knee, stiffness step, PID", "name:", "name", "not a name"),
         ("duration: 10 s", "duration: &d 10 s", "duration", "is an anchor"),
         ("duration: 10 s", "duration: !!python/object:os.system 10 s", "duration", "is a tag"),
-        ("duration: 10 s", "duration: *ten", "", "undefined alias"),
         ("duration: 10 s", "duration: 10 s\nduration: 5 s", "duration", "is given twice"),
-        ("duration: 10 s", "duration: 10 s\n[a, b]: 3", "?", "a key is not text"),
         ("duration: 10 s", "duration: 10 s\n<<: {a: 1}", "<<", "is not a known key"),
         ("duration: 10 s", "\tduration: 10 s", "", "a tab in the indentation"),
-        ("duration: 10 s", "duration: 10 s: 5", "", "not YAML"),
-        ("duration: 10 s", "duration: [10 s", "", "not YAML"),
         ("duration: 10 s", 'duration: "10 s', "", "not YAML"),
         ("duration: 10 s", "duration: 10 s\n---\nname: other", "", "found another document"),
         ("duration: 10 s", "duration: " + "[" * 100_000, "", "nested more than 12 deep"),
-        ("duration: 10 s", "duration: " + "{a: " * 50_000, "", "nested more than 12 deep"),
-        ("duration: 10 s", "duration: \x07", "", "not YAML"),
     ],
 )
 def test_one_mistake_is_told_with_its_place(old, new, field, words):
@@ -344,11 +305,6 @@ def test_bad_joints(joint, words):
     problem = only(f"{BASE[:start]}joint: {joint.replace('M', muscle) if 'M' in joint else joint}\n{BASE[end:]}")
     assert words in str(problem)
     assert problem.field.startswith("joint")
-
-
-def test_a_load_without_inertia():
-    numbers = "mass1: 0 kg, mass2: 1 kg, distance1: 0 m, distance2: 0 m, inertia: 0 kg*m^2, damping: 0 N*m*s/rad"
-    assert "total_inertia is 0" in str(only(changed("load: knee-table-2 ", f"load: {{{numbers}}} ")))
 
 
 def test_files_that_are_no_scenarios(tmp_path):
@@ -441,12 +397,6 @@ def test_law_from_a_fit(tmp_path):
     assert Scenario.read(tmp_path / "again.yaml") == scenario
 
 
-def test_a_broken_fit_is_reported_with_both_lines(tmp_path):
-    (tmp_path / "fit.yaml").write_text("law: nothing")
-    found = only(changed("law: lei-mas-10-180n", "law: fit.yaml"), folder=tmp_path)
-    assert found.field == "joint.muscle.law" and "fit.yaml: line 1" in found.message
-
-
 @pytest.mark.parametrize(
     ("text", "accuracy", "substeps"),
     [("accuracy: 2e-5 rad", 2e-5, None), ("accuracy: 0.001 deg", 0.001 * deg, None), ("substeps: 3", 1e-6, 3)],
@@ -455,8 +405,3 @@ def test_integration_steps_are_given_or_follow_from_an_accuracy(text, accuracy, 
     scenario = Scenario.parse(BASE.replace("accuracy: 1e-6 rad ", f"{text} "))
     assert (scenario.accuracy, scenario.substeps) == (pytest.approx(accuracy, rel=1e-15), substeps)
     assert Scenario.parse(scenario.dumps()) == scenario
-
-
-def test_an_accuracy_and_substeps_are_not_given_together():
-    with pytest.raises(ScenarioError):
-        Scenario.parse(BASE.replace("accuracy: 1e-6 rad ", "accuracy: 1e-6 rad\nsubsteps: 4 "))

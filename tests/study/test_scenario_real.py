@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from mckibben.control import ActuatorAdaptation, DecouplingControl, LawAdaptation
-from mckibben.errors import ParameterError, ScenarioError
 from mckibben.muscle import PressureAffineLaw
-from mckibben.plant import NoDisturbance, PerfectSensors, SampledSensors, TorquePulses
-from mckibben.scenario import Scenario, batched, find_parameter, list_parameters, with_values
+from mckibben.plant import SampledSensors, TorquePulses
+from mckibben.scenario import Scenario, batched, list_parameters, with_values
 from mckibben.study.parameters.listing import ParameterList
 from mckibben.study.tune import gain_ranges
 from mckibben.units import deg, ms
@@ -36,13 +35,6 @@ def text(sensors=SENSORS, disturbance=PULSES, strength=0.93, adaptation=FULL):
     return whole if adaptation is None else whole.replace(LOOPS, DECOUPLING.format(adaptation))
 
 
-def problem(said):
-    with pytest.raises(ScenarioError) as caught:
-        Scenario.parse(said)
-    assert len(caught.value.problems) == 1, caught.value
-    return caught.value.problems[0]
-
-
 @pytest.fixture(scope="module")
 def real():
     return Scenario.parse(text())
@@ -59,32 +51,6 @@ def test_it_builds_what_it_says(real):
     for muscle in (plant.joint.muscle1, plant.joint.muscle2, control.model.muscle1):
         assert isinstance(muscle.law, PressureAffineLaw)
         assert float(muscle.force(0.1, 3e5)) == pytest.approx(0.93 * float(plain.muscle1.force(0.1, 3e5)), rel=1e-12)
-
-
-def test_without_them_all_is_as_before():
-    before = Scenario.parse(BASE)
-    assert before.plant().sensors == PerfectSensors() and before.plant().disturbance == NoDisturbance()
-    assert type(before.plant().joint.muscle1.law).__name__ == "ExponentialLaw"
-    assert Scenario.parse(text("", "", None, "{}")).control().adaptation == LawAdaptation()
-    for word in ("sensors", "disturbance", "strength", "adaptation"):
-        assert word not in before.dumps()
-
-
-@pytest.mark.parametrize(
-    "said",
-    [
-        text(),
-        text(sensors="sensors: {encoder: 0.1 deg}\n", disturbance="", strength=None, adaptation="{}"),
-        text(sensors="", strength=1.2, adaptation=None),
-        text(sensors="sensors: {}\n", adaptation="{torque_error: 0.03 N*m}"),
-    ],
-)
-def test_it_comes_back_from_its_text(said):
-    read = Scenario.parse(said)
-    again = Scenario.parse(read.dumps())
-    assert again == read
-    assert (again.plant().sensors, again.plant().disturbance) == (read.plant().sensors, read.plant().disturbance)
-    assert ("adaptation" in read.dumps()) == ("adaptation" in said)
 
 
 NUMBERS = {
@@ -114,17 +80,6 @@ def test_all_its_numbers_are_listed_with_what_they_are(real):
     assert shown["sensors.encoder"] == ["0.022 deg", "0 to 10 deg", "deg"]
     assert shown["sensors.pressure_noise"] == ["4 kPa", "0 to 100000 kPa", "kPa"]
     assert shown["controller.adaptation.strength_spread"] == ["0.08", "above 0 to 0.3", "1"]
-
-
-def test_what_is_left_out_is_that_of_the_classes():
-    read = Scenario.parse(text("sensors: {}\n", "", None, "{}"))
-    nominal = {each.name: each.nominal for each in list_parameters(read)}
-    assert nominal["joint.muscle.strength"] == 1.0  # that of the law
-    assert [nominal[f"sensors.{key}"] for key in ("encoder", "pressure_noise", "delay", "seed")] == [0.0, 0.0, 0.0, 0]
-    for key in ("strength_spread", "mass_spread", "friction_spread", "torque_error", "bandwidth"):
-        assert nominal[f"controller.adaptation.{key}"] == getattr(LawAdaptation(), key)
-    for key in ("speed_spread", "delay_spread", "pressure_error", "memory"):
-        assert nominal[f"controller.actuator_adaptation.{key}"] == getattr(ActuatorAdaptation(), key)
 
 
 def test_they_can_be_varied(real):
@@ -157,42 +112,3 @@ def test_the_model_keeps_its_own_strength():
 
 def test_what_an_adaptation_takes_for_true_is_no_gain(real):
     assert not [name for name in gain_ranges(real) if ".adaptation." in name]
-
-
-@pytest.mark.parametrize(
-    ("name", "what"),
-    [
-        ("sensors.delay", "sensors, of class perfect"),
-        ("disturbance.height", "disturbance, of class none"),
-        ("controller.adaptation", "controller, of class position_stiffness"),
-        ("joint.muscle.correction.centre", "cannot be varied: the scenario has none"),
-    ],
-)
-def test_what_is_not_there_cannot_be_varied(name, what):
-    with pytest.raises(ParameterError, match=what):
-        find_parameter(Scenario.parse(BASE), name)
-
-
-@pytest.mark.parametrize(
-    ("said", "field", "words"),
-    [
-        (text(strength=0), "joint.muscle.strength", "outside above 0 to 100"),
-        (text(strength="93 N"), "joint.muscle.strength", "N"),
-        (text(sensors="sensors: {delay: 2}\n"), "sensors.delay", "outside 0 to 1"),
-        (text(sensors="sensors: {encoder: -1 deg}\n"), "sensors.encoder", "outside 0 to 10 deg"),
-        (text(sensors="sensors: {encoder: 1 mm}\n"), "sensors.encoder", "unit"),
-        (text(sensors="sensors: {seed: 1.5}\n"), "sensors.seed", "1.5"),
-        (text(sensors="sensors: {noise: 1 kPa}\n"), "sensors.noise", "is not a known key"),
-        (text(disturbance="disturbance: {}\n"), "disturbance.height", "is missing"),
-        (text(disturbance=PULSES.replace("height: 0.5 N*m, ", "")), "disturbance.height", "is missing"),
-        (text(disturbance=PULSES.replace("1 s", "0 s")), "disturbance.interval", "outside above 0"),
-        (text(adaptation="{strength_spread: 0.5}"), "controller.adaptation.strength_spread", "to 0.3"),
-        (text(adaptation="{torque_error: 0 N*m}"), "controller.adaptation.torque_error", "outside above 0"),
-    ],
-)
-def test_what_is_wrong_is_named_with_its_line(said, field, words):
-    found = problem(said)
-    assert found.field == field
-    assert words in found.message
-    assert found.line
-    assert found.remedy or words.startswith("outside")

@@ -10,15 +10,13 @@ import psutil
 import pytest
 import xarray as xr
 
-from mckibben.codegen import cuda
 from mckibben.codegen.native import compiler
-from mckibben.errors import FileError, McKibbenWarning, ParameterError, SimulationError
+from mckibben.errors import FileError, ParameterError, SimulationError
 from mckibben.scenario import Scenario, run_scenario, with_values
 from mckibben.simulation import Metrics, Outcome
 from mckibben.simulation.feasibility import check_reference
 from mckibben.simulation.software import software
-from mckibben.storage.store import STUDY, Store, open_store, read_store
-from mckibben.study.parameters import Normal, Uniform, sample, sweep_parameters
+from mckibben.storage.store import STUDY, open_store, read_store
 from mckibben.study.study import InterruptedStudy
 from mckibben.study.sweep import Sweep, sweep
 from mckibben.study.sweep.feasibility import feasibility
@@ -111,11 +109,6 @@ def test_the_controllers_model_follows_the_plant_where_asked_alone(scenario, tmp
         sweep(scenario, out=tmp_path, resume=True, model_follows=())
 
 
-@pytest.mark.slow
-def test_nothing_depends_on_the_number_of_threads(kept, scenario):
-    assert sweep(scenario, OVER, workers=1, **SOME).table.identical(kept[0].table)
-
-
 def test_an_interrupted_sweep_goes_on_to_the_same_numbers(kept, scenario, tmp_path):
     with pytest.raises(InterruptedStudy, match="of 72 runs are kept; continue with --resume"):
         sweep(scenario, OVER, out=tmp_path, workers=1, progress=Stopping(16), **SOME)
@@ -126,68 +119,6 @@ def test_an_interrupted_sweep_goes_on_to_the_same_numbers(kept, scenario, tmp_pa
     assert calls[-1][1] == 1
     assert swept.table.identical(kept[0].table)
     assert [path.name for path in tmp_path.iterdir()] == [STUDY]
-
-
-def test_damaged_blocks_are_computed_again(kept, scenario, tmp_path):
-    content = bytearray((kept[1] / STUDY).read_bytes())
-    content[content.index(b"angle_rmse.npy") + 300] ^= 1
-    (tmp_path / STUDY).write_bytes(content)
-    with pytest.warns(McKibbenWarning, match="1 damaged records will be computed again"):
-        swept = sweep(scenario, OVER, out=tmp_path, resume=True, **SOME)
-    assert swept.computed == 16
-    assert swept.table.identical(kept[0].table)
-
-
-def test_a_full_disk_loses_nothing_that_was_computed(kept, scenario, tmp_path, monkeypatch):
-    prepare = Store._prepare
-
-    def small(store, **options):
-        prepare(store, **options)
-        store._connection.execute("PRAGMA max_page_count = 14")
-
-    with monkeypatch.context() as patch, pytest.raises(FileError, match=r"the disk is full; \d+ records are kept"):
-        patch.setattr(Store, "_prepare", small)
-        sweep(scenario, OVER, out=tmp_path, workers=1, **SOME)
-    swept = sweep(scenario, out=tmp_path, resume=True)
-    assert 0 < swept.computed < 72 and swept.table.identical(kept[0].table)
-
-
-@pytest.mark.parametrize(
-    ("changed", "field", "said"),
-    [
-        ({"seed": 2}, "seed", "started with 1, not 2"),
-        ({"samples": 73}, "samples", "started with 72, not 73"),
-        ({"metrics": ["angle_rmse"]}, "metrics", "started with"),
-        ({"over": [OVER[0], "reference.stiffness.after=15..21 N*m/rad", OVER[2]]}, "over", "15 N*m/rad..21 N*m/rad"),
-    ],
-)
-def test_another_sweep_is_not_mixed_in(kept, scenario, changed, field, said):
-    with pytest.raises(FileError) as refused:
-        sweep(scenario, out=kept[1], resume=True, **changed)
-    assert any(problem.field == field and said in problem.message for problem in refused.value.problems)
-
-
-def test_another_scenario_is_not_mixed_in(kept, scenario):
-    heavier = scenario.model_copy(update={"control_period": 0.002})
-    with pytest.raises(FileError, match="started with control_period: 1 ms, not control_period: 2 ms"):
-        sweep(heavier, out=kept[1], resume=True)
-
-
-def test_a_file_that_the_scenario_names_must_be_the_same(tmp_path):
-    text = (ROOT / "examples" / "pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
-    text = text.replace("duration: 10 s", "duration: 50 ms").replace(
-        "angle: {class: sine, amplitude: 10 deg, frequency: 0.5 Hz}",
-        "angle: {class: samples_file, file: reference.csv}",
-    )
-    (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
-    (tmp_path / "reference.csv").write_text("time_s,angle_deg\n0,0\n1,5\n", encoding="utf-8")
-    out = tmp_path / "out"
-    study = Sweep.of(Scenario.read(tmp_path / "s.yaml"), OVER[:1], folder=str(out))
-    with open_store(out / STUDY) as store:
-        store.job(study.about())
-    (tmp_path / "reference.csv").write_text("time_s,angle_deg\n0,0\n1,6\n", encoding="utf-8")
-    with pytest.raises(FileError, match="model: it has changed: a file that is named"):
-        sweep(Scenario.read(tmp_path / "s.yaml"), resume=True, out=out)
 
 
 def test_other_software_is_not_mixed_in(kept, scenario, monkeypatch):
@@ -257,12 +188,6 @@ def test_there_must_be_a_sweep_to_continue(scenario, tmp_path):
         sweep(scenario, OVER, out=tmp_path, resume=True)
 
 
-def test_an_unknown_metric_is_refused(scenario):
-    with pytest.raises(SimulationError) as caught:
-        Sweep.of(scenario, OVER, metrics=["angle_rms"])
-    assert caught.value.value == "angle_rms"
-
-
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
@@ -298,18 +223,6 @@ def test_a_cluster_that_does_not_answer(scenario, monkeypatch, tmp_path):
     assert "--resume" in caught.value.remedy
 
 
-def test_random_values_and_spreads_made_in_python(scenario):
-    spreads = {"load.mass2": Uniform(0.3, 0.5), "load.damping": Normal(0.015, 0.001)}
-    options = {"design": "random", "samples": 5, "seed": 3}
-    study = Sweep.of(scenario, spreads, metrics=("angle_rmse", "coupling"), **options)
-    assert study.metrics == ("angle_rmse", "coupling")
-    swept = sweep_parameters(scenario, spreads)
-    for name, column in sample(swept, "random", 5, 3).items():
-        np.testing.assert_array_equal(study.rows()[name], column)
-    assert Sweep.of(scenario, swept, metrics=["angle_rmse", "coupling"], **options).about() == study.about()
-    assert Sweep.of(scenario, spreads, **options | {"seed": 4}).about() != study.about()
-
-
 def test_what_cannot_be_held_is_told(scenario):
     offset = np.array([0.0, 15.0, 60.0]) * deg
     found = feasibility(scenario, {"reference.angle.offset": offset, "reference.angle.amplitude": offset}, 16)
@@ -323,32 +236,6 @@ def test_what_cannot_be_held_is_told(scenario):
     assert found["infeasible_time"][2] == 1
 
 
-@pytest.mark.slow
-def test_a_sweep_on_cuda_is_continued_there_and_nowhere_else(scenario, kept, tmp_path, cuda_here, monkeypatch):
-    monkeypatch.setattr(sweep_module, "ON_ACCELERATOR", 16)  # several blocks
-    stopped(scenario, tmp_path, engine="cuda")
-    before = begun(tmp_path)["software"]
-    assert (before["engine"], before["device"]) == ("cuda", "this processor") and before["compiler"]
-    with pytest.raises(FileError):
-        sweep(scenario, out=tmp_path, resume=True, engine="native")
-    cuda_here.set(devices=0)
-    cuda.device.cache_clear()
-    with pytest.raises(ParameterError) as caught:
-        sweep(scenario, out=tmp_path, resume=True)
-    assert caught.value.field == "engine"
-    cuda_here.set(devices=1)
-    swept = sweep(scenario, out=tmp_path, resume=True)
-    assert 0 < swept.computed < 72
-    for name in ("angle_rmse", "stiffness_rmse"):
-        np.testing.assert_allclose(swept.table[name], kept[0].table[name], rtol=1e-9)
-
-
-def test_the_reach_is_that_of_all_where_the_controller_alone_is_varied(scenario):
-    found = feasibility(scenario, {"controller.position.kp": [1e5, 2e5]}, 16)
-    np.testing.assert_array_equal(found["infeasible_time"], [0, 0])
-    np.testing.assert_array_equal(found["shortfall_max"], [0, 0])
-
-
 def test_the_program_depends_on_nothing_but_the_number_of_runs(monkeypatch):
     assert _sizes(72) == (16, 16)
     assert _sizes(20_000) == (256, 256)
@@ -358,11 +245,6 @@ def test_the_program_depends_on_nothing_but_the_number_of_runs(monkeypatch):
     assert _sizes(20_000, "cuda") == (10_000, 10_000)
     monkeypatch.setattr(sweep_module.jax, "default_backend", lambda: "gpu")
     assert _sizes(20_000) == (10_000, 10_000)
-
-
-def test_there_is_no_such_run(kept):
-    with pytest.raises(ParameterError, match="there is no run 72; choose 0 to 71"):
-        kept[0].scenario(72)
 
 
 @pytest.mark.slow

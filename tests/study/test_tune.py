@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben.codegen.native import compiler
-from mckibben.errors import FileError, McKibbenWarning, ParameterError, UnreachableError
+from mckibben.errors import FileError, ParameterError, UnreachableError
 from mckibben.scenario import Scenario, Start
 from mckibben.storage.store import STUDY, open_store, read_store
 from mckibben.study.parameters import LogUniform, Uniform, parse_sweep
@@ -82,17 +82,6 @@ def test_each_method_finds_the_bottom_of_a_bowl_within_the_cube(method, first):
         assert searched(4, seed=1).tolist() != few.tolist()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("method", SEARCHES)
-def test_each_method_finds_where_nothing_has_to_move(method):
-    tuned = run(method=method, iterations=40)
-    assert tuned.values == pytest.approx({"start.angle": 2 * deg, "start.stiffness": 15.0}, rel=2e-3)
-    assert tuned.cost < 5e-3 < tuned.cost_before and tuned.at_bound == ()
-    (scenario,) = tuned.scenarios
-    assert (scenario.start.angle, scenario.start.stiffness) == tuple(tuned.values.values())
-    assert scenario.model_copy(update={"start": STILL.start}) == STILL
-
-
 def test_a_search_reports_its_steps_and_rounds_its_values():
     steps = []
     tuned = run(progress=lambda *step: steps.append(step))
@@ -158,15 +147,6 @@ def test_a_search_goes_on_wherever_it_was_cut_off(whole, tmp_path, kept):
     assert tuple(read_trials(tmp_path / STUDY)) == undisturbed.trials
 
 
-@pytest.mark.slow
-def test_more_iterations_go_further(whole, tmp_path):
-    undisturbed, complete = whole
-    (tmp_path / STUDY).write_bytes((complete / STUDY).read_bytes())
-    further = run(out=tmp_path, resume=True, iterations=6)
-    assert further.trials[: undisturbed.evaluated] == undisturbed.trials
-    assert numbers(further) == numbers(run(iterations=6))
-
-
 @pytest.mark.parametrize(
     ("changed", "field", "message"),
     [
@@ -203,16 +183,6 @@ def test_a_file_that_the_scenario_names_is_a_part_of_the_search(for_free, tmp_pa
     samples.write_text("time_s,angle_deg\n0,2\n1,3\n", encoding="utf-8")
     with pytest.raises(FileError, match="models: it has changed"):
         run(out=tmp_path, iterations=1, scenarios=Scenario.parse(text, folder=tmp_path), resume=True)
-
-
-def test_a_damaged_trial_is_computed_again(for_free, tmp_path):
-    undisturbed = run(out=tmp_path)
-    content = bytearray((tmp_path / STUDY).read_bytes())
-    content[content.index(b'"cost"', len(content) // 2)] ^= 1
-    (tmp_path / STUDY).write_bytes(content)
-    with pytest.warns(McKibbenWarning, match="1 damaged records will be computed again"):
-        again = run(out=tmp_path, resume=True)
-    assert numbers(again) == numbers(undisturbed)
 
 
 def test_a_trial_is_on_disk_before_the_search_goes_on(for_free, tmp_path):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
-from mckibben.errors import ParameterError
 from mckibben.identification import Grouping, identify
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import ExponentialLaw
@@ -84,8 +83,3 @@ def test_a_band_that_reaches_the_slack_is_named(knee, fit):
     low = float(fit.law.pressure_for(0.3, zero))  # a pull of 0.3 N
     bands = joint_bands(knee, fit, np.zeros(2), (np.array([low, 5 * bar]), 5 * bar))
     assert bands.may_be_slack.tolist() == [True, False]
-
-
-def test_a_joint_has_two_muscles(knee, fit):
-    with pytest.raises(ParameterError, match="two muscles; give one fit for both, or a tuple of two"):
-        joint_bands(knee, (fit, fit, fit), 0.0, PRESSURES)

@@ -189,13 +189,6 @@ def test_what_exceeds_the_rig_is_told_with_its_line_before_anything_moves(tmp_pa
     assert "line 19, protocol.steps[9].repeat.steps[0].walk.step: 2.0001 mm are 800.04 pulses; take a mult" in said
 
 
-def test_a_whole_test_that_does_not_suit_the_muscle_is_told_with_its_line():
-    text = f"{HEAD}protocol:\n  isobaric: {{pressures: [0 bar, 9 bar]}}\n"
-    test = RigTest.parse(text)
-    with pytest.raises(ScenarioError, match=r"protocol\.isobaric\.pressures: 9 bar outside 0\.\.6 bar"):
-        check(test)
-
-
 def test_the_example_is_the_papers_test():
     checked = check(RigTest.read(EXAMPLES / "rig" / "paper-protocol.yaml"))
     assert checked.dry_run.samples == 5_850_000
