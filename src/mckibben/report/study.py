@@ -32,7 +32,6 @@ from mckibben.report.style import (
     styled,
 )
 from mckibben.simulation.metrics import METRICS
-from mckibben.study.ranks import spearman
 from mckibben.study.tune.objective import FAILED_COST
 from mckibben.units import bar, factor, percent
 
@@ -114,7 +113,7 @@ def sweep(swept: SweepResult) -> Figure:
     runs.
     """
     metrics, lost = swept.main_metrics, swept.failed
-    inputs = _strongest(swept, metrics)
+    inputs = _strongest(swept)
     heights = [1.0] * len(metrics) + [0.5] * bool(lost.any() or not metrics)
     figure = blank(DOUBLE if len(inputs) > 2 else DOUBLE / 2, 1.75 * sum(heights) + 0.75)
     grid = figure.subplots(len(heights), len(inputs), sharex="col", sharey="row", squeeze=False, height_ratios=heights)
@@ -149,19 +148,10 @@ def _title(swept: SweepResult, shown: int) -> str:
     return f"{swept.count} runs{unstable}{others}"
 
 
-def _strongest(swept: SweepResult, metrics: tuple[str, ...]) -> list[_Input]:
+def _strongest(swept: SweepResult) -> list[_Input]:
     """Parameters with the largest rank correlations, in their original order."""
-    lost = swept.failed
-    strengths = {}
-    for name in swept.inputs:
-        column = swept.table[name].to_numpy()
-        correlations = [spearman(column, lost)]
-        for metric in metrics:
-            values = swept.table[metric].to_numpy()
-            valid = ~lost & np.isfinite(values)
-            correlations.append(spearman(column[valid], values[valid]))
-        strengths[name] = np.abs(np.nan_to_num(correlations)).max()
-    chosen = sorted(strengths, key=lambda name: -strengths[name])[:4]
+    strengths = swept.correlations().abs().max(axis=1).fillna(0.0)
+    chosen = strengths.sort_values(ascending=False, kind="stable").index[:4]
     return [_input(swept, name) for name in swept.inputs if name in chosen]
 
 
@@ -188,7 +178,7 @@ def _metric(axes: Axes, swept_input: _Input, swept: SweepResult, metric: str) ->
     size = float(np.clip(900 / max(y.size, 1), 1.5, 9.0))
     axes.scatter(x[drawn], y[drawn], s=size, color=BLUE, alpha=0.35, linewidths=0, rasterized=True, label="run")
     _median(axes, swept_input._replace(values=x), y)
-    correlation = spearman(x, y)
+    correlation = float(swept.correlations()[metric][swept_input.name])
     if np.isfinite(correlation):
         beside(axes, f"ρ = {minus(correlation, '+.2f')}")
 

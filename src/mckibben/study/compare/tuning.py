@@ -31,7 +31,7 @@ from mckibben.study.study import Table, digest
 from mckibben.study.tune.objective import FAILED_COST, with_valid
 from mckibben.study.tune.search import Costs, Vector, by_cma
 from mckibben.study.tune.space import SearchSpace
-from mckibben.study.tune.trials import Evaluated, Trial, Trials, engine_of_trials
+from mckibben.study.tune.trials import Evaluated, Trial, Trials, first_runs
 
 
 class TunedController(NamedTuple):
@@ -64,24 +64,20 @@ class ControllerTuning:
     def _starts(self) -> int:
         return self.suite.tuning.starts_of.get(self.controller, self.suite.tuning.starts)
 
-    def begin(self, engine: str) -> ControllerTuning:
+    def begin(self, store: Store) -> ControllerTuning:
         """Return the tuning with an engine; all trials have the integration steps that its nominal values need."""
-        batch = self._nominal_runs(engine) if self.suite.substeps is None else None
-        if batch is None:
-            return replace(self, engine=engine)
-        suite = self.suite.model_copy(update={"substeps": int(batch["substeps"].max())})
-        return replace(self, runs=replace(self.runs, suite=suite), engine=engine)
-
-    def engines_used(self) -> set[str]:
-        """Return the engine of the runs with the nominal values; empty if these are not valid."""
-        batch = self._nominal_runs(self.engine)
-        return set() if batch is None else {batch.engine}
-
-    def _nominal_runs(self, engine: str) -> Batch | None:
         table = self._table(self.space.nominal[None])
-        if not valid_rows(self._scenario, table).all():
-            return None
-        return evaluate(self.runs, self.controller, table, metrics=self._metrics, engine=engine)
+        valid = valid_rows(self._scenario, table).all()
+
+        def simulate(engine: str) -> list[Batch]:
+            run = partial(evaluate, self.runs, self.controller, table, metrics=self._metrics, engine=engine)
+            return [run()] if valid else []
+
+        engine, batches = first_runs(store, simulate, self.controller)
+        if self.suite.substeps is not None or not batches:
+            return replace(self, engine=engine)
+        suite = self.suite.model_copy(update={"substeps": int(batches[0]["substeps"].max())})
+        return replace(self, runs=replace(self.runs, suite=suite), engine=engine)
 
     def _table(self, values: Vector) -> Table:
         return dict(zip(self.space.names, values.T, strict=True))
@@ -138,9 +134,9 @@ class ControllerTuning:
 
         Raises `ParameterError` if all trials failed.
         """
-        return self.begin(engine_of_trials(store, self.engines_used, self.controller)).search(store, progress)
+        return self.begin(store)._search(store, progress)
 
-    def search(self, store: Store, progress: Callable[[float], None]) -> TunedController:
+    def _search(self, store: Store, progress: Callable[[float], None]) -> TunedController:
         """Run the searches with a known engine."""
         tuning, space = self.suite.tuning, self.space
         trials = Trials(store.job(self.about(), self.controller), space, tuning.population, self.evaluate)
@@ -208,7 +204,7 @@ class ControllerTuning:
             return ()
         known = {tuple(self.values(trial).values()): trial for trial in reversed(trials)}
         chosen = dict(sorted(known.items(), key=lambda item: item[1].order)[: tuning.finalists])
-        further = replace(self, runs=draw(self.suite, tuning.finalist_runs, tuning.finalist_seed)).begin(self.engine)
+        further = replace(self, runs=draw(self.runs.suite, tuning.finalist_runs, tuning.finalist_seed))
         return tuple(further.evaluate(np.array(list(chosen))).trials(np.array([t.point for t in chosen.values()])))
 
     def values(self, trial: Trial) -> dict[str, float]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import field
 from pathlib import Path
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,9 +23,11 @@ from mckibben.simulation.batch import RunTable, outcome_variable
 from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.parameters import SweptParameter
-from mckibben.study.ranks import spearman
 from mckibben.study.study import Table, listing_of
 from mckibben.study.sweep.feasibility import FEASIBILITY
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MAIN = ("angle_rmse", "stiffness_rmse", "coupling")
 """Metrics used in correlations and figures, if they were computed."""
@@ -105,9 +108,9 @@ class SweepResult(RunTable):
         finite = [name for name in self.metrics if self.values(name).size]
         return tuple([name for name in MAIN if name in finite] or finite[:3])
 
-    def values(self, name: str, metric: str | None = None) -> NDArray[np.float64]:
-        """Return a column [SI] of the runs that did not fail and have a value of it, or of a metric."""
-        return self[name].astype(float)[~self.failed & np.isfinite(self[metric or name])]
+    def values(self, metric: str) -> NDArray[np.float64]:
+        """Return a metric [SI] of the runs that did not fail and have a value of it."""
+        return self._frame[metric].dropna().to_numpy()
 
     def scenario(self, run: int) -> Scenario:
         """Return the scenario of one run, numbered from 0; the controller's model is explicit if the plant varied.
@@ -152,8 +155,11 @@ class SweepResult(RunTable):
         yield Listing("Outcomes", {"outcome": (Column(), names), "runs": (Column(), runs), "share": share})
         statistics = ("metric", "unit", "median", "5 %", "95 %", "worst", "in run", "runs")
         yield listing_of("Runs that did not fail", statistics, self.statistics())
-        strongest = self.correlations()[:10]
-        yield listing_of("Rank correlations, strongest first", ("parameter", "metric", "Spearman"), strongest)
+        ranks = self.correlations().rename_axis("parameter").reset_index()
+        ranks = ranks.melt("parameter", var_name="metric", value_name="Spearman").dropna()
+        ranks = ranks.sort_values("Spearman", key=abs, ascending=False, kind="stable").head(10)
+        ranks["metric"] = ranks["metric"].str.replace("_", " ")
+        yield listing_of("Rank correlations, strongest first", list(ranks), ranks.to_numpy().tolist())
 
     def statistics(self) -> list[tuple[object, ...]]:
         """Return metric, unit, median, 5th and 95th percentile, worst value and its run, and number of runs.
@@ -161,27 +167,27 @@ class SweepResult(RunTable):
         In shown units, over the runs that did not fail and have a value.
         """
         rows: list[tuple[object, ...]] = []
-        for metric in self.metrics:
-            _, unit, scale = METRICS[_SHOWN[metric]]
-            values = self.values(metric) / scale
+        for metric, (_, unit, scale) in ((name, METRICS[_SHOWN[name]]) for name in self.metrics):
+            values = self._frame[metric].dropna() / scale
             if values.size:
-                valid = np.where(~self.failed & np.isfinite(self[metric]), self[metric], -np.inf)
-                quantiles = np.quantile(values, (0.5, 0.05, 0.95)).tolist()
-                worst = float(values.max()), int(np.argmax(valid))
-                rows.append((metric.replace("_", " "), unit, *quantiles, *worst, int(values.size)))
+                quantiles = values.quantile([0.5, 0.05, 0.95]).tolist()
+                rows.append((metric.replace("_", " "), unit, *quantiles, values.max(), values.idxmax(), values.size))
         return rows
 
-    def correlations(self, *, least_runs: int = 3) -> list[tuple[str, str, float]]:
-        """Return parameter, metric and rank correlation, also with failing; the strongest first.
+    def correlations(self, *, least_runs: int = 3) -> pd.DataFrame:
+        """Return Spearman's rank correlations of inputs (rows) with failing and the main metrics (columns).
 
-        Spearman's rank correlation; fewer than `least_runs` runs are in perfect order, whatever their values.
+        NaN for a constant column, and with fewer than `least_runs` runs, which are in perfect order, whatever their
+        values. C. Spearman, Am. J. Psychology 15 (1904) 72.
         """
-        rows: list[tuple[str, str, float]] = []
-        for name in self.inputs:
-            if self.count >= least_runs:
-                rows.append((name, "failed", spearman(self[name], self.failed)))
-            for metric in self.main_metrics:
-                values = self.values(metric)
-                if values.size >= least_runs:
-                    rows.append((name, metric.replace("_", " "), spearman(self.values(name, metric), values)))
-        return sorted((row for row in rows if np.isfinite(row[2])), key=lambda row: -abs(row[2]))
+        columns = [*self.inputs, "failed", *self.main_metrics]
+        whole = self._frame.assign(failed=self.failed.astype(float))[columns]
+        return whole.corr("spearman", min_periods=least_runs).loc[list(self.inputs), columns[len(self.inputs) :]]
+
+    @functools.cached_property
+    def _frame(self) -> pd.DataFrame:
+        """Inputs of all runs, and finite metrics of those that did not fail."""
+        import pandas as pd
+
+        metrics = {name: np.where(np.isfinite(self[name]) & ~self.failed, self[name], np.nan) for name in self.metrics}
+        return pd.DataFrame({name: self[name].astype(float) for name in self.inputs} | metrics)

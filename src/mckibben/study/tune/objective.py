@@ -26,11 +26,12 @@ from mckibben.scenario import (
 )
 from mckibben.simulation import Batch, disk_margins
 from mckibben.simulation.problem import check_frequencies
+from mckibben.storage.store import Store
 from mckibben.study.parameters import SweptParameter, Table
 from mckibben.study.tune.cost import Cost
 from mckibben.study.tune.search import Vector
 from mckibben.study.tune.space import SearchSpace, is_gain
-from mckibben.study.tune.trials import Evaluated
+from mckibben.study.tune.trials import Evaluated, first_runs
 
 FAILED_COST = 1e6
 """Cost of parameters that are invalid or whose runs fail."""
@@ -101,28 +102,30 @@ class TuningProblem:
                 check_frequencies(batched(scenario, drawn).reference(), scenario.control_period)
         return cls(tuple(scenarios), space, cost, model_follows, drawn)
 
-    def begin(self, engine: str) -> TuningProblem:
+    def begin(self, store: Store, engine: str) -> TuningProblem:
         """Return the problem with an engine; all its trials have the integration steps that its nominal values need.
 
-        Raises `ParameterError` if a metric of the cost is not defined at the nominal values of a scenario without
-        `substeps`.
+        Raises `ParameterError` if a metric of the cost is not defined at the nominal values of a scenario.
         """
-        scenarios = []
-        for scenario in self.scenarios:
-            if scenario.substeps is None and (batch := self._nominal_runs(scenario, engine)):
-                for name, values in batch.metrics.items():
-                    if batch.usable.any() and np.isnan(values[batch.usable]).all():
-                        message = f"{name} is not defined for {scenario.name!r}"
-                        remedy = "leave it out of the cost: the coupling needs a stiffness step, the air known braids"
-                        raise ParameterError(message, value=name, remedy=remedy)
-                scenario = scenario.model_copy(update={"substeps": int(batch["substeps"].max())})
-            scenarios.append(scenario)
-        return replace(self, scenarios=tuple(scenarios), engine=engine)
+        nominal = self._with_margin(self.space.nominal[None])
+        tables = [self._table(scenario, nominal) for scenario in self.scenarios]
+        valid = [place for place, (good, _) in enumerate(tables) if good.any()]
 
-    def engines_used(self) -> set[str]:
-        """Return the engines of the runs at the nominal values."""
-        batches = (self._nominal_runs(scenario, self.engine) for scenario in self.scenarios)
-        return {batch.engine for batch in batches if batch is not None}
+        def simulate(engine: str) -> list[Batch]:
+            return [self._run(self.scenarios[place], tables[place][1], engine=engine) for place in valid]
+
+        engine, batches = first_runs(store, simulate, engine=engine)
+        scenarios = list(self.scenarios)
+        for place, batch in zip(valid, batches, strict=True):
+            scenario = scenarios[place]
+            for name, values in batch.metrics.items():
+                if batch.usable.any() and np.isnan(values[batch.usable]).all():
+                    message = f"{name} is not defined for {scenario.name!r}"
+                    remedy = "leave it out of the cost: the coupling needs a stiffness step, the air known braids"
+                    raise ParameterError(message, value=name, remedy=remedy)
+            if scenario.substeps is None:
+                scenarios[place] = scenario.model_copy(update={"substeps": int(batch["substeps"].max())})
+        return replace(self, scenarios=tuple(scenarios), engine=engine)
 
     def evaluate(self, values: Vector) -> Evaluated:
         """Return the costs of rows of values [SI], shape (n, parameters)."""
@@ -171,11 +174,6 @@ class TuningProblem:
     def _run(self, scenario: Scenario, table: Table, **options: Any) -> Batch:
         follows = followed_names(scenario, self.model_follows, table)
         return run_many(scenario, table, model_follows=follows, metrics=self.cost.metrics, **options)
-
-    def _nominal_runs(self, scenario: Scenario, engine: str) -> Batch | None:
-        """Runs of the nominal values; None if they are not valid under any condition."""
-        good, table = self._table(scenario, self._with_margin(self.space.nominal[None]))
-        return self._run(scenario, table, engine=engine) if good.any() else None
 
     def _costs_of_runs(self, scenario: Scenario, rows: Vector, workers: int) -> Vector:
         """Cost of each run, shape (draws, rows)."""

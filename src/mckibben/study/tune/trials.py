@@ -5,12 +5,13 @@ from __future__ import annotations
 import itertools
 import json
 import os
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
+from mckibben.simulation import Batch
 from mckibben.simulation.software import engine_of_job
 from mckibben.storage.store import Job, Store, read_store
 from mckibben.study.tune.search import Vector
@@ -88,12 +89,15 @@ class Trials:
         return np.concatenate([rows, np.repeat(rows[-1:], self._batch - len(rows), axis=0)])
 
 
-def engine_of_trials(store: Store, trial: Callable[[], Collection[str]], name: str = "", engine: str = "auto") -> str:
-    """Return the engine of a search: one for all trials that are kept, so that they do not depend on the machine."""
-    if store.path is None:
-        return engine
+def first_runs(
+    store: Store, simulate: Callable[[str], Sequence[Batch]], name: str = "", engine: str = "auto"
+) -> tuple[str, Sequence[Batch]]:
+    """Return the engine of all trials of a search, that of a begun one if it has to be, and its runs at first."""
     begun = store.about(name)
-    return engine_of_job(trial, begun and begun.get("software"), engine)
+    if begun:
+        engine = engine_of_job(set, begun.get("software"), engine)
+    batches = simulate(engine)
+    return (engine if begun else engine_of_job(lambda: {batch.engine for batch in batches}, engine=engine)), batches
 
 
 def read_trials(path: str | os.PathLike[str], job: str = "") -> list[Trial]:

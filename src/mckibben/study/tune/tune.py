@@ -24,7 +24,7 @@ from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, TuningProb
 from mckibben.study.tune.result import TuneResult
 from mckibben.study.tune.search import SEARCHES, Search, by_cma
 from mckibben.study.tune.space import parse_ranges
-from mckibben.study.tune.trials import Trials, engine_of_trials
+from mckibben.study.tune.trials import Trials
 
 DEFAULT_COST, DEFAULT_MARGIN = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad", 1.5
 KEPT_MARGIN = 0.2
@@ -99,7 +99,7 @@ def tune(
     asked = _problem(scenarios, over, cost, model_follows, conditions)
     report = progress or notebook_progress() or silent
     with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
-        problem = asked.begin(engine_of_trials(store, asked.engines_used, engine=engine))
+        problem = asked.begin(store, engine)
         if problem.cost.disk_margin is None:
             margin = problem.kept_margin(KEPT_MARGIN)
             problem = replace(problem, cost=replace(problem.cost, disk_margin=margin))
