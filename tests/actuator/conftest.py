@@ -1,5 +1,6 @@
 """The lag of a model of a valve or tube in closed loop."""
 
+import jax
 import jax.numpy as jnp
 import pytest
 
@@ -12,14 +13,16 @@ def lag_of():
     """Area between a small step of the target and the pressure over that step [s], for an asked lag [s]."""
 
     def measured(model, volume, lag, period):
-        start, step, area = 2.5 * bar, 0.02 * bar, 0.0
-        pressure, still = jnp.asarray(start), AirVolume(jnp.asarray(volume), jnp.zeros(()))
-        state = model.init_model(pressure)
-        for _ in range(200):
+        start, step, still = 2.5 * bar, 0.02 * bar, AirVolume(jnp.asarray(volume), jnp.zeros(()))
+
+        def move(carry, _):
+            pressure, state = carry
             command = model.command_toward(pressure, state, start + step, still, lag, period)
             following, state = model.predict(pressure, state, command, still, period)
-            area += float(start + step - (pressure + following) / 2) * period / step
-            pressure = following
-        return area
+            return (following, state), start + step - (pressure + following) / 2
+
+        pressure = jnp.asarray(start)
+        errors = jax.jit(lambda: jax.lax.scan(move, (pressure, model.init_model(pressure)), length=200)[1])()
+        return float(errors.sum()) * period / step
 
     return measured

@@ -14,6 +14,7 @@ from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, LAMINAR, mass_flow,
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
+from tests.air import beyond, flow
 
 C = 0.4e-8  # m^3/(s*Pa): 0.4 dm^3/(s*bar)
 RESERVOIR = {"reservoir_volume": 1e-3, "line_conductance": 0.2e-8}
@@ -67,27 +68,18 @@ def independent(paper, valve, commands, start, time):
     """The joint with its air, by SciPy."""
     is_flow, dead, index = isinstance(valve, FlowValve), valve.dead_volume, valve.polytropic_index
 
-    def flow(conductance, inlet, outlet):
-        if outlet > inlet:
-            return -flow(conductance, outlet, inlet)
-        ratio = outlet / inlet
-        share = math.sqrt(1 - max((min(ratio, 0.999) - 0.3) / 0.7, 0.0) ** 2)
-        return conductance * 1.185 * inlet * share * min((1 - ratio) / 0.001, 1.0)
-
     def rates(_, y):
         angle, velocity, *pressures, state1, state2, reservoir = y
         inlet = 101325 + (7e5 if valve.reservoir_volume is None else reservoir)
         arms, changes, moved, drawn = paper.eq5(angle), [], [], 0.0
         contractions = paper.contractions(angle)
         for i, (pressure, state, command) in enumerate(zip(pressures, (state1, state2), commands, strict=True)):
-            error = (command if is_flow else state) - pressure
-            shut = 0.0 if is_flow else valve.dead_zone or 0.0
-            error = math.copysign(max(abs(error) - shut, 0.0), error)
+            error = beyond((command if is_flow else state) - pressure, 0.0 if is_flow else valve.dead_zone)
             wanted = min(max(error / 1e5, -1.0), 1.0)
             zone = valve.dead_zone if is_flow else 0.0
             if is_flow:  # nine tenths of the dead zone are skipped
                 wanted = (1 - 0.9 * zone) * wanted + 0.9 * zone * min(max(wanted / (0.1 * zone), -1.0), 1.0)
-            opening = math.copysign(max(abs(state) - zone, 0.0) / (1 - zone), state) if is_flow else wanted
+            opening = beyond(state, zone) / (1 - zone) if is_flow else wanted
             moved.append((wanted - state) / 0.002 if is_flow else (command - state) / 0.02)
             source = (C * opening, inlet) if opening > 0 else ((valve.exhaust_conductance or C) * -opening, 101325)
             mass = flow(*source, pressure + 101325)
