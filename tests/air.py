@@ -71,7 +71,7 @@ def follow(actuators: Sequence, start, commands, times, volumes, growth=0.0, res
     supply = actuators[0].supply + ATMOSPHERE
     gauge = np.asarray(start, float)
     first = [*gauge + ATMOSPHERE, *np.full(len(gauge), ROOM), *gauge, *gauge + ATMOSPHERE, supply]
-    tight = {"method": "LSODA", "rtol": 1e-11, "atol": 1e-9, "max_step": 1e-4}
+    tight = {"method": "LSODA", "rtol": 1e-11, "atol": 1e-9, "max_step": times[-1] / 500}
     found = solve_ivp(rate, (0, times[-1]), first, t_eval=times, **tight).y
     muscles, temperatures, held, tubes = found[:-1].reshape(4, len(gauge), -1)
     return muscles - ATMOSPHERE, temperatures, held, tubes - ATMOSPHERE, found[-1] - ATMOSPHERE

@@ -95,32 +95,6 @@ def test_the_muscle_never_pushes_and_stays_in_its_band(path):
     assert np.all(force[tension == 0] == 0)
 
 
-@given(st.lists(st.floats(-5, 5), min_size=2, max_size=20), st.floats(0, 1))
-def test_the_response_does_not_depend_on_how_a_path_is_divided(millimetres, cut):
-    """Along the path the tension rises with the length, as a muscle's does; moves cut in two end in the same forces."""
-    path = 0.2 + 1e-3 * np.array(millimetres)
-    middles = path[:-1] + cut * np.diff(path)
-    finer = np.append(np.stack([path[:-1], middles], axis=1).ravel(), path[-1])
-
-    def tension(x):
-        return np.maximum(60 + 5000 * (x - 0.2), 0.0)
-
-    np.testing.assert_allclose(
-        PLAIN.path_response(finer, tension(finer), 0.0)[::2], PLAIN.path_response(path, tension(path), 0.0), atol=1e-9
-    )
-
-
-@given(st.floats(-4, 4), st.floats(0.05, 3), st.floats(0, 1))
-def test_minor_loops_close_are_wiped_out(turn, deep, part):
-    """Return-point state: a smaller loop ends where it began, and the path goes on as if it had not existed."""
-    up, down = 0.2 + 1e-3 * turn, 0.2 + 1e-3 * (turn - deep)
-    within = down + part * (up - down)
-    force = PLAIN.path_response([0.18, up, down, within, down, within, down, up, 0.23], FAR, 0.0)
-    assert force[2] == pytest.approx(force[4], abs=1e-9) and force[4] == pytest.approx(force[6], abs=1e-9)
-    assert force[3] == pytest.approx(force[5], abs=1e-9)
-    assert force[7] == pytest.approx(force[1], abs=1e-9) and force[8] == pytest.approx(12, abs=1e-9)
-
-
 @pytest.mark.parametrize(("elements", "off"), [(3, 0.037), (4, 0.023), (6, 0.0113), (8, 0.0068)])
 def test_the_virgin_curve_is_next_to_an_exponential(elements, off):
     friction = MaxwellSlip(12.0, 0.5 * mm, elements=elements)

@@ -54,11 +54,3 @@ def test_a_joint_of_other_muscles_has_their_torque_and_stiffness(knee, paper_pre
     assert float(stiffness) == pytest.approx(-slope, rel=1e-7)
     for (at_zero, first, second), value in ((by_torque, torque), (by_stiffness, stiffness)):
         assert at_zero + first * pressures[0] + second * pressures[1] == pytest.approx(float(value), rel=1e-12)
-
-
-def test_one_strength_a_muscle_of_many(law):
-    strengths = np.array([0.8, 1.0, 1.25])
-    many = adjusted_law(law, strength=strengths)
-    axes = jax.tree.map(lambda leaf: 0 if np.ndim(leaf) else None, many)
-    forces = jax.vmap(lambda one: one.force(0.1, 3e5), in_axes=(axes,))(many)
-    np.testing.assert_allclose(forces, strengths * float(law.force(0.1, 3e5)), rtol=1e-13)

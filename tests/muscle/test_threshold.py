@@ -1,7 +1,5 @@
 """A law with a pressure threshold: the pressure that it sees, its inverse, its smoothness, in C and in a joint."""
 
-import dataclasses
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -40,12 +38,3 @@ def test_its_derivative_is_continuous_and_rises_from_zero_to_that_of_the_law(lat
     slope = jax.vmap(jax.grad(lambda p: late.force(0.02, p)))(jnp.asarray(PRESSURE))
     whole = float(jax.grad(lambda p: law.force(0.02, p))(3e5))
     assert np.all(np.diff(slope) > 0) and slope[0] < 0.02 * whole and slope[-1] == pytest.approx(whole, rel=1e-3)
-
-
-def test_a_joint_with_it_has_a_stiffness_and_pressures_for_a_state(knee, late):
-    muscle = dataclasses.replace(knee.muscle1, law=late)
-    joint = dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
-    shifted = tuple(float(late.effective_pressure(p)) for p in (3e5, 4e5))
-    np.testing.assert_allclose(
-        joint.torque_and_stiffness(0.1, (3e5, 4e5)), knee.torque_and_stiffness(0.1, shifted), rtol=1e-12
-    )

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import quad
 
 from mckibben.control import Setpoint
 from mckibben.muscle import MaxwellSlip
@@ -100,38 +99,12 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
     return np.array(angles)
 
 
-@pytest.mark.slow
 def test_it_moves_as_in_tiny_steps_of_plain_python(swing, paper_precontracted):
     start = PlantState(math.radians(12), 0.5, (P1, P2))
     state = swing(start, viscous=SLIP.viscous, damping=0.02)
     expected = tiny_steps(paper_precontracted, math.radians(12), 0.5, 0.4, 0.02)
     assert np.ptp(expected) > math.radians(5)
     np.testing.assert_allclose(np.asarray(state.angle)[: len(expected)], expected, atol=2e-6)
-
-
-def energy(paper, state):
-    """Kinetic energy, minus the work of the law's torque by quadrature, height, and what the elements store."""
-    every = slice(None, None, 50)
-    angles, velocities = np.asarray(state.angle)[every], np.asarray(state.velocity)[every]
-    work = [quad(lambda a: paper.torque(a, (P1, P2)), 0, x, epsabs=1e-11, epsrel=1e-11)[0] for x in angles]
-    plain = paper.inertia * velocities**2 / 2 - np.array(work) - paper.G * np.cos(np.pi / 6 - angles)
-    lengths = [paper.l0 * (1 - c) for c in paper.contractions(angles)]
-    stored = sum(
-        k * (length - np.asarray(anchor)[every]) ** 2 / 2
-        for length, muscle in zip(lengths, state.muscles, strict=True)
-        for k, anchor in zip(SLIP.stiffnesses, muscle.friction, strict=True)
-    )
-    return plain + stored
-
-
-def test_a_free_swing_only_loses_energy(swing, paper_precontracted):
-    state = swing(PlantState(math.radians(15), 0.3, (P1, P2)))
-    total = energy(paper_precontracted, state)
-    assert np.ptp(np.asarray(state.angle)) > 0.3
-    assert np.diff(total).max() < 1e-6 * (total[0] - total[-1])
-    assert total[0] - total[-1] > 0.5
-    # it ends within the band, where the elements are springs, and swings there no more than a little
-    assert np.ptp(np.asarray(state.angle)[-300:]) < math.radians(1.0)
 
 
 def test_its_torque_is_against_the_motion_and_that_of_the_tensions(with_slip):
