@@ -44,29 +44,6 @@ def test_what_is_appended_is_read_back(filled):
     assert JournalReader(filled).header() == ABOUT
 
 
-def test_a_journal_cut_anywhere_keeps_its_complete_records(filled):
-    content = filled.read_bytes()
-    ends = np.cumsum([2 * HEADER_SIZE, *(FRONT + len(content_of(number)) for number in range(20))])
-    for cut in np.random.default_rng(0).integers(ends[0], len(content), 40).tolist():
-        filled.write_bytes(content[:cut])
-        kept = list(range(int(np.searchsorted(ends, cut, side="right")) - 1))
-        assert numbers(filled) == kept
-        reader = JournalReader(filled)
-        assert ([record.number for record in reader if record.kind == ITEM], reader.damaged) == (kept, 0)
-
-
-def test_damage_costs_the_records_that_it_hits_and_is_counted(filled):
-    content = filled.read_bytes()
-    for place in np.random.default_rng(1).integers(2 * HEADER_SIZE, len(content), 40).tolist():
-        changed = bytearray(content)
-        changed[place] ^= 0x20
-        filled.write_bytes(bytes(changed))
-        reader = JournalReader(filled)
-        found = [record.number for record in reader if record.kind == ITEM]
-        assert len(found) == 19 and reader.damaged == 1
-        assert reader.end == len(content) or found[-1] == 18
-
-
 def test_a_damaged_header_is_read_from_its_copy(filled):
     content = filled.read_bytes()
     size = HEADER_SIZE
@@ -155,32 +132,24 @@ def records_of(content):
 
 @pytest.fixture
 def records(filled):
-    """Records of a journal, of one of another seed and of one of other payloads: two headers, then 20 items each."""
-    other, again = filled.with_name("other"), filled.with_name("again")
-    with Journal.create(other, {**ABOUT, "seed": 4}) as journal, Journal.create(again, ABOUT) as repeated:
+    """Records of a journal and of one of another seed: two headers, then 20 items each."""
+    other = filled.with_name("other")
+    with Journal.create(other, {**ABOUT, "seed": 4}) as journal:
         for number in range(20):
             journal.append(JournalRecord(ITEM, number, content_of(number)))
-            repeated.append(JournalRecord(ITEM, number, content_of(19 - number)))
-    ours, theirs, shuffled = (records_of(path.read_bytes()) for path in (filled, other, again))
-    assert [len(each) for each in (ours, theirs, shuffled)] == [22, 22, 22] and len(ours[0]) == len(theirs[0])
-    return ours, theirs, shuffled
+    return records_of(filled.read_bytes()), records_of(other.read_bytes())
 
 
 @pytest.mark.parametrize(
     ("splice", "place"),
     [
-        (lambda ours, theirs, again: [*ours, theirs[9]], 22),  # appended
-        (lambda ours, theirs, again: [*ours[:9], theirs[9], *ours[10:]], 9),  # in place of ours, of the same size
-        (lambda ours, theirs, again: [*ours[:9], theirs[4], *ours[9:]], 9),  # inserted
-        (lambda ours, theirs, again: [*ours, ours[9]], 22),  # repeated
-        (lambda ours, theirs, again: [*ours[:9], ours[10], ours[9], *ours[11:]], 9),  # exchanged
-        (lambda ours, theirs, again: [*ours[:9], *ours[10:]], 9),  # removed
-        (lambda ours, theirs, again: [*ours, *theirs], 22),  # two journals
-        (lambda ours, theirs, again: [*ours, *again], 22),  # two journals of the same header
-        (lambda ours, theirs, again: [*ours[:5], *again[5:]], 5),  # continued by another of the same header
-        (lambda ours, theirs, again: [*theirs[:2], *ours[2:]], 2),  # the header of another journal
-        (lambda ours, theirs, again: [ours[0], theirs[1], *ours[2:]], 1),  # its copy alone
-        (lambda ours, theirs, again: [theirs[0], *ours[1:]], 1),
+        (lambda ours, theirs: [*ours, theirs[9]], 22),  # appended
+        (lambda ours, theirs: [*ours[:9], theirs[9], *ours[10:]], 9),  # in place of ours, of the same size
+        (lambda ours, theirs: [*ours, ours[9]], 22),  # repeated
+        (lambda ours, theirs: [*ours[:9], ours[10], ours[9], *ours[11:]], 9),  # exchanged
+        (lambda ours, theirs: [*ours[:9], *ours[10:]], 9),  # removed
+        (lambda ours, theirs: [*theirs[:2], *ours[2:]], 2),  # the header of another journal
+        (lambda ours, theirs: [theirs[0], *ours[1:]], 1),  # one of its copies
     ],
 )
 def test_records_of_other_journals_and_places_are_refused_by_place(filled, records, splice, place):
@@ -200,14 +169,3 @@ def test_records_of_other_journals_and_places_are_refused_by_place(filled, recor
 def test_a_record_cut_out_of_the_end_is_an_unfinished_journal(filled, records):
     filled.write_bytes(b"".join(records[0][:-1]))
     assert numbers(filled) == list(range(19))
-
-
-def test_no_flipped_bit_gives_other_content(filled):
-    content = filled.read_bytes()
-    whole = [(record.kind, record.number, record.payload) for record in JournalReader(filled)]
-    for place in np.random.default_rng(3).integers(0, 8 * len(content), 400).tolist():
-        changed = bytearray(content)
-        changed[place // 8] ^= 1 << place % 8
-        filled.write_bytes(changed)
-        found = [tuple(record) for record in JournalReader(filled)]
-        assert len(found) == len(whole) - 1 and set(found) <= set(whole)

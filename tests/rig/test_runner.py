@@ -1,10 +1,10 @@
 """A test on the simulated rig: steps, record, resuming, venting."""
 
-import importlib
+import contextlib
+import multiprocessing
 import signal
+import time
 from dataclasses import replace
-from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,9 +12,9 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import SignalledError, StoppedError
 from mckibben.muscle import MaxwellSlip, Muscle, forces
-from mckibben.rig import IsobaricProtocol
+from mckibben.rig import IsobaricProtocol, recorder
 from mckibben.rig.bench import Bench, RigLimits
-from mckibben.rig.record import assemble, read_record, recorded_points
+from mckibben.rig.record import assemble, read_record, recorded_points, segments
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.runner import Runner, columns_of
 from mckibben.rig.safety import StopFlag
@@ -32,18 +32,12 @@ from mckibben.rig.steps import (
     steps_of,
 )
 from mckibben.units import bar, mm, percent
+from tests.rig import faults
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 LIMITS = RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm)
 EXACT = Regulator(hysteresis=0.0, repeatability=0.0)
 QUICK = {"dwell": 0.2, "acquisition": 0.1, "samples": 100, "speed": 4 * mm}
-
-
-@pytest.fixture
-def trials(monkeypatch):
-    """Kills and faults of a test on the simulated rig."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parent))
-    return SimpleNamespace(**{name: importlib.import_module(name) for name in ("kill", "faults")})
 
 
 def run(folder, steps, *, of=MUSCLE, muscle=MUSCLE, twin=None, limits=LIMITS, **given):
@@ -201,19 +195,6 @@ def test_a_muscle_that_does_not_pull_as_its_law_tells_stops(tmp_path):
         run(tmp_path, steps, muscle=other, limits=replace(LIMITS, deviation=20.0))
 
 
-def test_a_full_disk_vents_and_is_told(tmp_path, monkeypatch):
-    from mckibben.errors import RigError
-
-    def full(recorder, table):
-        raise RigError("the disk is full")
-
-    twin = SimulatedRig(MUSCLE, seed=3)
-    monkeypatch.setattr(Recorder, "append", full)
-    with pytest.raises(StoppedError, match="stopped: the disk is full; the muscle is vented"):
-        run(tmp_path, [Pressurise(pressure=2 * bar)], twin=twin)
-    assert twin.truth.pressure < 0.2 * bar
-
-
 def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_path):
     twin = SimulatedRig(MUSCLE, seed=3, faults=[SupplyLost(4.0)])
     with pytest.raises(StoppedError, match="the pressure does not follow"):
@@ -222,24 +203,68 @@ def test_an_empty_supply_is_found_at_once_after_the_pressure_had_settled(tmp_pat
 
 
 @pytest.mark.slow
-def test_every_fault_at_some_instants_ends_vented_and_recorded(trials, tmp_path):
-    generator = np.random.default_rng(7)
-    stopped = 0
-    for name, make in trials.faults.FAULTS.items():
+def test_every_fault_at_some_instants_ends_vented_and_recorded(tmp_path):
+    generator, stopped = np.random.default_rng(7), 0
+    for name, make in faults.FAULTS.items():
         for number in range(5):
-            fault = make(float(generator.uniform(0, trials.faults.DURATION)))
-            stopped += bool(trials.faults.broken(fault, number, tmp_path / f"{name} {number}"))
-    assert stopped > 2.5 * len(trials.faults.FAULTS)
+            fault = make(float(generator.uniform(0, faults.DURATION)))
+            stopped += bool(faults.broken(fault, number, tmp_path / f"{name} {number}"))
+    assert stopped > 2.5 * len(faults.FAULTS)
+
+
+def go_on(folder, told=None):
+    """Begin the test of a folder, or go on with it; the numbers of rows on the disk go to a pipe."""
+    session = len(segments(folder))
+    twin = SimulatedRig(MUSCLE, seed=session, regulator=EXACT)
+    bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.2)
+    since = read_record(folder).columns["time"].max(initial=-1e-3) + 1e-3 if session else 0.0
+    with (Recorder.resume if session else Recorder.create)(folder, {}, columns_of(["force", "pressure"])) as record:
+
+        def report(_):
+            record.flush()
+            if told:
+                told.send(record.rows)
+
+        done = recorded_points(folder) if session else ()
+        acquire = Acquire(samples=50, duration=0.05)
+        walk = {"step": 1 * mm, "speed": 4 * mm, "dwell": 0.1, "acquire": acquire}
+        walks = Walk(to=4 * percent, **walk), Walk(to=1 * percent, **walk)
+        steps = [Pressurise(pressure=2 * bar), Move(to=1 * percent, speed=4 * mm), Repeat(times=3, steps=walks)]
+        Runner(RigSession(twin, bench, record, since=since, report=report), done=done).run(steps)
+    return assemble(folder, bench)
 
 
 @pytest.mark.slow
-def test_killed_at_random_instants_it_loses_nothing_that_was_recorded(trials, tmp_path, monkeypatch):
-    monkeypatch.setattr(trials.kill.recorder, "PERIOD", trials.kill.PERIOD)
-    reference, longest = trials.kill.prepare(tmp_path)
-    generator = np.random.default_rng(5)
-    kills = 0
-    for number in range(40):
-        kills += trials.kill.trial(tmp_path / str(number), reference, generator, longest)
-        if kills >= 5:
-            break
-    assert kills >= 5
+@pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning", "ignore:.*fork:DeprecationWarning")
+def test_killed_at_random_instants_it_loses_nothing_that_was_recorded(tmp_path, monkeypatch):
+    """No row that was reported to be on the disk is missing, and rows are those of a test that nobody killed."""
+    monkeypatch.setattr(recorder, "PERIOD", 2e-3)  # s
+    go_on(tmp_path / "warm")  # the table of the law is made once
+    begin = time.perf_counter()
+    expected, whole = go_on(tmp_path / "reference"), read_record(tmp_path / "reference")
+    longest, kills = time.perf_counter() - begin, 0
+    for number, share in enumerate(np.random.default_rng(5).uniform(0, 1, 20)):
+        folder, (receiver, sender) = tmp_path / str(number), multiprocessing.Pipe(duplex=False)
+        process = multiprocessing.get_context("fork").Process(target=go_on, args=(folder, sender))
+        process.start()
+        sender.close()
+        process.join(share * longest)
+        process.kill()
+        process.join()
+        reported = 0
+        with contextlib.suppress(EOFError):
+            while True:
+                reported = receiver.recv()
+        if segments(folder):
+            left = read_record(folder)
+            assert len(left) >= reported
+            for name, values in left.columns.items():
+                np.testing.assert_array_equal(values, whole.columns[name][: len(left)])
+        kills += process.exitcode == -signal.SIGKILL
+        data = go_on(folder)
+        np.testing.assert_array_equal(data.contraction, expected.contraction)
+        np.testing.assert_allclose(data.force, expected.force, atol=2.0)  # noise, and 0.01 bar; the next is 10 N away
+        assert (np.diff(read_record(folder).columns["time"]) > 0).all()
+        if kills == 5:
+            return
+    pytest.fail("it was not killed often enough")

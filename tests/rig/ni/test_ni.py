@@ -184,17 +184,6 @@ def test_closed_rig_is_vented_and_lets_go_of_the_card(bench):
     assert rig.read(10).first == 0
 
 
-def test_host_that_dies_leaves_the_outputs_and_the_relay_vents(bench):
-    """The card holds its last signal; the twin's patience stands for the relay."""
-    there = bench(patience=0.4)
-    rig = there.rig(patience=0.4)
-    press(rig, there.twin, 6 * bar)
-    read(rig, 2.0)
-    there.twin.pass_time(0.4 + 1.0)
-    assert there.card.valve > 6 and there.card.lines[device.HOLD]
-    assert there.twin.truth.pressure < SAFE
-
-
 def test_missed_beat_holds_until_it_is_opened_anew(bench, monkeypatch):
     there = bench()
     rig = there.rig()

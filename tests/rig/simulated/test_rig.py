@@ -138,28 +138,6 @@ def test_same_seed_same_samples_however_they_are_read():
     assert one.truth.force == pytest.approx(two.truth.force, abs=0.2)
 
 
-def test_friction_and_creep_are_in_the_force():
-    rig = opened(REAL, mounted_at=0.02, patience=10.0, **QUIET)
-    press(rig, 3 * bar)
-    blocks(rig, 5.0)
-    ends = []
-    for way in (-2 * mm, 2 * mm, 2 * mm, -2 * mm):
-        rig.move(rig.drive.pulses(way), 800.0)
-        blocks(rig, 2.0)
-        ends.append(rig.truth.force - float(forces(PLAIN, rig.truth.contraction, rig.truth.pressure)))
-        blocks(rig, 200.0, 1000)
-    assert ends[0] < -10 < 10 < ends[1] and ends[3] < -10
-    creeping = opened(dataclasses.replace(REAL, friction=PLAIN.friction), mounted_at=0.02, **QUIET)
-    press(creeping, 3 * bar)
-    blocks(creeping, 5.0)
-    creeping.move(400, 800.0)
-    time, force, *_ = columns(creeping, blocks(creeping, 5.5))
-    read = time[1000::500] - time[0] - 0.5  # by then the regulator has made good what the move did to the pressure
-    expected = REAL.creep.path_response([0.1764, 0.1774], 150.0, move_time=0.5, hold_time=9.0, sample_times=read)[1]
-    tension = float(forces(PLAIN, creeping.truth.contraction, creeping.truth.pressure))
-    np.testing.assert_allclose(force[1000::500] - tension, expected, atol=0.005)
-
-
 def test_motor_counts_its_pulses_in_time():
     rig = opened()
     rig.move(40, 80.0)
