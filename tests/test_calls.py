@@ -157,7 +157,7 @@ def test_a_scenario_of_a_path_names_the_reader():
     assert caught.value.problems[0].remedy == "it is a key of valve"
     with pytest.raises(ScenarioError) as caught:
         mk.Scenario.read("examples/rig.csv")
-    assert "no keys" in caught.value.problems[0].message
+    assert "keys and values" in caught.value.problems[0].message
     with pytest.raises(McKibbenError, match="'gains'"):
         SCENARIO.tune("gains")
 

@@ -1,6 +1,6 @@
 """Hostile and damaged YAML and JSON, for every kind of configuration file; text written and read back."""
 
-import json
+import re
 from pathlib import Path
 
 import pytest
@@ -45,8 +45,9 @@ HOSTILE = {
 }
 
 
-@pytest.mark.parametrize("read", READERS, ids=lambda read: read.__qualname__)
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize(
+    ("name", "read"), [*((name, Scenario.read) for name in HOSTILE), *(("duplicate key", read) for read in READERS)]
+)
 def test_hostile_text_is_an_error_of_moderate_length(name, read, tmp_path):
     path = tmp_path / "file.yaml"
     path.write_text(HOSTILE[name], encoding="utf-8")
@@ -101,15 +102,42 @@ def test_what_is_written_is_read_back(data):
     assert document.data == _as_read(data)
 
 
+def _scalars(value, place=()):
+    if isinstance(value, str):
+        yield place
+    else:
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _scalars(item, (*place, key))
+
+
 def test_every_scalar_of_an_example_can_be_edited_alone():
-    text = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
+    text = (EXAMPLES / "pre-contracted-step-pid.yaml").read_text()
     document = read_document(text)
-    scalars = {place: span for place, span in document.spans.items() if not span.mapping}
-    assert len(scalars) > 15
-    for place, span in scalars.items():
-        changed = edit_yaml(text, {place: "new"})
-        assert changed == f"{text[: span.start]}new{text[span.end :]}"
-        assert json.dumps(read_document(changed).data) != json.dumps(document.data)
+    places = list(_scalars(document.data))
+    assert len(places) > 15
+    assert edit_yaml(text, {}) == text
+    for place in places:
+        edited = edit_yaml(text, {place: "new"})
+        assert re.findall("#.*", edited) == re.findall("#.*", text)
+        changed = read_document(edited)
+        assert changed.lines == document.lines
+        assert [at for at in places if changed.value(at) != document.value(at)] == [place]
+        assert changed.value(place) == "new"
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "edited"),
+    [
+        ("load:\n  mass: 1 kg\n\n# the valve\nvalve: ideal\n", ("load", "damping"), ("mass", "damping")),
+        ("load: {mass: 1 kg}\n", ("load", "damping"), ("mass", "damping")),
+        ("load: {mass: 1 kg}\n", ("load", "spring", "rate"), ("mass", "spring")),
+        ("load: knee\n", ("load", "damping"), ("from", "damping")),
+    ],
+)
+def test_what_is_missing_is_added_within_its_section(text, place, edited):
+    changed = read_document(edit_yaml(text, {place: "0.1"}))
+    assert {*changed.value(("load",))} == {*edited}
+    assert changed.value(place) == "0.1"
 
 
 @pytest.mark.parametrize(

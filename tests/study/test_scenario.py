@@ -324,7 +324,7 @@ def test_files_that_are_no_scenarios(tmp_path):
     assert "not text" in message(b"\xff\xfe\x00\x01")
     assert "not YAML" in message(b"PK\x03\x04\x00\x00")
     assert "longer than" in message(b"a" * 2_000_000)
-    assert "no keys" in message(b"just words")
+    assert "keys and values" in message(b"just words")
     assert "a list" in message(b"- a\n- b\n")
 
 

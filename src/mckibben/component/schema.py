@@ -13,7 +13,7 @@ import functools
 import inspect
 import warnings
 from collections import ChainMap
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import UnionType
@@ -44,7 +44,7 @@ from mckibben.component.classes import (
 from mckibben.component.extensions import load_installed
 from mckibben.config.document import read_document, to_text
 from mckibben.config.fields import FilePath, Flag, OneOf, Title, read_number, read_path, relative_path
-from mckibben.config.model import ConfigModel, fail_validation, located_below, marks_in, parse_text, read_text
+from mckibben.config.model import ConfigModel, fail_validation, located_below, marks_in, read_text, validated
 from mckibben.errors import FileError, McKibbenError, closest, described, quoted, suggest, with_article
 from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
@@ -292,17 +292,12 @@ class ComponentField:
             fail_validation("lacks the key `class`", f"give one of {', '.join(known)}{keys}")
         return kind
 
-    def model_for(self, value: Any) -> type[Section] | None:
-        """Return the model of a section, for messages; None for one that names no class."""
+    def section_keys(self, value: object) -> Collection[str]:
+        """Return the keys of a section, for messages; none of one that names no class."""
         with contextlib.suppress(McKibbenError):
-            written, value = value, self.base.from_file(value)  # type: ignore[attr-defined]
-            if isinstance(value, dict) and "class" not in value and "from" in value and len(classes_of(self.base)) > 1:
-                return None
-            model = section_of(self.class_for(value if isinstance(value, dict) else {}), self.units)
-            if (key := short_key(written, value)) and isinstance(written[key[0]], dict):
-                return cast(Any, create_model)("Keyed", __base__=Section, **{key[0]: (model, ...)})
-            return model
-        return None
+            section = self.base.from_file(value)  # type: ignore[attr-defined]
+            return _keys(self.class_for(section if isinstance(section, dict) else {}))
+        return ()
 
     @property
     def _noun(self) -> str:
@@ -506,8 +501,9 @@ def parse_component(
     units: Units = Units(),  # noqa: B008
 ) -> C:
     """Return the component of a YAML text; as `read_component`."""
-    field = ComponentField(base, units)
-    model = field.model_for(read_document(text).data) or Section
+    field, document = ComponentField(base, units), read_document(text)
+    if isinstance(document.data, dict) and key in document.data:
+        document = document.below(key)
     validate = TypeAdapter[Any](Annotated[Any, field]).validate_python
-    inner = {**(context or {}), "folder": folder}
-    return parse_text(validate, model, text, source=source, key=key, context=inner)[0]
+    inner, keys = {**(context or {}), "folder": folder}, field.section_keys(document.data)
+    return validated(validate, document, source, inner, keys, f"a file with {', '.join(keys)}")

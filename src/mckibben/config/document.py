@@ -6,9 +6,12 @@ import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mckibben.errors import Problem
+
+if TYPE_CHECKING:
+    from ruamel.yaml import YAML
 
 Place = tuple[str | int, ...]
 """Keys and indices from the top of a document to a value."""
@@ -20,27 +23,39 @@ _DEEPEST = 12
 _NULL = ("null", "~")
 
 
-@dataclass(frozen=True)
-class Span:
-    """Position of a value: a scalar with its quotes, or the first to the last entry of a mapping."""
-
-    start: int
-    end: int
-    mapping: bool
-    flow: bool
-    column: int = 0
-
-
 @dataclass
 class Document:
-    """Parsed text: `data` holds mappings, tuples and text; scalars are not converted."""
+    """Parsed YAML text with the line of every value.
+
+    Attributes
+    ----------
+    data
+        Mappings, tuples and text; scalars are not converted.
+    lines
+        Line of each key and item, by its place.
+    problems
+        Mistakes of the text, such as aliases, tags and repeated keys.
+    rejected
+        Places of values that are among the problems, and not in `data`.
+    readable
+        Whether the text is YAML at all.
+    """
 
     data: Any = None
     lines: dict[Place, int] = field(default_factory=dict)
-    spans: dict[Place, Span] = field(default_factory=dict)
     problems: list[Problem] = field(default_factory=list)
     rejected: set[Place] = field(default_factory=set)
     readable: bool = True
+
+    def value(self, place: Place) -> object:
+        """Return the value at a place; None if there is none."""
+        value = self.data
+        for key in place:
+            try:
+                value = value[key]
+            except (KeyError, IndexError, TypeError):
+                return None
+        return value
 
     def line(self, place: Place) -> int | None:
         """The line of a place, or of the nearest enclosing one."""
@@ -58,7 +73,7 @@ class Document:
         """The document below a key, with the lines of the whole document."""
         lines = {place[1:]: line for place, line in self.lines.items() if place[:1] == (key,)}
         rejected = {place[1:] for place in self.rejected if place[:1] == (key,)}
-        return Document(self.data[key], lines, {}, self.problems, rejected)
+        return Document(self.data[key], lines, self.problems, rejected)
 
     def is_rejected(self, place: Place) -> bool:
         """Whether a place, or one around it, already has a problem."""
@@ -99,7 +114,7 @@ def read_document(text: str) -> Document:
         if node is None or node.value == "":
             return document.fail("is empty", remedy="see examples/ for files to start from")
         document.lines[()] = node.start_mark.line + 1
-        document.data = _Reader(document).read(node, ())[0]
+        document.data = _Reader(document).read(node, ())
     except YAMLError as error:
         _explain(error, text, document)
     except RecursionError:
@@ -114,45 +129,37 @@ _TAGS = {f"tag:yaml.org,2002:{name}" for name in "str int float bool null map se
 
 @dataclass
 class _Reader:
-    """From YAML nodes to a document: each `read` returns the value of a node, and where it ends in the text."""
+    """Conversion of YAML nodes to the data of a document."""
 
     document: Document
 
-    def read(self, node: Any, place: Place, *, flow: bool = False) -> tuple[Any, int]:
-        line = self.document.line(place) or node.start_mark.line + 1
+    def read(self, node: Any, place: Place) -> object:
+        """Return the value of a node; None, and a problem of the document, if it is not allowed."""
+        reject, line = self.document.reject, self.document.line(place) or node.start_mark.line + 1
         if len(place) > _DEEPEST:
-            self.document.reject(place, line, f"is nested more than {_DEEPEST} deep", "use fewer levels")
-            return None, node.end_mark.index
+            return reject(place, line, f"is nested more than {_DEEPEST} deep", "use fewer levels")
         if node.anchor is not None:  # of this node, or of the one that an alias repeats
-            self.document.reject(place, line, f"{_short(node.anchor)} is an anchor", "write the value out where it is")
-            return None, node.end_mark.index
+            return reject(place, line, f"{_short(node.anchor)} is an anchor", "write the value out where it is")
         if node.tag not in _TAGS:
-            self.document.reject(place, line, f"{_short(str(node.tag))} is a tag", "leave it out")
+            reject(place, line, f"{_short(str(node.tag))} is a tag", "leave it out")
         if node.id == "mapping":
             return self.read_mapping(node, place)
         if node.id == "sequence":
-            return self.read_list(node, place, flow=flow)
+            return tuple(self.read_item(item, (*place, number)) for number, item in enumerate(node.value))
         if not node.value.isascii() and any("\ud800" <= char <= "\udfff" for char in node.value):
-            self.document.reject(place, line, "has an escape of half a character", "write the character itself")
+            reject(place, line, "has an escape of half a character", "write the character itself")
         if not node.style and node.value.lower() in _NULL:
-            self.document.reject(place, line, "has no value", "write one, or leave the key out")
-        self.document.spans[place] = Span(node.start_mark.index, node.end_mark.index, mapping=False, flow=flow)
-        return node.value, node.end_mark.index
+            reject(place, line, "has no value", "write one, or leave the key out")
+        return node.value
 
-    def read_list(self, node: Any, place: Place, *, flow: bool) -> tuple[tuple[Any, ...], int]:
-        items: list[Any] = []
-        end = node.end_mark.index
-        for item in node.value:
-            here = (*place, len(items))
-            self.document.lines[here] = item.start_mark.line + 1
-            value, end = self.read(item, here, flow=flow)
-            items.append(value)
-        return tuple(items), node.end_mark.index if node.flow_style else end
+    def read_item(self, node: Any, place: Place) -> object:
+        """Return the value of an item of a list."""
+        self.document.lines[place] = node.start_mark.line + 1
+        return self.read(node, place)
 
-    def read_mapping(self, node: Any, place: Place) -> tuple[dict[str, Any], int]:
-        items: dict[str, Any] = {}
-        flow = bool(node.flow_style)
-        start = end = node.start_mark.index + 1 if flow else node.start_mark.index
+    def read_mapping(self, node: Any, place: Place) -> dict[str, object]:
+        """Return the values of a mapping by their keys, without rejected ones."""
+        items: dict[str, object] = {}
         for key, item in node.value:
             line, here = key.start_mark.line + 1, (*place, key.value if key.id == "scalar" else "?")
             if key.id != "scalar":
@@ -162,11 +169,10 @@ class _Reader:
                 self.document.problems.append(Problem(message, line, dotted(here), "keep one of them"))
             else:
                 self.document.lines[here] = line
-                value, end = self.read(item, here, flow=flow)
+                value = self.read(item, here)
                 if here not in self.document.rejected:
                     items[key.value] = value
-        self.document.spans[place] = Span(start, end, mapping=True, flow=flow, column=node.start_mark.column)
-        return items, node.end_mark.index if flow else end
+        return items
 
 
 def _explain(error: Any, text: str, document: Document) -> None:
@@ -196,38 +202,32 @@ def _short(text: str) -> str:
 
 
 def edit_yaml(text: str, values: Mapping[Place, str]) -> str:
-    """YAML text with other scalars, by their place; what is missing is added, and the layout stays as it is."""
-    for place, written in values.items():
-        text = _edited(text, place, written)
-    return text
+    """Return YAML text with other scalars, by their place; comments and the order of keys stay.
+
+    Missing sections and keys are added; a name in place of a section becomes its key `from`.
+
+        >>> print(edit_yaml("load: knee  # of Table 2", {("load", "damping"): "0.1 N*m*s/rad"}), end="")
+        load: {from: knee, damping: 0.1 N*m*s/rad} # of Table 2
+    """
+    yaml = _yaml()
+    data = yaml.load(text)
+    for (*parents, key), written in values.items():
+        section = _section_at(data, tuple(parents))
+        if isinstance(section, list) or key in section or section.fa.flow_style():
+            section[key] = written
+        else:  # at its end there may be comments on what follows
+            section.insert(0, key, written)
+    return _dumped(yaml, data)
 
 
-def _edited(text: str, place: Place, written: str) -> str:
-    spans = read_document(text).spans
-    *parent, key = place
-    here, around = spans.get(place), spans.get(tuple(parent))
-    if here is not None:
-        return text[: here.start] + written + text[here.end :]
-    if around is None:
-        return _edited(text, tuple(parent), f"{{{key}: {written}}}")
-    if around.mapping:
-        return _added(text, around, f"{key}: {written}")
-    if key != "constant":  # a signal that is a quantity alone
-        written = f"{{from: {text[around.start : around.end]}, {key}: {written}}}"
-    return text[: around.start] + written + text[around.end :]
-
-
-def _added(text: str, mapping: Span, entry: str) -> str:
-    """The text with another entry at the end of a mapping."""
-    before, after = text[: mapping.end], text[mapping.end :]
-    if mapping.flow:
-        return f"{before}{entry if mapping.start == mapping.end else f', {entry}'}{after}"
-    line = f"{' ' * mapping.column}{entry}"
-    newline = "\r\n" if "\r\n" in text else "\n"
-    if before.endswith("\n"):  # a block scalar ends with its line
-        return f"{before}{line}{newline}{after}"
-    rest, ends, following = after.partition(newline)
-    return f"{before}{rest}{newline}{line}{ends}{following}"
+def _section_at(section: Any, place: Place) -> Any:
+    """Section at a place below another, made if it is missing or a name."""
+    if not place:
+        return section
+    inner = section.get(place[0]) if isinstance(section, dict) else section[place[0]]
+    if not isinstance(inner, dict | list):
+        inner = section[place[0]] = _node({"from": inner}, ("", ""), LONGEST_TEXT)
+    return _section_at(inner, place[1:])
 
 
 def plain(data: Any) -> Any:
@@ -238,16 +238,31 @@ def plain(data: Any) -> Any:
 
 
 def to_text(data: Mapping[str, object], *, width: int = 100) -> str:
-    """YAML of plain data, numbers with all digits, None left out; inner mappings up to `width` on one line."""
+    """Return YAML of plain data, numbers with all digits, None left out; inner mappings up to `width` on one line.
+
+    >>> print(to_text({"valve": {"time_constant": "20 ms", "delay": None}, "seeds": [1, 2]}), end="")
+    valve: {time_constant: 20 ms}
+    seeds: [1, 2]
+    """
+    return _dumped(_yaml(), _node(data, (), width))
+
+
+def _yaml() -> YAML:
+    """Reader and writer of YAML that keeps comments and layout, and for which all scalars are text."""
     from ruamel.yaml import YAML
     from ruamel.yaml.resolver import VersionedResolver
 
     yaml, nulls = YAML(), [("tag:yaml.org,2002:null", re.compile("(~|null)?$", re.IGNORECASE))]  # all else is text
     yaml.Resolver = type("TextResolver", (VersionedResolver,), {"versioned_resolver": {None: nulls}})
+    yaml.preserve_quotes = True
     yaml.width = LONGEST_TEXT
     yaml.indent(mapping=2, sequence=4, offset=2)
+    return yaml
+
+
+def _dumped(yaml: YAML, data: object) -> str:
     text = io.StringIO()
-    yaml.dump(_node(data, (), width), text)
+    yaml.dump(data, text)
     return text.getvalue()
 
 

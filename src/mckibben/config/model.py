@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, NoReturn, Protocol, Self, TypeVar, get_args, get_origin, runtime_checkable
+from typing import Any, ClassVar, NoReturn, Protocol, Self, TypeVar, cast, get_args, runtime_checkable
 
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from mckibben.config.document import LONGEST_TEXT, Document, Place, dotted, read_document, to_text
@@ -23,13 +32,21 @@ from mckibben.errors import (
     quoted,
     suggest,
 )
-from mckibben.storage.files import atomic_write, check_seal, similar_file
+from mckibben.storage.files import atomic_write, similar_file
 
 
 class ConfigModel(BaseModel):
     """A section of a configuration file: frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _explain_keys(cls, value: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        try:
+            return handler(value)
+        except ValidationError as error:
+            raise _Keys(cls, value).explained(error) from None
 
 
 class DocumentModel(ConfigModel):
@@ -46,8 +63,7 @@ class DocumentModel(ConfigModel):
         try:
             super().__init__(**fields)
         except ValidationError as error:
-            problems = problems_of(error, Document(fields), type(self))
-            raise ScenarioError(type(self).__name__, problems) from None
+            raise ScenarioError(type(self).__name__, _problems(error, Document(fields))) from None
 
     @field_validator("*", mode="after")
     @classmethod
@@ -102,40 +118,27 @@ def fields_by_key(model: type[BaseModel]) -> dict[str, str]:
     return {info.alias or name: name for name, info in model.model_fields.items()}
 
 
-def explicit_fields(part: ConfigModel | None, *without: str) -> dict[str, Any]:
-    """The fields that are given, by name; the others keep the default of the class that is built."""
-    if part is None:
-        return {}
-    return {
-        name: getattr(part, name)
-        for name in type(part).model_fields
-        if name not in without and getattr(part, name) is not None
-    }
-
-
 class _ValidationError(McKibbenError, ValueError):
-    """A mistake found by a validator; `parent`: of the section around the field; `follows`: from another one."""
+    """A mistake found by a validator; `follows`: from another one."""
 
-    def __init__(self, message: str, *, parent: bool, follows: bool, **details: Any) -> None:
+    def __init__(self, message: str, *, follows: bool, **details: Any) -> None:
         super().__init__(message, **details)
-        self.parent, self.follows = parent, follows
+        self.follows = follows
 
 
 def fail_validation(
-    message: str,
-    remedy: str = "",
-    *,
-    parent: bool = False,
-    follows: bool = False,
-    value: object = None,
-    field: str | None = None,
+    message: str, remedy: str = "", *, follows: bool = False, value: object = None, field: str | None = None
 ) -> NoReturn:
     """Report a mistake from within a validator.
 
-    With `parent` it is a mistake of the section around the field. One that `follows` from others is left out if there
-    are others. `field` is the key, or the keys joined by dots, below the place of the validator.
+    Parameters
+    ----------
+    follows
+        Whether it follows from others, and is left out if there are others.
+    field
+        Key, or keys joined by dots, below the place of the validator.
     """
-    raise _ValidationError(message, remedy=remedy, parent=parent, follows=follows, value=value, field=field)
+    raise _ValidationError(message, remedy=remedy, follows=follows, value=value, field=field)
 
 
 def with_changes(content: object, section: Mapping[str, object]) -> object:
@@ -165,30 +168,26 @@ def _merged(content: Any, changes: Any) -> Any:
 
 
 def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: str = "examples/") -> str:
-    """Text of a configuration file; ScenarioError (`what`, see `example`) if it is unreadable or its seal is broken."""
+    """Return the text of a configuration file, in UTF-8.
+
+    `what` and `example` are named in the `ScenarioError` that is raised if there is none, or one that is too long.
+    """
     if not isinstance(path, str | os.PathLike):
         raise ScenarioError(what, [Problem(f"{path!r:.60} is not a path", remedy=f"give one, see {example}")])
-    source, longest, similar = os.fspath(path), 4 * LONGEST_TEXT, ""
+    longest, remedy = 4 * LONGEST_TEXT, f"give the path of {what}, see {example}"
     try:
         with Path(path).open("rb") as file:
             content = file.read(longest + 1)
-        if len(content) > longest:
-            raise ScenarioError(source, [Problem(f"is longer than {LONGEST_TEXT} characters")])
-        check_seal(Path(path))
-        return content.decode("utf-8-sig")
+        if len(content) <= longest:
+            return content.decode("utf-8-sig")
+        problem = Problem(f"is longer than {LONGEST_TEXT} characters")
     except UnicodeDecodeError:
-        raise ScenarioError(source, [Problem("is not text in UTF-8", remedy="give a YAML file")]) from None
-    except OSError as error:
-        reason = error.strerror or str(error)
-        if isinstance(error, FileNotFoundError):
-            similar = similar_file(Path(path))
-    except FileError as error:
-        raise ScenarioError(source, error.problems) from None
-    except ValueError as error:  # such as a null character in the path
-        reason = str(error)
-    remedy = f"{similar + ' if not, ' if similar else ''}give the path of {what}, see {example}"
-    problem = Problem(f"cannot be read: {reason}", remedy=remedy)
-    raise ScenarioError(source, [problem]) from None
+        problem = Problem("is not text in UTF-8", remedy="give a YAML file")
+    except (OSError, ValueError) as error:  # of a null character in the path
+        similar = similar_file(Path(path)) if isinstance(error, FileNotFoundError) else ""
+        reason = getattr(error, "strerror", "") or str(error)
+        problem = Problem(f"cannot be read: {reason}", remedy=f"{similar} if not, {remedy}" if similar else remedy)
+    raise ScenarioError(os.fspath(path), [problem])
 
 
 def located_below(error: ValidationError, place: Place, *, shorthand: bool = False) -> ValidationError:
@@ -197,48 +196,45 @@ def located_below(error: ValidationError, place: Place, *, shorthand: bool = Fal
     return ValidationError.from_exception_data(error.title, details)
 
 
-P = TypeVar("P", bound=ConfigModel)
+P = TypeVar("P", bound=DocumentModel)
 M = TypeVar("M")
 
 
 def parse_model(
     kind: type[P], text: str, *, source: str, folder: str | os.PathLike[str] = ".", confined: bool = False
 ) -> tuple[P, Document]:
-    """A model from YAML text, and the document with its lines; ScenarioError with every problem of the text.
+    """Return a model from YAML text, and the document with its lines.
 
-    A `confined` text may name only files in its folder.
+    A `confined` text may name only files in its folder. Raises `ScenarioError` with every problem of the text.
     """
-    context = {"folder": Path(folder), "confined": confined}
-    return parse_text(kind.model_validate, kind, text, source=source, context=context)
+    document, context = read_document(text), {"folder": Path(folder), "confined": confined}
+    expected = f"a {kind.kind}, see {kind.examples}"
+    return validated(kind.model_validate, document, source, context, fields_by_key(kind), expected), document
 
 
-def parse_text(
+def validated(
     validate: Callable[..., Any],
-    model: type[BaseModel],
-    text: str,
-    *,
+    document: Document,
     source: str,
     context: Mapping[str, object],
-    key: str = "",
-) -> tuple[Any, Document]:
-    """Validate YAML text, or its section under a key, with a pydantic validator; errors as for `parse_model`."""
-    document = read_document(text)
+    keys: Collection[str],
+    expected: str,
+) -> Any:
+    """Return the data of a document, validated by pydantic.
+
+    Raises `ScenarioError` with every problem, or with one if the `keys` show that another kind of file is `expected`.
+    """
     if not document.readable:
         raise ScenarioError(source, document.problems)
-    if isinstance(document.data, dict) and key in document.data:
-        document = document.below(key)
     try:
-        validated = validate(document.data, context=context)
+        value = validate(document.data, context=context)
     except ValidationError as error:
-        problems = problems_of(error, document, model)
-        if not key and (other := kind_of(document.data, _keys_of(model))):
-            whole = issubclass(model, DocumentModel)
-            asked = f"a {model.kind}, see {model.examples}" if whole else f"a file with {', '.join(_keys_of(model))}"
-            problems = [Problem(f"is {other}", remedy=f"give {asked}")]
-        raise ScenarioError(source, problems) from None
+        if other := _kind_of(document.data, keys):
+            raise ScenarioError(source, [Problem(f"is {other}", remedy=f"give {expected}")]) from None
+        raise ScenarioError(source, _problems(error, document)) from None
     if document.problems:
         raise ScenarioError(source, document.problems)
-    return validated, document
+    return value
 
 
 _KINDS = (
@@ -253,38 +249,86 @@ _KINDS = (
 """Keys that only one kind of file has, what it is, and what reads it."""
 
 
-def kind_of(data: object, known: Collection[str] = ()) -> str:
-    """Return what a file with this data is, and what reads it; empty if it may be of the kind with the `known` keys."""
+def _kind_of(data: object, known: Collection[str]) -> str:
+    """What a file with this data is, and what reads it; empty if it may be of the kind with the `known` keys."""
     keys = {*data} if isinstance(data, dict) else set()
     return next((what for marks, what in _KINDS if marks <= keys and not marks <= {*known}), "")
 
 
-def problems_of(error: ValidationError, document: Document, model: type[BaseModel]) -> list[Problem]:
+class _Keys:
+    """Keys of a section in a file: known ones, given ones, and for each unknown one the closest, or nothing."""
+
+    def __init__(self, model: type[BaseModel], value: object) -> None:
+        self.known = {info.alias or name: info for name, info in model.model_fields.items()}
+        self.given: dict[str, object] = value if isinstance(value, dict) else {}
+        free = [name for name in self.known if name not in self.given] or [*self.known]
+        self.meant = {key: closest(str(key), free) for key in self.given if key not in self.known}
+
+    def explained(self, error: ValidationError) -> ValidationError:
+        """Return an error with remedies, without missing keys for which an unknown one probably stands."""
+        details = []
+        for detail in error.errors(include_url=False):
+            message, remedy = self._text(detail)
+            if message:
+                shown = None if detail["type"] == "missing" else detail["input"]
+                cause = _ValidationError(message, remedy=remedy, follows=False, value=shown)
+                detail = {"type": "value_error", "loc": detail["loc"], "input": shown, "ctx": {"error": cause}}
+            if message is not None:
+                details.append(detail)
+        return ValidationError.from_exception_data(error.title, cast(Any, details))
+
+    def _text(self, detail: ErrorDetails) -> tuple[str | None, str]:
+        """Message and remedy for a key of the section; empty for another error, None for one that follows."""
+        kind, place, value = detail["type"], detail["loc"], detail["input"]
+        message, key = f"{described(value, of_file=True)} is given where ", str(place[0]) if len(place) == 1 else ""
+        if key and kind == "missing":
+            return (None, "") if key in self.meant.values() else ("is missing", f"add it{self._example(key)}")
+        if key and kind == "extra_forbidden":
+            if key[0].isdigit() and value == "":
+                return "follows a comma", "write decimals with a point"
+            return "is not a known key here", self._remedy(key)
+        if key and kind == "dict_type" and value not in ("", None):
+            remedy = f"give a mapping with one name per section{self._example(key)}"
+            return f"{message}names and sections are expected", remedy
+        if not place and kind == "model_type" and value not in ("", None):
+            return f"{message}keys and values are expected", f"give a mapping of {', '.join(self.known)}"
+        return "", ""
+
+    def _example(self, key: str) -> str:
+        """Example of a missing key; empty without one."""
+        info = self.known[key]
+        examples = [*(info.examples or ()), *(getattr(mark, "example", "").strip("'") for mark in info.metadata)]
+        if example := next(filter(None, examples), ""):
+            return f", such as `{key}: {example}`"
+        keys = _keys_of(info, None)
+        return f", a mapping of {', '.join(keys)}" if keys else ""
+
+    def _remedy(self, key: str) -> str:
+        """Remedy for an unknown key: the closest one, the section to which it belongs, or all keys."""
+        if meant := self.meant[key]:
+            return suggest(key, [meant])
+        owners = (name for name, info in self.known.items() if key in _keys_of(info, self.given.get(name)))
+        return f"it is a key of {owner}" if (owner := next(owners, "")) else suggest(key, [*self.known])
+
+
+def _problems(error: ValidationError, document: Document) -> list[Problem]:
     """The errors of a validation in the order of the file, without those that follow from another one."""
     details = error.errors(include_url=False)
-    unknown = (detail["loc"] for detail in details if detail["type"] == "extra_forbidden")
-    misspelt = {(*place[:-1], key) for place in unknown if (key := _closest_key(place, document, model))}
     causes = [detail.get("ctx", {}).get("error") for detail in details]
     all_follow = all(getattr(cause, "follows", False) for cause in causes)  # from errors that are not reported here
     problems = []
     for detail, cause in zip(details, causes, strict=True):
         place = detail["loc"]
-        parent = getattr(cause, "parent", False)  # of a section that probably lacks only the key that is misspelt
-        follows = (
-            (detail["type"] == "missing" and place in misspelt)
-            or (parent and any(key[:-1] == place[:-1] for key in misspelt))
-            or (detail["type"] == "too_short" and any(other["loc"][:-1] == place for other in details))
-            or (getattr(cause, "follows", False) and not all_follow)
+        follows = (detail["type"] == "too_short" and any(other["loc"][:-1] == place for other in details)) or (
+            getattr(cause, "follows", False) and not all_follow
         )
         if not follows and not document.is_rejected(place):
-            problems.append(_problem(detail, document, model))
+            problems.append(_problem(detail, document))
     return sorted([*document.problems, *problems], key=lambda problem: problem.line or 0)
 
 
-_BEGINNING = 40  # characters of a file that are shown
 # message and remedy by pydantic's kind of error
 _MESSAGES = {
-    "dict_type": ("{value} is given where names and sections are expected", "give a mapping with one name per section"),
     "tuple_type": ("{value} is given where a list is expected", "write [first, second, ...]"),
     "string_type": ("{value} is given where text is expected", "write one line of text"),
     "too_long": (
@@ -295,30 +339,17 @@ _MESSAGES = {
 }
 
 
-def _problem(detail: ErrorDetails, document: Document, model: type[BaseModel]) -> Problem:
+def _problem(detail: ErrorDetails, document: Document) -> Problem:
     """Problem of one error of a validation."""
-    kind, value, context, place = detail["type"], detail["input"], detail.get("ctx", {}), detail["loc"]
+    value, context, place = detail["input"], detail.get("ctx", {}), detail["loc"]
     if isinstance(error := context.get("error"), McKibbenError):
         return _raised(error, place, document, value)
     message, remedy = detail["msg"], ""
-    if kind == "missing":
-        message, remedy = "is missing", f"add it{_example(place, document, model)}"
-    elif kind == "extra_forbidden":
-        message, remedy = "is not a known key here", _remedy_of_key(place, document, model)
-        if str(place[-1])[:1].isdigit() and value == "":
-            message, remedy = "follows a comma", "write decimals with a point"
-    elif value in ("", None):
+    if value in ("", None):
         message, remedy = "has no value", "write one, or leave the key out"
-    elif kind == "model_type" and not place and isinstance(value, str):  # of the whole file
-        message = f"has no keys, and begins with {value[:_BEGINNING]!r}: it is another kind of file"
-        remedy = f"give a mapping of {', '.join(_keys_of(model))}"
-    elif kind == "model_type":
-        message = f"{described(value, of_file=True)} is given where keys and values are expected"
-        remedy = f"give a mapping of {', '.join(_keys_of(_model_at(place, document, model))) or 'the key `class`'}"
-    elif kind in _MESSAGES:
+    elif texts := _MESSAGES.get(detail["type"]):
         shown = {**context, "value": described(value, of_file=True)}
-        message, remedy = (text.format(**shown) for text in _MESSAGES[kind])
-        remedy += _example(place, document, model) if kind == "dict_type" else ""
+        message, remedy = (text.format(**shown) for text in texts)
     return Problem(message, document.line(place), dotted(place), remedy, value)
 
 
@@ -329,76 +360,26 @@ def _raised(error: McKibbenError, place: Place, document: Document, value: objec
         more = f" (and {len(others)} more)" if others else ""
         name = Path(error.source).name
         return Problem(f"{name}: {first}{more}", document.line(place), dotted(place), f"correct {name}", value)
-    place = document.known(place[:-1] if isinstance(error, _ValidationError) and error.parent else place)
     keys = error.field.split(".") if error.field else ()
     place = document.known((*place, *(int(key) if key.isdigit() else key for key in keys)), place)
     return Problem.of(error, document.line(place), dotted(place))
 
 
-def _example(place: Place, document: Document, model: type[BaseModel]) -> str:
-    """Example of a missing key; empty without one."""
-    parent = _model_at(place[:-1], document, model)
-    names = {info.alias or name: info for name, info in parent.model_fields.items()} if parent else {}
-    if (info := names.get(str(place[-1]))) is None:
-        return ""
-    examples = [*(info.examples or ()), *(getattr(mark, "example", "").strip("'") for mark in info.metadata)]
-    if example := next(filter(None, examples), ""):
-        return f", such as `{place[-1]}: {example}`"
-    inner = model_in(info.annotation)
-    return f", a mapping of {', '.join(_keys_of(inner))}" if inner else ""
-
-
-def _closest_key(place: Place, document: Document, model: type[BaseModel]) -> str:
-    """The key that an unknown one may stand for, one that is not given yet if there is one; else empty."""
-    keys = _keys_of(_model_at(place[:-1], document, model))
-    return closest(str(place[-1]), [key for key in keys if (*place[:-1], key) not in document.lines] or keys)
-
-
-def _remedy_of_key(place: Place, document: Document, model: type[BaseModel]) -> str:
-    """Remedy for an unknown key: the closest one, the section to which it belongs, or all keys."""
-    key, keys = str(place[-1]), _keys_of(_model_at(place[:-1], document, model))
-    nearest = _closest_key(place, document, model)
-    owners = [name for name in keys if key in _keys_of(_model_at((*place[:-1], name), document, model))]
-    return f"it is a key of {owners[0]}" if owners and not nearest else suggest(key, [nearest] if nearest else keys)
-
-
-def _model_at(place: Place, document: Document, model: type[BaseModel]) -> type[BaseModel] | None:
-    """The model that validates a place."""
-    annotation, value = model, document.data
-    for key in place:
-        value = _item(value, key)
-        marks: Sequence[object] = ()
-        if get_origin(annotation) is dict:  # of sections, by names that people choose
-            annotation = get_args(annotation)[1]
-        elif not isinstance(key, int):
-            section = model_in(annotation)
-            fields = {info.alias or name: info for name, info in section.model_fields.items()} if section else {}
-            if key not in fields:
-                return None
-            annotation, marks = fields[key].annotation, fields[key].metadata
-        for mark in (*marks, *marks_in(annotation, ModelMark)):
-            if isinstance(mark, ModelMark):
-                annotation = mark.model_for(value) or annotation
-    return None if get_origin(annotation) is dict else model_in(annotation)
-
-
-def _item(value: Any, key: str | int) -> Any:
-    try:
-        return value[key]
-    except (KeyError, IndexError, TypeError):
-        return None
-
-
-def _keys_of(model: type[BaseModel] | None) -> list[str]:
-    return list(fields_by_key(model)) if model else []
-
-
 @runtime_checkable
-class ModelMark(Protocol):
-    """Mark of a field whose model depends on its content."""
+class HasKeys(Protocol):
+    """Mark of a field whose keys depend on its content."""
 
-    def model_for(self, value: object) -> type[BaseModel] | None:
-        """Return the model of a value of the field, for messages; None if it does not select one."""
+    def section_keys(self, value: object) -> Collection[str]:
+        """Return the keys that a section may have, for messages; none if it does not select a class."""
+
+
+def _keys_of(info: FieldInfo, value: object) -> Collection[str]:
+    """Keys of the section of a field."""
+    for mark in (*info.metadata, *marks_in(info.annotation, HasKeys)):
+        if isinstance(mark, HasKeys):
+            return mark.section_keys(value)
+    model = _model_in(info.annotation)
+    return fields_by_key(model) if model else ()
 
 
 def marks_in(hint: object, kind: type[M]) -> Iterator[M]:
@@ -410,8 +391,8 @@ def marks_in(hint: object, kind: type[M]) -> Iterator[M]:
             yield from marks_in(part, kind)
 
 
-def model_in(annotation: object) -> type[BaseModel] | None:
+def _model_in(annotation: object) -> type[BaseModel] | None:
     """The model in an annotation such as ``Model | None`` or ``tuple[Model, ...]``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next(filter(None, map(model_in, get_args(annotation))), None)
+    return next(filter(None, map(_model_in, get_args(annotation))), None)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.component.schema import inherit, replaced
-from mckibben.config.document import Span, edit_yaml, read_document
+from mckibben.config.document import Document, edit_yaml, read_document
 from mckibben.config.model import ConfigModel, fields_by_key
 from mckibben.errors import ParameterError, RangeError, ScenarioError
 from mckibben.scenario.parameters import Place, ScenarioParameter, find_parameters
@@ -311,8 +311,8 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     scenario = Scenario.parse(text, folder=folder)
     wanted = with_values(scenario, values)
     pairs = list(zip(find_parameters(scenario, values), values.values(), strict=True))
-    spans = read_document(text).spans
-    by_name = {_place_in(spans, parameter): parameter.write(value) for parameter, value in pairs}
+    document = read_document(text)
+    by_name = {_place_in(document, parameter): parameter.write(value) for parameter, value in pairs}
     by_place = {_with_indices(place): p.write(value) for p, value in pairs for place in p.places}
     for written in (by_name, by_place):  # two equal muscles may stand in the text once or twice
         edited = edit_yaml(text, written)
@@ -325,10 +325,10 @@ def edit_scenario(text: str, values: Mapping[str, float | int], *, folder: str |
     return anew if anew == text else edit_scenario(anew, values, folder=folder)  # which adds defaults among the values
 
 
-def _place_in(spans: Mapping[tuple[str | int, ...], Span], parameter: ScenarioParameter) -> tuple[str | int, ...]:
+def _place_in(document: Document, parameter: ScenarioParameter) -> tuple[str | int, ...]:
     """Return the place of a parameter in a text; a constant may be a quantity alone."""
     place = _with_indices(tuple(parameter.name.split(".")))
-    is_value = parameter.places[0][-1] == "value" and place in spans and spans[place].mapping
+    is_value = parameter.places[0][-1] == "value" and isinstance(document.value(place), dict)
     return (*place, "value") if is_value else place
 
 

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from mckibben.actuator import IdealValve
 from mckibben.component.schema import independent, inherit
@@ -84,14 +84,13 @@ class PlantCase(ConfigModel):
 
     share: _Share = 1
     joint: JointPart | None = None
-    valve: ValvePart | None = Field(None, validate_default=True)
+    valve: ValvePart | None = None
 
-    @field_validator("valve", mode="after")
-    @classmethod
-    def _differs(cls, value: object, info: ValidationInfo) -> object:
-        if value is None and info.data.get("joint", "wrong") is None:
-            fail_validation("is the suite's own plant", "give a `joint`, a `valve` or both", parent=True)
-        return value
+    @model_validator(mode="after")
+    def _differs(self) -> Self:
+        if self.joint is None and self.valve is None:
+            fail_validation("is the suite's own plant", "give a `joint`, a `valve` or both")
+        return self
 
 
 class ValveSetup(ConfigModel):

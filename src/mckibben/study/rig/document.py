@@ -15,7 +15,7 @@ from mckibben.component.base import Checked, Component, Inherited
 from mckibben.component.schema import ComponentField, section_of
 from mckibben.config.document import Document
 from mckibben.config.fields import Title
-from mckibben.config.model import DocumentModel, explicit_fields, fail_validation, parse_model, read_text
+from mckibben.config.model import DocumentModel, fail_validation, parse_model, read_text
 from mckibben.errors import RangeError
 from mckibben.muscle import Creep, ForceCorrection, ForceLaw, Friction, Muscle, NoCreep, NoFriction, Specimen
 from mckibben.rig.backend import MovingBackend, MuscleRig
@@ -211,7 +211,7 @@ def build_setup(test: RigTest, session: int = 0) -> Setup:
         rate=backend.rate,
         shuts=backend.shuts,
         supply=backend.supply,
-        **explicit_fields(test.recording),
+        **{name: value for name, value in test.recording if value is not None},
     )
     return Setup(backend, bench)
 
