@@ -19,12 +19,10 @@ from mckibben.storage.files import (
     SIGNALS,
     atomic_write,
     check_free,
-    check_seal,
     explain_write_errors,
     file_lock,
     handle_signals,
     json_ready,
-    sealed,
     write_json,
 )
 
@@ -122,20 +120,6 @@ def test_a_link_is_replaced_and_not_followed(tmp_path):
     with atomic_write(path, overwrite=True) as part:
         part.write_text("new")
     assert not path.is_symlink() and (path.read_text(), target.read_text()) == ("new", "mine")
-
-
-def test_a_changed_byte_of_a_sealed_file_is_found(tmp_path):
-    path, content = tmp_path / "file", b"estimate: 12.5\n" * 3
-    whole = sealed(content)
-    path.write_bytes(whole)
-    check_seal(path)
-    for place in range(len(content)):
-        path.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
-        with pytest.raises(FileError, match="it has changed since it was written"):
-            check_seal(path)
-    for unsealed in (b"", content, b"# sha256 of something else\n", b"x" * 74):
-        path.write_bytes(unsealed)
-        check_seal(path)
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO])

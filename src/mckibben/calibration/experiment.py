@@ -29,7 +29,7 @@ from mckibben.realtime import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
 from mckibben.storage.columns import read_columns
-from mckibben.storage.files import atomic_write, sealed
+from mckibben.storage.files import atomic_write
 
 _SWEEPS, _COCONTRACTIONS = 3, 2  # periods of angle and stiffness per part
 _LONG = 60.0  # s: longer parts have more of them, as creep hides the inertia in slow motion
@@ -345,4 +345,4 @@ def write_section(part: eqx.Module, comment: str, path: Path, *, base: type | No
     """Write a part of a scenario, such as ``model: FILE`` of a controller, below a comment."""
     text = comment + write_text(part, folder=path.parent, base=base)
     with atomic_write(path, overwrite=True) as file:
-        file.write_bytes(sealed(text.encode()))
+        file.write_text(text, encoding="utf-8")

@@ -6,12 +6,9 @@ import io
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mckibben.errors import Problem
-
-if TYPE_CHECKING:
-    from ruamel.yaml import YAML
 
 Place = tuple[str | int, ...]
 """Keys and indices from the top of a document to a value."""
@@ -202,32 +199,57 @@ def _short(text: str) -> str:
 
 
 def edit_yaml(text: str, values: Mapping[Place, str]) -> str:
-    """Return YAML text with other scalars, by their place; comments and the order of keys stay.
+    """Return YAML text with other scalars, by their place; all else stays as it is.
 
     Missing sections and keys are added; a name in place of a section becomes its key `from`.
 
-        >>> print(edit_yaml("load: knee  # of Table 2", {("load", "damping"): "0.1 N*m*s/rad"}), end="")
-        load: {from: knee, damping: 0.1 N*m*s/rad} # of Table 2
+        >>> print(edit_yaml("load: knee  # of Table 2", {("load", "damping"): "0.1 N*m*s/rad"}))
+        load: {from: knee, damping: 0.1 N*m*s/rad}  # of Table 2
     """
-    yaml = _yaml()
-    data = yaml.load(text)
-    for (*parents, key), written in values.items():
-        section = _section_at(data, tuple(parents))
-        if isinstance(section, list) or key in section or section.fa.flow_style():
-            section[key] = written
-        else:  # at its end there may be comments on what follows
-            section.insert(0, key, written)
-    return _dumped(yaml, data)
+    for place, written in values.items():
+        text = _edited(text, place, written)
+    return text
 
 
-def _section_at(section: Any, place: Place) -> Any:
-    """Section at a place below another, made if it is missing or a name."""
-    if not place:
-        return section
-    inner = section.get(place[0]) if isinstance(section, dict) else section[place[0]]
-    if not isinstance(inner, dict | list):
-        inner = section[place[0]] = _node({"from": inner}, ("", ""), LONGEST_TEXT)
-    return _section_at(inner, place[1:])
+def _edited(text: str, place: Place, written: str) -> str:
+    from ruamel.yaml import YAML
+
+    node, rest = YAML(typ="safe", pure=True).compose(text), list(place)
+    while rest and (inner := _child(node, rest[0])) is not None:
+        node = inner
+        del rest[0]
+    start, end = node.start_mark.index, node.end_mark.index
+    if not rest:
+        return text[:start] + written + text[end:]
+    for key in reversed(rest[1:]):
+        written = f"{{{key}: {written}}}"
+    entry = f"{rest[0]}: {written}"
+    if node.id != "mapping":
+        return f"{text[:start]}{{from: {text[start:end]}, {entry}}}{text[end:]}"
+    last = _end(node.value[-1][1]) if node.value else start + 1
+    before, after = text[:last], text[last:]
+    if node.flow_style:
+        return f"{before}{', ' if node.value else ''}{entry}{after}"
+    line, newline = f"{' ' * node.start_mark.column}{entry}", "\r\n" if "\r\n" in text else "\n"
+    if before.endswith("\n"):  # a block scalar ends with its line
+        return f"{before}{line}{newline}{after}"
+    comment, ends, following = after.partition(newline)
+    return f"{before}{comment}{newline}{line}{ends}{following}"
+
+
+def _child(node: Any, key: str | int) -> Any:
+    """Node of a key or index; None if there is none."""
+    if node.id == "mapping":
+        return next((item for name, item in node.value if name.value == key), None)
+    return node.value[key] if node.id == "sequence" and isinstance(key, int) and key < len(node.value) else None
+
+
+def _end(node: Any) -> int:
+    """Index of the text behind a node, before comments that follow it."""
+    if node.id == "scalar" or node.flow_style or not node.value:
+        return node.end_mark.index
+    last = node.value[-1]
+    return _end(last[1] if node.id == "mapping" else last)
 
 
 def plain(data: Any) -> Any:
@@ -244,25 +266,15 @@ def to_text(data: Mapping[str, object], *, width: int = 100) -> str:
     valve: {time_constant: 20 ms}
     seeds: [1, 2]
     """
-    return _dumped(_yaml(), _node(data, (), width))
-
-
-def _yaml() -> YAML:
-    """Reader and writer of YAML that keeps comments and layout, and for which all scalars are text."""
     from ruamel.yaml import YAML
     from ruamel.yaml.resolver import VersionedResolver
 
     yaml, nulls = YAML(), [("tag:yaml.org,2002:null", re.compile("(~|null)?$", re.IGNORECASE))]  # all else is text
     yaml.Resolver = type("TextResolver", (VersionedResolver,), {"versioned_resolver": {None: nulls}})
-    yaml.preserve_quotes = True
     yaml.width = LONGEST_TEXT
     yaml.indent(mapping=2, sequence=4, offset=2)
-    return yaml
-
-
-def _dumped(yaml: YAML, data: object) -> str:
     text = io.StringIO()
-    yaml.dump(data, text)
+    yaml.dump(_node(data, (), width), text)
     return text.getvalue()
 
 

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.raw import Budget, check_regular, unreadable
 from mckibben.errors import DatasetError, FileError, Problem, Suggesting
-from mckibben.storage.files import atomic_write, check_seal, sealed
+from mckibben.storage.files import atomic_write
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -227,11 +227,11 @@ def format_range(values: np.ndarray) -> str:
 
 
 def write_netcdf(table: xr.Dataset, path: Path) -> None:
-    """Write a table atomically, with a checksum at its end; encoded in memory, as HDF5 crashes on a full disk."""
+    """Write a table atomically; encoded in memory, as HDF5 crashes on a full disk."""
     encoding = {str(name): {"_FillValue": None} for name, values in table.variables.items() if values.dtype.kind == "f"}
     content = table.to_netcdf(engine="h5netcdf", encoding=encoding)
     with atomic_write(path, overwrite=True) as sibling:
-        sibling.write_bytes(sealed(content))
+        sibling.write_bytes(content)
 
 
 def load_netcdf(path: Path, *, lazy: bool = False) -> xr.Dataset:
@@ -240,13 +240,12 @@ def load_netcdf(path: Path, *, lazy: bool = False) -> xr.Dataset:
     Raises
     ------
     DatasetError
-        If the file is missing, damaged or changed, refers to other files, or claims more values than it may have.
+        If the file is missing or damaged, refers to other files, or claims more values than it may have.
     """
     import xarray as xr
 
     try:
         size = check_regular(path)
-        check_seal(path)
         _check_netcdf(path, size)
         if lazy:
             return xr.open_dataset(path, engine="h5netcdf", decode_times=False, cache=False)

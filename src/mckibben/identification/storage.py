@@ -25,7 +25,7 @@ from mckibben.identification.smooth import prior_of, prior_scales, restored_regr
 from mckibben.identification.summary import DatasetSummary, LeaveOnePressureOut, Outlier
 from mckibben.muscle import LAWS, ForceLaw
 from mckibben.result import Remark
-from mckibben.storage.files import atomic_write, sealed
+from mckibben.storage.files import atomic_write
 
 _MOST_POINTS = 5000
 _HEAD = "# A force law identified by mckibben. The numbers of its fit are in SI: N, Pa, and those of the parameters.\n"
@@ -129,9 +129,8 @@ def write_fit(fit: Any, path: Path) -> None:
     file = _FitFile(law=fit.law, equation=kind.equation, version=package_version(kind.__module__) or "", fit=numbers)
     content = json.loads(file.model_dump_json(exclude_none=True, context={"folder": path.parent}))
     content["law"].pop("equation", None)  # stands at the top, with the version
-    text = _HEAD + to_text(content, width=200)
     with atomic_write(path, overwrite=True) as sibling:
-        sibling.write_bytes(sealed(text.encode()))
+        sibling.write_text(_HEAD + to_text(content, width=200), encoding="utf-8")
 
 
 def read_law(path: str | os.PathLike[str]) -> ForceLaw:

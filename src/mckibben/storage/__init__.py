@@ -1,1 +1,1 @@
-"""Durable files: atomic writes, locks, append-only journals, and signal handling for long jobs."""
+"""Durable files: atomic writes, locks, studies in SQLite, and signal handling for long jobs."""

@@ -1,9 +1,8 @@
-"""Files that survive interruptions: atomic writes, checksums, locks and JSON; signal handling for long jobs."""
+"""Files that survive interruptions: atomic writes, locks and JSON; signal handling for long jobs."""
 
 from __future__ import annotations
 
 import errno
-import hashlib
 import json
 import math
 import os
@@ -95,46 +94,12 @@ def _rename_new(temporary: Path, path: Path) -> None:
         temporary.replace(path)
 
 
-_SEAL = b"# sha256 "
-_SEALED = len(_SEAL) + 64 + 1
-
-
-def sealed(content: bytes | memoryview) -> bytes:
-    """Content with its checksum as the last line: a comment in YAML, trailing bytes ignored by HDF5."""
-    return b"".join((content, _SEAL, hashlib.sha256(content).hexdigest().encode(), b"\n"))
-
-
-def check_seal(path: Path) -> None:
-    """Verify the checksum in the last line of a file; files without one, written by hand or by other programs, pass.
-
-    Raises
-    ------
-    FileError
-        If the content has changed since it was written.
-    """
-    with path.open("rb") as file:
-        size = file.seek(0, os.SEEK_END)
-        file.seek(max(size - _SEALED, 0))
-        if not (last := file.read()).startswith(_SEAL) or len(last) < _SEALED:
-            return
-    digest = hashlib.sha256(path.read_bytes()[:-_SEALED])
-    if digest.hexdigest().encode() != last[len(_SEAL) : -1]:
-        remedy = "create it again or, if the change is intended, remove the last line (# sha256 ...)"
-        raise FileError(str(path), [Problem("it has changed since it was written", remedy=remedy)])
-
-
-_WRITE_ERRORS = {
-    errno.ENOSPC: "the disk is full",
-    errno.EDQUOT: "the disk quota is used up",
-    errno.EFBIG: "the file exceeds the size limit of this process",
-    errno.EROFS: "the disk has become read-only",
-    errno.EIO: "the disk reports an error",
-}
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 @contextmanager
 def explain_write_errors(folder: Path, kept: Callable[[], str], remedy: str) -> Iterator[None]:
-    """Turn failures of the disk into a `FileError` that says what is safe.
+    """Turn a full or failing disk, or a folder that has disappeared, into a `FileError` that says what is safe.
 
     `kept` returns the description of the records on disk, and is called after a failure only. Other kinds of `OSError`
     pass unchanged.
@@ -144,9 +109,8 @@ def explain_write_errors(folder: Path, kept: Callable[[], str], remedy: str) -> 
     except OSError as error:
         if isinstance(error, FileNotFoundError) and not folder.is_dir():
             problem = Problem("the folder has disappeared, together with its files", remedy="begin anew")
-        elif error.errno in _WRITE_ERRORS:
-            listed = kept()
-            problem = Problem(_WRITE_ERRORS[error.errno] + (f"; {listed}" if listed else ""), remedy=remedy)
+        elif error.errno in _FULL:
+            problem = Problem(f"{error.strerror}; {kept()}", remedy=remedy)
         else:
             raise
         raise FileError(str(folder), [problem]) from error

@@ -8,7 +8,7 @@ import sqlite3
 import threading
 import warnings
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from itertools import zip_longest
 from pathlib import Path
@@ -102,15 +102,13 @@ class Store:
             )
         return json.loads(row[0])
 
-    def job(self, about: Mapping[str, Any], name: str = "", *, ignore: Iterable[str] = ()) -> Job:
+    def job(self, about: Mapping[str, Any], name: str = "") -> Job:
         """Begin a job, or continue the one of that name.
 
         Parameters
         ----------
         about
             All that determines the records, for JSON.
-        ignore
-            Keys of `about` that may differ.
 
         Raises
         ------
@@ -121,7 +119,7 @@ class Store:
         if (begun := self.about(name)) is None:
             text, begun = json.dumps(wanted), wanted
             self._write("INSERT INTO job VALUES (?, ?, ?)", [(name, text, zlib.crc32(text.encode()))])
-        elif problems := differences(begun, wanted, ignore=ignore):
+        elif problems := differences(begun, wanted):
             raise FileError(str(self.path or name), problems)
         self.begun = True
         job = Job(self, name, begun)
@@ -242,7 +240,7 @@ def read_store(path: Path) -> Iterator[Store]:
         store._connection.close()
 
 
-def differences(begun: Mapping[str, Any], wanted: Mapping[str, Any], *, ignore: Iterable[str] = ()) -> list[Problem]:
+def differences(begun: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[Problem]:
     """Return one problem per difference between the settings of a study and those of its continuation.
 
     Settings whose name begins with "digest of " are reported if no other differs.
@@ -251,7 +249,7 @@ def differences(begun: Mapping[str, Any], wanted: Mapping[str, Any], *, ignore: 
     problems = [
         Problem(f"the study was started with {_shown(before)}, not {_shown(now)}", field=field, remedy=remedy)
         for name in dict.fromkeys([*wanted, *begun])
-        if name not in ignore and not name.startswith(_DIGEST)
+        if not name.startswith(_DIGEST)
         for field, before, now in _different(name, begun.get(name), wanted.get(name))
     ]
     changed = [name for name in wanted if name.startswith(_DIGEST) and begun.get(name) != wanted[name]]
