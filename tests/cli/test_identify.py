@@ -207,7 +207,7 @@ def test_friction_is_identified_by_itself_and_goes_all_the_way(cli, tmp_path):
         answer = cli(*command, "--details")
         assert answer.code == 0, answer.err
         assert (answer.out + answer.err).count("muscle1 and muscle2 have friction, which") == 1
-    tests = json.loads(cli("stiffness", "joint.yaml", "--amplitude", "0.1..1 deg", "--json").out)
+    tests = json.loads(cli("stiffness", "joint.yaml", "--motion", "0.1..1 deg, 0.1..10 Hz", "--json").out)
     assert tests["columns"]["secant"]["values"][0] > 2 * tests["scalars"]["isobaric"]["value"]
 
 

@@ -69,7 +69,7 @@ def test_share_and_time_constant_of_the_creep(cli, steps, tmp_path):
         (("air", *SPECIMEN, "--read", "contraction=10 bar"), "--read contraction="),
         (("air",), "--read specimen=NAME"),
         (("creep", "--pool"), "--pool"),
-        (("heat",), "force, creep or air"),
+        (("heat",), "heat"),
     ],
 )
 def test_mistakes_are_explained(cli, shut, options, named):

@@ -79,7 +79,7 @@ def test_beyond_a_limit_it_stops_with_the_reason_and_code_1(cli, short, tmp_path
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("short.yaml",), "add --out DIR"),
+        (("short.yaml",), "give one with --out DIR"),
         (("nowhere.yaml", "--out", "run"), "nowhere.yaml: 1 problem"),
         (
             ("short.yaml", "--out", "run", "--rig", "wrong.yaml"),

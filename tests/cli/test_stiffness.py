@@ -15,7 +15,7 @@ def test_closed_forms_simulation_and_the_controller(cli, shortened, tmp_path):
         "  stiffness: {kp:", "  stiffness_amplitude: 1 deg\n  stiffness: {kp:"
     )
     (tmp_path / "s.yaml").write_text(text, encoding="utf-8")
-    found = cli("stiffness", "s.yaml", "--amplitude", "0.01..1 deg", "--rate", "10 Hz", "--out", "kept")
+    found = cli("stiffness", "s.yaml", "--motion", "0.01..1 deg, 10 Hz", "--out", "kept")
     assert found.code == 0, found.err
     numbers = json.loads((tmp_path / "kept" / "results.json").read_text(encoding="utf-8"))
     held = {name: entry["value"] for name, entry in numbers["scalars"].items()}
@@ -33,8 +33,8 @@ def test_closed_forms_simulation_and_the_controller(cli, shortened, tmp_path):
     assert {path.name for path in (tmp_path / "kept").iterdir()} == {"results.json", "stiffness.png", "stiffness.svg"}
 
 
-@pytest.mark.parametrize(("option", "given"), [("--rate", "10 deg"), ("--amplitude", "0..1 deg")])
-def test_mistakes_are_explained(cli, option, given):
-    found = cli("stiffness", "s.yaml", option, given)
+@pytest.mark.parametrize("motion", ["1 deg, 10 deg", "0..1 deg, 1 Hz", "1 deg"])
+def test_mistakes_are_explained(cli, motion):
+    found = cli("stiffness", "s.yaml", "--motion", motion)
     assert found.code == 2
-    assert option in found.err
+    assert "--motion" in found.err

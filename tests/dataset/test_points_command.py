@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from mckibben.cli.points import points
 from mckibben.dataset import Recording, read_dataset
-from mckibben.errors import DatasetError, FileError, RangeError, UnitError
+from mckibben.errors import DatasetError, FileError, ParameterError, RangeError, UnitError
 
 from .conftest import C, F, P, problems_of
 
@@ -92,7 +92,7 @@ def test_earlier_results_are_replaced_only_if_asked(run):
 def test_corrupt_rows_are_refused_or_left_out_and_named(run):
     write("rig.csv", LEVEL, "30.00,1.0,x\n30.0")
     assert "line 1502, Force (N): 'x' is not a number" in run("rig.csv", *COLUMN, error=DatasetError)
-    remarks = json.loads(run("rig.csv", *COLUMN, "--accept", "corrupt", "--json"))["remarks"]
+    remarks = json.loads(run("rig.csv", *COLUMN, "--read", "accept=corrupt", "--json"))["remarks"]
     texts = [remark["text"] for remark in remarks]
     assert "left out: line 1502, Force (N): 'x' is not a number" in texts
     assert any("the file was truncated here" in text for text in texts)
@@ -102,8 +102,8 @@ def test_corrupt_rows_are_refused_or_left_out_and_named(run):
     ("arguments", "error", "expected"),
     [
         (("--dwell", "1"), UnitError, "--dwell: '1' has no unit"),
-        (("--pressure-tolerance", "2 bra"), UnitError, "--pressure-tolerance: unknown unit 'bra'"),
-        (("--column", "Druck"), UnitError, "--column 'Druck'"),
+        (("--tolerance", "1 %, 2 bra"), UnitError, "--tolerance: unknown unit 'bra'"),
+        (("--column", "Druck"), ParameterError, "--column 'Druck'"),
     ],
 )
 def test_options_that_cannot_be_read(arguments, error, expected, run):

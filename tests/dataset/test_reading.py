@@ -93,7 +93,7 @@ QUESTIONS: dict[str, tuple[str, str, dict[str, object]]] = {  # text, words of t
     "two forces": (table(f"{HEADER};Force 2 [N]", P, C, F, 2 * F), "are both a force", {"columns": {"Force 2 [N]": "ignore"}}),
     "peak force": (table(f"{HEADER};Force max [N]", P, C, F, 2 * F), "Force max [N]: is not understood", {"columns": {"Force max [N]": "ignore"}}),
     "strain": (table("Pressure [bar];Elongation (%);Force [N]"), "Elongation (%)", {"columns": {"Elongation (%)": "contraction_percent"}}),
-    "absolute pressure": (table("Abs. pressure (bar);Contraction [%];Force [N]", P + 1.013, C, F), "--ambient '101.3 kPa'", {"ambient": 101300.0}),
+    "absolute pressure": (table("Abs. pressure (bar);Contraction [%];Force [N]", P + 1.013, C, F), "--read 'ambient=101.3 kPa'", {"ambient": 101300.0}),
     "bar abs": (table("p [bar abs];Contraction [%];Force [N]", P + 1.013, C, F), "is an absolute pressure", {"ambient": 101300.0}),
     "lengths": (table("Pressure [bar];Length [mm];Force [N]", P, 200 - 2 * C, F), "--initial-length", {"initial_length": 0.2}),
     "displacements": (table("Pressure [bar];Weg [mm];Force [N]", P, 2 * C, F), "shortening_mm", {"columns": {"Weg [mm]": "shortening_mm"}, "initial_length": 0.2}),
@@ -174,7 +174,7 @@ def test_accept_answers_only_its_topics(put):
     path = put("# gain 2\n" + table(f"{HEADER};valid", P, C, F, np.arange(18) % 2))
     assert len(problems_of(path)) == 2
     (problem,) = problems_of(path, accept=["words"])
-    assert "--accept columns" in problem
+    assert "--read accept=columns" in problem
     assert set(TOPICS) >= {"words", "columns", "corrupt", "saturation", "gauge"}
     with pytest.raises(ScenarioError, match=r"'nonsense' is none of words, layout"):
         read_dataset(path, accept=["nonsense"])

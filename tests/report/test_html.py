@@ -52,7 +52,7 @@ def test_every_claim_dataset_source_and_decision_is_there(text, reproduction):
     for claim in reproduction.claims:
         assert plain(str(typeset(claim.claim))) in words
         assert plain(str(typeset(claim.evidence))) in words
-    assert plain(reproduction.verdict) in words
+    assert plain(reproduction.verdict()) in words
     assert words.count("✗ does not hold") == sum(not claim.holds for claim in reproduction.claims)
     for name in reproduction.identification.fits:
         assert NAMES[name] in words
@@ -61,7 +61,7 @@ def test_every_claim_dataset_source_and_decision_is_there(text, reproduction):
 
 
 def test_the_numbers_are_those_of_the_results(parsed, reproduction):
-    results, cells = reproduction.results(), set(parsed.cells)
+    results, cells = reproduction.to_dict(), set(parsed.cells)
     for fit in results["identification"].values():
         assert number(fit["rmse_N"]) in cells
         assert number(fit["decay_per_percent"], 4) in cells

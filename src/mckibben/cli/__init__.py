@@ -7,10 +7,8 @@ import io
 import os
 import signal
 import sys
-import threading
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any
@@ -20,19 +18,18 @@ from typer import Option
 
 import mckibben
 from mckibben.cli.calibrate import calibrate
-from mckibben.cli.catalog import catalog
 from mckibben.cli.check import check
 from mckibben.cli.command import plain_command
 from mckibben.cli.export import export
-from mckibben.cli.identify import identify, validate
+from mckibben.cli.identify import catalog, identify, validate
 from mckibben.cli.joint import envelope, margins, simulate, size, stiffness
 from mckibben.cli.leg import leg
-from mckibben.cli.options import INTERRUPTED, Commands, echo, job_progress, on_command_line, table
+from mckibben.cli.options import INTERRUPTED, Commands, echo, job_progress, on_command_line, text_width
 from mckibben.cli.points import plan, points
 from mckibben.cli.rig import rig
 from mckibben.cli.studies import compare, sweep, tune
 from mckibben.errors import McKibbenError, McKibbenWarning, ParameterError, printable
-from mckibben.storage.files import make_folder, to_json
+from mckibben.storage.files import make_folder
 
 _LONGEST_REASON = 1000  # characters of a foreign exception
 
@@ -49,7 +46,7 @@ app = typer.Typer(
 
 
 @plain_command
-def reproduce(out: Path = Path("mckibben-report"), quick: bool = False, json: bool = False) -> None:
+def reproduce(out: Path = Path("mckibben-report"), quick: bool = False) -> None:
     """Reproduce the paper: test, identification, knee and control, with a report and figures.
 
     Parameters
@@ -58,8 +55,6 @@ def reproduce(out: Path = Path("mckibben-report"), quick: bool = False, json: bo
         Folder of the report.
     quick
         Fewer repeats, seeds and tuning steps.
-    json
-        Print machine-readable results instead of a table.
     """
     make_folder(out)  # fails before the computation
 
@@ -69,19 +64,13 @@ def reproduce(out: Path = Path("mckibben-report"), quick: bool = False, json: bo
 
         done = run(quick=quick, progress=lambda what, part: report(what, 0.8 * part))
         report("writing results", 0.8)
-        done.save(out)  # before the figures
+        done.save(out, force=True)  # before the figures
         from mckibben.report import write_report
 
         report("figures and report", 0.85)
         page = write_report(done, out)
         report("done", 1.0)
-    if json:
-        echo(to_json(done.results()))
-        return
-    for title, claims in (("The paper's claims", done.paper_claims), ("Our own questions", done.questions)):
-        verdicts = [(claim.verdict, claim.claim, claim.source) for claim in claims]
-        table(title, ("verdict", "statement", "source"), verdicts)
-    echo(done.verdict)
+    echo(done.to_text(width=text_width()))
     echo(f"{done.seconds:.0f} s; evidence and figures in {page}, all numbers in {out / 'results.json'}")
 
 
@@ -143,14 +132,12 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # for names outside the terminal's encoding
     warnings.showwarning = _show_warning
-    with _interrupts() as interrupts:
-        code = _run(interrupts)
-    if interrupts and code == 0:  # an interrupt that an imported module swallowed
-        code = INTERRUPTED
-    sys.exit(code)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
+    sys.exit(_run())
 
 
-def _run(interrupts: list[int]) -> int:
+def _run() -> int:
     """Exit code of the command."""
     stdout = sys.stdout
     try:
@@ -175,8 +162,6 @@ def _run(interrupts: list[int]) -> int:
             return 0 if reader_has_gone else _failed(f"failed: the output is incomplete: {error.strerror}", 1)
         return _failed(f"error: {error}", 1 if error.errno in (errno.ENOSPC, errno.EIO) else 2)
     except Exception as error:
-        if interrupts:  # for example an interrupted import
-            return INTERRUPTED
         if os.environ.get("MCKIBBEN_DEBUG"):
             raise
         advice = "Please report it, with the output of the same command under MCKIBBEN_DEBUG=1."
@@ -191,32 +176,13 @@ def _failed(text: str, code: int) -> int:
     return code
 
 
-@contextmanager
-def _interrupts() -> Iterator[list[int]]:
-    """Record each Ctrl-C, which raises `KeyboardInterrupt`, unless it is already ignored or handled.
-
-    During an import it kills the process: compiled modules crash if their import is interrupted.
-    """
-    received: list[int] = []
-
-    def record(number: int, frame: FrameType | None) -> None:
-        received.append(number)
-        while frame is not None:
-            if frame.f_code.co_filename.startswith("<frozen importlib"):
-                os._exit(INTERRUPTED)
-            frame = frame.f_back
-        raise KeyboardInterrupt
-
-    before = signal.getsignal(signal.SIGINT)
-    ours = before in (signal.SIG_DFL, signal.default_int_handler)
-    if not ours or threading.current_thread() is not threading.main_thread():
-        yield received
-        return
-    signal.signal(signal.SIGINT, record)
-    try:
-        yield received
-    finally:
-        signal.signal(signal.SIGINT, before)
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Raise `KeyboardInterrupt`; during an import, end the process: compiled modules crash if theirs is interrupted."""
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            os._exit(INTERRUPTED)
+        frame = frame.f_back
+    raise KeyboardInterrupt
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
-from mckibben.errors import ParameterError
+from mckibben.cli.options import parse_pairs
 
 if TYPE_CHECKING:
     from mckibben.contract import ContractReport
@@ -28,12 +28,7 @@ def check(
     with_ : 'NAME=VALUE'
         Value of a field as in a file, such as 'rate=20 bar/s'.
     """
-    values = {}
-    for text in with_ or []:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise ParameterError(f"--with {text!r} is not NAME=VALUE", value=text, remedy="write 'rate=20 bar/s'")
-        values[name.strip()] = value.strip()
+    values = parse_pairs("--with", with_, "rate=20 bar/s")
     from mckibben.contract import ContractReport, check_extension
 
     return ContractReport(module, tuple(check_extension(module, values)))

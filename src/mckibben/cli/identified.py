@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, NamedTuple
 from mckibben import report
 from mckibben.cli.report import Report
 from mckibben.identification.with_friction import titled
-from mckibben.muscle.air import inner_volume
 from mckibben.result import Remark
 from mckibben.scenario import write_muscle
 from mckibben.storage.files import make_folder
@@ -22,12 +21,12 @@ if TYPE_CHECKING:
 
 
 class Source(NamedTuple):
-    """Where a fit comes from, and what gives its muscle a volume: inner diameter [m] or volume [m^3], or neither."""
+    """Where a fit comes from, and the volume of air [m^3] of its muscle at contraction 0, if it is known."""
 
     files_read: list[str]
     points: IsobaricDataset
     recipe: Recipe
-    inner: tuple[float | None, float | None]
+    volume: float | None
 
     def write(
         self, folder: Path, fit: Fit, law: str | dict[str, str] = "fit.yaml", loops: HysteresisFit | None = None
@@ -36,18 +35,15 @@ class Source(NamedTuple):
         fit.to_yaml(folder / "fit.yaml")
         self.recipe.to_yaml(folder / "recipe.yaml")
         self.points.to_netcdf(folder / "data.nc")
-        attrs, (diameter, volume) = self.points.table.attrs, self.inner
+        attrs = self.points.table.attrs
         common = os.path.commonprefix([Path(file).stem for file in self.files_read])  # noqa: RUF071, of characters
         common = common if len(self.files_read) == 1 else common.rstrip("0123456789.,+_- ")  # the numbers differ
-        length = attrs.get("initial_length")
-        if volume is None and diameter is not None and length:
-            volume = inner_volume(length, diameter)
         write_muscle(
             folder / "muscle.yaml",
             fit.law,
             specimen=attrs["specimen"] or common,
-            initial_length=length,
-            volume=volume,
+            initial_length=attrs.get("initial_length"),
+            volume=self.volume,
             law=law,
             friction=loops.friction if loops else None,
             undetermined=loops.undetermined if loops else (),

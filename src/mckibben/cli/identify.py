@@ -1,15 +1,15 @@
-"""`mckibben identify` and `validate`: force laws, friction, creep and air, and the validation of laws."""
+"""`mckibben identify`, `validate` and `catalog`: laws, friction, creep and air of a muscle; published ones."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from mckibben.cli.command import command
 from mckibben.cli.options import Progress, check_unused, parse_optional, parse_quantity
 from mckibben.cli.reading import Data, Reading
-from mckibben.errors import ParameterError, UnitError, quoted
-from mckibben.units import quantity, show
+from mckibben.errors import ParameterError, UnitError
+from mckibben.units import quantity
 
 if TYPE_CHECKING:
     from mckibben.identification import FrictionForm
@@ -17,14 +17,13 @@ if TYPE_CHECKING:
     from mckibben.result import Result
 
 _ALL = "all"
-_FORCE, _CREEP, _AIR = "force", "creep", "air"
 _CHOICES = {"auto": None, "on": True, "off": False}
 
 
 @command
 def identify(
     data: Data,
-    of: str = _FORCE,
+    of: Literal["force", "creep", "air"] = "force",
     law: str = "exponential",
     friction: str = "auto",
     inner: str = "",
@@ -68,7 +67,7 @@ def identify(
         Air: volume of tube and fittings up to the valve, if all is at one length.
     """
     form = "" if friction == "auto" else friction
-    if of != _FORCE:
+    if of != "force":
         check_unused(f"--of {of}", inner=inner, threshold=threshold, pool=pool, friction=form)
         return _of_recordings(of, data, dead_volume, reading)
     from mckibben.cli.identified import Source, identified, pooled, ranked
@@ -91,10 +90,8 @@ def identify(
         check_unused("--pool", friction=form, threshold=threshold, inner=inner)
         length = parse_optional("--for-length", for_length, "m", positive=True)
         return pooled(identify_pooled(law_type, [reading.data([file]) for file in data], robust=robust), length)
-    volume = _inner(inner)
     points = reading.data(data)
-    _check_inner(volume[0], points.table.attrs.get("initial_length"))
-    source = Source(data, points, reading.recipe, volume)
+    source = Source(data, points, reading.recipe, _air_volume(inner, points.table.attrs.get("initial_length")))
     if law_type is None:
         return ranked(rank(points, robust=robust, progress=progress), source)
     asked = True if form_type else _CHOICES[friction]
@@ -107,11 +104,7 @@ def identify(
 
 def _of_recordings(of: str, files: list[str], dead_volume: str, reading: Reading) -> Result:
     """Creep or air of a muscle, from recordings over time."""
-    if of not in (_CREEP, _AIR):
-        raise ParameterError(
-            f"--of {quoted(of)} cannot be identified", value=of, remedy=f"give {_FORCE}, {_CREEP} or {_AIR}"
-        )
-    if of == _CREEP:
+    if of == "creep":
         from mckibben.identification import identify_pressure_creep
 
         return identify_pressure_creep(reading.recordings(files))
@@ -127,23 +120,18 @@ def _of_recordings(of: str, files: list[str], dead_volume: str, reading: Reading
     return identify_air(recordings, specimen_named(name), dead_volume=dead)
 
 
-def _inner(text: str) -> tuple[float | None, float | None]:
-    """Inner diameter [m] or volume of air [m^3] at contraction 0, from either."""
+def _air_volume(text: str, length: float | None) -> float | None:
+    """Volume of air at contraction 0 [m^3], from itself or an inner diameter; None without it or an initial length."""
     if not text:
-        return None, None
+        return None
     try:
         quantity(text, "m^3")
     except UnitError:
-        return parse_quantity("--inner", text, "m", positive=True), None
-    return None, parse_quantity("--inner", text, "m^3", positive=True)
+        from mckibben.muscle.air import inner_volume
 
-
-def _check_inner(diameter: float | None, length: float | None) -> None:
-    """Raise a `ParameterError` for a diameter above the initial length [m]."""
-    if diameter is not None and length and diameter > length:
-        message = f"--inner is {show(diameter, 'mm')}, more than the initial length, {show(length, 'mm')}"
-        remedy = "check both, such as --inner '10 mm' --initial-length '200 mm'"
-        raise ParameterError(message, value=diameter, upper=length, unit="m", remedy=remedy)
+        diameter = parse_quantity("--inner", text, "m", positive=True)
+        return inner_volume(length, diameter) if length else None
+    return parse_quantity("--inner", text, "m^3", positive=True)
 
 
 def _friction_form(text: str) -> FrictionForm:
@@ -178,3 +166,11 @@ def validate(
 
     known: ForceLaw = law_named(law, specimen=reading.recipe.specimen or "")
     return run({Path(law).name if Path(law).is_absolute() else law: known}, reading.data(data))
+
+
+@command
+def catalog() -> Result:
+    """List the force laws, published parameters, specimens, datasets and valves."""
+    from mckibben.catalog.overview import Overview
+
+    return Overview()

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mckibben.cli.command import command
-from mckibben.cli.options import Progress, ScenarioFile, keeping, parse_limits, results_folder
+from mckibben.cli.options import Progress, ScenarioFile, keeping, parse_limits, parse_pair, results_folder
 
 if TYPE_CHECKING:
     from mckibben.reachability import Envelope, Selection
@@ -57,8 +57,7 @@ def envelope(scenario: ScenarioFile) -> Envelope:
 @command
 def stiffness(
     scenario: ScenarioFile,
-    amplitude: str = "0.01..10 deg",
-    rate: str = "0.1..10 Hz",
+    motion: str = "0.01..10 deg, 0.1..10 Hz",
     *,
     progress: Progress = None,
 ) -> StiffnessTests:
@@ -66,16 +65,16 @@ def stiffness(
 
     Parameters
     ----------
-    amplitude : RANGE
-        Amplitudes of the motion.
-    rate : RANGE
-        Rates of the motion.
+    motion : RANGES
+        Amplitudes and rates of the motion.
     """
-    amplitudes, rates = parse_limits("--amplitude", amplitude, "rad"), parse_limits("--rate", rate, "Hz")
+    units = "rad", "Hz"
+    texts = parse_pair("--motion", motion, "0.01..10 deg, 0.1..10 Hz")
+    amplitudes, rates = (parse_limits("--motion", text, unit) for text, unit in zip(texts, units, strict=True))
     from mckibben.component.checks import check_positive
 
-    for option, (low, _), unit in (("--amplitude", amplitudes, "rad"), ("--rate", rates, "Hz")):
-        check_positive(option, unit, lowest=low)
+    for (low, _), unit in zip((amplitudes, rates), units, strict=True):
+        check_positive("--motion", unit, lowest=low)
     import numpy as np
 
     from mckibben.scenario import Scenario

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 from mckibben.cli.command import command
 from mckibben.cli.options import Progress, check_unused, required_folder
 from mckibben.cli.report import Report
-from mckibben.errors import ParameterError, closest, quoted
 from mckibben.result import Column, Listing
 from mckibben.storage.files import check_free, make_folder
 
@@ -19,7 +18,7 @@ if TYPE_CHECKING:
 
 @command
 def leg(
-    study: str,
+    study: Literal["land", "jump", "stiffness"],
     file: Path,
     limit: bool = False,
     *,
@@ -39,9 +38,6 @@ def leg(
     limit
         Jump: find the greatest height of the planned jump, and what limits it.
     """
-    if study not in _STUDIES:
-        meant = closest(study, list(_STUDIES)) or ", ".join(_STUDIES)
-        raise ParameterError(f"there is no study {quoted(study)} of a leg", value=study, remedy=f"give {meant}")
     if study != "jump":
         check_unused(f"leg {study}", limit=limit)
     if study == "stiffness":
@@ -54,10 +50,31 @@ def leg(
         names = ("results.json", *Report.files, f"{study}.journal")
         check_free(make_folder(out), names, "choose another folder, or continue the study with --resume")
     settings = {"journal": out / f"{study}.journal" if out else None, "resume": resume, "progress": progress}
-    return _STUDIES[study](LegScenario.read(file), str(file), settings | ({"limit": limit} if study == "jump" else {}))
+    read = LegScenario.read(file)
+    done = _STUDIES[study](read, str(file), settings | ({"limit": limit} if study == "jump" else {}))
+    headers, rows = done.rows
+    cells = dict(zip(headers, zip(*rows, strict=True), strict=True))
+    table = Listing(
+        f"{read.name}; intervals are 5 to 95 % of the draws", {name: (Column(), cells[name]) for name in headers}
+    )
+
+    def write(folder: Path) -> None:
+        read.to_yaml(folder / "leg.yaml")
+        done.write(folder)
+
+    return Report(done.text, (table,), (), write, done.numbers)
 
 
-def _land(read: LegScenario, source: str, settings: dict[str, Any]) -> Report:
+class _Done(NamedTuple):
+    """A finished study: its verdict, headers and rows of its table, data for JSON, and what writes its files."""
+
+    text: str
+    rows: tuple[tuple[str, ...], list[tuple[str, ...]]]
+    numbers: dict[str, object]
+    write: Callable[[Path], None]
+
+
+def _land(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
     from mckibben import report
     from mckibben.dataset.schema import write_netcdf
     from mckibben.leg.landing import study_landing
@@ -68,10 +85,10 @@ def _land(read: LegScenario, source: str, settings: dict[str, Any]) -> Report:
         write_netcdf(study.table, folder / "landing.nc")
         report.save(report.landing_forces(study), folder, "landing")
 
-    return _report(read, study.describe(), study.rows(), study.records(), write)
+    return _Done(study.describe(), study.rows(), study.records(), write)
 
 
-def _jump(read: LegScenario, source: str, settings: dict[str, Any]) -> Report:
+def _jump(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
     from mckibben import report
     from mckibben.leg.jumping import study_jump
 
@@ -84,10 +101,10 @@ def _jump(read: LegScenario, source: str, settings: dict[str, Any]) -> Report:
         if study.plan is not None and study.plan.foot:
             report.save(report.plan_stiffness(study), folder, "plan")
 
-    return _report(read, study.describe(), study.rows(), study.records(), write)
+    return _Done(study.describe(), study.rows(), study.records(), write)
 
 
-def _stiffness(read: LegScenario, source: str, settings: dict[str, Any]) -> Report:
+def _stiffness(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
     from mckibben import report
     from mckibben.leg.foot_pressures import solve_foot_stiffness
     from mckibben.report.leg import foot_ellipses
@@ -99,25 +116,7 @@ def _stiffness(read: LegScenario, source: str, settings: dict[str, Any]) -> Repo
     def write(folder: Path) -> None:
         report.save(foot_ellipses(read.leg, angles, found=solved), folder, "foot_stiffness")
 
-    return _report(read, solved.describe(), solved.rows(read.leg), solved.record(read.leg), write)
+    return _Done(solved.describe(), solved.rows(read.leg), solved.record(read.leg), write)
 
 
 _STUDIES = {"land": _land, "jump": _jump, "stiffness": _stiffness}
-
-
-def _report(
-    read: LegScenario,
-    text: str,
-    rows: tuple[tuple[str, ...], list[tuple[str, ...]]],
-    numbers: dict[str, object],
-    write_study: Callable[[Path], None],
-) -> Report:
-    cells = zip(*rows[1], strict=True)
-    columns = {header: (Column(title=header), values) for header, values in zip(rows[0], cells, strict=True)}
-    table = Listing(f"{read.name}; intervals are 5 to 95 % of the draws", columns)
-
-    def write(folder: Path) -> None:
-        read.to_yaml(folder / "leg.yaml")
-        write_study(folder)
-
-    return Report(text, (table,), (), write, numbers)

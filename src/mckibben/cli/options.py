@@ -7,7 +7,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Any
@@ -34,19 +34,7 @@ _MEANT = {
 
 
 class Commands(TyperGroup):
-    """Commands, of which an unknown one is an error that names the one that is meant, or all.
-
-    Options with a wrong number are refused in the words of other errors.
-    """
-
-    def invoke(self, ctx: Any) -> Any:
-        """Run the command in the arguments."""
-        try:
-            return super().invoke(ctx)
-        except typer.BadParameter as error:
-            if (refusal := _refusal(error)) is None:
-                raise
-            raise refusal from None
+    """Commands; an unknown one is an error that suggests the closest one, or lists all."""
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return name, command and other arguments."""
@@ -56,16 +44,6 @@ class Commands(TyperGroup):
             remedy = f"did you mean `{ctx.command_path} {meant}`?" if meant else f"known are {', '.join(known)}"
             raise ParameterError(f"{ctx.command_path} has no command {quoted(args[0])}", value=args[0], remedy=remedy)
         return super().resolve_command(ctx, args)
-
-
-def _refusal(error: typer.BadParameter) -> ParameterError | None:
-    """Error of a number that typer's validation by pydantic refuses; None for another mistake."""
-    cause: Any = error.__cause__
-    if error.param is None or not hasattr(cause, "errors"):
-        return None
-    problem, name = cause.errors()[0], max(error.param.opts, key=len)
-    message = f"{name}: {quoted(problem['input'])}: {problem['msg'][0].lower()}{problem['msg'][1:]}"
-    return ParameterError(message, field=name, value=problem["input"], remedy="write a number in digits, in this range")
 
 
 _BOTH_REMEDIES = re.compile(r"(?:columns=\{[^}]*\}|\S+)" + ON_COMMAND_LINE)
@@ -119,6 +97,17 @@ def parse_pair(option: str, text: str, example: str) -> tuple[str, str]:
     return first, second
 
 
+def parse_pairs(option: str, texts: list[str] | None, example: str) -> dict[str, str]:
+    """Values by name of a repeatable option NAME=VALUE; the value has no further sign of equality."""
+    pairs: dict[str, str] = {}
+    for text in texts or []:
+        name, equals, value = (part.strip() for part in text.rpartition("="))
+        if not equals or pairs.setdefault(name, value) != value:
+            message = f"{option} {quoted(text)} {'repeats a name' if equals else 'is not a pair'}"
+            raise ParameterError(message, field=option, value=text, remedy=f"write it like {option} '{example}', once")
+    return pairs
+
+
 def check_unused(place: str, **values: object) -> None:
     """Raise a `ParameterError` if one of these options was given, though it does not apply in a place."""
     if names := [f"--{name.replace('_', '-')}" for name, value in values.items() if value]:
@@ -132,18 +121,6 @@ _WIDTH_OF_A_PIPE = 100  # characters of a line where there is no terminal
 def text_width() -> int:
     """Characters of a line: those of the terminal, or 100 in a file or a pipe."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else _WIDTH_OF_A_PIPE
-
-
-def table(title: str, headers: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> None:
-    """Print a titled table, if it has rows; cells are plain text."""
-    from mckibben.result import Column, Listing
-
-    if rows:
-        columns = {
-            header: (Column(title=header), cells)
-            for header, cells in zip(headers, zip(*rows, strict=True), strict=True)
-        }
-        echo(Listing(title, columns).to_text(text_width()) + "\n")
 
 
 _LOG_INTERVAL, _LOG_SHARE = 10.0, 0.25  # s, and of the elapsed time: between lines of progress in a log

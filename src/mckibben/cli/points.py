@@ -22,8 +22,7 @@ def points(
     recording: list[Path],
     dwell: str = "1 s",
     settle: str = "0 s",
-    pressure_tolerance: str = "",
-    contraction_tolerance: str = "",
+    tolerance: str = "0.1 %, 2 kPa",
     *,
     reading: Reading,
 ) -> ExtractedPoints:
@@ -39,19 +38,18 @@ def points(
         Shortest duration of a plateau.
     settle : TIME
         Excluded start of a plateau.
-    pressure_tolerance : PRESSURE
-        Tolerance of a plateau (default: 2 kPa).
-    contraction_tolerance : RATIO
-        Tolerance of a plateau (default: 0.1 %).
+    tolerance : RATIO, PRESSURE
+        Tolerances of contraction and pressure within a plateau.
     """
+    contraction, pressure = parse_pair("--tolerance", tolerance, "0.1 %, 2 kPa")
     limits = {
-        "pressure_tolerance": parse_optional("--pressure-tolerance", pressure_tolerance, "Pa"),
-        "contraction_tolerance": parse_optional("--contraction-tolerance", contraction_tolerance, "1"),
+        "contraction_tolerance": parse_quantity("--tolerance", contraction, "1"),
+        "pressure_tolerance": parse_quantity("--tolerance", pressure, "Pa"),
+        "dwell": parse_quantity("--dwell", dwell, "s"),
+        "settle": parse_quantity("--settle", settle, "s"),
     }
-    tolerances = {name: limit for name, limit in limits.items() if limit is not None}
-    durations = {"dwell": parse_quantity("--dwell", dwell, "s"), "settle": parse_quantity("--settle", settle, "s")}
     samples = reading.recording(recording)
-    plateaus = samples.plateaus(**tolerances, **durations)
+    plateaus = samples.plateaus(**limits)
     repairs = samples.table.attrs.get("repairs", "").splitlines()
     notes = [*plateaus.notes, *(f"left out: {repair}" for repair in repairs)]
     return replace(plateaus, notes=tuple(map(on_command_line, notes)), recipe=reading.recipe)

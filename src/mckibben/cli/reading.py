@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 from typer import Argument
 
-from mckibben.cli.options import echo
-from mckibben.errors import ScenarioError, UnitError
+from mckibben.cli.options import echo, parse_pairs
+from mckibben.errors import ScenarioError
 from mckibben.units import show
 
 if TYPE_CHECKING:
@@ -55,72 +55,47 @@ def read_options(
     read: Texts = None,
     column: Texts = None,
     initial_length: str = "",
-    ambient: str = "",
-    accept: Texts = None,
 ) -> Reading:
     """Return the recipe of --read with the other options of the command line.
 
     Parameters
     ----------
     read : FILE|NAME=VALUE
-        Recipe, or one of its settings, such as 'sample_rate=1000 Hz', 'contraction=10 %' or decimal=,; repeatable.
-        Options of the command line prevail.
+        Recipe, or one of its settings, such as 'sample_rate=1000 Hz', 'ambient=101.3 kPa' or decimal=,; and
+        accept=TOPIC, which answers the questions of a topic with yes; repeatable. Other options prevail.
     column : 'HEADER=NAME'
         Read the column HEADER as NAME, such as pressure_bar, or ignore it; repeatable.
     initial_length : LENGTH
         Length of the deflated muscle, such as '180 mm', if the file has lengths.
-    ambient : PRESSURE
-        Ambient pressure, such as '101.3 kPa', if pressures are absolute.
-    accept : TOPIC
-        Answer the questions of a topic with yes; repeatable.
     """
     from mckibben.dataset.recipe import Recipe
 
-    recipe, options = Recipe(), dict[str, object]()
+    recipe, options, accepted = Recipe(), dict[str, object](), []
     for text in read or []:
-        name, equals, value = text.partition("=")
-        if equals and name.isidentifier():
-            options[name] = value.strip()
-        else:
+        name, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not name.isidentifier():
             recipe = Recipe.read(text)
-    options |= {name: text for name, text in (("initial_length", initial_length), ("ambient", ambient)) if text}
+        elif name == "accept":
+            accepted.append(value)
+        else:
+            options[name] = value
+    if initial_length:
+        options["initial_length"] = initial_length
     if recipe.initial_length is not None and "initial_length" not in options:
         length = show(recipe.initial_length, "mm")
         echo(
             f"initial length {length}, from the recipe; for a muscle of another length, give --initial-length", err=True
         )
-    if columns := _columns(column or []):
-        asked = {_quantity(name) for name in columns.values()}
-        others = {header: name for header, name in (recipe.columns or {}).items() if _quantity(name) not in asked}
-        options["columns"] = others | columns
-    if accept:
-        options["accept"] = [*recipe.accept, *accept]
+    if columns := parse_pairs("--column", column, "Druck [bar]=pressure_bar"):
+        options["columns"] = (recipe.columns or {}) | columns
+    if accepted:
+        options["accept"] = [*recipe.accept, *accepted]
     try:
         return Reading(recipe.with_options(options))
     except ScenarioError as error:
-        shown = {name: f"--{name.replace('_', '-')}" for name in ("initial_length", "ambient", "accept", "columns")}
+        shown = {"initial_length": "--initial-length", "columns": "--column"}
         problems = [replace(p, field=shown.get(p.field.split("[")[0], f"--read {p.field}=")) for p in error.problems]
         raise ScenarioError("options of reading", problems) from None
-
-
-def _quantity(name: str) -> str:
-    """The quantity of a name such as force_N, or the name itself if it is unknown."""
-    from mckibben.dataset.vocabulary import parse_header
-
-    return parse_header(name.lstrip("-")).quantity or name
-
-
-def _columns(texts: list[str]) -> dict[str, str]:
-    """Quantity names by column header from --column."""
-    named: dict[str, str] = {}
-    for text in texts:
-        header, equals, name = text.rpartition("=")
-        if not equals:
-            raise UnitError(f"--column {text!r} is not HEADER=NAME", remedy="write --column 'Druck [bar]=pressure_bar'")
-        if named.setdefault(header, name) != name:
-            remedy = "give one --column per header"
-            raise UnitError(f"--column names {header!r} twice: {named[header]} and {name}", remedy=remedy)
-    return named
 
 
 def _report(attributes: Mapping[str, Any]) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections import deque
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -13,20 +14,19 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Argument
 
-from mckibben.cli.command import plain_command
+from mckibben.cli.command import plain_command, present
 from mckibben.cli.options import (
     Commands,
     ScenarioFile,
     echo,
     job_progress,
-    notify,
     parse_optional,
-    table,
-    text_width,
-    time_text,
+    required_folder,
 )
+from mckibben.cli.report import Report
 from mckibben.errors import FileError, ParameterError, Problem, SignalledError, StoppedError
-from mckibben.storage.files import check_free, make_folder, to_json, write_json
+from mckibben.result import Column, Listing
+from mckibben.storage.files import check_free, make_folder
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
@@ -35,9 +35,14 @@ if TYPE_CHECKING:
     from mckibben.study.rig.running import CheckedTest
 
 
-_KEPT = ("scenario.yaml", "results.json", "result.nc", "tracking.png", "tracking.svg")
 _RECORDING = "recording.nc"
 _INTERVAL = 0.25  # s
+
+
+class RunReport(Report):
+    """Report of a run on a joint rig."""
+
+    files = "scenario.yaml", "result.nc", "tracking.png", "tracking.svg"
 
 
 @plain_command
@@ -67,8 +72,7 @@ def control(
     json
         Print machine-readable results instead of a table.
     """
-    if out is None:
-        raise ParameterError("there is no folder for the record", remedy="add --out DIR")
+    out = required_folder(out, "run")
     from mckibben.realtime import JointRig, prepare
     from mckibben.scenario import Scenario
 
@@ -76,7 +80,7 @@ def control(
     on = None if rig is None else JointRig.read(rig)
     if on is not None and on.physical and unpaced:
         raise ParameterError("--unpaced applies to the simulated joint", remedy="leave it out")
-    check_free(make_folder(out), (*_KEPT, "record-0001.chunks"))
+    check_free(make_folder(out), (*RunReport.file_names(), "record-0001.chunks"))
     session = prepare(read, on, source=str(scenario), paced=not unpaced, ideal=ideal)
     if not session.reach.feasible:
         echo(f"warning: {session.reach.verdict()}", err=True)
@@ -90,107 +94,93 @@ def control(
     error = ran.outcome.error
     if error is not None:  # before the results, as the disk may be full
         echo(f"stopped: {ran.outcome.text}; {ran.outcome.venting}", err=True)
-    _report(ran, session, out, paced=not unpaced, json=json)
-    if error is not None:
-        raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1)
-    if ran.result is not None and ran.result.outcome.failed:
-        raise typer.Exit(1)
+    try:
+        present(_report(ran, session, paced=not unpaced), json=json, out=out, force=True)
+    finally:
+        if error is not None:
+            raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1)
 
 
-def _report(ran: JointRunResult, session: JointSession, out: Path, *, paced: bool, json: bool) -> None:
-    """Print and keep the results."""
+def _report(ran: JointRunResult, session: JointSession, *, paced: bool) -> RunReport:
+    """Report of a run, with its files."""
+    from mckibben import report
     from mckibben.simulation.metrics import in_shown_units
 
-    result, timing, name = ran.result, ran.timing, session.scenario.name
-    metrics = in_shown_units(result.metrics) if result is not None else {}
-    numbers = {
-        "scenario": name,
+    result, timing = ran.result, ran.timing
+    numbers: dict[str, object] = {
+        "scenario": session.scenario.name,
         "ended": ran.outcome.kind,
         "reason": ran.outcome.text,
         "vented_after_s": ran.outcome.vented_after,
         "remaining_Pa": ran.outcome.remaining,
-        "outcome": result.outcome.name.lower() if result is not None else None,
+        "outcome": None if result is None else result.outcome.name.lower(),
         "infeasible": "" if ran.reach.feasible else ran.reach.verdict(),
-        "metrics": metrics,
+        "metrics": {} if result is None else in_shown_units(result.metrics),
         "priority": ran.priority,
         "timing": timing.to_json() if paced else None,
     }
-    write_json(out / "results.json", numbers)
-    kept = ["the record", "scenario.yaml", "results.json"]
-    if result is not None:
-        from mckibben import report
+    spreads = {
+        "sample to loop": timing.lateness,
+        "loop to valves": timing.work,
+        "jitter between commands": timing.jitter,
+    }
+    times = {
+        name: (Column("s", name, "us"), values)
+        for name, values in zip(("median", "95 %", "99.9 %", "worst"), zip(*spreads.values(), strict=True), strict=True)
+    }
+    title = (
+        f"{timing.missed} of {timing.periods} deadlines missed ({timing.skipped} periods skipped, "
+        f"{timing.dropped} samples dropped), {ran.priority} priority"
+    )
+    tables = [] if result is None else [*result.listings()]
+    tables += [Listing(title, {"time": (Column(), list(spreads)), **times})] if paced else []
 
-        result.to_netcdf(out / "result.nc")
-        report.save(report.tracking({name: result}), out, "tracking")
-        kept += ["result.nc", "tracking.png and tracking.svg"]
-    if json:
-        echo(to_json(numbers))
-    else:
+    def write(folder: Path) -> None:
         if result is not None:
-            echo(result.to_text(width=text_width()) + "\n")
-        if paced:
-            spreads = (
-                ("sample to loop", timing.lateness),
-                ("loop to valves", timing.work),
-                ("jitter between commands", timing.jitter),
-            )
-            table(
-                f"{timing.missed} of {timing.periods} deadlines missed ({timing.skipped} periods skipped, "
-                f"{timing.dropped} samples dropped), {ran.priority} priority",
-                ("time [us]", "median", "95 %", "99.9 %", "worst"),
-                [(what, *(f"{time * 1e6:.0f}" for time in spread)) for what, spread in spreads],
-            )
-        if ran.outcome.completed:
-            echo(ran.outcome.venting)
-    notify(f"wrote {', '.join(kept)} to {out}", json)
+            result.to_netcdf(folder / "result.nc")
+            report.save(report.tracking({session.scenario.name: result}), folder, "tracking")
 
-
-class _Line:
-    """Progress line, written by a thread with the loop's priority, as the loop could wait for one of lower priority."""
-
-    def __init__(self) -> None:
-        self._shown: RunProgress | None = None
-        self._over = threading.Event()
-        self._thread: threading.Thread | None = None
-
-    def __call__(self, shown: RunProgress) -> None:
-        self._shown = shown
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._show, name="progress", daemon=True)
-            self._thread.start()
-
-    def close(self) -> None:
-        """Write the last progress and end."""
-        self._over.set()
-        if self._thread is not None:
-            self._thread.join()
-            sys.stderr.write("\n")
-
-    def _show(self) -> None:
-        while True:
-            over = self._over.wait(_INTERVAL)
-            assert self._shown is not None
-            sys.stderr.write(f"\r{_text(self._shown)}\x1b[K")
-            sys.stderr.flush()
-            if over:
-                return
+    verdict = ran.outcome.venting if result is None else f"{result.verdict()}; {ran.outcome.venting}"
+    return RunReport(verdict, tuple(tables), () if result is None else tuple(result.remarks()), write, numbers)
 
 
 @contextmanager
-def run_line(*, quiet: bool) -> Iterator[_Line | None]:
-    """Progress line of a run on a joint rig, if there is a terminal."""
+def run_line(*, quiet: bool) -> Iterator[Callable[[RunProgress], None] | None]:
+    """Progress line of a run on a joint rig, if there is a terminal.
+
+    A thread with the loop's priority writes it, as the loop could wait for one of lower priority.
+    """
     if quiet or not sys.stderr.isatty():
         yield None
         return
-    line = _Line()
+    latest: deque[RunProgress] = deque(maxlen=1)
+    over = threading.Event()
+
+    def write() -> None:
+        while True:
+            ended = over.wait(_INTERVAL)
+            sys.stderr.write(f"\r{_text(latest[0])}\x1b[K")
+            sys.stderr.flush()
+            if ended:
+                return
+
+    thread = threading.Thread(target=write, name="progress", daemon=True)
+
+    def show(now: RunProgress) -> None:
+        latest.append(now)
+        if thread.ident is None:
+            thread.start()
+
     try:
-        yield line
+        yield show
     finally:
-        line.close()
+        over.set()
+        if latest:
+            thread.join()
+            sys.stderr.write("\n")
 
 
 def _text(now: RunProgress) -> str:
-
     reference = f" (reference {now.reference / deg:6.2f})" if now.reference == now.reference else ""
     reading, cycle = now.reading, now.limit_cycle
     hunting = f"  limit cycle of {cycle.amplitude / deg:.2g} deg, {cycle.period:.2g} s" if cycle else ""
@@ -216,7 +206,6 @@ def run(
     resume: bool = False,
     dry_run: bool = False,
     standing_at: str = "",
-    json: bool = False,
 ) -> None:
     """Run a test and record it. Ctrl-C stops it and vents; --resume continues it.
 
@@ -235,8 +224,6 @@ def run(
         Print steps, duration and violations, without moving.
     standing_at : CONTRACTION
         With --resume: position of the motor, if unknown.
-    json
-        Print machine-readable results instead of a table.
     """
     from mckibben.rig.record import segments
     from mckibben.study.rig.document import read_test
@@ -250,7 +237,7 @@ def run(
     if dry_run:
         if out:
             check_disk_space(out, checked.disk_space)
-        echo(to_json(_numbers(checked)) if json else checked.describe())
+        echo(checked.describe())
         return
     if out is None:
         raise FileError(str(protocol), [Problem("needs a folder for the record", remedy="add --out DIR, or --dry-run")])
@@ -258,7 +245,7 @@ def run(
 
     begun = time.monotonic()
     try:
-        with _progress_line(checked, quiet=json) as report:
+        with _progress_line(checked) as report:
             data = run_test(checked, out, resume=resume, standing_at=standing, report=report)
     except StoppedError as error:
         echo(str(error), err=True)
@@ -266,14 +253,11 @@ def run(
             echo(f"resume with: mckibben rig run {protocol} --out {out} --resume", err=True)
         raise typer.Exit(128 + error.signal if isinstance(error, SignalledError) else 1) from None
     name = out / data_name(test)
-    if json:
-        echo(to_json({**_numbers(checked), "data": str(name), "points": len(data)}))
-    else:
-        echo(repr(data))
+    echo(repr(data))
     following = f"mckibben identify {name}"
     if checked.dry_run.shuts:
         following = f"mckibben rig data {out} --recording; mckibben identify {out / _RECORDING} --of air"
-    notify(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: {following}", json)
+    echo(f"recorded in {out} within {time.monotonic() - begun:.0f} s; next: {following}")
 
 
 @rig.command()
@@ -319,37 +303,16 @@ def check(
 rig.command()(control)
 
 
-def _numbers(checked: CheckedTest) -> dict[str, object]:
-    found = checked.dry_run
-    return {
-        "name": checked.test.name,
-        "rig": checked.rig,
-        "duration_s": found.duration,
-        "estimated": found.estimated,
-        "points": found.plateaus,
-        "samples": found.samples,
-        "pulses": found.pulses,
-        "disk_bytes": checked.disk_space,
-        "highest_force_N": found.force,
-    }
-
-
 @contextmanager
-def _progress_line(checked: CheckedTest, *, quiet: bool) -> Iterator[ProgressCallback | None]:
+def _progress_line(checked: CheckedTest) -> Iterator[ProgressCallback | None]:
     """Progress line on the terminal."""
-    found = checked.dry_run
-    total = max(1, found.plateaus)
-    with job_progress(quiet=quiet, width=8) as bars:
-        if bars is None:
-            yield None
-            return
+    total = max(1, checked.dry_run.plateaus)
+    with job_progress(width=8) as show:
 
         def report(progress: Progress) -> None:
-            latest, part = progress.latest, min(1.0, progress.points / total)
-            bars(  # fits 80 columns
-                f"{latest.pressure / bar:5.2f} bar {latest.force:6.1f} N {progress.contraction / percent:5.1f} %  "
-                f"{progress.points}/{total}  {time_text(found.duration * (1 - part))} left",
-                part,
-            )
+            assert show is not None
+            latest = progress.latest
+            state = f"{latest.pressure / bar:5.2f} bar {latest.force:6.1f} N {progress.contraction / percent:5.1f} %"
+            show(f"{state}  {progress.points}/{total}", min(1.0, progress.points / total))  # fits 80 columns
 
-        yield report
+        yield report if show else None

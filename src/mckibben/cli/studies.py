@@ -271,17 +271,12 @@ def _suite(file: Path) -> Suite:
 
 def _quick(suite: Suite) -> Suite:
     """The suite with fewer runs and a smaller tuning budget."""
-    tuning, evaluation = suite.tuning, suite.evaluation
+    tuning = suite.tuning
     fewer = {
         "generations": max(tuning.generations // 10, 1),
         "starts": 1,
         "starts_of": {name: max(count // tuning.starts, 1) for name, count in tuning.starts_of.items()},
         "finalist_runs": min(tuning.finalist_runs, 100),
     }
-    runs = min(evaluation.runs, 128)
-    return suite.model_copy(
-        update={
-            "tuning": tuning.model_copy(update=fewer),
-            "evaluation": evaluation.model_copy(update={"runs": runs}),
-        }
-    )
+    evaluation = suite.evaluation.model_copy(update={"runs": min(suite.evaluation.runs, 128)})
+    return suite.model_copy(update={"tuning": tuning.model_copy(update=fewer), "evaluation": evaluation})

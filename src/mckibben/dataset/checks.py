@@ -30,7 +30,7 @@ _REMEDIES = {
     "rows": "leave these rows out of the file",
     "order": "check these rows and the headers",
     "zero": "subtract the offset in the file, or measure five or more points of the slack muscle",
-    "gauge": "name it pressure_bar_abs (command line: --column 'HEADER=pressure_bar_abs' --ambient '101.3 kPa')",
+    "gauge": "name it pressure_bar_abs (command line: --column 'HEADER=pressure_bar_abs' --read 'ambient=101.3 kPa')",
     "saturation": "leave such rows out (in a recipe: largest_force)",
     "sign": "turn the sign: force_sign=-1 (command line: --column 'HEADER=-force_N')",
 }

@@ -291,7 +291,9 @@ def _read_tdms(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
         table.interval = step
     if len(starts) > 1:
         text = "channels begin at different times: their rows do not belong together"
-        table.problems.append(Problem(text, field="layout", remedy="accept=['layout'] (command line: --accept layout)"))
+        table.problems.append(
+            Problem(text, field="layout", remedy="accept=['layout'] (command line: --read accept=layout)")
+        )
     return _one_group(path, table, part, mapping)
 
 

@@ -211,8 +211,8 @@ class Recording(MeasuredTable):
                 value=dwell,
                 unit="s",
                 remedy=shorter
-                or "allow a larger pressure_tolerance (command line: --pressure-tolerance) or contraction_tolerance "
-                f"(command line: --contraction-tolerance); {_CONTINUOUS}",
+                or "allow a larger pressure_tolerance or contraction_tolerance (command line: in --tolerance); "
+                + _CONTINUOUS,
             )
         if shorter:
             account.notes.append(f"{len(first)} plateaus are steady for {dwell:g} s: {shorter}")

@@ -41,7 +41,7 @@ class Question(NamedTuple):
 
 def question(topic: str, text: str, *, line: int | None = None, field: str = "", remedy: str = "") -> Question:
     """A question that `accept` answers too."""
-    accepted = f"accept=[{topic!r}] (command line: --accept {topic}) if {TOPICS[topic]}"
+    accepted = f"accept=[{topic!r}] (command line: --read accept={topic}) if {TOPICS[topic]}"
     return Question(
         Problem(text, line=line, field=field, remedy=f"{remedy}, or {accepted}" if remedy else accepted), topic
     )

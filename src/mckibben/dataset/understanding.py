@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 _COLUMN_REMEDY = "name it: columns={{{0!r}: '{1}'}} (command line: --column '{0}={1}')"
 _NEEDLESS = "if it is not needed: columns={{{0!r}: 'ignore'}} (command line: --column '{0}=ignore')"
-_AMBIENT = "give the ambient pressure: ambient=101300.0 (command line: --ambient '101.3 kPa')"
+_AMBIENT = "give the ambient pressure: ambient=101300.0 (command line: --read 'ambient=101.3 kPa')"
 _LENGTH_REMEDY = "give initial_length (command line: --initial-length '180 mm')"
 _SIGN_REMEDY = (
     "name the direction in which it grows, shortening or lengthening: columns={{{0!r}: 'shortening_{1}'}} "

@@ -163,7 +163,7 @@ def _ask_of_layout(table: RawTable, sheet: Worksheet, places: set[int], header: 
     for word, is_marked in _MARKS.items():
         if 0 < (count := sum(map(is_marked, cells))) < len(cells):
             texts.append(f"{count} cells are {word}")
-    remedy = "accept=['layout'] reads these cells as they are (command line: --accept layout)"
+    remedy = "accept=['layout'] reads these cells as they are (command line: --read accept=layout)"
     table.problems += [Problem(text, field="layout", remedy=remedy) for text in texts]
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import platform
 import time
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,14 @@ from mckibben.paper.claims import Claim, evaluate_claims
 from mckibben.paper.identification import Identification, JointMap, run_identification, run_joint
 from mckibben.paper.settings import SETTINGS, StiffnessReference
 from mckibben.paper.tracking import ControllerRun, Tracking, run_tracking
+from mckibben.result import Column, Listing, Result
 from mckibben.simulation.metrics import METRICS
-from mckibben.storage.files import json_ready, write_json
+from mckibben.storage.files import json_ready
 from mckibben.study.tune import TuneResult
 from mckibben.units import bar, deg, factor
 
 
-@dataclass(frozen=True)
-class Reproduction:
+class Reproduction(Result):
     """All results of the reproduction of the paper.
 
     Parameters
@@ -56,16 +57,23 @@ class Reproduction:
         """Our own questions, which the paper does not address."""
         return [claim for claim in self.claims if not claim.of_paper]
 
-    @property
     def verdict(self) -> str:
-        """Number of the paper's testable claims that hold, and number of those that need the paper's muscle."""
+        """Return how many of the paper's testable claims hold, and how many need the paper's muscle."""
         testable = [claim for claim in self.paper_claims if not claim.needs_muscle]
         hold, others = sum(claim.holds for claim in testable), len(self.paper_claims) - len(testable)
         counted = f"{hold} of {len(testable)} that can be tested here hold"
         return f"Of the paper's own claims, {counted}; {others} need the paper's muscle."
 
-    def results(self) -> dict[str, Any]:
-        """All numbers as plain data for JSON; NaN as None."""
+    def listings(self) -> Iterator[Listing]:
+        """Yield the verdicts on the paper's claims, then those on our own questions."""
+        for title, claims in (("The paper's claims", self.paper_claims), ("Our own questions", self.questions)):
+            columns = {"verdict": "verdict", "statement": "claim", "source": "source"}
+            yield Listing(
+                title, {name: (Column(), [getattr(claim, key) for claim in claims]) for name, key in columns.items()}
+            )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all numbers as plain data for JSON, in the units of their keys; NaN as None."""
         return json_ready(
             {
                 "mckibben": version("mckibben"),
@@ -93,13 +101,13 @@ class Reproduction:
             }
         )
 
-    def save(self, folder: Path) -> None:
-        """Write results.json, fits, datasets, scenarios and trajectories to a folder, which is made if it is missing.
+    def write(self, folder: Path) -> None:
+        """Write fits, datasets, scenarios and trajectories to a folder.
 
         A scenario that is run alone gives its trajectory to the last bit.
         """
         for name in ("fits", "data", "scenarios", "trajectories"):
-            (folder / name).mkdir(parents=True, exist_ok=True)
+            (folder / name).mkdir(exist_ok=True)
         for name, fit in self.identification.fits.items():
             fit.to_yaml(folder / "fits" / f"{name}.yaml")
         self.identification.rig.test.to_netcdf(folder / "data" / "virtual-rig-test.nc")
@@ -108,7 +116,6 @@ class Reproduction:
             name = file_stem(key, reference, controller)
             run.scenario.to_yaml(folder / "scenarios" / f"{name}.yaml")
             run.result.to_netcdf(folder / "trajectories" / f"{name}.nc")
-        write_json(folder / "results.json", self.results())
 
 
 def file_stem(key: str, reference: StiffnessReference, controller: str) -> str:

@@ -119,7 +119,7 @@ def write_document(
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
     """HTML text of the report; figures by section."""
-    results = reproduction.results()
+    results = reproduction.to_dict()
     template = template_of("report.html.jinja")
     example = reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID].scenario
     return template.render(
@@ -128,7 +128,7 @@ def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -
         seconds=reproduction.seconds,
         claims=reproduction.paper_claims,
         questions=reproduction.questions,
-        verdict=reproduction.verdict,
+        verdict=reproduction.verdict(),
         sections=SECTIONS,
         figures=drawn,
         fit=tables.fit_table(results),

@@ -52,7 +52,7 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
         message = f"{entry} is a dataset of the catalog, which cannot be joined with others"
         raise NotInCatalogError(message, value=entry, remedy="give one dataset of the catalog, or files only")
     if entry and recipe != Recipe():
-        options = "--read, --column, --initial-length, --ambient, --accept"
+        options = "--read, --column, --initial-length"
         remedy = f"leave out the options that read files ({options})"
         raise NotInCatalogError(f"{entry} is a dataset of the catalog", value=entry, remedy=remedy)
     if entry:
