@@ -28,7 +28,6 @@ from .control import (
     Sine as Sine,
     SlidingMode as SlidingMode,
     Step as Step,
-    SupplyLimit as SupplyLimit,
     VelocityObserver as VelocityObserver,
 )
 from .dataset import (

@@ -98,7 +98,7 @@ COMPONENTS = {
     "loops": (PositionStiffnessControl, LOOPS),
     "decoupling": (Controller, mk.DecouplingControl(**MODEL, feedback=mk.SlidingMode(30.0, 50.0))),
     "predictive": (Controller, mk.PredictiveControl(**MODEL, bandwidth=70.0)),
-    "wrappers": (Controller, mk.SupplyLimit(LOOPS, valve=mk.FirstOrderValve(0.03))),
+    "wrappers": (Controller, mk.DelayCompensation(**MODEL, controller=LOOPS, command_delay=5e-3)),
     "references": (mk.Reference, mk.Reference(mk.Sine(0.1, 0.5), mk.Samples([0.0, 1.0], [13.0, 14.0]))),
 }
 

@@ -123,7 +123,6 @@ EXAMPLES = [
     LOOPS,
     DECOUPLING,
     control.InverseModelControl(LOOPS, LOAD),
-    control.SupplyLimit(LOOPS),
     control.OpenLoopControl(control.Step(2e5, 3e5, 1e-3), 2.5e5, KNEE),
     control.DelayCompensation(KNEE, LOAD, controller=LOOPS, command_delay=2.5e-3),
     leg.PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ())),

@@ -19,7 +19,6 @@ from mckibben.control import (
     PredictiveControl,
     Reference,
     Setpoint,
-    SupplyLimit,
 )
 from mckibben.errors import ReachabilityWarning
 from mckibben.muscle import MaxwellSlip
@@ -115,7 +114,7 @@ def test_what_friction_adds_shifts_the_attainable_stiffness_up(joint, knee, load
 def test_a_wrapper_controls_what_the_controller_in_it_does(joint, load):
     loops = controllers(joint, load)["PID"]
     delayed = DelayCompensation(joint, load, controller=loops, command_delay=5 * ms)
-    for wrapper in (SupplyLimit(loops), delayed, SupplyLimit(delayed), InverseModelControl(loops, load)):
+    for wrapper in (delayed, InverseModelControl(loops, load)):
         assert (wrapper.stiffness_amplitude, wrapper.minimum_tension) == (SIZE, 5.0)
 
 

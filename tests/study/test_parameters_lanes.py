@@ -6,8 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from mckibben.component.schema import parse_component, replaced
-from mckibben.control import Controller
+from mckibben.component.schema import replaced
 from mckibben.errors import ParameterError
 from mckibben.scenario import (
     Scenario,
@@ -79,18 +78,8 @@ KNEE = Suite.read(EXAMPLES / "comparison" / "knee.yaml")
 LEARNING = KNEE.controllers["PID and learned inverse"]
 
 
-def read_section(text):
-    """A controller as in the suite's file."""
-    return parse_component(Controller, text, source="test", context={"scope": (dict(KNEE),)})
-
-
 CONTROLLERS = KNEE.controllers | {
     "inverse learned without a model": replaced(LEARNING, {"load": None}),
-    "PID, supply estimated": read_section(
-        "{class: supply_limit, controller: {position: {kp: 1 bar/rad, "
-        "ki: 1 bar/(rad*s), kd: 0 bar*s/rad}, stiffness: {kp: 1 bar/(N*m/rad), ki: 0 bar/(N*m*s/rad), "
-        "kd: 0 bar*s/(N*m/rad)}}}"
-    ),
 }
 OTHER_NUMBERS = {"PID, ten times the budget", "PID, derivative of the measurement"}  # of the class and parts of "PID"
 OF_THE_PLANT = ("joint", "load", "valve", "sensors", "disturbance")

@@ -25,7 +25,6 @@ from mckibben.control.reference import (
     Step,
     Sum,
 )
-from mckibben.control.supply_limit import SupplyLimit
 
 __all__ = [
     "PID",
@@ -61,7 +60,6 @@ __all__ = [
     "SlidingMode",
     "Step",
     "Sum",
-    "SupplyLimit",
     "ValveModel",
     "VelocityObserver",
 ]

@@ -17,11 +17,6 @@ from mckibben.units import Bandwidth, PoleDamping, Quantity
 Scalar = Float[Array, ""]
 
 
-def lagged(last: Pair, inputs: Pair, fraction: ArrayLike) -> Pair:
-    """Outputs of two first-order lags after a further sample, from the last ones; `fraction` as by `lag_fraction`."""
-    return last[0] + fraction * (inputs[0] - last[0]), last[1] + fraction * (inputs[1] - last[1])
-
-
 class MotionEstimate(NamedTuple):
     """Estimated motion of the joint."""
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from mckibben.paper.identification import (
@@ -18,7 +20,7 @@ from mckibben.paper.identification import (
     direction_gap,
 )
 from mckibben.paper.settings import SETTINGS, StiffnessReference
-from mckibben.paper.tracking import BP, DOUBLED_PID, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, Tracking
+from mckibben.paper.tracking import BP, DOUBLED_PID, FREE_TUNED_BP, PID, TUNED_BP, TUNED_PID, ControllerRun, Tracking
 from mckibben.simulation import SETTLING_PART
 from mckibben.units import bar, deg, quantity
 
@@ -178,18 +180,25 @@ def _smaller_angle_error(tracking: Tracking, reference: StiffnessReference, *, t
     )
 
 
+def _cases(tracking: Tracking, *controllers: str) -> Iterator[tuple[str, list[ControllerRun]]]:
+    """Both geometries with both stiffness references: a title, and the runs of controllers."""
+    for setting, reference in itertools.product(SETTINGS, StiffnessReference):
+        yield (
+            f"{setting.name}, {reference.value}",
+            [tracking.runs[setting.key, reference, name] for name in controllers],
+        )
+
+
 def _settles_sooner(tracking: Tracking, *, tuned: bool) -> Claim:
     """Holds if BP settles sooner by 5 % in most of the four cases, and later in none; a run may never settle."""
     pid, bp, gains = _compared(tuned)
     parts, sooner, later = [], 0, 0
-    for setting in SETTINGS:
-        for reference in StiffnessReference:
-            base, learned = tracking.runs[setting.key, reference, pid], tracking.runs[setting.key, reference, bp]
-            before, after = base.median("stiffness_settling"), learned.median("stiffness_settling")
-            first, second = (math.inf if math.isnan(time) else time for time in (before, after))
-            sooner += second < (1 - _DISTINGUISHABLE) * first
-            later += learned.unstable > 0 or first < (1 - _DISTINGUISHABLE) * second
-            parts.append(f"{setting.name}, {reference.value}: PID {_seconds(before)}, BP {_seconds(after)}")
+    for title, (base, learned) in _cases(tracking, pid, bp):
+        before, after = base.median("stiffness_settling"), learned.median("stiffness_settling")
+        first, second = (math.inf if math.isnan(time) else time for time in (before, after))
+        sooner += second < (1 - _DISTINGUISHABLE) * first
+        later += learned.unstable > 0 or first < (1 - _DISTINGUISHABLE) * second
+        parts.append(f"{title}: PID {_seconds(before)}, BP {_seconds(after)}")
     return Claim(
         f"BP's stiffness settles sooner ({gains})",
         "on Fig. 8 (c), (d)" if tuned else "Results and analysis, Fig. 8 (c), (d)",
@@ -203,15 +212,13 @@ def _settles_sooner(tracking: Tracking, *, tuned: bool) -> Claim:
 def _learning_is_safe(tracking: Tracking) -> Claim:
     """Holds if BP on tuned gains, free to double them, is never unstable and nowhere worse than PID."""
     parts, holds = [], True
-    for setting in SETTINGS:
-        for reference in StiffnessReference:
-            run = tracking.runs[setting.key, reference, FREE_TUNED_BP]
-            after = run.median("angle_rmse")
-            before = tracking.runs[setting.key, reference, TUNED_PID].median("angle_rmse")
-            holds = holds and run.unstable == 0 and after <= before
-            unstable = f"{run.unstable} of {tracking.seeds} seeds unstable"
-            shown = unstable if run.unstable else f"RMSE {after / deg:.3g} deg"
-            parts.append(f"{setting.name}, {reference.value}: {shown} (PID {before / deg:.3f} deg)")
+    for title, (pid, run) in _cases(tracking, TUNED_PID, FREE_TUNED_BP):
+        before, after = pid.median("angle_rmse"), run.median("angle_rmse")
+        holds = holds and run.unstable == 0 and after <= before
+        unstable = f"{run.unstable} of {tracking.seeds} seeds unstable"
+        parts.append(
+            f"{title}: {unstable if run.unstable else f'RMSE {after / deg:.3g} deg'} (PID {before / deg:.3f} deg)"
+        )
     return Claim(
         "BP can be added to any PID (tuned gains, free to change by a factor of 2)",
         "on the choice of BP",

@@ -106,15 +106,13 @@ def direction_gap(data: IsobaricDataset) -> tuple[float, float]:
 
     Only taut points count at which both directions were measured.
     """
-    forces: dict[tuple[float, float], dict[str, list[float]]] = {}
+    import pandas as pd  # 0.3 s
+
     taut = data.taut
-    for level, contraction, direction, force in zip(
-        taut.levels, taut.contraction, taut.table["direction"].to_numpy(), taut.force, strict=True
-    ):
-        place = (float(level), round(float(contraction), 6))
-        forces.setdefault(place, {}).setdefault(str(direction), []).append(float(force))
-    gaps = [np.mean(f["loading"]) - np.mean(f["unloading"]) for f in forces.values() if len(f) == 2]
-    return float(np.mean(gaps)), float(taut.force.max())
+    places = {"level": taut.levels, "contraction": np.round(taut.contraction, 6), "force": taut.force}
+    points = pd.DataFrame({**places, "direction": taut.table["direction"].to_numpy()})
+    means = points.pivot_table("force", ["level", "contraction"], "direction").dropna()
+    return float((means["loading"] - means["unloading"]).mean()), float(taut.force.max())
 
 
 def _test(repeats: int) -> SimulatedRigTest:

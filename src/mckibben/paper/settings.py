@@ -7,8 +7,10 @@ each setting comes in two geometries.
 from __future__ import annotations
 
 import enum
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import resources
 from typing import Any
 
 from mckibben.scenario import Scenario, with_values
@@ -22,16 +24,8 @@ class StiffnessReference(enum.Enum):
 
 
 @dataclass(frozen=True)
-class Gains:
-    """Moderate gains of the two PID loops, as text with units; base of both methods."""
-
-    position: str
-    stiffness: str
-
-
-@dataclass(frozen=True)
 class Setting:
-    """A geometry with its references and gains, as text with units.
+    """A geometry with its references and gains, as text with units, from settings.toml.
 
     Parameters
     ----------
@@ -46,7 +40,7 @@ class Setting:
     start
         Stiffness of the equilibrium at 0 deg in which runs start.
     moderate
-        Gains set by hand, for PID and as the base of BP.
+        Gains of the position and the stiffness loop, set by hand, for PID and as the base of BP.
     angle_scale, stiffness_scale, rates
         Scales of the errors and outputs of BP; a tenth of the errors is the scale of the cost of tuning.
     """
@@ -59,49 +53,18 @@ class Setting:
     before: str
     after: str
     start: str
-    moderate: Gains
+    moderate: dict[str, str]
     angle_scale: str
     stiffness_scale: str
-    rates: tuple[str, str]
+    rates: list[str]
 
 
-AS_PRINTED = Setting(
-    name="as printed",
-    key="as_printed",
-    connectors="190 mm",
-    amplitude="2 deg",
-    constant="72.5 N*m/rad",
-    before="72 N*m/rad",
-    after="73 N*m/rad",
-    start="71.5 N*m/rad",
-    moderate=Gains(
-        position="kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad",
-        stiffness="kp: -1.5 bar/(N*m/rad), ki: -100 bar*rad/(N*m*s), kd: 0 bar*s/(N*m/rad)",
-    ),
-    angle_scale="0.2 deg",
-    stiffness_scale="0.5 N*m/rad",
-    rates=("10 bar/s", "10 bar/s"),
-)
+def _text(name: str) -> str:
+    return (resources.files("mckibben.paper") / name).read_text(encoding="utf-8")
 
-PRE_CONTRACTED = Setting(
-    name="pre-contracted",
-    key="pre_contracted",
-    connectors="208 mm",
-    amplitude="10 deg",
-    constant="15 N*m/rad",
-    before="13 N*m/rad",
-    after="17 N*m/rad",
-    start="12 N*m/rad",
-    moderate=Gains(
-        position="kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad",
-        stiffness="kp: 0.08 bar/(N*m/rad), ki: 5 bar*rad/(N*m*s), kd: 0 bar*s/(N*m/rad)",
-    ),
-    angle_scale="1 deg",
-    stiffness_scale="1 N*m/rad",
-    rates=("10 bar/s", "1 bar/s"),
-)
 
-SETTINGS = (AS_PRINTED, PRE_CONTRACTED)
+SETTINGS = tuple(Setting(**{"key": key, **table}) for key, table in tomllib.loads(_text("settings.toml")).items())
+AS_PRINTED, PRE_CONTRACTED = SETTINGS
 
 STEP_TIME = "5 s"
 LEARNING = "learning_rate: 3 1/s, momentum: 0.5, hidden: 6"
@@ -113,9 +76,7 @@ def pid_scenario(
     setting: Setting, reference: StiffnessReference, gains: Mapping[str, float] | None = None, *, name: str = "PID"
 ) -> Scenario:
     """Scenario of a PID run with gains as of `gains_of`; default: moderate gains."""
-    base = setting.moderate
-    scenario = _scenario(setting, reference, name, f"{{{base.position}}}", f"{{{base.stiffness}}}")
-    return _with_gains(scenario, gains)
+    return _with_gains(_scenario(setting, reference, name, **setting.moderate), gains)
 
 
 def bp_scenario(
@@ -128,15 +89,13 @@ def bp_scenario(
 ) -> Scenario:
     """Scenario of a BP run with the same base gains."""
     learning = f"{LEARNING}, gain_ratio: {gain_ratio}, seed: 0"
-    position = (
-        f"{{class: backprop, base: {{{setting.moderate.position}}}, {learning}, signal_scale: {setting.amplitude}, "
-        f"error_scale: {setting.angle_scale}, output_scale: {setting.rates[0]}}}"
-    )
-    stiffness = (
-        f"{{class: backprop, base: {{{setting.moderate.stiffness}}}, {learning}, signal_scale: {setting.constant}, "
-        f"error_scale: {setting.stiffness_scale}, output_scale: {setting.rates[1]}}}"
-    )
-    return _with_gains(_scenario(setting, reference, name, position, stiffness), gains, ".base.")
+    scales = (setting.amplitude, setting.angle_scale), (setting.constant, setting.stiffness_scale)
+    loops = {
+        loop: f"class: backprop, base: {{{base}}}, {learning}, signal_scale: {signal}, error_scale: {error}, "
+        f"output_scale: {rate}"
+        for (loop, base), (signal, error), rate in zip(setting.moderate.items(), scales, setting.rates, strict=True)
+    }
+    return _with_gains(_scenario(setting, reference, name, **loops), gains, ".base.")
 
 
 def _with_gains(scenario: Scenario, gains: Mapping[str, float] | None, within: str = ".") -> Scenario:
@@ -146,32 +105,13 @@ def _with_gains(scenario: Scenario, gains: Mapping[str, float] | None, within: s
 
 
 def _scenario(setting: Setting, reference: StiffnessReference, name: str, position: str, stiffness: str) -> Scenario:
-    desired = (
-        setting.constant
-        if reference is StiffnessReference.CONSTANT
-        else f"{{class: step, before: {setting.before}, after: {setting.after}, at: {STEP_TIME}}}"
-    )
-    return Scenario.parse(
-        f"""
-name: {setting.name} knee, {reference.value} stiffness, {name}
-joint:
-  geometry: {{from: knee-table-2, connector_length: {setting.connectors}}}
-  muscle: {{specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}}
-load: knee-table-2
-valve: {{time_constant: 20 ms}}
-controller:
-  position: {position}
-  stiffness: {stiffness}
-reference:
-  angle: {{class: sine, amplitude: {setting.amplitude}, frequency: 0.5 Hz}}
-  stiffness: {desired}
-start: {{angle: 0 deg, stiffness: {setting.start}}}
-duration: 10 s
-control_period: 1 ms
-substeps: 4
-""",
-        source="settings of the paper's simulations",
-    )
+    """Scenario of `knee.yaml` with the sections of both loops."""
+    desired = f"{{class: step, before: {setting.before}, after: {setting.after}, at: {STEP_TIME}}}"
+    if reference is StiffnessReference.CONSTANT:
+        desired = setting.constant
+    values = {"reference": reference.value, "name": name, "position": position, "stiffness": stiffness}
+    text = _text("knee.yaml").format(setting=setting, desired=desired, **values)
+    return Scenario.parse(text, source="settings of the paper's simulations")
 
 
 def gains_of(scenario: Scenario) -> dict[str, float]:

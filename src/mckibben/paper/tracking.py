@@ -129,14 +129,13 @@ def run_tracking(
 
 def _moderate_runs(seeds: int) -> _Runs:
     runs: _Runs = {}
-    for setting in SETTINGS:
-        for reference in StiffnessReference:
-            runs[setting.key, reference, PID] = _run_pid(pid_scenario(setting, reference))
-            runs[setting.key, reference, BP] = _run_bp(bp_scenario(setting, reference), seeds)
-            moderate = gains_of(pid_scenario(setting, reference))
-            doubled = {name: 2 * gain if name.startswith("position") else gain for name, gain in moderate.items()}
-            base = pid_scenario(setting, reference, doubled, name=DOUBLED_PID)
-            runs[setting.key, reference, DOUBLED_PID] = _run_pid(base)
+    for setting, reference in itertools.product(SETTINGS, StiffnessReference):
+        pid = pid_scenario(setting, reference)
+        doubled = {name: gain * (1 + name.startswith("position")) for name, gain in gains_of(pid).items()}
+        runs[setting.key, reference, PID] = _run_pid(pid)
+        runs[setting.key, reference, BP] = _run_bp(bp_scenario(setting, reference), seeds)
+        more = pid_scenario(setting, reference, doubled, name=DOUBLED_PID)
+        runs[setting.key, reference, DOUBLED_PID] = _run_pid(more)
     return runs
 
 
