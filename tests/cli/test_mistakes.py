@@ -66,7 +66,6 @@ def test_a_name_of_the_catalog_with_a_slip_is_guessed(cli):
         (("run", "joint.yaml"), "simulate"),
         (("fit", "rig.csv"), "identify"),
         (("stiffnes", "joint.yaml"), "stiffness"),
-        (("leg", "jum", "leg.yaml"), "give jump"),
         (("export", "joint.yaml"), "--to"),
     ],
 )

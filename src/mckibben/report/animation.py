@@ -38,7 +38,13 @@ _MOST_FRAMES = 120
 
 
 def animation_format(path: str | os.PathLike[str]) -> str:
-    """Return the format of a file's name, WEBP or GIF; `ParameterError` for any other ending."""
+    """Format of an animation by the end of its name.
+
+    >>> animation_format("knee.webp")
+    'WEBP'
+
+    Raises `ParameterError` for any other ending.
+    """
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
         message = f"{Path(path).name!r} is not the name of an animation"
@@ -98,7 +104,7 @@ def _plant_of(result: SimulationResult) -> JointPlant:
 
 @styled
 def _frames(result: SimulationResult, plant: JointPlant) -> list[Image.Image]:
-    """Images of a run at equal intervals; static parts are drawn once."""
+    """Images of a run at 12 per second, at most 120; static parts are drawn once."""
     times = result.times
     count = int(np.clip(times[-1] * _RATE, 2, _MOST_FRAMES))
     at = np.linspace(0, len(times) - 1, count).round().astype(int)

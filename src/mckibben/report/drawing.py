@@ -32,10 +32,18 @@ _NOTE = {"fontsize": 9, "color": BLACK}
 
 
 class JointPicture:
-    """Artists of a joint on axes with equal scales; `update` moves them.
+    """Artists of a joint on axes with equal scales, in metres with the joint axis at (0, 0).
 
-    The moving limb has a length [m], and point masses at distances [m] from the hinge; `springs` are not drawn as
-    muscles.
+    Parameters
+    ----------
+    axes
+        Panel, whose axes are hidden.
+    mechanism
+        Geometry of the joint, scaled for drawing.
+    limb, masses
+        Length [m] of the moving limb, and distances [m] of its point masses from the joint axis.
+    springs
+        Whether muscles 1 and 2 are return springs, which are drawn as coils.
     """
 
     def __init__(
@@ -65,7 +73,22 @@ class JointPicture:
     def update(
         self, angle: float, lengths: Sequence[float], diameters: Sequence[float | None], colours: Sequence[ColorType]
     ) -> tuple[Strand, Strand]:
-        """Move all artists to an angle [rad], with muscles of given lengths and diameters [m]; return the strands."""
+        """Move all artists.
+
+        Parameters
+        ----------
+        angle
+            Joint angle [rad].
+        lengths, diameters
+            Length and diameter [m] of each muscle; None for an unknown diameter.
+        colours
+            Colour of each muscle.
+
+        Returns
+        -------
+        tuple of Strand
+            Lines of action of muscles 1 and 2.
+        """
         mechanism = self.mechanism
         strands = mechanism.strands(angle)
         for patch, outline in zip(self._cams, mechanism.cams(angle), strict=True):

@@ -1,4 +1,7 @@
-"""Figures of a reproduction, with captions and alternative texts."""
+"""Figures of a reproduction of the paper, with captions and alternative texts.
+
+The texts are in figures.toml; numbers in them are filled in from the results.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +30,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ReportFigure:
-    """Figure of a page: file name, section (a key of `SECTIONS`, or empty), title, caption, alternative text."""
+    """Figure of a page.
+
+    Parameters
+    ----------
+    name
+        Name of its files.
+    section
+        Part of the page, a key of `SECTIONS`; empty on other pages.
+    title, caption, alternative
+        Heading; what is seen, with numbers; what is drawn, for those who do not see it.
+    figure
+        The drawing.
+    """
 
     name: str
     section: str
@@ -41,7 +56,18 @@ class ReportFigure:
 
 
 def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
-    """Draw the figures in the order of the report."""
+    """Figures of the paper: 3, 4, 7 and 8, and our own of the attainable set, the measured muscles and all controllers.
+
+    Parameters
+    ----------
+    reproduction
+        Results of `mckibben.paper.reproduce`.
+
+    Yields
+    ------
+    ReportFigure
+        In the order of the report.
+    """
     yield from _of_the_muscle(reproduction)
     yield from _of_the_joint(reproduction)
     for setting in SETTINGS:
@@ -50,7 +76,19 @@ def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
 
 
 def described(key: str, figure: Figure, suffix: str = "", **values: object) -> ReportFigure:
-    """A figure with its texts from `figures.toml`, of which `values` fill the braces; its name ends in `suffix`."""
+    """A figure with its texts from figures.toml.
+
+    Parameters
+    ----------
+    key
+        Key of the texts; its last part is the name of the figure.
+    figure
+        The drawing.
+    suffix
+        End of the name, for figures with the same texts.
+    values
+        Objects whose attributes and items fill the braces of the texts.
+    """
     texts = tomllib.loads((resources.files("mckibben.report") / "figures.toml").read_text(encoding="utf-8"))[key]
     written = {"section": ""} | {
         name: text.format(**values).replace("N*m/rad", "N·m/rad") for name, text in texts.items()
@@ -59,6 +97,7 @@ def described(key: str, figure: Figure, suffix: str = "", **values: object) -> R
 
 
 def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
+    """Figs. 3 and 4, and Eq. 2 on measured muscles."""
     identification = reproduction.identification
     rig = identification.rig
     levels, points = len(rig.test.pressures), len(rig.test)
@@ -72,6 +111,7 @@ def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:
 
 
 def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
+    """Attainable stiffness of both geometries, over angle, and over angle and torque."""
     maps = {setting.name: reproduction.joint[setting.key] for setting in SETTINGS}
     references = {
         setting.name: {
@@ -87,6 +127,7 @@ def _of_the_joint(reproduction: Reproduction) -> Iterator[ReportFigure]:
 
 
 def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[ReportFigure]:
+    """Figs. 7 and 8 in a geometry."""
     runs, suffix = reproduction.tracking.runs, f"-{setting.key.replace('_', '-')}"
     columns = {
         f"{reference.value} stiffness": {name: runs[setting.key, reference, name].result for name in (PID, BP)}
@@ -101,6 +142,7 @@ def _of_the_control(reproduction: Reproduction, setting: Setting) -> Iterator[Re
 
 
 def _of_the_methods(reproduction: Reproduction) -> Iterator[ReportFigure]:
+    """All controllers over seeds, and the gains of BP."""
     runs, seeds = reproduction.tracking.runs, reproduction.tracking.seeds
     compared: dict[str, dict[str, dict[str, ControllerRun]]] = {}
     for setting in SETTINGS:

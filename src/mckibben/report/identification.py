@@ -45,7 +45,17 @@ _LOOKS: dict[str, Look] = {
 
 @styled
 def ranking(ranked: Ranking) -> Figure:
-    """Cross-validation errors of all laws, and residuals of the best ones coloured by pressure."""
+    """Cross-validation errors of all laws, and residuals of the best six, coloured by pressure.
+
+    Upper panel: RMSE [N] of the fitted points and of each kind of held-out block, on a logarithmic axis; laws are in
+    the order of the ranking, with their number of parameters, flagged ones shaded. Lower panels: measured minus fitted
+    force [N] over contraction [%].
+
+    Parameters
+    ----------
+    ranked
+        Result of `mckibben.identification.rank`.
+    """
     fitted = [entry for entry in ranked.entries if entry.fit]
     shown = fitted[:_SHOWN]
     rows = -(-len(shown) // 3)
@@ -71,6 +81,7 @@ def ranking(ranked: Ranking) -> Figure:
 
 
 def _errors(axes: Axes, fitted: list[RankedLaw], ranked: Ranking) -> None:
+    """Draw the RMSE [N] of each law, for fitted points and for each kind of held-out block."""
     places = np.arange(len(fitted))
     kinds = {"seen": [entry.fit.rmse if entry.fit else np.nan for entry in fitted]}
     for name in ranked.blocks:
@@ -97,6 +108,7 @@ def _errors(axes: Axes, fitted: list[RankedLaw], ranked: Ranking) -> None:
 
 
 def _residuals(axes: Axes, entry: RankedLaw, ranked: Ranking, scale: Normalize) -> None:
+    """Draw the residuals [N] of a law over contraction [%], coloured by pressure."""
     assert entry.fit is not None
     residuals = entry.fit.residuals
     assert residuals is not None
@@ -117,6 +129,11 @@ def _residuals(axes: Axes, entry: RankedLaw, ranked: Ranking, scale: Normalize) 
 
 
 def _short(law: str) -> str:
+    """Name of a law without its ending.
+
+    >>> _short("ExponentialLaw")
+    'Exponential'
+    """
     return law.removesuffix("Law")
 
 
@@ -126,9 +143,21 @@ _MEAN: Look = {"color": BLUE, "alpha": 0.45, "zorder": 2}
 
 @styled
 def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: Grouping | None = None) -> Figure:
-    """Fitted law with pointwise confidence band (inner) and prediction band of a plateau mean (outer).
+    """Fitted law with its pointwise confidence band (inner) and the prediction band of a plateau mean (outer).
 
-    Shows the points of the fit at up to six pressures; `level` and `by` as for `Fit.force_intervals`.
+    Upper panels: force [N] over contraction [%] at up to six pressures; lower panels: the same minus the fitted force,
+    with the share of the points outside the prediction band.
+
+    Parameters
+    ----------
+    dataset
+        Points of the fit, or new ones.
+    fit
+        Fitted law.
+    level
+        Coverage of the bands [-].
+    by
+        Groups of points with common errors, as for `Fit.force_intervals`.
     """
     taut = dataset.plateau_means().taut
     levels = _spread(taut.pressures)
@@ -172,9 +201,19 @@ _MODEL = {"color": BLACK, "linewidth": 0.8, "zorder": 4}
 
 @styled
 def loops(dataset: IsobaricDataset, fit: HysteresisFit) -> Figure:
-    """Hysteresis loops, measured and modelled: force (top), and friction force by pressure (bottom).
+    """Hysteresis loops, measured and modelled: force [N] (top), and friction force [N] by pressure (bottom).
 
-    Raises `RangeError` if the dataset is not the identified one.
+    Parameters
+    ----------
+    dataset
+        Points from which the friction was identified.
+    fit
+        Law with friction, fitted to them.
+
+    Raises
+    ------
+    RangeError
+        If the dataset is not the identified one.
     """
     means = dataset.plateau_means()
     if len(means) != len(fit.residuals):

@@ -53,9 +53,17 @@ _FROM, _LENGTH, _ERRORS_APART = 5.0, 8.0, 20  # s and samples, of the figure of 
 def attainable_stiffness(
     maps: Mapping[str, JointMap], references: Mapping[str, Mapping[str, SimulationResult]] | None = None
 ) -> Figure:
-    """Attainable stiffness in static equilibrium with the load, over the joint angle, by name of the geometry.
+    """Attainable stiffness in static equilibrium with the load over the joint angle, one panel per geometry.
 
-    The references of results, by geometry and by name of the reference, are drawn over the range.
+    Vertical lines are the ends of the static range of angles.
+
+    Parameters
+    ----------
+    maps
+        Attainable set by name of the geometry.
+    references
+        Runs by geometry and by name of the reference, at most three, whose desired angle and stiffness are drawn over
+        the range.
     """
     figure = blank(DOUBLE, 3.1)
     grid = figure.subplots(1, len(maps), squeeze=False)[0]
@@ -86,7 +94,16 @@ def attainable_stiffness(
 
 @styled
 def torque_stiffness_map(maps: Mapping[str, JointMap]) -> Figure:
-    """Minimum and maximum attainable stiffness over angle and torque, and their difference, by geometry."""
+    """Contours of the attainable stiffness [N*m/rad] over angle and torque of the muscles, one row per geometry.
+
+    Columns: minimum, maximum, and their difference, the freedom that the co-contraction has. The dashed curve is the
+    torque that balances the load at rest.
+
+    Parameters
+    ----------
+    maps
+        Attainable set by name of the geometry.
+    """
     figure = blank(DOUBLE, 2.55 * len(maps) + 0.4)
     grid = figure.subplots(len(maps), 3, squeeze=False, sharey=True, sharex="row")
     titles = ("K_min", "K_max", "K_max − K_min")
@@ -127,7 +144,14 @@ _STATIC, _DYNAMIC = "#DCE9F2", "#9CC3E0"
 def envelope(envelope: Envelope) -> Figure:
     """Attainable set of a scenario's joint, and its reference.
 
-    Panels: torque and stiffness range over the angle; static stiffness over the angle; stiffness and angle over time.
+    Panels: torque of the reference motion over the angle, with the width of the stiffness range [N*m/rad] as contours;
+    static stiffness over the angle; stiffness over time, with the ranges at rest and in the motion, which the rate of
+    the pressures limits; angle over time, with the static range.
+
+    Parameters
+    ----------
+    envelope
+        Result of `mckibben.reachability.envelope`.
     """
     figure = blank(DOUBLE, 5.8)
     (torque, stiffness), (over_time, angle) = figure.subplots(2, 2)
@@ -143,6 +167,7 @@ def envelope(envelope: Envelope) -> Figure:
 
 
 def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
+    """Draw the torque [N*m] of the reference motion over the width of the stiffness range."""
     static, trackability = envelope.static, envelope.trackability
     torque = trackability.bands.torque
     if static.map_angles.size:
@@ -158,6 +183,7 @@ def _torque(figure: Figure, axes: Axes, envelope: Envelope) -> None:
 
 
 def _over_angle(axes: Axes, envelope: Envelope) -> None:
+    """Draw the static stiffness range over the angle; with friction on a logarithmic axis."""
     static, motion = envelope.static, envelope.trackability.trajectory
     inside = static.inside
     if inside.any():
@@ -174,6 +200,7 @@ def _over_angle(axes: Axes, envelope: Envelope) -> None:
 
 
 def _band(axes: Axes, static: StaticEnvelope, *, color: str, label: str) -> None:
+    """Shade the static stiffness range [N*m/rad] over the angle [deg]; dotted: small motion, with friction."""
     inside = static.inside
     angles, low, high = static.angles[inside] / deg, static.stiffness.lowest[inside], static.stiffness.highest[inside]
     draw_band(axes, angles, low, high, color=color, label=label)
@@ -184,6 +211,7 @@ def _band(axes: Axes, static: StaticEnvelope, *, color: str, label: str) -> None
 
 
 def _over_time(axes: Axes, envelope: Envelope) -> None:
+    """Draw stiffness ranges and reference [N*m/rad] over time [s]."""
     motion, bands = envelope.trackability.trajectory, envelope.trackability.bands
     times = motion.times
     draw_band(axes, times, *bands.static, color=_STATIC, label="attainable, static")
@@ -194,6 +222,7 @@ def _over_time(axes: Axes, envelope: Envelope) -> None:
 
 
 def _angle(axes: Axes, envelope: Envelope) -> None:
+    """Draw the reference of the angle [deg] over time, and the range in which the load can be held."""
     motion, static = envelope.trackability.trajectory, envelope.static
     times = motion.times
     if static.angle_min <= static.angle_max:
@@ -203,13 +232,25 @@ def _angle(axes: Axes, envelope: Envelope) -> None:
 
 
 def _limits(axes: Axes, *curves: np.ndarray) -> None:
+    """Limit an axis to the curves, with at least 5 % of the largest value as its range."""
     largest = max(float(np.abs(curve[np.isfinite(curve)]).max(initial=0.0)) for curve in curves)
     axes.set_ylim(*robust_limits(curves, part=0.98, floor=0.05 * largest))
 
 
 @styled
 def stiffness(tests: StiffnessTests) -> Figure:
-    """Stiffness over the amplitude of a motion: at constant pressures, with closed valves, and at several rates."""
+    """Stiffness [N*m/rad] over the amplitude of a motion [deg].
+
+    First panel: at constant pressures and with closed valves, by the closed forms (lines), simulated at the lowest and
+    the highest rate (circles and crosses), and without friction (dashed). Further panels: tests that depend on the rate
+    of the motion, one curve per rate; with the controller active, on a logarithmic axis, the magnitude of the dynamic
+    stiffness.
+
+    Parameters
+    ----------
+    tests
+        Result of `mckibben.study.stiffness.stiffness_tests`.
+    """
     varied = [name for name in tests.tests if name not in (HELD, CLOSED)]
     figure = blank(DOUBLE, 2.9)
     first, *others = figure.subplots(1, 1 + len(varied))
@@ -258,7 +299,13 @@ def _box(axes: Axes, angles: Sequence[float], stiffness: Sequence[float], label:
 
 @styled
 def selection(selection: Selection) -> Figure:
-    """Attainable stiffness and torque over the angle of the best joint, and the requirement."""
+    """Attainable stiffness and torque over the angle of the best joint, and the requirement (black).
+
+    Parameters
+    ----------
+    selection
+        Result of `mckibben.reachability.size`.
+    """
     need, joint = selection.requirement, selection.best
     static = static_envelope(joint.plant, about=need.middle)
     figure = blank(DOUBLE, 3.2)
@@ -285,7 +332,15 @@ def selection(selection: Selection) -> Figure:
 
 @styled
 def calibration(calibration: CalibratedJoint) -> Figure:
-    """Model stiffness before and after calibration over recording time, with 95 % intervals, and its change."""
+    """Stiffness of a model before and after calibration along the recordings, with 95 % intervals, and its change.
+
+    Left: over recording time, one recording after the other; right: calibrated minus before, over the angle.
+
+    Parameters
+    ----------
+    calibration
+        Result of `mckibben.calibration.calibrate_joint`.
+    """
     figure = blank(DOUBLE, 2.9)
     over_time, over_angle = figure.subplots(1, 2, width_ratios=(2, 1))
     start = 0.0
@@ -312,7 +367,13 @@ def calibration(calibration: CalibratedJoint) -> Figure:
 
 @styled
 def valve_calibration(calibration: ValveCalibration) -> Figure:
-    """Commands, measured and simulated pressures of both muscles over a few seconds of each recording, and errors."""
+    """Commands, measured and simulated pressures [bar] of both muscles over 8 s of each recording, and errors [kPa].
+
+    Parameters
+    ----------
+    calibration
+        Result of `mckibben.calibration.calibrate_valves`; one row of panels per recording.
+    """
     recordings = calibration.recordings
     figure = blank(DOUBLE, 1.9 * len(recordings) + 0.8)
     rows = figure.subplots(len(recordings), 2, squeeze=False, width_ratios=(2, 1))

@@ -29,9 +29,15 @@ _LOOKS = ((VERMILLION, "-"), (BLUE, (0, (4, 2))))
 
 @styled
 def landing_forces(study: LandingStudy) -> Figure:
-    """Force on the trunk, deflection and share of landings that bottom out over the commanded stiffness.
+    """Forces on the trunk and of the ground, and deflection of the joint, over the commanded stiffness.
 
-    One column per drop; bands contain 90 % of the draws, triangles mark the best stiffness.
+    One column per height of the drop, one colour per valve; bands contain 90 % of the draws, triangles mark the best
+    stiffness.
+
+    Parameters
+    ----------
+    study
+        Result of `mckibben.leg.landing.study_landing`.
     """
     table = study.table
     stiffness, drops = table["stiffness"].to_numpy(), table["drop"].to_numpy()
@@ -67,11 +73,20 @@ def landing_forces(study: LandingStudy) -> Figure:
 def foot_ellipses(
     leg: Leg, angles: Sequence[float], *, force: float = 1.0, found: FootPressures | None = None
 ) -> Figure:
-    """Posture of a leg, and displacements of its foot under a force [N] in all directions of a plane.
+    """Posture of a leg, and displacements of its foot [mm] under a force in all directions of a plane.
 
     The plane is that of walking, and for a leg in space also that across it. Grey: all attainable stiffness, at zero
-    torque or at the torques that are held; coloured: the softest and the stiffest on average over the directions, or,
-    of the pressures `found` for a stiffness of the foot, that and the desired one.
+    torque or at the torques that are held; coloured: the softest and the stiffest on average over the directions, or
+    the attained and the desired one.
+
+    Parameters
+    ----------
+    leg, angles
+        Leg, and the angles of its joints [rad].
+    force
+        Magnitude of the force [N].
+    found
+        Pressures for a stiffness of the foot, which is drawn in place of the extremes.
     """
     torques, held = ([0.0] * len(angles), None)
     if found is not None:
@@ -124,7 +139,15 @@ def _ellipses(
 
 @styled
 def jump_traces(study: JumpStudy) -> Figure:
-    """Pressures, force of the ground and height of the centre of mass of each jump, and of the plan."""
+    """Pressures [bar], force of the ground [N] and height of the centre of mass [mm] of jumps over time [ms].
+
+    Thin: commands; dashed: height of the jump at take-off speed; dotted: the plan.
+
+    Parameters
+    ----------
+    study
+        Result of `mckibben.leg.jumping.study_jump`.
+    """
     jumps = study.jumps
     figure = blank(DOUBLE, 5.6)
     grid = figure.subplots(3, len(jumps), sharex=True, sharey="row")
@@ -155,7 +178,13 @@ def jump_traces(study: JumpStudy) -> Figure:
 
 @styled
 def plan_stiffness(study: JumpStudy) -> Figure:
-    """Planned pressures, and certified error of the stiffness of the foot; grey: flight."""
+    """Planned pressures [bar] over time [ms], and certified error of the stiffness of the foot [%]; grey: flight.
+
+    Parameters
+    ----------
+    study
+        Result of `mckibben.leg.jumping.study_jump`, whose plan prescribes a stiffness of the foot.
+    """
     plan = study.plan
     assert plan is not None and plan.foot
     figure = blank(DOUBLE, 2.6)

@@ -40,9 +40,19 @@ _CONTRACTION, _FORCE = "contraction [%]", "force [N]"
 
 @styled
 def isobaric_curves(dataset: IsobaricDataset) -> Figure:
-    """Fig. 3: characteristic curves of an isobaric test, loading and unloading, as means over repeats.
+    """Fig. 3 of the paper: characteristic curves of an isobaric test, as means over repeats.
 
-    Raises `RangeError` if the dataset does not have both directions.
+    Force [N] over contraction [%], coloured by pressure; loading is solid, unloading dashed.
+
+    Parameters
+    ----------
+    dataset
+        Points of a test in both directions.
+
+    Raises
+    ------
+    RangeError
+        If the dataset does not have both directions.
     """
     if len(dataset.directions) < 2:
         raise RangeError(
@@ -67,9 +77,16 @@ def isobaric_curves(dataset: IsobaricDataset) -> Figure:
 def law_comparison(
     dataset: IsobaricDataset, laws: Mapping[str, ForceLaw], validation: Validation | None = None
 ) -> Figure:
-    """Fig. 4: measured points, the experimental law and the theoretical one, one panel per pressure.
+    """Fig. 4 of the paper: measured points, the experimental law and the theoretical one, one panel per pressure.
 
-    With a validation, each panel shows the RMSE of each law.
+    Parameters
+    ----------
+    dataset
+        Measured points.
+    laws
+        Two laws by name, the experimental one first.
+    validation
+        Validation of these laws on the dataset, whose RMSE [N] at each pressure is written into the panels.
     """
     levels = dataset.pressures
     columns = 2 if len(levels) > 1 else 1
@@ -94,7 +111,21 @@ def law_comparison(
 
 
 def isobaric(dataset: IsobaricDataset, fit: Fit | None = None) -> Figure:
-    """Points of an isobaric dataset; with a fit (to these or other points), also its curves and residuals."""
+    """Points of an isobaric dataset: force [N] over contraction [%], coloured by pressure.
+
+    Parameters
+    ----------
+    dataset
+        Measured points; slack ones are grey.
+    fit
+        Fit to these or other points: adds its curves, which end where the muscle is slack, and residuals with their
+        RMSE.
+
+    Raises
+    ------
+    RangeError
+        If the first argument is not a dataset.
+    """
     if not hasattr(dataset, "plateau_means"):
         remedy = "write isobaric(dataset, fit), or fit.plot()"
         raise RangeError(f"isobaric draws a dataset, not a {type(dataset).__name__}", remedy=remedy)
@@ -108,7 +139,13 @@ def fit(result: FitWithFriction) -> Figure:
 
 @styled
 def recording(recording: Recording) -> Figure:
-    """Pressure, force and, where it was recorded, contraction over time; the set pressure in grey."""
+    """Pressure [bar], force [N] and, where it was recorded, contraction [%] over time [s]; the set pressure in grey.
+
+    Parameters
+    ----------
+    recording
+        Samples over time, such as those of `mckibben.dataset.read_recording`.
+    """
     rows = [("pressure", recording.pressure / bar, "pressure [bar]"), ("force", recording.force, _FORCE)]
     if recording.contraction is not None:
         rows.append(("contraction", recording.contraction / percent, _CONTRACTION))
@@ -125,7 +162,13 @@ def recording(recording: Recording) -> Figure:
 
 @styled
 def measured_muscles(muscles: Mapping[str, tuple[IsobaricDataset, Fit | None]]) -> Figure:
-    """Datasets side by side, each with its fit and residuals."""
+    """Datasets side by side, with their fits and residuals.
+
+    Parameters
+    ----------
+    muscles
+        Dataset and fit, or None, by title. Pressures have one colour scale in all panels.
+    """
     residuals = any(fit for _, fit in muscles.values())
     figure = blank(DOUBLE if len(muscles) > 1 else 5.4, 5.0 if residuals else 3.4)
     heights = [2.4, 1] if residuals else [1]
@@ -182,6 +225,7 @@ def _coloured(axes: Axes, data: IsobaricDataset, value: NDArray[np.float64], sca
 
 
 def _curves(axes: Axes, data: IsobaricDataset, law: ForceLaw, scale: Normalize) -> None:
+    """Draw the force of a law at the pressures of a dataset, at ten pressures between if they are measured ones."""
     levels = data.taut.pressures
     if len(levels) > 20:  # measured pressures
         levels = np.linspace(levels[0], levels[-1], 10)

@@ -1,4 +1,7 @@
-"""HTML pages: templates, embedded figures, the report of the paper."""
+"""HTML pages: templates, embedded figures, the report of the paper.
+
+A page is one file, with figures as data URIs; it needs neither a network nor JavaScript.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,15 @@ EmbeddedFigure = tuple[ReportFigure, str]
 
 
 def template_of(name: str) -> jinja2.Template:
-    """Template of this package, with autoescaping and strict undefined names."""
+    """Jinja template of this package, with autoescaping; an undefined name is an error.
+
+    Control characters in texts, which may come from a user's files, are escaped.
+
+    Parameters
+    ----------
+    name
+        File name, such as "report.html.jinja".
+    """
     environment = jinja2.Environment(
         loader=jinja2.FunctionLoader(_resource),
         autoescape=True,
@@ -51,7 +62,13 @@ def style_sheet() -> markupsafe.Markup:
 
 
 def typeset(text: str) -> markupsafe.Markup:
-    """Typeset powers of ten, signs, ranges and units of a text as HTML."""
+    """HTML of a text, with typographic powers of ten, signs, ranges and units.
+
+    Examples
+    --------
+    >>> print(typeset("-3.2 +- 0.1 N*m/rad, 1.5·10^-4 <b>"))
+    −3.2 ± 0.1 N·m/rad, 1.5·10<sup>−4</sup> &lt;b&gt;
+    """
     safe = str(markupsafe.escape(printable(text) if type(text) is str else text))
     safe = re.sub(r"\^([−-]?\d+)", r"<sup>\1</sup>", safe)
     safe = safe.replace("+-", "±").replace("N*m/rad", "N·m/rad").replace(" %", "\u00a0%")
@@ -61,7 +78,7 @@ def typeset(text: str) -> markupsafe.Markup:
 
 
 def address_of(png: Path, svg: Path) -> str:
-    """Data URI of a saved figure."""
+    """Data URI of a saved figure: the SVG if it exists and has at most 400 kB, else the PNG."""
     kind, path = ("svg+xml", svg) if svg.is_file() and svg.stat().st_size <= _LARGEST_SVG else ("png", png)
     return f"data:image/{kind};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
 
@@ -75,7 +92,20 @@ _PAGE = "report.html"
 
 
 def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> Path:
-    """Write `report.html`, self-contained, and its figures as PNG and SVG in `figures/`; return its path."""
+    """Write the report of the paper and its figures.
+
+    Parameters
+    ----------
+    reproduction
+        Results of `mckibben.paper.reproduce`.
+    folder
+        Folder of `report.html`, and of `figures/` with PNG and SVG of each figure; existing files are replaced.
+
+    Returns
+    -------
+    Path
+        Path of the page, whose figures are embedded.
+    """
     folder = Path(folder)
     drawn: dict[str, list[EmbeddedFigure]] = {section: [] for section in SECTIONS}
     for figure in figures(reproduction):
@@ -84,19 +114,29 @@ def write_report(reproduction: Reproduction, folder: str | os.PathLike[str]) -> 
 
 
 def embedded(figure: ReportFigure, folder: Path, *, preview: bool = False) -> EmbeddedFigure:
-    """A figure, saved in `figures/`."""
+    """A figure with its data URI, after saving it in `figures/` of a folder; a preview as PNG with 100 dpi only."""
     return figure, address_of(*save(figure.figure, folder / "figures", figure.name, preview=preview))
 
 
 def write_page(path: Path, text: str) -> Path:
-    """Write a page atomically."""
+    """Write the text of a page atomically, replacing a file; return its path."""
     with atomic_write(path, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
     return path
 
 
 class Section(NamedTuple):
-    """Part of a page: its title, tables, and figures; `words` for tables whose cells are texts."""
+    """Part of a page.
+
+    Attributes
+    ----------
+    title
+        Heading.
+    tables, figures
+        Shown in this order.
+    words
+        Whether the cells of the tables are texts, which are aligned to the left.
+    """
 
     title: str
     tables: Sequence[tables.Table]
@@ -107,9 +147,25 @@ class Section(NamedTuple):
 def write_document(
     path: Path, *, title: str, lead: str, sections: Sequence[Section], source_title: str, source: str, again: str = ""
 ) -> Path:
-    """Write a self-contained page, and its figures in `figures/` next to it; return its path.
+    """Write a self-contained page, and its figures in `figures/` next to it.
 
-    `source` is the file from which the results follow, `again` the commands that repeat them.
+    Parameters
+    ----------
+    path
+        File to write; an existing one is replaced.
+    title, lead
+        Heading, and first paragraph.
+    sections
+        Parts of the page.
+    source_title, source
+        Name and text of the file from which the results follow.
+    again
+        Commands that repeat the results.
+
+    Returns
+    -------
+    Path
+        The path.
     """
     parts = [(section, [embedded(figure, path.parent) for figure in section.figures]) for section in sections]
     template = template_of("document.html.jinja")
@@ -118,7 +174,7 @@ def write_document(
 
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:
-    """HTML text of the report; figures by section."""
+    """HTML text of the report of the paper; `drawn` has the figures by section, a key of `SECTIONS`."""
     results = reproduction.to_dict()
     template = template_of("report.html.jinja")
     example = reproduction.tracking.runs[PRE_CONTRACTED.key, StiffnessReference.STEP, PID].scenario

@@ -73,7 +73,12 @@ R = TypeVar("R")
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Apply `mckibben.mplstyle` to matplotlib's defaults, and restore the user's settings afterwards."""
+    """Context in which matplotlib has the settings of `mckibben.mplstyle`; the user's are restored afterwards.
+
+    >>> with house_style():
+    ...     mpl.rcParams["axes.grid"]
+    True
+    """
     with resources.as_file(resources.files("mckibben.report") / "mckibben.mplstyle") as path:
         settings = mpl.rc_params_from_file(path, use_default_template=True)
     with mpl.rc_context({name: value for name, value in settings.items() if not name.startswith("backend")}):
@@ -81,7 +86,11 @@ def house_style() -> Iterator[None]:
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Decorate a drawing function to run in the house style."""
+    """Decorator of a function that draws: it runs in the house style.
+
+    Texts of a returned figure, which contain names given by users, have their control characters escaped, and lines of
+    at most 120 characters.
+    """
 
     @functools.wraps(draw)
     def wrapped(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -120,7 +129,20 @@ class NotebookFigure(Figure):
 
 
 def png_of(figure: Figure, resolution: float | None = None) -> bytes:
-    """Image of a figure as PNG, at a resolution [dpi] (default: that of the figure)."""
+    """Image of a figure.
+
+    Parameters
+    ----------
+    figure
+        Figure; its layout is computed.
+    resolution
+        Resolution [dpi]. Default: that of the figure.
+
+    Returns
+    -------
+    bytes
+        PNG.
+    """
     image = io.BytesIO()
     if resolution is not None:
         figure.set_dpi(resolution)
@@ -130,7 +152,7 @@ def png_of(figure: Figure, resolution: float | None = None) -> bytes:
 
 
 def blank(width: float, height: float) -> Figure:
-    """Empty figure of a size in inches with constrained layout, not registered with pyplot."""
+    """Empty figure of a size [inches] with constrained layout, not registered with pyplot."""
     return NotebookFigure(figsize=(width, height), layout="constrained")
 
 
@@ -168,7 +190,19 @@ def by_direction(data: IsobaricDataset) -> Iterator[tuple[str, NDArray[np.bool_]
 
 
 def draw_points(axes: Axes, data: IsobaricDataset, values: NDArray[np.float64], label: str = "", **look: Any) -> None:
-    """Draw a value of each point of a dataset over contraction, with colour and marker of its direction."""
+    """Draw a value of each point of a dataset over contraction [%], with colour and marker of its direction.
+
+    Parameters
+    ----------
+    axes, data
+        Panel, and points.
+    values
+        Values, shape (points,), in the unit of the axis.
+    label
+        Text after the direction, in the legend.
+    look
+        Options of `Axes.plot`.
+    """
     for direction, mask in by_direction(data):
         own: Look = DIRECTIONS.get(direction, {"color": "#444444", "marker": "o"}) | {"linestyle": ""} | look
         axes.plot(data.contraction[mask] / percent, values[mask], label=f"{direction} {label}".strip() or None, **own)
@@ -176,9 +210,25 @@ def draw_points(axes: Axes, data: IsobaricDataset, values: NDArray[np.float64], 
 
 @styled
 def save(figure: Figure, folder: str | os.PathLike[str], name: str, *, preview: bool = False) -> tuple[Path, Path]:
-    """Write a figure as `name`.png (200 dpi) and `name`.svg to a folder; a preview only as PNG with 100 dpi.
+    """Write a figure as PNG (200 dpi) and SVG.
 
-    The files are reproducible byte for byte; the SVG has text as outlines. Returns the paths of PNG and SVG.
+    The files are reproducible byte for byte; the SVG has text as outlines.
+
+    Parameters
+    ----------
+    figure
+        Figure; its layout is fixed.
+    folder
+        Folder, which is made if it is missing; existing files are replaced.
+    name
+        Name of the files without their endings.
+    preview
+        Only a PNG with 100 dpi.
+
+    Returns
+    -------
+    tuple of Path
+        Paths of PNG and SVG.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -205,13 +255,23 @@ _MOST_VERTICES = 600
 
 
 def letter(axes: Axes, index: int, title: str) -> None:
-    """Set the title of the panel at an index: "(a) title" with a bold letter."""
+    """Set the title of the panel at an index, from 0: "(a) title" with a bold letter."""
     mark = rf"$\bf{{({string.ascii_lowercase[index % 26]})}}$"
     axes.set_title(f"{mark} {title.replace('$', chr(92) + '$')}", parse_math=True)
 
 
 def panels(figure: Figure | SubFigure, count: int, columns: int, **options: Any) -> NDArray[Any]:
-    """Panels in row order."""
+    """Panels of a figure in row order, shape (count,).
+
+    Parameters
+    ----------
+    figure
+        Empty figure.
+    count, columns
+        Number of panels, and of panels per row; the rest of the last row stays empty.
+    options
+        Options of `Figure.subplots`.
+    """
     grid = figure.subplots(-(-count // columns), columns, squeeze=False, **options).ravel()
     for axes in grid[count:]:
         axes.remove()
@@ -221,9 +281,20 @@ def panels(figure: Figure | SubFigure, count: int, columns: int, **options: Any)
 def robust_limits(
     curves: Sequence[ArrayLike], *, part: float = 0.995, margin: float = 0.12, floor: float = 0.0
 ) -> tuple[float, float]:
-    """Axis limits with all but the outermost values of each curve (`part`), with a margin and a minimum range.
+    """Axis limits that contain all but the outermost values of each curve.
 
     Values that are not finite do not count; without a finite value the limits are 0 and 1.
+
+    Parameters
+    ----------
+    curves
+        Values of each curve.
+    part
+        Quantile [-] of a curve that is inside; its counterpart from below, too.
+    margin
+        Share [-] of the range that is added on each side.
+    floor
+        Least range.
 
     Examples
     --------
@@ -247,7 +318,19 @@ def robust_limits(
 def note_off_scale(
     axes: Axes, times: NDArray[np.float64], curves: dict[str, NDArray[np.float64]], unit: str, *, bottom: bool = False
 ) -> None:
-    """Annotate the curves that leave the panel with their extreme value and its time."""
+    """Annotate the curves that leave the panel with their extreme value and its time.
+
+    Parameters
+    ----------
+    axes
+        Panel with its limits.
+    times
+        Times of all curves [s], shape (samples,).
+    curves
+        Values by name, in a `unit`.
+    bottom
+        Whether the note is at the lower edge of the panel.
+    """
     low, high = axes.get_ylim()
     start, end = axes.get_xlim()
     inside = (times >= start) & (times <= end)
@@ -275,7 +358,17 @@ def minus(value: float, form: str = ".1f") -> str:
 
 
 def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, **look: Any) -> None:
-    """Shade the area between two curves in the background, with a limited number of vertices."""
+    """Shade the area between two curves in the background, with at most some 600 vertices.
+
+    Parameters
+    ----------
+    axes
+        Panel.
+    x, low, high
+        Abscissa and both curves, shape (samples,).
+    look
+        Options of `Axes.fill_between`.
+    """
     x, low, high = (np.asarray(values, float) for values in (x, low, high))
     if not len(x):
         return
@@ -286,7 +379,7 @@ def draw_band(axes: Axes, x: ArrayLike, low: ArrayLike, high: ArrayLike, **look:
 
 
 def plain_numbers(axis: Axis) -> None:
-    """Decimal labels on a logarithmic axis: powers of ten, on short axes also 2 and 5."""
+    """Label a logarithmic axis with decimal numbers: powers of ten, on short axes also 2 and 5 times."""
 
     def written(value: float, _: object) -> str:
         low, high = axis.get_view_interval()
@@ -303,7 +396,17 @@ _CHARACTER, _HANDLE, _LEGEND_ROW = 0.058, 0.45, 0.15  # inches of a legend
 
 
 def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
-    """Draw one legend above the figure, each label once in order of appearance."""
+    """Draw one legend above the figure, each label once in order of appearance; the figure grows by its rows.
+
+    Parameters
+    ----------
+    figure
+        Figure.
+    axes
+        Panels whose labelled curves, areas and points are in the legend.
+    columns
+        Most columns of the legend.
+    """
     handles: Look = {}
     for panel in axes:
         for handle in panel.get_children():
@@ -318,6 +421,6 @@ def legend_above(figure: Figure, *axes: Axes, columns: int = 5) -> None:
 
 
 def beside(axes: Axes, text: str, **place: Any) -> None:
-    """Annotate the upper right corner of a panel."""
+    """Annotate the upper right corner of a panel; `place` has other options of `Axes.text`."""
     settings: Look = {"x": 0.985, "y": 0.96, "ha": "right", "va": "top", "fontsize": 7} | place
     axes.text(s=text, transform=axes.transAxes, bbox=_HALO, zorder=5, **settings)

@@ -1,10 +1,16 @@
-"""Tables, sections and decisions of the report."""
+"""Tables and decisions of the report of the paper, from the numbers in results.json.
+
+Captions and headings are in tables.toml; numbers are rounded to three significant digits, estimates to the second digit
+of their standard error.
+"""
 
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 from mckibben import catalog
@@ -19,7 +25,7 @@ if TYPE_CHECKING:
     from mckibben.result import Listing
 
 Numbers = Mapping[str, Any]
-"""Nested numbers of `Reproduction.results`, by name."""
+"""Nested numbers of `Reproduction.to_dict`, by name."""
 
 NAMES = {
     RIG: "simulated rig (Eq. 3 with friction)",
@@ -42,7 +48,11 @@ def name_of(dataset: str) -> str:
 
 
 def decision_context(reproduction: Reproduction) -> dict[str, object]:
-    """Names of the template of the decisions: objects, and functions of contraction in percent and pressure in bar."""
+    """Objects of the template that states open points of the paper, and our decisions.
+
+    ``force`` and ``contraction`` are functions: of a contraction [%] and a pressure [bar], the force of Eq. 3 [N]; of a
+    plant, the contraction [%] of its muscles at 0 deg and 3 bar.
+    """
     law, rig = catalog.law("lei-mas-10-180n"), reproduction.identification.rig
     printed, contracted = (plant_of(setting) for setting in SETTINGS)
     lag = printed.valve.model_lag(printed.joint)
@@ -66,7 +76,17 @@ def decision_context(reproduction: Reproduction) -> dict[str, object]:
 
 @dataclass(frozen=True)
 class Table:
-    """Table of the report, cells as text; a row of one cell is a group title."""
+    """Table of a page, with cells as text.
+
+    Parameters
+    ----------
+    caption
+        What the numbers are, and under which conditions.
+    head
+        Heading of each column, with its unit.
+    rows
+        Cells of each row; a row of one cell is the title of a group.
+    """
 
     caption: str
     head: Sequence[str]
@@ -79,8 +99,35 @@ def table_of(listing: Listing) -> Table:
     return Table(listing.title, head, listing.rows())
 
 
+_TEXTS = tomllib.loads((resources.files("mckibben.report") / "tables.toml").read_text(encoding="utf-8"))
+
+
+def _columns(key: str) -> Sequence[str]:
+    """Names of the numbers of a table."""
+    return list(_TEXTS[key]["columns"].values())
+
+
+def _table(key: str, rows: Sequence[Sequence[str]], *head: str, **values: object) -> Table:
+    """Table with the texts of `tables.toml`, whose braces `values` fill, and further headings."""
+    texts = _TEXTS[key]
+    return Table(texts["caption"].format(**values), (*texts["head"], *(head or texts.get("columns", ()))), rows)
+
+
 def number(value: float | None, digits: int = 3) -> str:
-    """Format a number with significant digits and a typographic minus; None and NaN are "–"."""
+    """Number with significant digits and a typographic minus; "–" for None and numbers that are not finite.
+
+    Parameters
+    ----------
+    value
+        Number; an integer is written in full, with commas.
+    digits
+        Significant digits, at most six of them after the point; below 1e-4 and from 1e5 on with a power of ten.
+
+    Examples
+    --------
+    >>> number(-0.012345), number(123456.0), number(1234567), number(float("nan"))
+    ('−0.0123', '1.23·10^5', '1,234,567', '–')
+    """
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return "–"
     if isinstance(value, int):
@@ -96,7 +143,20 @@ def number(value: float | None, digits: int = 3) -> str:
 
 
 def with_error(estimate: float, error: float | None) -> str:
-    """An estimate and its standard error to the second digit of the error, such as ``−237.4 ± 3.8``."""
+    """Estimate and its standard error, both to the second digit of the error.
+
+    Parameters
+    ----------
+    estimate
+        Value of a parameter, in its unit.
+    error
+        Standard error; None for a parameter at a bound of its range, which has none.
+
+    Examples
+    --------
+    >>> with_error(-237.4431, 3.817), with_error(0.34, None)
+    ('−237.4 ± 3.8', '0.3400 (at bound)')
+    """
     if error is None or not error > 0:
         return f"{number(estimate, 4)} (at bound)" if error is None else number(estimate, 5)
     places = max(1 - math.floor(math.log10(error)), 0)
@@ -104,30 +164,25 @@ def with_error(estimate: float, error: float | None) -> str:
 
 
 def unit_text(unit: str) -> str:
-    """Typographic form of a unit."""
+    """Typographic form of a unit.
+
+    >>> unit_text("N*m/rad"), unit_text("N/percent")
+    ('N·m/rad', 'N/%')
+    """
     return unit.replace("percent", "%").replace("*", "·")
 
 
 def fit_table(results: Numbers) -> Table:
-    """Fit errors of Eq. 2 by dataset."""
-    columns = {
-        "RMSE [N]": "rmse_N",
-        "maximum [N]": "max_N",
-        "RMSE, held-out pressure [N]": "leave_one_pressure_out_rmse_N",
-        "maximum, held-out pressure [N]": "leave_one_pressure_out_max_N",
-        "points": "points_used",
-        "slack, excluded": "points_slack",
-    }
+    """Errors of Eq. 2 [N] by dataset, of fitted points and of held-out pressures."""
     rows = [
-        (name_of(name), number(fit["decay_per_percent"], 4), *(number(fit[key]) for key in columns.values()))
+        (name_of(name), number(fit["decay_per_percent"], 4), *(number(fit[key]) for key in _columns("fit")))
         for name, fit in results["identification"].items()
     ]
-    caption = "Eq. 2 fitted to each dataset. Held-out pressure: leave-one-pressure-out cross-validation."
-    return Table(caption, ("dataset", "decay μ [1/%]", *columns), rows)
+    return _table("fit", rows)
 
 
 def parameter_table(results: Numbers) -> Table:
-    """Estimates with standard errors, and the published values of Eq. 3, in its units."""
+    """Estimates of Eq. 2 with standard errors by dataset, beside the values of Eq. 3, in its units (bar, %, N)."""
     fits = results["identification"]
     law = catalog.law("lei-mas-10-180n")
     shown = {p.name: p.shown for p in type(law).parameters()}
@@ -140,81 +195,59 @@ def parameter_table(results: Numbers) -> Table:
             parameter = fit["parameters"][name]
             cells.append(with_error(parameter["estimate"], parameter["standard_error"]))
         rows.append(cells)
-    return Table(
-        "Parameters of Eq. 2: estimate ± standard error, in the units of Eq. 3. They are strongly correlated: "
-        "different sets can describe nearly the same force.",
-        ("parameter", "Eq. 3, published", *(name_of(name) for name in fits)),
-        rows,
-    )
+    return _table("parameters", rows, *map(name_of, fits))
 
 
 def validation_tables(results: Numbers) -> list[Table]:
-    """Validation errors by pressure on the rig, and over all points on measured muscles."""
+    """Errors of laws [N]: by pressure on the simulated rig, and over all taut points of the measured muscles.
+
+    The rig has a second test, held-out pressures and a held-out repeat, each with the law of the paper and Chou's.
+    """
     validation = results["validation"]
-    retest = validation["retest_rmse_N"]
-    columns = {f"second test: {law}": values for law, values in retest.items()}
-    columns |= {f"pressures held out: {law}": values for law, values in validation["held_out_pressures_rmse_N"].items()}
-    columns |= {f"repeat held out: {law}": values for law, values in validation["held_out_repeat_rmse_N"].items()}
+    columns = {
+        f"{test}: {law}": values
+        for test, key in _TEXTS["validation"]["columns"].items()
+        for law, values in validation[key].items()
+    }
     rows = [place for place in next(iter(columns.values())) if place[0].isdigit()]  # by pressure, also by direction
     pressures = sorted(rows, key=lambda place: float(place.split()[0]))
-    by_pressure = Table(
-        "Simulated rig, RMSE [N] at the paper's four pressures: second test with new noise and offsets, and held-out "
-        "points. The second test includes points near stroke reversals, fits and held-out points do not: "
-        "the two are not comparable. All include half of the friction band, since a law has one curve for both "
-        "directions.",
-        ("pressure", *(f"{name} [N]" for name in columns)),
-        [(p, *(number(values[p]) for values in columns.values())) for p in pressures],
-    )
+    by_pressure = [(p, *(number(values[p]) for values in columns.values())) for p in pressures]
     measured = validation["measured_rmse_N"]
     laws = list(next(iter(measured.values())))
-    overall = Table(
-        "Measured muscles, RMSE [N] over all taut points: laws fitted to these points, and laws from other sources.",
-        ("dataset", *(f"{law} [N]" for law in laws)),
-        [(name_of(name), *(number(values[law]["all"]) for law in laws)) for name, values in measured.items()],
-    )
-    return [by_pressure, overall]
+    overall = [(name_of(name), *(number(values[law]["all"]) for law in laws)) for name, values in measured.items()]
+    return [
+        _table("validation", by_pressure, *(f"{name} [N]" for name in columns)),
+        _table("measured", overall, *(f"{law} [N]" for law in laws)),
+    ]
 
 
 def joint_table(results: Numbers) -> Table:
-    """Attainable set of the knee."""
-    attainable = {setting: results["joint"][setting.key] for setting in SETTINGS}
+    """Attainable stiffness [N*m/rad] at 0 deg, and static range of angles [deg], by geometry."""
+    keys = "attainable_stiffness_at_0_deg", "static_range_deg"
     rows = [
-        (s.name, s.connectors, *map(number, [*of["attainable_stiffness_at_0_deg"], *of["static_range_deg"]]))
-        for s, of in attainable.items()
+        (s.name, s.connectors, *(number(limit) for key in keys for limit in results["joint"][s.key][key]))
+        for s in SETTINGS
     ]
-    head = ("geometry", "connectors", "K_min at 0° [N·m/rad]", "K_max at 0° [N·m/rad]",
-            "equilibrium from [deg]", "to [deg]")  # fmt: skip
-    return Table("Knee with its load, pressures and contractions within their limits.", head, rows)
+    return _table("joint", rows)
 
 
 def tracking_tables(results: Numbers) -> list[Table]:
-    """Tracking errors by geometry, stiffness reference and controller; median and worst over seeds."""
-    columns = {
-        "angle RMSE [deg]": "angle_rmse_deg",
-        "angle maximum [deg]": "angle_max_deg",
-        "stiffness RMSE [N·m/rad]": "stiffness_rmse",
-        "settling [s]": "stiffness_settling_s",
-        "outside the range [s]": "time_outside_domain_s",
-    }
+    """Tracking errors by stiffness reference and controller, one table per geometry; median and worst over seeds."""
     tables = []
     for setting in SETTINGS:
         rows: list[tuple[str, ...]] = []
         for reference in StiffnessReference:
             rows.append((f"{reference.value} stiffness",))
             runs = results["tracking"][setting.key][reference.value]
-            rows += [_tracking_row(name, runs[name], columns, results["seeds"]) for name in CONTROLLERS if name in runs]
-        tables.append(
-            Table(
-                f"Geometry {setting.name}. BP: median over {results['seeds']} seeds, the worst in brackets. "
-                "Settling: to within 10 % of the step size. Unstable: worse than not moving, or not finite.",
-                ("controller", *columns, "unstable"),
-                rows,
-            )
-        )
+            rows += [_tracking_row(name, runs[name], results["seeds"]) for name in CONTROLLERS if name in runs]
+        head = *_TEXTS["tracking"]["columns"], "unstable"
+        tables.append(_table("tracking", rows, *head, setting=setting, seeds=results["seeds"]))
     return tables
 
 
-def _tracking_row(name: str, run: Numbers, columns: Mapping[str, str], seeds: int) -> tuple[str, ...]:
+def _tracking_row(name: str, run: Numbers, seeds: int) -> tuple[str, ...]:
+    """Cells of a controller: median over seeds and, in brackets, the worst of each metric."""
+
     def cell(key: str) -> str:
         never = "never" if "settling" in key else "–"
         median = never if run[key] is None else number(run[key])
@@ -223,15 +256,11 @@ def _tracking_row(name: str, run: Numbers, columns: Mapping[str, str], seeds: in
         worst = run["worst"][key]
         return f"{median} ({never if worst is None else number(worst)})"
 
-    return (
-        name,
-        *(cell(key) for key in columns.values()),
-        f"{run['unstable']} of {seeds}" if "unstable" in run else "–",
-    )
+    return name, *map(cell, _columns("tracking")), f"{run['unstable']} of {seeds}" if "unstable" in run else "–"
 
 
 def gains_table(reproduction: Reproduction, results: Numbers) -> Table:
-    """Moderate and tuned gains of both loops, in the same units."""
+    """Moderate and tuned gains of both loops, in the same units, with the cost of the tuning."""
     units = {
         "position": ("bar/rad", "bar/(rad*s)", "bar*s/rad"),
         "stiffness": ("bar/(N*m/rad)", "bar*rad/(N*m*s)", "bar*s/(N*m/rad)"),
@@ -253,15 +282,11 @@ def gains_table(reproduction: Reproduction, results: Numbers) -> Table:
                 label = f"{loop} loop, {gain} [{unit_text(unit)}]"
                 before = getattr(getattr(moderate, loop), gain)
                 rows.append((label, number(before / scale), number(tuned[loop][gain] / scale)))
-    return Table(
-        "Gains of the two PID loops: moderate ones, set by hand, and tuned ones, optimised on both references.",
-        ("gain", "moderate (ours)", "tuned"),
-        rows,
-    )
+    return _table("gains", rows)
 
 
 def settings_table(reproduction: Reproduction) -> Table:
-    """Simulation settings that the paper does not give."""
+    """Amplitudes, setpoints, start, learning and timing, which the paper does not give, by geometry."""
     scenario = reproduction.tracking.runs[SETTINGS[0].key, StiffnessReference.STEP, PID].scenario
     rows = [
         ("connectors (Table 2 and ours)", *(s.connectors for s in SETTINGS)),
@@ -270,28 +295,21 @@ def settings_table(reproduction: Reproduction) -> Table:
         (f"desired stiffness, step at {STEP_TIME}", *(f"{s.before} to {s.after}" for s in SETTINGS)),
         ("initial stiffness", *(s.start for s in SETTINGS)),
         ("learning of BP", *(LEARNING for _ in SETTINGS)),
-        (
-            "duration, control period",
-            *(f"{scenario.duration:g} s, {scenario.control_period * 1e3:g} ms" for _ in SETTINGS),
-        ),
+        ("duration, control period", *[f"{scenario.duration:g} s, {scenario.control_period * 1e3:g} ms"] * 2),
     ]
-    return Table(
-        "Simulation settings that the paper does not give; ours.",
-        ("setting", *(s.name for s in SETTINGS)),
-        [tuple(cell.replace("N*m/rad", "N·m/rad") for cell in row) for row in rows],
-    )
+    cells = [tuple(cell.replace("N*m/rad", "N·m/rad") for cell in row) for row in rows]
+    return _table("settings", cells, *(s.name for s in SETTINGS))
 
 
 def coupling_table(results: Numbers) -> Table:
-    """Coupling of position and stiffness."""
-    keys = ("angle_by_step_deg", "stiffness_by_motion", "stiffness_at_rest")
+    """Change of the angle [deg] by the stiffness step, and stiffness errors [N*m/rad] in motion and at rest."""
+    keys = _columns("coupling")
     rows = [(s.name, *(number(results["coupling"][s.key][key]) for key in keys)) for s in SETTINGS]
-    head = ("geometry", "peak angle deviation after a stiffness step [deg]", "stiffness RMSE in motion [N·m/rad]",
-            "stiffness RMSE at rest [N·m/rad]")  # fmt: skip
-    return Table("Coupling of position and stiffness under PID with moderate gains.", head, rows)
+    return _table("coupling", rows)
 
 
 def _sine(reproduction: Reproduction, setting: Setting) -> str:
+    """Amplitude and frequency of the desired angle of a setting."""
     angle = reproduction.tracking.runs[setting.key, StiffnessReference.STEP, PID].scenario.reference().angle
     assert isinstance(angle, Sine)
     return f"sine of {float(angle.amplitude) / deg:g} deg, {float(angle.frequency):g} Hz"

@@ -45,9 +45,20 @@ _SMALL = "small_motion_stiffness"
 def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figure:
     """Time traces of runs on one reference: angle, angle error, stiffness with the attainable range, pressures.
 
-    Where muscles have friction, the stiffness of small motion, often many times larger, has a panel of its own.
+    Panels from top to bottom: angle [deg] with the reference (dashed); actual minus desired angle [deg]; stiffness
+    [N*m/rad] with the range that is attainable at the desired angle; where muscles have friction, the stiffness of
+    small motion, often many times larger; of a single run, the pressures [bar] of both muscles. Extreme values outside
+    the axis limits are written into the panel, with their time.
 
-    Runs are given by name, such as ``{"PID": result}``, or one alone. Raises `RangeError` if their references differ.
+    Parameters
+    ----------
+    results
+        Runs by name, such as ``{"PID": result}``, or a run alone.
+
+    Raises
+    ------
+    RangeError
+        If there is no run, runs have no names, or their times or references differ.
     """
     if isinstance(results, SimulationResult):
         results = {"run": results}
@@ -91,41 +102,42 @@ def tracking(results: SimulationResult | Mapping[str, SimulationResult]) -> Figu
 
 @styled
 def control_results(panels: Mapping[str, tuple[str, SimulationResult]]) -> Figure:
-    """Fig. 7: angle and stiffness with its attainable range: controller and result by panel title."""
-    columns = 2 if len(panels) > 1 else 1
+    """Fig. 7 of the paper: angle and stiffness over time, with the attainable range of the stiffness.
+
+    Each panel has two axes, the angle [deg] above the stiffness [N*m/rad]; both are to the same scale in all panels.
+
+    Parameters
+    ----------
+    panels
+        Name of the controller, which determines colour and line style, and its run, by title of the panel.
+    """
+    columns = min(len(panels), 2)
     rows = -(-len(panels) // columns)
     figure = blank(DOUBLE, 3.15 * rows + 0.4)
-    outer = figure.add_gridspec(rows, columns)
+    grid = figure.subplots(2 * rows, columns, squeeze=False, sharex=True)
+    upper, lower = grid[::2].ravel(), grid[1::2].ravel()
     looks = looks_of(name for name, _ in panels.values())
-    upper: list[Axes] = []
-    lower: list[Axes] = []
-    for i, (title, (name, result)) in enumerate(panels.items()):
-        inner = outer[i // columns, i % columns].subgridspec(2, 1, hspace=0.02)
-        above = figure.add_subplot(inner[0], sharex=upper[0] if upper else None, sharey=upper[0] if upper else None)
-        below = figure.add_subplot(inner[1], sharex=above, sharey=lower[0] if lower else None)
+    results = [result for _, result in panels.values()]
+    angles = robust_limits([result[column] / deg for result in results for column in ("angle", "desired_angle")])
+    for i, (above, below, (title, (name, result))) in enumerate(zip(upper, lower, panels.items(), strict=False)):
         _angle(above, {name: result}, looks)
         _stiffness(below, {name: result}, looks)
         letter(above, i, title)
-        above.tick_params(labelbottom=False)
-        below.set_xlabel(TIME)
-        if i % columns:
-            for axes in (above, below):
-                axes.tick_params(labelleft=False)
-                axes.set_ylabel("")
-        upper.append(above)
-        lower.append(below)
-    angles = [result[column] / deg for _, result in panels.values() for column in ("angle", "desired_angle")]
-    upper[0].set_ylim(*robust_limits(angles))
-    lower[0].set_ylim(*_stiffness_limits(result for _, result in panels.values()))
-    for above, below, (name, result) in zip(upper, lower, panels.values(), strict=True):
+        above.set_ylim(*angles)
+        below.set(xlabel=TIME, ylim=_stiffness_limits(results))
         note_off_scale(above, result.times, {name: result["angle"] / deg}, "deg", bottom=True)
         note_off_scale(below, result.times, {name: result["stiffness"]}, "N·m/rad", bottom=True)
-    figure.align_ylabels(upper + lower)
-    legend_above(figure, *upper, *lower)
+    for axes in (*upper[len(panels) :], *lower[len(panels) :]):
+        axes.remove()
+    for axes in figure.axes:
+        axes.label_outer()
+    figure.align_ylabels(figure.axes)
+    legend_above(figure, *figure.axes)
     return figure
 
 
 def _angle(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
+    """Draw the angle [deg] of runs, and their common reference."""
     first = next(iter(runs.values()))
     axes.plot(first.times, first["desired_angle"] / deg, label="desired", **DESIRED)
     for name, result in runs.items():
@@ -134,6 +146,7 @@ def _angle(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str,
 
 
 def _stiffness(axes: Axes, runs: Mapping[str, SimulationResult], looks: Mapping[str, Look]) -> None:
+    """Draw the stiffness [N*m/rad] of runs, their common reference, and the attainable range of the first one."""
     first = next(iter(runs.values()))
     draw_band(axes, first.times, first["lowest_stiffness"], first["highest_stiffness"], label=_BAND)
     for name, result in runs.items():
@@ -150,6 +163,7 @@ def _stiffness_limits(results: Iterable[SimulationResult]) -> tuple[float, float
 
 
 def _same_reference(results: Mapping[str, SimulationResult]) -> None:
+    """Raise `RangeError` unless runs are given by name, and have the same times [s] and references."""
     if not isinstance(results, Mapping):
         remedy = "write tracking({'PID': result}), or result.plot()"
         raise RangeError(f"tracking draws results by name, not a {type(results).__name__}", remedy=remedy)
@@ -167,7 +181,16 @@ def _same_reference(results: Mapping[str, SimulationResult]) -> None:
 
 @styled
 def error_curves(columns: Mapping[str, Mapping[str, SimulationResult]]) -> Figure:
-    """Fig. 8: errors of angle and stiffness, and the settling of the stiffness: results by column and controller."""
+    """Fig. 8 of the paper: errors of angle and stiffness over time, and the settling of the stiffness.
+
+    Rows: error of the angle [deg]; error of the stiffness [N*m/rad]; the same after the last step of its reference,
+    with the band to which it settles and the settling times. The axis limits of a row are the same in all columns.
+
+    Parameters
+    ----------
+    columns
+        Runs by title of the column and name of the controller; all runs have the same times.
+    """
     figure = blank(DOUBLE, 6.3)
     count = len(columns)
     grid = figure.subplots(3, count, squeeze=False)
@@ -204,6 +227,11 @@ def _share_limits(
     part: float,
     margin: float,
 ) -> None:
+    """Set the axis limits of a row of panels to those of all its curves, by `robust_limits`, and note what is outside.
+
+    `errors` has the curves by panel and name, in a unit for the notes; `part` and `margin` are those of
+    `robust_limits`.
+    """
     low, high = robust_limits([v for column in errors.values() for v in column.values()], part=part, margin=margin)
     for axes, column in zip(row, errors.values(), strict=True):
         axes.set_ylim(low, high)
@@ -233,10 +261,12 @@ def _settling(axes: Axes, runs: Mapping[str, SimulationResult], times: NDArray[n
 
 
 def _angle_error(result: SimulationResult) -> NDArray[np.float64]:
+    """Actual minus desired angle [deg], shape (samples,)."""
     return (result["angle"] - result["desired_angle"]) / deg
 
 
 def _stiffness_error(result: SimulationResult) -> NDArray[np.float64]:
+    """Actual minus desired stiffness [N*m/rad], shape (samples,)."""
     return result["stiffness"] - result["desired_stiffness"]
 
 
@@ -254,7 +284,17 @@ _GAINS = {
 
 @styled
 def controller_comparison(runs: Mapping[str, Mapping[str, Mapping[str, ControllerRun]]]) -> Figure:
-    """Median over seeds (dot) and worst seed of runs by geometry, stiffness reference and controller."""
+    """Errors and settling time of controllers: median over seeds (dot) and worst seed (end of the line).
+
+    One row of panels per geometry: RMSE of angle [deg] and of stiffness [N*m/rad], and settling time of the stiffness
+    [s]. Controllers with unstable seeds, or that never settle, have their number in place of the dot.
+
+    Parameters
+    ----------
+    runs
+        Runs with the metrics of all seeds by geometry, stiffness reference (two at most: filled and white dots) and
+        controller.
+    """
     figure = blank(DOUBLE, 2.5 * len(runs) + 0.5)
     grid = figure.subplots(len(runs), len(_METRICS), squeeze=False, sharey="row")
     for i, (geometry, references) in enumerate(runs.items()):
@@ -282,7 +322,15 @@ def controller_comparison(runs: Mapping[str, Mapping[str, Mapping[str, Controlle
 
 @styled
 def gain_histories(results: Mapping[str, tuple[SimulationResult, float]]) -> Figure:
-    """Gains of BP over time relative to its base gains, from a run and its largest gain ratio by title."""
+    """Gains of BP over time, relative to its base gains.
+
+    Upper panels: position loop; lower panels: stiffness loop. A gain that is zero has no curve.
+
+    Parameters
+    ----------
+    results
+        Run and largest gain ratio [-], whose bounds are dashed, by title.
+    """
     figure = blank(DOUBLE, 4.4)
     grid = figure.subplots(2, len(results), squeeze=False, sharex=True, sharey="col")
     for i, (title, (result, ratio)) in enumerate(results.items()):

@@ -6,6 +6,7 @@ Text goes through labels and tables, which show it verbatim: file content never 
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 import time
 from collections.abc import Awaitable, Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -412,45 +413,9 @@ def dots(name: str, x: ArrayLike, y: ArrayLike, color: str, *, many: int = 40) -
 
 def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, object]) -> ui.echart:
     """An empty chart with labels of its axes; `axes` has more options of `xAxis` and `yAxis`."""
-    text = {"color": GREY, "fontSize": 12}
-    common = {
-        "type": "value",
-        "nameLocation": "middle",
-        "nameTextStyle": text,
-        "axisLabel": text,
-        "splitLine": {"lineStyle": {"color": "#edf0f3"}},
-        "axisLine": {"show": True, "onZero": False, "lineStyle": {"color": "#b8c1ca"}},
-        "scale": True,
-    }
-    options = {
-        "animation": False,
-        "title": {
-            "text": "no data yet",
-            "left": "center",
-            "top": "middle",
-            "textStyle": {**text, "fontWeight": "normal"},
-        },
-        "textStyle": {"fontFamily": "inherit"},
-        "grid": {"left": 58, "right": 16, "top": 36, "bottom": 44},
-        "legend": {
-            "top": 0,
-            "type": "scroll",  # in one row
-            "icon": "path://M0,0M16,14M0,5h16v4h-16z",  # as high as the texts
-            "itemWidth": 16,
-            "itemHeight": 14,
-            "itemStyle": {"opacity": 1},
-            "textStyle": text,
-            "data": [],
-        },
-        "tooltip": {
-            "trigger": "axis",
-            "axisPointer": {"type": "line"},
-            ":valueFormatter": "v => v == null ? '-' : (+v).toPrecision(4)",
-        },
-        "xAxis": {**common, "name": x, "nameGap": 28, **axes.get("xAxis", {})},
-        "yAxis": {**common, "name": y, "nameGap": 42, **axes.get("yAxis", {})},
-        "series": [],
-    }
+    options = json.loads(resource("starts/chart.json"))
+    for axis, name in (("xAxis", x), ("yAxis", y)):
+        options[axis] |= {"name": name, **axes.get(axis, {})}
     return ui.echart(options).classes("w-full").style(f"height: {height}px")
 
 

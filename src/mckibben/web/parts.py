@@ -13,7 +13,7 @@ from mckibben.component.schema import replaced
 from mckibben.muscle import MaxwellSlip, NoFriction
 from mckibben.scenario import Scenario
 from mckibben.units import mm
-from mckibben.web.workbench import START, with_section
+from mckibben.web.workbench import OFFERED, START, with_section
 
 
 class Choice(NamedTuple):
@@ -58,29 +58,18 @@ def _friction() -> Choice:
 
 
 def _valves() -> dict[str, str]:
-    """Sections of valves; those of the catalog with a supply, and the settings that a maker leaves open."""
+    """Sections of the catalog's valves with a supply, and the settings that a maker leaves open."""
     left_open = {"SwitchingValves": ", period: 10 ms", "PressureRegulator": ", time_constant: 30 ms"}
-    sections = {"ideal": "ideal", "first order": "{time_constant: 20 ms}"}
-    for name in catalog.names("valves"):
-        settings = left_open.get(catalog.valve_section(name)["class"], "")
-        sections[name] = f"{{from: {name}, supply: 7 bar{settings}}}"
-    return sections
+    classes = {name: catalog.valve_section(name)["class"] for name in catalog.names("valves")}
+    return {name: f"{{from: {name}, supply: 7 bar{left_open.get(kind, '')}}}" for name, kind in classes.items()}
 
 
 CHOICES: Mapping[str, Choice] = {
     "friction of the muscles": _friction(),
-    "load": _section(
-        "load", {"shank and foot": "knee-table-2", "pendulum": "{class: pendulum, mass: 0.5 kg, length: 200 mm}"}
-    ),
-    "friction of the joint": _section(
-        "friction", {"none": "none", "presliding": "{torque: 0.3 N*m, presliding: 0.5 deg}"}
-    ),
-    "valves": _section("valve", _valves()),
-    "sensors": _section(
-        "sensors", {"perfect": "perfect", "encoder and noise": "{encoder: 0.088 deg, pressure_noise: 2 kPa}"}
-    ),
-    "disturbance": _section(
-        "disturbance", {"none": "none", "pulses": "{height: 0.5 N*m, width: 100 ms, interval: 1 s, start: 500 ms}"}
-    ),
+    "load": _section("load", OFFERED["load"]),
+    "friction of the joint": _section("friction", OFFERED["friction"]),
+    "valves": _section("valve", OFFERED["valve"] | _valves()),
+    "sensors": _section("sensors", OFFERED["sensors"]),
+    "disturbance": _section("disturbance", OFFERED["disturbance"]),
 }
 """Choices by label."""

@@ -24,34 +24,10 @@ from mckibben.web.session import JobState
 MOST_STEPS = 2_000_000
 """Most integration steps of a run; the command line allows more, as a run can be stopped there."""
 START = resource("starts/knee.yaml")
-CONTROLLERS = {
-    "two PID loops": START[START.index("  position") : START.index("reference")],
-    "PID loops with backpropagation": """\
-  position: {class: backprop, base: {kp: 2 bar/rad, ki: 60 bar/(rad*s), kd: 0.4 bar*s/rad}, gain_ratio: 2,
-    learning_rate: 3 1/s, momentum: 0.5, signal_scale: 10 deg, error_scale: 1 deg, output_scale: 10 bar/s, seed: 0}
-  stiffness: {class: backprop, base: {kp: 0.08 bar/(N*m/rad), ki: 5 bar/(N*m*s/rad), kd: 0 bar*s/(N*m/rad)},
-    gain_ratio: 2, learning_rate: 3 1/s, momentum: 0.5, signal_scale: 15 N*m/rad, error_scale: 1 N*m/rad,
-    output_scale: 1 bar/s, seed: 0}
-""",
-    "model inversion (decoupling)": """\
-  class: decoupling
-  feedback: {bandwidth: 80 rad/s}
-  observer: {bandwidth: 250 rad/s}
-  pressure_observer: {bandwidth: 200 rad/s}
-""",
-    "predictive control": """\
-  class: predictive
-  bandwidth: 80 rad/s
-  observer: {bandwidth: 250 rad/s}
-  pressure_observer: {bandwidth: 200 rad/s}
-""",
-}
-SIGNALS = {
-    "constant": "{at}",
-    "step": "{{class: step, before: {low}, after: {high}, at: 3 s}}",
-    "ramp": "{{class: ramp, before: {low}, after: {high}, start: 2 s, duration: 2 s}}",
-    "sine": "{{class: sine, amplitude: {half}, frequency: 0.5 Hz, offset: {at}}}",
-}
+OFFERED: dict[str, dict[str, str]] = plain(read_document(resource("starts/choices.yaml")).data)
+"""What the selects put into a scenario, as YAML by part and label."""
+SIGNALS = OFFERED["signals"]
+CONTROLLERS = {"two PID loops": START[START.index("  position") : START.index("reference")], **OFFERED["controllers"]}
 ANGLES = {"at": "0 deg", "low": "-8 deg", "high": "8 deg", "half": "10 deg"}
 SMALL_MOTION = "small_motion_stiffness"
 """Column of results whose muscles have friction."""
@@ -177,7 +153,9 @@ def with_section(text: str, section: str, place: tuple[str, ...]) -> str:
     inner: Any = data
     for key in place[:-1]:
         inner = inner[key]
-    inner[place[-1]] = plain(read_document(f"x: {section}" if "\n" not in section else f"x:\n{section}").data)["x"]
+    document = section if "\n" in section else f"only: {section}"
+    read = plain(read_document(document).data)
+    inner[place[-1]] = read if "\n" in section else read["only"]
     return to_text(data)
 
 
