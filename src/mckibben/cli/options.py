@@ -65,7 +65,22 @@ def notify(text: str, json: bool) -> None:
 
 
 def parse_quantity(option: str, text: str, unit: str, *, positive: bool = False) -> float:
-    """Value of an option in SI units, above 0 and finite if `positive`; an error names the option."""
+    """Value of an option in SI units.
+
+    Parameters
+    ----------
+    option, text
+        Name, for errors, and what was given.
+    unit
+        SI unit with its dimensions.
+    positive
+        Whether only finite numbers above 0 are allowed.
+
+    Examples
+    --------
+    >>> parse_quantity("--dwell", "200 ms", "s")
+    0.2
+    """
     try:
         value = quantity(text, unit)
     except UnitError as error:
@@ -82,7 +97,11 @@ def parse_optional(option: str, text: str, unit: str, *, positive: bool = False)
 
 
 def parse_limits(option: str, text: str, unit: str) -> tuple[float, float]:
-    """Range, or twice the single value, of an option in SI units; an error names the option."""
+    """Range of an option in SI units, or twice its single value; an error names the option.
+
+    >>> parse_limits("--limits", "1..6 bar", "Pa")
+    (100000.0, 600000.0)
+    """
     try:
         return parse_range(text, unit)
     except UnitError as error:
@@ -90,7 +109,11 @@ def parse_limits(option: str, text: str, unit: str) -> tuple[float, float]:
 
 
 def parse_pair(option: str, text: str, example: str) -> tuple[str, str]:
-    """Both parts of an option with a comma; empty texts if it was not given."""
+    """Both parts of an option with a comma; empty texts if it was not given.
+
+    >>> parse_pair("--step", "0.5 %, 0.25 bar", "0.5 %, 0.25 bar")
+    ('0.5 %', '0.25 bar')
+    """
     first, comma, second = (part.strip() for part in text.partition(","))
     if text and not (first and comma and second):
         raise ParameterError(f"{option} {quoted(text)} is not a pair", value=text, remedy=f"write it like '{example}'")
@@ -98,7 +121,11 @@ def parse_pair(option: str, text: str, example: str) -> tuple[str, str]:
 
 
 def parse_pairs(option: str, texts: list[str] | None, example: str) -> dict[str, str]:
-    """Values by name of a repeatable option NAME=VALUE; the value has no further sign of equality."""
+    """Values by name of a repeatable option NAME=VALUE; the value has no further sign of equality.
+
+    >>> parse_pairs("--with", ["rate=20 bar/s"], "rate=20 bar/s")
+    {'rate': '20 bar/s'}
+    """
     pairs: dict[str, str] = {}
     for text in texts or []:
         name, equals, value = (part.strip() for part in text.rpartition("="))
@@ -159,7 +186,11 @@ def _log_lines() -> Callable[[str, float], None]:
 
 
 def time_text(seconds: float) -> str:
-    """A duration in hours, minutes and seconds."""
+    """A duration [s] in hours, minutes and seconds.
+
+    >>> time_text(59.6), time_text(7260)
+    ('1 min 00 s', '2 h 01 min')
+    """
     minutes, seconds = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {seconds:02d} s" if minutes else f"{seconds} s"

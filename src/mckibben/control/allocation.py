@@ -35,9 +35,21 @@ def prioritise_torque(
     upper: Pair,
     springs: tuple[bool, bool] = (False, False),
 ) -> Allocation:
-    """Pressures for a torque [N*m] and the nearest attainable stiffness [N*m/rad], within limits [Pa].
+    """Pressures for a torque and the nearest attainable stiffness, within limits.
 
-    With a return spring, the torque determines the pressure of the only muscle, and the stiffness.
+    The torque fixes a line in the plane of both pressures; the stiffness chooses the point on it. With a return spring,
+    the torque determines the pressure of the only muscle, and the stiffness.
+
+    Parameters
+    ----------
+    affine
+        Torque and stiffness over the pressures.
+    torque, stiffness
+        Commanded torque [N*m] and stiffness [N*m/rad].
+    lower, upper
+        Limits of both pressures [Pa].
+    springs
+        Whether muscles 1 and 2 are return springs.
     """
     (torque0, t1, t2), (stiffness0, k1, k2) = affine.torque, affine.stiffness
     if any(springs):
@@ -70,7 +82,25 @@ def prioritise_torque(
 def prioritise_differential(
     differential: ArrayLike, cocontraction: ArrayLike, lower: Pair, upper: Pair
 ) -> tuple[Pair, Array]:
-    """Pressures [Pa] within limits for a differential pressure, and the nearest co-contraction [Pa]; saturated."""
+    """Pressures within limits for a differential pressure, and the nearest attainable co-contraction.
+
+    Parameters
+    ----------
+    differential, cocontraction
+        Half-difference and mean of the pressures (p1, p2) [Pa].
+    lower, upper
+        Limits of both pressures [Pa].
+
+    Returns
+    -------
+    tuple
+        Pressures [Pa], and whether a limit was met.
+
+    Examples
+    --------
+    >>> [float(p) for p in prioritise_differential(1e5, 2e5, (0.0, 0.0), (6e5, 2.5e5))[0]]  # p2 at its limit
+    [50000.0, 250000.0]
+    """
     attained = jnp.clip(differential, (lower[1] - upper[0]) / 2, (upper[1] - lower[0]) / 2)
     begin = jnp.maximum(lower[0] + attained, lower[1] - attained)
     end = jnp.minimum(upper[0] + attained, upper[1] - attained)
@@ -86,7 +116,19 @@ def limit_commands(
     differential: ArrayLike,
     cocontraction: ArrayLike,
 ) -> tuple[Pair, Array]:
-    """Commands [Pa] for a differential pressure and a co-contraction [Pa], and whether a limit was met."""
+    """Commands for a differential pressure and a co-contraction, and whether a limit was met.
+
+    Parameters
+    ----------
+    model
+        Model of the joint, with the limits of its muscles.
+    minimum_tension
+        Least tension of each muscle [N], which limits the pressures together; None to clip each command alone.
+    angle
+        Joint angle [rad].
+    differential, cocontraction
+        Half-difference and mean of the pressures [Pa].
+    """
     if minimum_tension is not None:
         limits = pressure_range(model, angle, minimum_tension)
         return prioritise_differential(differential, cocontraction, *limits)

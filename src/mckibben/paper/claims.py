@@ -1,4 +1,8 @@
-"""The paper's claims and our own questions, each with a verdict and evidence from the results."""
+"""The paper's claims and our own questions, each with a verdict and evidence from the results.
+
+The limits of the verdicts, such as 5 % for errors that a figure shows as different, are ours, and the same for all
+controllers.
+"""
 
 from __future__ import annotations
 
@@ -45,10 +49,19 @@ _SHORT_ADJUSTMENT = "The joint stiffness adjustment time by PID is relatively lo
 class Claim:
     """A claim of the paper, or a question of ours, with its verdict and evidence.
 
-    `words` quotes the paper; None marks a question of ours. `source` is the section or figure that claims it, or that
-    raises the question. `needs_muscle` marks a claim that only the paper's own muscle can test: here that muscle is
-    simulated with the law that the paper fitted to it, and with a friction from the literature, so that the evidence
-    shows consistency and no more.
+    Parameters
+    ----------
+    claim, source
+        The statement, and the section or figure that makes it, or that raises the question.
+    words
+        Quotation of the paper; None marks a question of ours.
+    holds
+        Whether the numbers agree with the statement.
+    evidence
+        These numbers.
+    needs_muscle
+        Whether only the paper's own muscle can test it: here that muscle is simulated with the law that the paper
+        fitted to it, and with a friction from the literature, so that the evidence shows consistency and no more.
     """
 
     claim: str
@@ -74,9 +87,14 @@ class Claim:
 def evaluate_claims(
     identification: Identification, joint: dict[str, JointMap], tracking: Tracking
 ) -> tuple[Claim, ...]:
-    """Return the six claims of the paper, then our six questions, with their verdicts and evidence.
+    """The six claims of the paper, then our six questions, with their verdicts and evidence.
 
     Each verdict is a comparison of numbers of the results, which the evidence quotes; it may come out either way.
+
+    Parameters
+    ----------
+    identification, joint, tracking
+        Results of `run_identification`, `run_joint` and `run_tracking`.
     """
     return (
         _closer_than_chou(identification),
@@ -268,4 +286,9 @@ def _range(joint: dict[str, JointMap]) -> Claim:
 
 
 def _seconds(value: float) -> str:
+    """A settling time in words.
+
+    >>> _seconds(0.1234), _seconds(math.nan)
+    ('0.123 s', 'never')
+    """
     return "never" if math.isnan(value) else f"{value:.3f} s"

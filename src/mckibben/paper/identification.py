@@ -32,8 +32,18 @@ RIG, MARTENS, FESTO = "virtual-rig", "dmsp-10-250-martens2017", "festo-tool-10mm
 class SimulatedRigTest:
     """Isobaric test of the paper on the simulated rig (Fig. 3), and a second test with different noise (Fig. 4).
 
-    `test` has the mean of each plateau, `settled` those away from turns, where friction is fully developed, and
-    `retest` those of the second test; `samples` is the number of force samples of the first one.
+    Parameters
+    ----------
+    muscle, rig, protocol
+        Muscle with the law of Eq. 3, the rig with its friction, and pressures, contractions and repeats.
+    test
+        Mean of each plateau.
+    settled
+        Those away from turns, where friction is fully developed.
+    retest
+        Means of the second test, at the paper's four pressures.
+    samples
+        Number of force samples of the first test.
     """
 
     muscle: Muscle
@@ -102,9 +112,17 @@ def _held_out(chou: ChouLaw, train: IsobaricDataset, held_out: IsobaricDataset) 
 
 
 def direction_gap(data: IsobaricDataset) -> tuple[float, float]:
-    """Return the mean force of loading minus unloading at the same state, and the largest force [N].
+    """Difference between loading and unloading at the same pressure and contraction.
 
-    Only taut points count at which both directions were measured.
+    Parameters
+    ----------
+    data
+        Points; taut ones count at which both directions were measured.
+
+    Returns
+    -------
+    tuple of float
+        Mean force of loading minus unloading, and the largest force of all taut points [N].
     """
     import pandas as pd  # 0.3 s
 

@@ -1,4 +1,7 @@
-"""Reproduction of the paper, end to end."""
+"""Reproduction of the paper, end to end: test, identification, validation, joint, control, claims.
+
+The numbers of results.json and the report follow from `Reproduction` alone.
+"""
 
 from __future__ import annotations
 
@@ -136,6 +139,11 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
         Two repeats of the test instead of five, 5 seeds of BP instead of 20, and a shorter tuning.
     progress
         Called with the current step and the completed fraction, 0 to 1. Default: a progress bar in notebooks.
+
+    Returns
+    -------
+    Reproduction
+        All results; it takes some minutes, as both geometries are compiled and tuned.
     """
     progress = progress or notebook_progress()
     start = time.perf_counter()
@@ -166,6 +174,7 @@ def reproduce(*, quick: bool = False, progress: Progress | None = None) -> Repro
 
 
 def _rig(identification: Identification) -> dict[str, object]:
+    """Size of the test on the simulated rig, its friction [N], and the law that it measures, in the units of Eq. 3."""
     test = identification.rig
     return {
         "plateaus": len(test.test),
@@ -180,6 +189,7 @@ def _rig(identification: Identification) -> dict[str, object]:
 
 
 def _validation(identification: Identification) -> dict[str, object]:
+    """RMSE [N] of the laws on the second test, on held-out points, and on the measured muscles."""
     on_rig = {
         "retest": identification.retested,
         "held_out_pressures": identification.held_out_pressures,
@@ -191,7 +201,7 @@ def _validation(identification: Identification) -> dict[str, object]:
 
 
 def _errors(validation: Validation) -> dict[str, dict[str, float]]:
-    """RMSE of each law over all points, by direction, by pressure, and by both."""
+    """RMSE [N] of each law over all points, by direction, by pressure, and by both."""
     table: dict[str, dict[str, float]] = {}
     for errors in validation.errors:
         place = [] if errors.pressure is None else [f"{errors.pressure / bar:g} bar"]
@@ -201,12 +211,14 @@ def _errors(validation: Validation) -> dict[str, dict[str, float]]:
 
 
 def _joint(joint_map: JointMap) -> dict[str, object]:
+    """Attainable stiffness [N*m/rad] at 0 deg and static range [deg] of a geometry."""
     low, high = joint_map.at(0.0)
     first, last = joint_map.static_range
     return {"attainable_stiffness_at_0_deg": [low, high], "static_range_deg": [first / deg, last / deg]}
 
 
 def _tracking(tracking: Tracking) -> dict[str, dict[str, dict[str, object]]]:
+    """Metrics of all runs by geometry, stiffness reference and controller."""
     table: dict[str, dict[str, dict[str, object]]] = {}
     for (key, reference, controller), run in tracking.runs.items():
         table.setdefault(key, {}).setdefault(reference.value, {})[controller] = _run(run)
@@ -214,6 +226,7 @@ def _tracking(tracking: Tracking) -> dict[str, dict[str, dict[str, object]]]:
 
 
 def _run(run: ControllerRun) -> dict[str, object]:
+    """Metrics of a run in shown units: median and worst over seeds, and the number of unstable seeds."""
     numbers: dict[str, object] = {name: run.median(metric) / unit for name, (metric, _, unit) in METRICS.items()}
     if run.seeds is not None:
         numbers["worst"] = {name: run.worst(metric) / unit for name, (metric, _, unit) in METRICS.items()}
@@ -222,6 +235,7 @@ def _run(run: ControllerRun) -> dict[str, object]:
 
 
 def _tuned(tuned: TuneResult) -> dict[str, object]:
+    """Tuned gains in SI, and the costs before and after."""
     control: Any = tuned.scenarios[0].control()
     return {
         "position": {name: getattr(control.position, name) for name in ("kp", "ki", "kd")},

@@ -75,7 +75,17 @@ FREE, BOUND = 2.0, 1.1
 def pid_scenario(
     setting: Setting, reference: StiffnessReference, gains: Mapping[str, float] | None = None, *, name: str = "PID"
 ) -> Scenario:
-    """Scenario of a PID run with gains as of `gains_of`; default: moderate gains."""
+    """Scenario of a PID run.
+
+    Parameters
+    ----------
+    setting, reference
+        Geometry, and kind of the desired stiffness.
+    gains
+        Gains in SI as of `gains_of`. Default: the moderate ones of the setting.
+    name
+        Controller in the name of the scenario.
+    """
     return _with_gains(_scenario(setting, reference, name, **setting.moderate), gains)
 
 
@@ -87,7 +97,15 @@ def bp_scenario(
     gain_ratio: float = FREE,
     name: str = "BP",
 ) -> Scenario:
-    """Scenario of a BP run with the same base gains."""
+    """Scenario of a BP run.
+
+    Parameters
+    ----------
+    setting, reference, gains, name
+        As for `pid_scenario`; the gains are the base of BP.
+    gain_ratio
+        Factor by which BP may change them.
+    """
     learning = f"{LEARNING}, gain_ratio: {gain_ratio}, seed: 0"
     scales = (setting.amplitude, setting.angle_scale), (setting.constant, setting.stiffness_scale)
     loops = {
@@ -115,7 +133,11 @@ def _scenario(setting: Setting, reference: StiffnessReference, name: str, positi
 
 
 def gains_of(scenario: Scenario) -> dict[str, float]:
-    """Gains of a PID scenario in SI, by loop and gain, such as "position.kp"."""
+    """Gains of a PID scenario in SI, by loop and gain.
+
+    >>> gains_of(pid_scenario(PRE_CONTRACTED, StiffnessReference.STEP))["position.kp"]
+    200000.0
+    """
     control: Any = scenario.control()
     return {
         f"{loop}.{gain}": float(getattr(getattr(control, loop), gain))

@@ -37,9 +37,16 @@ _GAIN_MARGIN = 1.5
 
 @dataclass(frozen=True)
 class ControllerRun:
-    """A run (for BP, with the first seed) and the metrics per seed; None for a controller without seeds.
+    """A run, and the metrics over seeds.
 
     A metric that is not finite, such as the settling time of a run that never settles, ranks above all others.
+
+    Parameters
+    ----------
+    scenario, result
+        The scenario and its run; for BP, with the first seed.
+    seeds
+        Metrics of each seed in SI, arrays of shape (seeds,); None for a controller without seeds.
     """
 
     scenario: Scenario
@@ -77,8 +84,12 @@ _Runs = dict[tuple[str, StiffnessReference, str], ControllerRun]
 class Coupling:
     """Mutual disturbance of position and stiffness under PID with moderate gains.
 
-    Largest change [rad] of the angle by the step of the stiffness; RMS error [N*m/rad] of the stiffness in the second
-    half of a run in motion, and of one at rest.
+    Parameters
+    ----------
+    angle_by_step
+        Largest change [rad] of the angle by the step of the stiffness.
+    stiffness_by_motion, stiffness_at_rest
+        RMS error [N*m/rad] of the stiffness in the second half of a run in motion, and of one at rest.
     """
 
     angle_by_step: float
@@ -88,7 +99,17 @@ class Coupling:
 
 @dataclass(frozen=True)
 class Tracking:
-    """Runs by setting key, stiffness reference and controller; tuning and coupling by setting key."""
+    """Runs of the paper's simulations.
+
+    Parameters
+    ----------
+    runs
+        Runs by setting key, stiffness reference and controller (`CONTROLLERS`).
+    tuned, coupling
+        Tuning of the PID gains, and coupling, by setting key.
+    seeds
+        Number of initial weights of BP.
+    """
 
     runs: _Runs
     tuned: dict[str, TuneResult]
@@ -128,6 +149,7 @@ def run_tracking(
 
 
 def _moderate_runs(seeds: int) -> _Runs:
+    """Runs with gains set by hand: PID, BP, and PID with doubled position gains."""
     runs: _Runs = {}
     for setting, reference in itertools.product(SETTINGS, StiffnessReference):
         pid = pid_scenario(setting, reference)
@@ -140,6 +162,7 @@ def _moderate_runs(seeds: int) -> _Runs:
 
 
 def _tuned_runs(setting: Setting, tuned: TuneResult, seeds: int) -> _Runs:
+    """Runs of a setting with tuned gains: PID, and BP that may change them by 10 % or by a factor of 2."""
     gains = gains_of(tuned.scenarios[0])
     runs: _Runs = {}
     for reference in StiffnessReference:
@@ -152,6 +175,7 @@ def _tuned_runs(setting: Setting, tuned: TuneResult, seeds: int) -> _Runs:
 
 
 def _tune(setting: Setting, generations: int, population: int, progress: Callable[[float], None]) -> TuneResult:
+    """Tune the PID gains of a setting on both stiffness references, with a gain margin of 1.5."""
     scenarios = [pid_scenario(setting, reference) for reference in StiffnessReference]
     scales = {
         "angle_rmse": quantity(setting.angle_scale, "rad") / 10,

@@ -70,7 +70,7 @@ def _pulleys(length: float, *, radius: float) -> Geometry:
 
 
 def _cams(length: float, *, arm: float, slope: float, curvature: float) -> Geometry:
-    """Cams that are mirror images of each other."""
+    """Cams that are mirror images of each other, of a moment arm and its growth [mm, mm/rad, mm/rad^2]."""
     first, second = (Cam(arm * mm, length, sign * slope * mm, curvature * mm) for sign in (-1, 1))
     return PairedPaths(first, second)
 
@@ -219,7 +219,7 @@ def limits_at(design: JointDesign, designed: Designed) -> str:
 
 
 def connector_length(geometry: Geometry) -> float | None:
-    """Length of the connectors [m]; None for a geometry without connectors."""
+    """Length of the connectors of a geometry [m]; None for one without connectors."""
     return getattr(getattr(geometry, "path1", geometry), "connector_length", None)
 
 
@@ -236,7 +236,20 @@ def pressure_limits(muscle: Muscle) -> tuple[float, float]:
 
 
 def compute(design: JointDesign, muscle: Muscle) -> Designed:
-    """The joint and its ranges; raises a `RangeError` for lengths that do not fit."""
+    """The joint and its attainable ranges.
+
+    Parameters
+    ----------
+    design
+        Numbers of the page.
+    muscle
+        Muscle on both sides.
+
+    Raises
+    ------
+    RangeError
+        If lengths do not fit.
+    """
     joint = joint_of(design, muscle)
     limits = pressure_limits(muscle)[0] * bar, design.pressure * bar
     stiffness, small, torque, here = _ranges(joint, ANGLES, design.torque, design.angle * deg, limits)
@@ -262,9 +275,16 @@ def scenario_lines(design: JointDesign, muscle: Muscle) -> str:
 
 
 def drawing(joint: AntagonisticJoint, angle: float, contractions: tuple[ArrayLike, ArrayLike]) -> str:
-    """SVG of a joint at an angle [rad], to scale; the contractions [-] of both muscles give their thickness.
+    """SVG of a joint, to scale; it contains only numbers, no text of the user.
 
-    It contains only numbers, no text of the user.
+    Parameters
+    ----------
+    joint
+        Joint.
+    angle
+        Joint angle [rad].
+    contractions
+        Contractions of both muscles [-], which give their thickness.
     """
     mechanism = Mechanism(joint.geometry, (-POSE * deg, POSE * deg))
     strands, height = mechanism.strands(angle), mechanism.height / mm

@@ -1,4 +1,8 @@
-"""Muscle page: from data to force law, residuals and ranking."""
+"""Muscle page: measured points, force law and friction, residuals, ranking of laws.
+
+Files are those of one test, uploaded, pasted or of the catalog; they are read by the fields of the page, which a recipe
+fills. Results are those of `mckibben.identification`, and muscle.yaml, fit.yaml and recipe.yaml can be downloaded.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +67,24 @@ _FRICTION = {"where the data show it": None, "with": True, "without": False}
 
 @dataclass
 class IdentificationState(JobState):
-    """State of the page."""
+    """State of the page.
+
+    Attributes
+    ----------
+    name, sources, data
+        Title, files and points of the test; no files for a dataset from the catalog.
+    old
+        Whether the points are of an earlier file than that of `name`, which is not read.
+    law, friction, keep_outliers, diameter
+        Settings of the fit: name of the class, a key of the friction select, whether outliers are fitted, and inner
+        diameter or volume of air with its unit.
+    reading, read_by, reading_notes
+        Fields by which files are read, those by which `data` were read, and warnings of reading.
+    results
+        Fit and ranking by name, the newest first.
+    muscle
+        Identified muscle; None without an initial length.
+    """
 
     name: str = ""
     sources: tuple[Path, ...] = ()
@@ -87,7 +108,15 @@ class IdentificationState(JobState):
         read_by: ReadingFields | None = None,
         reading_notes: Sequence[str] = (),
     ) -> None:
-        """Replace the data and forget the results of earlier ones."""
+        """Replace the points and forget the results of earlier ones.
+
+        Parameters
+        ----------
+        name, data, sources
+            Title, points, and files with them.
+        read_by, reading_notes
+            Fields by which they were read, and warnings.
+        """
         self.name, self.data, self.sources, self.read_by, self.old = name, data, tuple(sources), read_by, False
         self.results, self.error = {}, None
         self.reading_notes, self.notes = list(reading_notes), []
@@ -99,9 +128,29 @@ class IdentificationState(JobState):
 
 
 def keep_muscle(identified: FitWithFriction, data: IsobaricDataset, folder: Path, inner: str = "") -> Muscle | None:
-    """Write fit.yaml and muscle.yaml to a folder; the muscle, or None if its initial length is unknown.
+    """Write fit.yaml and, if the initial length is known, muscle.yaml.
 
-    An inner diameter, or the measured volume of air, gives it a volume, as `mckibben identify --inner`.
+    Parameters
+    ----------
+    identified
+        Law, with friction where it was identified.
+    data
+        Points of the fit, with name and initial length of the specimen.
+    folder
+        Folder of the files, which are replaced.
+    inner
+        Inner diameter, or measured volume of air at contraction 0, with its unit: it gives the muscle a volume, as
+        `mckibben identify --inner` does.
+
+    Returns
+    -------
+    Muscle or None
+        Muscle for joints; None without an initial length.
+
+    Raises
+    ------
+    UnitError, RangeError
+        If `inner` is neither a length nor a volume, or is not possible.
     """
     identified.fit.to_yaml(folder / "fit.yaml")
     attrs, loops = data.table.attrs, identified.hysteresis
@@ -224,7 +273,7 @@ class _Page(JobPage[IdentificationState]):
             self.take(event.value)
 
     def take(self, name: str, *sources: Path) -> None:
-        """Replace the data by the files of a test, or without any, by a dataset from the catalog."""
+        """Replace the points by those of files of a test or, without files, of a dataset from the catalog."""
         state = self.state
         for old in state.sources:
             if old not in sources and old.parent.parent == self.folder:  # not those of the page Rig and of projects
@@ -254,7 +303,7 @@ class _Page(JobPage[IdentificationState]):
             self.take(self.state.name, *self.state.sources)
 
     def fit(self) -> None:
-        """Fit the chosen law."""
+        """Fit the chosen law, with friction as chosen, in a job."""
         state, folder = self.state, self.folder
         if (data := state.data) is None or state.old:
             ui.notify("give measured points first")

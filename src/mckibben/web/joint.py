@@ -1,4 +1,7 @@
-"""Joint page: geometry with a drawing, attainable stiffness and torque over the angle."""
+"""Joint page: dimensions of a joint with two equal muscles, drawing, attainable stiffness and torque over the angle.
+
+Sliders change the joint at once: the newest values are computed in a thread, and intermediate ones skipped.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +55,11 @@ _COMPILING = "computing; a new kind of joint or law compiles for a few seconds"
 
 
 def _held(angles: np.ndarray, holds: np.ndarray) -> str:
-    """Range of the angles [deg] at which the load is held; it may go on beyond the ends of the charts."""
+    """Range of angles [deg] at which the load is held; it may go on beyond the ends of the charts.
+
+    >>> _held(np.array([-10.0, 0.0, 10.0, 20.0]), np.array([False, True, True, False]))
+    'the load is held from 0° to 10°'
+    """
     if not holds.any():
         return "no pressures hold the load at any angle"
     least = "at least " if holds[0] or holds[-1] else ""
@@ -70,7 +77,15 @@ def page() -> None:
 
 
 class _Page:
-    """Sliders, drawing and charts of one visit."""
+    """Sliders, drawing and charts of one visit.
+
+    Parameters
+    ----------
+    design
+        Numbers of the page, kept in the session.
+    known
+        Muscles to choose from, by name.
+    """
 
     def __init__(self, design: JointDesign, known: dict[str, Muscle]) -> None:
         self.design, self.known = design, known
@@ -131,7 +146,17 @@ class _Page:
             return ui.label().classes("fact")
 
     def number(self, label: str, unit: str, name: str, limits: tuple[float, float], step: float) -> None:
-        """A slider for a number of the design."""
+        """A slider for a number of the design.
+
+        Parameters
+        ----------
+        label, unit
+            Text, and shown unit.
+        name
+            Attribute of `JointDesign`.
+        limits, step
+            Range and step of the slider.
+        """
 
         async def changed(value: float) -> None:
             setattr(self.design, name, value)

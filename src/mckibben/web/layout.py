@@ -1,6 +1,7 @@
 """Frame of the pages and their shared parts: errors, tables, sliders, charts.
 
-Text goes through labels and tables, which show it verbatim: file content never becomes HTML.
+Text goes through labels and tables, which show it verbatim: file content never becomes HTML. Charts are Apache ECharts
+with the options of `starts/chart.json`; series are its options as dictionaries.
 """
 
 from __future__ import annotations
@@ -41,7 +42,13 @@ PAGES = {"/": "Joint", "/identify": "Muscle", "/run": "Run", "/tune": "Tune", "/
 
 @contextmanager
 def frame(here: str) -> Iterator[None]:
-    """Header with links to the pages, and the columns of the page `here`."""
+    """Header with links to the pages, and the columns of a page.
+
+    Parameters
+    ----------
+    here
+        Path of the page, a key of `PAGES`.
+    """
     ui.colors(primary=BLUE, secondary=GREY, accent=VERMILLION, negative="#b3261e", positive=GREEN)
     ui.add_css(resource("style.css"))
     ui.page_title(f"{PAGES[here]} - mckibben")
@@ -55,7 +62,15 @@ def frame(here: str) -> Iterator[None]:
 
 @contextmanager
 def panel(title: str = "", *, stays: bool = False) -> Iterator[ui.column]:
-    """A white box with a heading; on a narrow screen a box that `stays` remains visible."""
+    """A white box with a heading.
+
+    Parameters
+    ----------
+    title
+        Heading; empty for none.
+    stays
+        Whether it remains visible on a narrow screen.
+    """
     with ui.column().classes("panel w-full" + (" stays" if stays else "")).style("gap: 10px") as made:
         if title:
             ui.label(title).classes("heading")
@@ -72,13 +87,35 @@ def side() -> Iterator[None]:
 def button(
     label: str, action: Callable[..., object], mark: str = "", *, main: bool = False, **options: Any
 ) -> ui.button:
-    """A button, flat unless it is a main one of its panel."""
+    """A button, flat unless it is a main one of its panel.
+
+    Parameters
+    ----------
+    label, action
+        Text, and function that is called by a click.
+    mark
+        Name by which tests find it.
+    main
+        Whether it is filled.
+    options
+        Options of `ui.button`, such as its colour.
+    """
     made = ui.button(label, on_click=action, **options).props(f"{'unelevated' if main else 'flat'} no-caps")
     return made.mark(mark) if mark else made
 
 
 def select(options: list[str] | dict[Any, str], label: str, mark: str = "", **others: Any) -> ui.select:
-    """A select as wide as its panel."""
+    """A select as wide as its panel.
+
+    Parameters
+    ----------
+    options, label
+        Values, or texts by value; and the text above.
+    mark
+        Name by which tests find it.
+    others
+        Options of `ui.select`.
+    """
     made = ui.select(options, label=label, **others).props("dense").classes("w-full")
     return made.mark(mark) if mark else made
 
@@ -94,7 +131,13 @@ def results_side() -> ui.column:
 
 
 def progress_row(jobs: Jobs) -> Callable[[], None]:
-    """Panel with progress bar, step and button to cancel; returns the function that refreshes it."""
+    """Panel with progress bar, step and button to cancel, visible while a job runs.
+
+    Returns
+    -------
+    callable
+        Function that refreshes it, to be called by a timer.
+    """
 
     def cancel() -> None:
         jobs.cancel()
@@ -117,7 +160,7 @@ def progress_row(jobs: Jobs) -> Callable[[], None]:
 
 
 def show_error(error: McKibbenError) -> None:
-    """Error message; for a file, each problem with its line and remedy."""
+    """Show an error with its remedy; of a file, a table of at most 100 problems with line, field and remedy."""
     if not isinstance(error, FileError):
         _message(error.message, error.remedy)
         return
@@ -151,6 +194,13 @@ class JobPage(Generic[State]):
 
     A subclass builds its panels in `__init__`, starts jobs by `start_job`, and calls `refresh` by a timer; what a job
     returns is kept in the state of the session, so that a reloaded page shows it again.
+
+    Parameters
+    ----------
+    state
+        State of the page in the session.
+    folder
+        Folder of the session's files.
     """
 
     def __init__(self, state: State, folder: Path) -> None:
@@ -165,7 +215,17 @@ class JobPage(Generic[State]):
         *,
         scroll: bool = True,
     ) -> None:
-        """As `Jobs.start`; an error is stored in the state. The page scrolls to the results, or stays where it is."""
+        """Run a job in a thread, as `Jobs.start`; an error is stored in the state.
+
+        Parameters
+        ----------
+        compute
+            Computation, which gets a function that reports step and progress, and raises where the job was cancelled.
+        done
+            Called on the event loop with the result and the texts of warnings.
+        scroll
+            Whether the page scrolls to the results, or stays where it is.
+        """
 
         def end(result: Value, heard: list[str]) -> None:
             done(result, heard)
@@ -183,7 +243,10 @@ class JobPage(Generic[State]):
         return new
 
     def show_results(self, on: ui.column, show: Callable[[], None]) -> None:
-        """Replace the results, and scroll to those of a job that has just ended."""
+        """Replace the results in a column, and scroll to those of a job that has just ended.
+
+        `show` shows them.
+        """
         on.clear()
         with on:
             show()
@@ -235,7 +298,17 @@ _BREAKS_AT_DOTS = r"""
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, texts: Collection[int] = (0,)) -> ui.table:
-    """A table; the columns of these numbers are texts, others are aligned to the right."""
+    """A table of texts and numbers.
+
+    Parameters
+    ----------
+    header
+        Heading of each column, with its unit.
+    rows
+        Cells of each row.
+    texts
+        Numbers of the columns that are texts; others are aligned to the right.
+    """
     columns: list[dict[str, str]] = [
         {"name": str(i), "label": name, "field": str(i), "align": "left" if i in texts else "right"}
         for i, name in enumerate(header)
@@ -247,13 +320,35 @@ def table(header: Sequence[str], rows: Iterable[Sequence[object]], *, texts: Col
 
 
 def text_area(label: str, longest: int, height: int, **options: Any) -> ui.textarea:
-    """A multi-line field with a maximum number of characters and a height in pixels."""
+    """A multi-line field.
+
+    Parameters
+    ----------
+    label
+        Name for screen readers.
+    longest, height
+        Most characters, and height in pixels.
+    options
+        Options of `ui.textarea`.
+    """
     look = f"outlined aria-label='{label}' maxlength={longest} spellcheck=false input-style='height: {height}px'"
     return ui.textarea(**options).props(look).classes("w-full mono")
 
 
 def upload(label: str, largest: int, taken: Callable[[Any], Awaitable[None]], *, most: int = 1) -> ui.upload:
-    """An upload of one file, or of up to `most` at once, of a total size [bytes]; it lists no earlier files."""
+    """An upload of files; it lists no earlier ones.
+
+    Parameters
+    ----------
+    label
+        Text in the field.
+    largest
+        Largest total size [bytes].
+    taken
+        Called with the event of one file, or of several at once.
+    most
+        Most files at once.
+    """
 
     async def uploaded(event: events.UploadEventArguments | events.MultiUploadEventArguments) -> None:
         if getattr(event, "files", True):  # a request without any file makes NiceGUI call a handler of several
@@ -276,7 +371,16 @@ def upload(label: str, largest: int, taken: Callable[[Any], Awaitable[None]], *,
 class NumberField(ui.number):
     """A number field; invalid or disallowed input is refused with a message at the field.
 
-    `changed` is called with allowed numbers; `allowed` describes them in words.
+    Parameters
+    ----------
+    label, value
+        Text in the field, and first number.
+    holds, allowed
+        Whether a finite number is allowed, and these numbers in words, after "give".
+    changed
+        Called with each new allowed number.
+    step
+        Step of the arrow keys.
     """
 
     def __init__(
@@ -316,9 +420,16 @@ class PageSlider(ui.slider):
 
 
 class NumberSlider:
-    """A number with a slider and a field, in its shown unit, between limits.
+    """A number with a slider and a field, between limits.
 
-    `changed` gets each new value, once: the field follows the slider later, so that curves are drawn first.
+    Parameters
+    ----------
+    label, unit
+        Name, and shown unit of all numbers.
+    limits, step, value
+        Lowest and highest number, step, and first number.
+    changed
+        Gets each new number, once: the field follows the slider later, so that curves are drawn first.
     """
 
     def __init__(
@@ -358,7 +469,20 @@ class NumberSlider:
 
 
 def points(x: ArrayLike, y: ArrayLike, most: int = 1500) -> list[list[float | None]]:
-    """Pairs for a chart, at most `most` of arrays of equal length, with gaps where a value is not finite."""
+    """Pairs for a chart, with gaps where a value is not finite.
+
+    Parameters
+    ----------
+    x, y
+        Arrays of shape (samples,).
+    most
+        Most pairs; of more samples every second, third ... one is taken.
+
+    Examples
+    --------
+    >>> points([0.0, 1.0, 2.0], [1.0, float("nan"), 3.0])
+    [[0.0, 1.0], [1.0, None], [2.0, 3.0]]
+    """
     x, y = np.asarray(x, float), np.asarray(y, float)
     step = max(1, -(-len(x) // most))
     pairs = zip(x[::step].tolist(), y[::step].tolist(), strict=True)
@@ -366,7 +490,17 @@ def points(x: ArrayLike, y: ArrayLike, most: int = 1500) -> list[list[float | No
 
 
 def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = False, width: float = 2) -> Series:
-    """A curve of a chart."""
+    """A curve of a chart.
+
+    Parameters
+    ----------
+    name
+        Text in the legend and at the pointer.
+    x, y
+        Arrays of shape (samples,), in the units of the axes.
+    color, dash, width
+        Colour, whether it is dashed, and width in pixels.
+    """
     look = {"color": color, "width": width, "type": [6, 4] if dash else "solid"}
     return {
         "type": "line",
@@ -380,7 +514,17 @@ def line(name: str, x: ArrayLike, y: ArrayLike, color: str, *, dash: bool = Fals
 
 
 def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -> list[Series]:
-    """The area between two curves, from two stacked series."""
+    """The area between two curves, as two stacked series.
+
+    Parameters
+    ----------
+    name
+        Text in the legend.
+    x, low, high
+        Arrays of shape (samples,), in the units of the axes.
+    color
+        Colour of the area.
+    """
     low, high = np.asarray(low, float), np.asarray(high, float)
     shared: Series = {
         "type": "line",
@@ -405,14 +549,32 @@ def band(name: str, x: ArrayLike, low: ArrayLike, high: ArrayLike, color: str) -
 
 
 def dots(name: str, x: ArrayLike, y: ArrayLike, color: str, *, many: int = 40) -> Series:
-    """Points of a chart, below its curves; more than `many` would hide a curve, and are small and pale."""
+    """Points of a chart, below its curves.
+
+    Parameters
+    ----------
+    name, x, y, color
+        As of `line`.
+    many
+        Number of points from which on they are small and pale, as they would hide a curve.
+    """
     data, crowded = points(x, y), len(np.asarray(x)) > many
     look = {"color": color, "opacity": 0.35 if crowded else 1}
     return {"type": "scatter", "name": name, "data": data, "symbolSize": 4 if crowded else 6, "itemStyle": look}
 
 
 def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, object]) -> ui.echart:
-    """An empty chart with labels of its axes; `axes` has more options of `xAxis` and `yAxis`."""
+    """An empty chart.
+
+    Parameters
+    ----------
+    x, y
+        Labels of the axes, with units.
+    height
+        Height in pixels.
+    axes
+        Further options of `xAxis` and `yAxis`, such as `min`.
+    """
     options = json.loads(resource("starts/chart.json"))
     for axis, name in (("xAxis", x), ("yAxis", y)):
         options[axis] |= {"name": name, **axes.get(axis, {})}
@@ -420,9 +582,18 @@ def chart(x: str, y: str, *, height: int = 300, **axes: Mapping[str, object]) ->
 
 
 def draw(on: ui.echart, series: Iterable[Series], *, legend: Iterable[str] | None = None) -> None:
-    """Replace the curves of a chart; the legend omits the lower ends of bands.
+    """Replace the curves of a chart.
 
     If their number is unchanged, only the curves are sent, directly to the chart: the page is not rendered again.
+
+    Parameters
+    ----------
+    on
+        Chart.
+    series
+        Curves, areas and points.
+    legend
+        Names in the legend. Default: all but the lower ends of bands.
     """
     series = list(series)
     names = (

@@ -17,7 +17,17 @@ from mckibben.web.workbench import OFFERED, START, with_section
 
 
 class Choice(NamedTuple):
-    """Options of a select, the scenario with one of them, and the option of a scenario; None if it has another part."""
+    """Select of a part of a scenario.
+
+    Attributes
+    ----------
+    options
+        Its labels.
+    choose
+        The scenario with the part of a label.
+    chosen
+        Label of a scenario's part; None if the page does not offer it.
+    """
 
     options: tuple[str, ...]
     choose: Callable[[Scenario, str], Scenario]
@@ -25,7 +35,7 @@ class Choice(NamedTuple):
 
 
 def _section(key: str, sections: Mapping[str, str]) -> Choice:
-    """A section of a scenario, from its text."""
+    """Choice of a section of a scenario, by its key, from its texts by label."""
 
     @functools.cache
     def component(name: str) -> object:

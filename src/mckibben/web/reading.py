@@ -53,14 +53,21 @@ class ReadingFields:
 
 
 def understood(data: IsobaricDataset) -> list[tuple[str, ...]]:
-    """What was understood of the columns of the files, `dataset.Table.rows`, once; without ranges if several differ."""
+    """What was understood of the columns of the files, as rows of texts for a table.
+
+    Rows are those of `dataset.Table.rows`, each once; without ranges if files differ.
+    """
     several = len(data.lines) > 1
     rows = (row for part in data.lines for row in part.columns)
     return list(dict.fromkeys((*row[:4], "", *row[5:]) if several else row for row in rows))
 
 
 def column_names(text: str) -> dict[str, str]:
-    """Headers of a file to names, from lines such as ``Druck [bar] = pressure_bar``."""
+    """Headers of a file to names, from lines such as ``Druck [bar] = pressure_bar``; `ParameterError` for other lines.
+
+    >>> column_names("Druck [bar] = pressure_bar")
+    {'Druck [bar]': 'pressure_bar'}
+    """
     names = {}
     for number, line in enumerate(filter(str.strip, text.splitlines()), start=1):
         header, equals, name = (part.strip() for part in line.rpartition("="))
@@ -73,7 +80,11 @@ def column_names(text: str) -> dict[str, str]:
 
 
 def refusal(name: str, text: str | None) -> str | None:
-    """Reason why a text is not a value of a recipe's field; None if it is valid or empty."""
+    """Reason why a text is not a value of a recipe's field; None if it is valid or empty.
+
+    >>> refusal("initial_length", "180 mm") is None, "unit" in refusal("initial_length", "180 bar")
+    (True, True)
+    """
     try:
         Recipe().with_options({name: text.strip()} if text and text.strip() else {})
     except ScenarioError as error:

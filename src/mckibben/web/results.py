@@ -22,7 +22,15 @@ _drawing = threading.Lock()  # the house style is set for the whole process whil
 
 
 class Presented(NamedTuple):
-    """What is shown of a result, computed in the thread of its job; `picture` is a PNG, or empty."""
+    """What is shown of a result, computed in the thread of its job.
+
+    Attributes
+    ----------
+    result, remarks, listings
+        Result, its remarks and its tables.
+    picture
+        First figure as PNG; empty if there is none, or if charts show it.
+    """
 
     result: Result
     remarks: tuple[Remark, ...]
@@ -33,7 +41,12 @@ class Presented(NamedTuple):
     def of(cls, result: Result, *, charts: bool = False) -> Presented:
         """Compute the tables of a result, and draw its first figure.
 
-        If the page has `charts` of the result, these are in place of the figure, and tables are closed at first.
+        Parameters
+        ----------
+        result
+            Result.
+        charts
+            Whether the page has charts of it: they are in place of the figure, and tables are closed at first.
         """
         listings = result.listings()
         if charts:
@@ -63,7 +76,17 @@ def _picture_of(result: Result, resolution: int = 150) -> bytes:
 
 
 def show_result(presented: Presented, name: str) -> ui.column:
-    """Show a result in a panel, to which the page may add; `name` is that of the download."""
+    """Show a result in a panel, to which the page may add.
+
+    From top to bottom: verdict, remarks, figure, tables, and a button for the download.
+
+    Parameters
+    ----------
+    presented
+        What is shown.
+    name
+        Name of the downloaded zip file.
+    """
 
     async def download() -> None:
         archive, _ = await in_thread(presented.archive)

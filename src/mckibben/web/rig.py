@@ -84,8 +84,17 @@ class RigState(JobState):
 def checked(text: str, folder: Path) -> CheckedTest:
     """A test on the simulated rig, checked by a dry run.
 
-    Raises `ScenarioError` with all violations at their lines, and `ParameterError` for a physical rig or a test of more
-    than 5 million samples.
+    Parameters
+    ----------
+    text, folder
+        Protocol in YAML, and the folder of its files.
+
+    Raises
+    ------
+    ScenarioError
+        With all violations at their lines.
+    ParameterError
+        For a physical rig, or a test of more than 5 million samples.
     """
     test, document = parse_model(RigTest, text, source="protocol", folder=folder, confined=True)
     if test.rig.physical:
@@ -101,7 +110,17 @@ def checked(text: str, folder: Path) -> CheckedTest:
 def measure(
     state: RigState, text: str, folder: Path, shown: Callable[[str, float], None] = lambda _step, _part: None
 ) -> IsobaricDataset:
-    """Run a test that appends rows to the state; the event `vent` stops it, and whatever `shown` raises."""
+    """Run a test, appending rows to the state.
+
+    Parameters
+    ----------
+    state
+        State of the page; its event `vent` stops the test.
+    text, folder
+        Protocol in YAML, and the folder of the record, which is replaced.
+    shown
+        Called with step and part; whatever it raises stops the test.
+    """
     test = checked(text, folder.parent)
     shutil.rmtree(folder, ignore_errors=True)
     state.rows, state.points, state.old, state.total = [], 0, False, max(1, test.dry_run.plateaus)

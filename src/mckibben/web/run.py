@@ -1,4 +1,7 @@
-"""Page of runs: references, controller and gains, live plots, and the scenario as YAML."""
+"""Page of runs: references, controller and gains, live plots, and the scenario as YAML.
+
+Selects change a part of the scenario, fields its numbers, and the text all of it; every change runs it again.
+"""
 
 from __future__ import annotations
 
@@ -82,7 +85,10 @@ _HIDDEN = re.compile(r"\.(model|specimen|law|domain)\.")
 
 
 class _Page(JobPage[Workbench]):
-    """Forms and plots of one visit."""
+    """Forms and plots of one visit.
+
+    Fields and curves are those of the last scenario that ran; after an error they are grey.
+    """
 
     def __init__(self, state: Workbench, folder: Path) -> None:
         super().__init__(state, folder)
@@ -180,7 +186,19 @@ class _Page(JobPage[Workbench]):
                     quiet("Fields, curves and numbers are those of the last scenario that ran.")
 
     def change(self, make: Callable[[], Scenario], *, form: bool = True, note: str = "", scroll: bool = False) -> None:
-        """Change the scenario and run it, with a note on the change; rebuild the fields if its structure changed."""
+        """Change the scenario and run it.
+
+        Parameters
+        ----------
+        make
+            Makes the new scenario, in the thread of the job; its error is shown.
+        form
+            Whether the structure changes, so that the fields are rebuilt.
+        note
+            Remark on the change.
+        scroll
+            Whether the page scrolls to the results.
+        """
         state, folder = self.state, self.folder
 
         def run(progress: Callable[[str, float], None]) -> tuple[Scenario, dict[str, str | None], Curves, Presented]:
@@ -282,7 +300,7 @@ class _Page(JobPage[Workbench]):
         self.state.jobs.version += 1
 
     def plot(self, now: Curves) -> None:
-        """Curves of the current run over the kept ones."""
+        """Draw angle, stiffness with its attainable range, pressures and metrics of this run over kept ones."""
         time, columns, overlays = now.columns["time"], now.columns, self.state.overlays
 
         def reference(name: str, unit: float) -> Series:
@@ -319,7 +337,10 @@ def _options(scenario: Scenario) -> dict[str, str | None]:
 
 
 def _levels(label: str, now: Curves | None) -> dict[str, str]:
-    """Levels of a new reference: of the stiffness, about the mean of the present one."""
+    """Levels of a new reference as text, by the name in `SIGNALS`.
+
+    Those of the angle are fixed, those of the stiffness 0.9 and 1.1 times the mean of the present one.
+    """
     if label == "angle":
         return ANGLES
     mean = 15.0 if now is None else float(np.mean(now.columns["desired_stiffness"]))
@@ -333,11 +354,16 @@ def _section(title: str, *, opened: bool = False) -> ui.expansion:
 
 
 def _row(run: Curves) -> tuple[str, ...]:
+    """Cells of a run: name, RMSE of angle [deg] and stiffness [N*m/rad], coupling [deg], air [L], outcome."""
     names = ("angle_rmse_deg", "stiffness_rmse", "coupling_deg", "air_L")
     numbers = (f"{run.metrics[name]:.3g}" if np.isfinite(run.metrics[name]) else "-" for name in names)
     return printable(run.name, 60), *numbers, run.outcome
 
 
 def _step(value: float) -> float:
-    """Step of a field: a twentieth of the number, rounded to one digit."""
+    """Step of a field: a twentieth of the number, rounded to one digit.
+
+    >>> _step(3.7), _step(0.0)
+    (0.2, 0.1)
+    """
     return float(f"{abs(value) / 20:.0e}") or 0.1

@@ -1,4 +1,8 @@
-"""Request filter of the server: only its own pages, in a browser that was given the token, and limited size."""
+"""Request filter of the server: only its own pages, in a browser that was given the token, and limited size.
+
+It stands against pages of other sites (cross-site requests, DNS rebinding, framing), other users of the machine, and
+uploads that would fill the memory. It is no protection against programs of the same user.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +53,13 @@ class Access:
         return _equal(cookie_parser(headers.get("cookie", "")).get(self.cookie, ""), self._value)
 
     def admit(self, scope: Scope, headers: Headers) -> Response | None:
-        """Answer to an address with the token: the cookie, and the same address without it; None to others."""
+        """Answer to an address with the token: the cookie, and the same address without it; None to others.
+
+        Parameters
+        ----------
+        scope, headers
+            Request, as of ASGI, and its headers.
+        """
         if scope["type"] != "http" or scope["method"] != "GET":
             return None
         query = parse_qs(scope["query_string"].decode("latin-1"), keep_blank_values=True)
@@ -89,6 +99,15 @@ class Guard:
 
     It stands in front of all routes, also of NiceGUI's websocket and uploads: answers are 403 without access, 413 for a
     body of more than `largest` bytes, and 400 for an upload that is not a form.
+
+    Parameters
+    ----------
+    app
+        Application behind it.
+    access
+        Who may use it.
+    largest
+        Largest body [bytes].
     """
 
     def __init__(self, app: ASGIApp, access: Access, largest: int = LARGEST) -> None:

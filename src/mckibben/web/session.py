@@ -1,4 +1,7 @@
-"""State of a browser on the server, computations in threads, and long jobs with progress."""
+"""State of a browser on the server, computations in threads, and long jobs with progress.
+
+The state lives in memory until the server ends; a job goes on while its page is closed.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +59,13 @@ _sessions: OrderedDict[str, Session] = OrderedDict()
 
 
 def session(most: int = 32) -> Session:
-    """The session of the requesting browser; of more than `most`, the least recently used one ends."""
+    """Session of the requesting browser, which is created at its first request.
+
+    Parameters
+    ----------
+    most
+        Most sessions; beyond, the least recently used one ends.
+    """
     name = app.storage.browser["id"]
     visitor = _sessions.pop(name, None) or Session()
     _sessions[name] = visitor
@@ -113,7 +122,12 @@ async def in_thread(function: Callable[..., T], *arguments: object) -> tuple[T, 
 class Latest(Generic[T]):
     """A computation for rapidly changing input: it uses the newest arguments and skips intermediate ones.
 
-    `show` gets each result, `fail` each `McKibbenError`, both on the event loop.
+    Parameters
+    ----------
+    compute
+        Computation, run in a thread.
+    show, fail
+        Get each result and each `McKibbenError`, on the event loop.
     """
 
     def __init__(self, compute: Callable[..., T], show: Callable[[T], None], fail: Callable[[Exception], None]) -> None:
@@ -143,7 +157,12 @@ class Latest(Generic[T]):
 class Jobs:
     """At most one job per page: it continues when the page is closed, and a reloaded page shows its progress.
 
-    `version` increases whenever there is something new to show.
+    Attributes
+    ----------
+    version
+        Increases whenever there is something new to show.
+    step, part, began
+        What the job does, the part that is done, 0 to 1, and its start [s, monotonic].
     """
 
     def __init__(self) -> None:
@@ -167,7 +186,17 @@ class Jobs:
         done: Callable[[T, list[str]], None],
         fail: Callable[[McKibbenError], None],
     ) -> None:
-        """Compute in a thread, replacing a running job; then call `done` with the warnings, or `fail`."""
+        """Compute in a thread, replacing a running job.
+
+        Parameters
+        ----------
+        compute
+            Gets a function that takes step and part, and raises if the job was cancelled.
+        done
+            Called on the event loop with the result and the texts of warnings.
+        fail
+            Called with a `McKibbenError` instead.
+        """
         self._number += 1
         number = self._running = self._number
         self.step, self.part, self.began = "", 0.0, time.monotonic()
@@ -204,7 +233,15 @@ class Jobs:
 
 @dataclass
 class JobState:
-    """State of a page with jobs: the error of the last one, or its remarks."""
+    """State of a page with jobs.
+
+    Attributes
+    ----------
+    error, notes
+        Error of the last job, or its remarks.
+    jobs
+        Its jobs.
+    """
 
     error: McKibbenError | None = None
     notes: list[str] = field(default_factory=list)

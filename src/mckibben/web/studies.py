@@ -1,4 +1,4 @@
-"""Tuning and comparison of controllers for the page Tune, within its budget."""
+"""Tuning and comparison of controllers for the page Tune, of at most `MOST_STEPS` integration steps."""
 
 from __future__ import annotations
 
@@ -29,10 +29,16 @@ class TuningRequest:
 
     Attributes
     ----------
+    cost
+        Sum of metrics, each divided by its scale.
+    gain_margin
+        Factor on the gains up to which the cost is covered [-].
     over
         One parameter and its range per line; all gains if empty.
+    method, iterations, seed
+        Search, its generations or steps, and its seed.
     disk_margin
-        Least disk margin [-]; that of the first gains if empty.
+        Least disk margin [-] as text; that of the first gains if empty.
     """
 
     cost: str = DEFAULT_COST
@@ -46,9 +52,17 @@ class TuningRequest:
 
 @dataclass
 class ComparisonRequest:
-    """Input of a comparison; `conditions` has one parameter and its range per line.
+    """Input of a comparison.
 
-    Without conditions, those of `Suite.of` vary: the strength of each muscle, and the masses of the load.
+    Attributes
+    ----------
+    controllers
+        Kinds to compare with, keys of `CONTROLLERS`.
+    conditions
+        One parameter and its range per line. If empty, those of `Suite.of` vary: the strength of each muscle, and the
+        masses of the load.
+    runs, generations
+        Unseen runs, and generations of each search.
     """
 
     controllers: tuple[str, ...] = ("two PID loops", "model inversion (decoupling)")
@@ -58,7 +72,17 @@ class ComparisonRequest:
 
 
 class Study(NamedTuple):
-    """Result of a study of a scenario: the text of that, and the scenarios that can be run, by name."""
+    """Result of a study.
+
+    Attributes
+    ----------
+    presented
+        What is shown.
+    text
+        The scenario that was studied.
+    scenarios
+        Scenarios that can be run, by name: the tuned one, or the best of each controller.
+    """
 
     presented: Presented
     text: str
@@ -70,6 +94,7 @@ def _lines(text: str) -> list[str]:
 
 
 def _check_budget(scenario: Scenario, runs: float) -> None:
+    """Raise `ParameterError` if runs of a scenario have more than `MOST_STEPS` integration steps."""
     steps = runs * steps_of(scenario)
     if steps > MOST_STEPS:
         message = f"the study has {steps:.2g} integration steps, more than {MOST_STEPS:.2g}"
@@ -78,7 +103,22 @@ def _check_budget(scenario: Scenario, runs: float) -> None:
 
 
 def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Study:
-    """Tune a scenario as `mckibben tune` does; raises `McKibbenError` for mistakes of text or request."""
+    """Tune a scenario as `mckibben tune` does.
+
+    Parameters
+    ----------
+    text, folder
+        Scenario, and the folder of its files.
+    request
+        Input of the page.
+    progress
+        Called with step and part; whatever it raises ends the study.
+
+    Raises
+    ------
+    McKibbenError
+        For mistakes of text or request.
+    """
     progress("compiling", 0.0)
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
@@ -104,7 +144,19 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
 def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Study:
     """Compare the controller of a scenario with other kinds as `mckibben compare` does, on its joint and reference.
 
-    Raises `ParameterError` if there is no other kind, or the runs have more than `MOST_STEPS` integration steps.
+    Parameters
+    ----------
+    text, folder
+        Scenario, and the folder of its files.
+    request
+        Input of the page.
+    progress
+        Called with step and part; whatever it raises ends the study.
+
+    Raises
+    ------
+    ParameterError
+        If there is no other kind, or the runs have more than `MOST_STEPS` integration steps.
     """
     progress("compiling", 0.0)
     scenario = parse(text, folder)

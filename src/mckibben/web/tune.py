@@ -1,4 +1,7 @@
-"""Tune page: gains of the scenario of the page Run, and its comparison with other controllers."""
+"""Tune page: gains of the scenario of the page Run, and its comparison with other controllers.
+
+Both are studies of `mckibben.web.studies` with limited size; their scenarios open on the page Run.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +42,15 @@ from mckibben.web.workbench import CONTROLLERS, Workbench, parse
 
 @dataclass
 class StudyState(JobState):
-    """State of the page."""
+    """State of the page.
+
+    Attributes
+    ----------
+    tuning, comparison
+        Inputs of both studies.
+    results
+        Tuning and comparison by name, the newest first.
+    """
 
     tuning: TuningRequest = field(default_factory=TuningRequest)
     comparison: ComparisonRequest = field(default_factory=ComparisonRequest)
@@ -132,7 +143,17 @@ class _Page(JobPage[StudyState]):
         request: TuningRequest | ComparisonRequest,
         fields: list[NumberField],
     ) -> None:
-        """Compute a study, at most one at a time, and store its result in the state under a name."""
+        """Compute a study, at most one at a time.
+
+        Parameters
+        ----------
+        name
+            Key of its result in the state.
+        compute, request
+            Study, and its input.
+        fields
+            Number fields, which have to be valid.
+        """
         state, text, folder = self.state, self.text(), self.folder
         if wrong := [field.label for field in fields if field.error]:
             ui.notify(f"correct first: {', '.join(map(str, wrong))}", type="negative")
@@ -184,6 +205,7 @@ class _Page(JobPage[StudyState]):
 
 
 def _lines(label: str, on: TuningRequest | ComparisonRequest, name: str) -> None:
+    """A field of several lines, bound to an attribute of a request."""
     ui.textarea(label).props("dense autogrow maxlength=4000").classes("w-full mono").mark(name).bind_value(on, name)
 
 

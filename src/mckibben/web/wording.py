@@ -30,7 +30,13 @@ _READERS = {
 
 
 def on_page(text: str) -> str:
-    """A remedy in terms of the fields of the page."""
+    """A remedy in terms of the fields of the page.
+
+    Python arguments become fields or lines of a recipe, options of the command line are left out.
+
+    >>> on_page("name it: columns={'p': 'pressure_bar'} (command line: --column 'p=pressure_bar')")
+    'name it: p = pressure_bar (columns)'
+    """
     for ours, shown in _INSTEAD.items():
         text = text.replace(ours, shown)
     text = _COLUMNS.sub(lambda match: _PAIR.sub(r"\1 = \2", match[1]) + " (columns)", _ELSEWHERE.sub("", text))
@@ -39,7 +45,11 @@ def on_page(text: str) -> str:
 
 
 def quotes(text: str) -> str:
-    """A text with the pages in place of commands that read a file, and quotation marks around what is code."""
+    """A text with the pages in place of commands that read a file, and quotation marks around what is code.
+
+    >>> quotes("change `mass2`")
+    'change “mass2”'
+    """
     for ours, shown in _READERS.items():
         text = text.replace(ours, shown)
     return re.sub("`([^`]*)`", r"“\1”", text)
