@@ -90,12 +90,6 @@ def test_the_loop_is_the_linear_one_that_was_designed(run, plant, controllers):
     np.testing.assert_allclose(error, 0.5 * (1 + wt + wt**2 / 2) * np.exp(-wt), atol=0.015)
 
 
-def test_it_stands_still_where_it_stands(run, plant, controllers):
-    record, _ = run(plant, controllers["observer"], 0.0, 15.0, start=15.0)
-    np.testing.assert_allclose(record.state.angle, 0.0, atol=1e-9)
-    np.testing.assert_allclose(record.commands[0], record.commands[0][0], atol=1.0)
-
-
 def test_a_step_of_stiffness_hardly_moves_the_angle(run, plant, controllers, knee, load):
     """From next to the lowest to next to the highest attainable, while moving; a tenth of the PID's is asked for."""
     low, high = (float(k) for k in knee.attainable_stiffness(0.0, -load.gravity_torque(0.0), minimum_tension=5.0))

@@ -103,19 +103,6 @@ def test_the_error_of_a_repeated_sine_falls(run, plant, alone):
     assert (np.diff(learnt) < 0).all()
 
 
-@pytest.mark.slow
-def test_a_right_model_leaves_little_to_learn(run, plant, alone, modelled):
-    assert by_cycle(run(plant, rated(modelled, 0.0))).max() < 0.02 * by_cycle(run(plant, rated(alone, 0.0)))[-1]
-    assert by_cycle(run(plant, modelled)).max() < 0.05
-
-
-def test_what_a_model_has_wrong_is_learned_on_top_of_it(run, plant, load, modelled):
-    wrong = other(plant, load)
-    without, learnt = by_cycle(run(wrong, rated(modelled, 0.0))), by_cycle(run(wrong, rated(modelled, 1000.0)))
-    assert learnt[-1] < 0.75 * without[-1]
-    assert learnt[0] < without[0]  # it does no harm while it learns
-
-
 def test_no_rate_makes_it_run_away_where_nothing_is_as_believed(run, plant, load, modelled):
     """Mass, valves and each muscle's law are off; rates go up to one per control period."""
     rng = np.random.default_rng(3)

@@ -130,25 +130,6 @@ def adapting(run, knee, load):
     return adapting
 
 
-def estimated(record):
-    return np.stack([record.telemetry["strength1_estimate"], record.telemetry["strength2_estimate"]])
-
-
-@pytest.mark.slow
-def test_in_the_loop_it_comes_to_the_true_strengths(adapting):
-    """Which muscle is the stronger is told at once; how strong both are only by the load that they speed up."""
-    for sensors, ratio, both in ((CLEAN, 0.006, 0.02), (SENSORS, 0.01, 0.03)):
-        strengths = estimated(adapting(0.06, sensors=sensors))
-        np.testing.assert_array_equal(strengths[:, :250], 1.0)
-        assert strengths[0, -1] / strengths[1, -1] == pytest.approx(TRUTH[0] / TRUTH[1], rel=ratio)
-        assert strengths[:, -1].mean() == pytest.approx(np.mean(TRUTH), abs=both)
-
-
-@pytest.mark.slow
-def test_in_the_loop_it_stays_with_a_model_that_is_right(adapting):
-    np.testing.assert_allclose(estimated(adapting(0.06, (1.0, 1.0))), 1.0, atol=0.008)
-
-
 @pytest.mark.slow
 def test_a_corrected_law_gives_a_truer_stiffness(adapting, knee):
     true = eqx.filter_jit(with_strengths(knee, TRUTH).stiffness)
