@@ -63,7 +63,7 @@ def _text(name: str) -> str:
     return (resources.files("mckibben.paper") / name).read_text(encoding="utf-8")
 
 
-SETTINGS = tuple(Setting(**{"key": key, **table}) for key, table in tomllib.loads(_text("settings.toml")).items())
+SETTINGS = tuple(Setting(key=key, **table) for key, table in tomllib.loads(_text("settings.toml")).items())
 AS_PRINTED, PRE_CONTRACTED = SETTINGS
 
 STEP_TIME = "5 s"
