@@ -70,7 +70,6 @@ LAW = mk.catalog.law("lei-mas-10-180n")
         (lambda: LAW.force({}, 2e5), "SI units"),  # type: ignore[arg-type]
         (lambda: mk.Fit("fit.yaml"), "Fit.from_yaml('fit.yaml')"),  # type: ignore[arg-type, call-arg]
         (lambda: mk.catalog.specimen(["x"]), "str"),  # type: ignore[arg-type]
-        (lambda: mk.scenario("joint.yaml"), "Scenario.read"),  # type: ignore[operator]
         (lambda: mk.rank(DATA, "all"), "ExponentialLaw"),  # type: ignore[arg-type]
         (lambda: mk.Reference(0.0, "13"), "SI units"),
         (lambda: mk.identify_with_friction(mk.ExponentialLaw, DATA).predict(0.1), "contraction, pressure"),  # type: ignore[call-arg]

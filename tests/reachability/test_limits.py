@@ -34,14 +34,14 @@ def test_measured_pressures_limit_a_muscle_unless_its_law_is_extrapolated():
     muscle = scenario().joint.muscle1
     assert (muscle.domain.pressure_min, muscle.domain.pressure_max) == (2 * bar, 5 * bar)
     assert not muscle.extrapolation
-    further = scenario().with_extrapolation().joint.muscle1
+    further = scenario(extrapolate=True).joint.muscle1
     assert (further.domain.pressure_min, further.domain.pressure_max) == (0.0, 8 * bar)
     assert further.domain.contraction_max == MEASURED.contraction_max
     assert "2..5 bar" in further.extrapolation and "0..8 bar" in further.extrapolation
 
 
 def test_extrapolation_is_part_of_a_file():
-    further = scenario().with_extrapolation()
+    further = scenario(extrapolate=True)
     assert Scenario.parse(further.dumps()).joint.muscle1 == further.joint.muscle1
     assert "extrapolate" in further.dumps() and "extrapolate" not in scenario().dumps()
 
@@ -52,7 +52,7 @@ def test_the_envelope_names_what_limits_it():
     lowest, highest, offer = (remark.text for remark in found.remarks())
     assert "the lowest measured pressure (2 bar)" in lowest and "the highest measured pressure (5 bar)" in highest
     assert "extrapolate: true" in offer
-    further = envelope(scenario().with_extrapolation())
+    further = envelope(scenario(extrapolate=True))
     texts = [remark.text for remark in further.remarks()]
     assert "measured pressure" not in " ".join(texts[:2])
     assert further.scenario.joint.muscle1.extrapolation in texts
@@ -71,7 +71,7 @@ def test_the_supply_of_a_valve_is_named():
 
 @pytest.mark.slow
 def test_simulation_and_envelope_have_the_same_limits():
-    for each in (scenario(), scenario().with_extrapolation()):
+    for each in (scenario(), scenario(extrapolate=True)):
         result = run_scenario(each)
         feasibility = result.feasibility
         static = static_envelope(each.plant(), about=float(result["desired_angle"][0]))

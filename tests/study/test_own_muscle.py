@@ -9,7 +9,7 @@ import pytest
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.identification import read_law
-from mckibben.scenario import Scenario, edit_scenario, muscle_text
+from mckibben.scenario import Scenario, edit_scenario, write_muscle
 from mckibben.study.rig.document import RigTest, build_muscle, build_setup
 from mckibben.units import bar, mm
 
@@ -127,19 +127,22 @@ def test_the_rig_tests_a_muscle_from_its_file(tmp_path):
 
 def test_a_muscle_file_is_written_from_what_is_known(tmp_path):
     friction = mk.MaxwellSlip(half_width=7.0, presliding_length=0.5 * mm)
-    law = str(FOLDER / "fit" / "fit.yaml")
-    (tmp_path / "muscle.yaml").write_text(muscle_text(law, specimen="mine", initial_length=0.3, friction=friction))
+    path, known = tmp_path / "muscle.yaml", {"law": str(FOLDER / "fit" / "fit.yaml"), "friction": friction}
+    law = read_law(FOLDER / "fit" / "fit.yaml")
+    assert write_muscle(path, law, specimen="mine", initial_length=0.3, volume=1e-4, **known)
     muscle = built("muscle.yaml", tmp_path)
     assert (muscle.specimen.name, muscle.specimen.initial_length) == ("mine", 0.3)
     assert float(muscle.friction.half_width) == 7.0
-    guessed = muscle_text(
-        law, specimen="mine", initial_length=0.3, friction=friction, undetermined=["presliding_length"]
+    assert float(muscle.specimen.volume(0.0)) == pytest.approx(1e-4)
+    assert write_muscle(
+        path, law, specimen="mine", initial_length=0.3, undetermined=["presliding_length"], **known
     )
-    (tmp_path / "guessed.yaml").write_text(guessed)
-    assert float(built("guessed.yaml", tmp_path).friction.presliding_length) == 0.5 * mm
-    assert any(line.startswith("#") and "presliding_length" in line for line in guessed.splitlines())
-    assert "specimen: DMSP-10-250" in muscle_text(law, specimen="DMSP-10-250", initial_length=None)
-    assert muscle_text(law, specimen="mine", initial_length=None) == ""
+    assert float(built("muscle.yaml", tmp_path).friction.presliding_length) == 0.5 * mm
+    assert any(line.startswith("#") and "presliding_length" in line for line in path.read_text().splitlines())
+    assert write_muscle(path, law, specimen="DMSP-10-250", initial_length=None, **known)
+    assert "specimen: DMSP-10-250" in path.read_text()
+    path.unlink()
+    assert not write_muscle(path, law, specimen="mine", initial_length=None, **known) and not path.exists()
 
 
 def test_a_valve_with_air_needs_the_volume_of_the_muscle():

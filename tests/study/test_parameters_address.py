@@ -98,9 +98,9 @@ def test_every_listed_name_finds_itself_and_nominal_values_are_allowed(scenario)
     ("name", "why"),
     [
         ("duration", "one number for all runs"),
-        ("name", "a text"),
+        ("name", "not a number"),
         ("joint.muscle.specimen", "a group of parameters"),
-        ("load.hanging", "true or false"),
+        ("load.hanging", "not a number"),
         ("controller.position.hidden", "size of what is compiled"),
         ("joint.tendon.stiffness", "tendon, of class rigid"),
         ("friction.torque", "the scenario has none"),

@@ -1,11 +1,6 @@
 """Scenario files: one run of a controller on a joint; parameters of scenarios by name."""
 
-import sys
-from types import ModuleType
-from typing import NoReturn
-
-from mckibben.errors import CallError
-from mckibben.scenario.muscle import muscle_text, read_specimen, write_muscle
+from mckibben.scenario.muscle import read_specimen, write_muscle
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
 from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario, with_run
 from mckibben.scenario.values import (
@@ -17,17 +12,6 @@ from mckibben.scenario.values import (
     valid_rows,
     with_values,
 )
-
-
-class _Module(ModuleType):
-    """Module that is also ``mk.scenario``: a call of it names the class."""
-
-    def __call__(self, *_: object, **__: object) -> NoReturn:
-        remedy = "write Scenario(name=..., joint=..., ...), or Scenario.read(path)"
-        raise CallError("scenario is a module, and Scenario is the class", remedy=remedy)
-
-
-sys.modules[__name__].__class__ = _Module
 
 __all__ = [
     "ModelFollows",
@@ -42,7 +26,6 @@ __all__ = [
     "followed_names",
     "initial_state",
     "list_parameters",
-    "muscle_text",
     "read_specimen",
     "run_many",
     "run_scenario",

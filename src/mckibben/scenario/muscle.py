@@ -36,41 +36,6 @@ def read_specimen(path: str | os.PathLike[str]) -> Specimen:
     return read_component(Specimen, Path(path), key="specimen")
 
 
-def muscle_text(
-    law: str | dict[str, str],
-    *,
-    specimen: str,
-    initial_length: float | None,
-    friction: MaxwellSlip | None = None,
-    undetermined: Sequence[str] = (),
-    volume: tuple[float, ...] | None = None,
-) -> str:
-    """Return the text of a muscle's file, its law a reference or a section.
-
-    It is empty if neither the catalog nor the data give the initial length [m]. A comment names the undetermined
-    parameters of the friction. `volume` are `Specimen.volume_terms`.
-    """
-    name = specimen or "my muscle"
-    known = catalog.specimen(name) if name in catalog.names("specimens") else None
-    if known is None and initial_length is None:
-        return ""
-    section: Any = name
-    if known is None or initial_length not in (None, float(known.initial_length)):
-        length = write(Specimen(name, initial_length or 0.0))["initial_length"]
-        section = {"name" if known is None else "from": name, "initial_length": length}
-    if volume is not None:
-        terms = write(Specimen(name, initial_length or 1.0, volume_terms=volume))["volume_terms"]
-        section = {"from": section} if isinstance(section, str) else section
-        section |= {"volume_terms": terms}
-    data = {"specimen": section, "law": law}
-    return (
-        _HEAD
-        + (_VOLUME if volume else "")
-        + (_UNDETERMINED.format(" and ".join(undetermined)) if undetermined else "")
-        + to_text(data if friction is None else {**data, "friction": write(friction)})
-    )
-
-
 def write_muscle(
     path: Path,
     identified: ForceLaw,
@@ -82,20 +47,44 @@ def write_muscle(
     friction: MaxwellSlip | None = None,
     undetermined: Sequence[str] = (),
 ) -> bool:
-    """Write the `muscle_text` of an identified law, replacing a file; False if it is empty, and nothing is written.
+    """Write the muscle file of an identified law, replacing a file.
 
-    A volume [m^3] of the air at contraction 0 gives the muscle `volume_terms`, if its initial length [m] is known.
+    Without a specimen of the catalog and an initial length [m], nothing is written, and the answer is False. A comment
+    names the undetermined parameters of the friction.
+
+    Parameters
+    ----------
+    path
+        File to write.
+    identified
+        Law whose work per pressure gives the volume at other contractions.
+    specimen
+        Name of the specimen, of the catalog or another one; empty for "my muscle".
+    initial_length
+        Initial length of the data [m]; None for that of the catalog.
+    volume
+        Volume of the air at contraction 0 [m^3]; it gives the muscle `Specimen.volume_terms` if its initial length is
+        known.
+    law
+        Reference to the law, relative to the file, or its section.
+    friction, undetermined
+        Friction of the muscle, and the names of its parameters that the data do not determine.
     """
-    terms = volume_terms(identified, initial_length, volume) if initial_length and volume is not None else None
-    text = muscle_text(
-        law,
-        specimen=specimen,
-        initial_length=initial_length,
-        friction=friction,
-        undetermined=undetermined,
-        volume=terms,
-    )
-    if text:
-        with atomic_write(path, overwrite=True) as part:
-            part.write_text(text, encoding="utf-8")
-    return bool(text)
+    name = specimen or "my muscle"
+    known = catalog.specimen(name) if name in catalog.names("specimens") else None
+    if known is None and initial_length is None:
+        return False
+    section: dict[str, Any] = {"from": name}
+    if known is None or initial_length not in (None, float(known.initial_length)):
+        length = write(Specimen(name, initial_length or 0.0))["initial_length"]
+        section = {"name" if known is None else "from": name, "initial_length": length}
+    head = _HEAD + (_UNDETERMINED.format(" and ".join(undetermined)) if undetermined else "")
+    if initial_length and volume is not None:
+        terms = volume_terms(identified, initial_length, volume)
+        section |= {"volume_terms": write(Specimen(name, initial_length, volume_terms=terms))["volume_terms"]}
+        head += _VOLUME
+    data = {"specimen": name if section == {"from": name} else section, "law": law}
+    data |= {} if friction is None else {"friction": write(friction)}
+    with atomic_write(path, overwrite=True) as part:
+        part.write_text(head + to_text(data), encoding="utf-8")
+    return True

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple, Self, get_args, get_origin
+from typing import Any, NamedTuple, Self, get_args
 
 from pydantic.fields import FieldInfo
 
 from mckibben.component.base import Component, Units
 from mckibben.component.classes import class_name
 from mckibben.component.schema import component_field, declared_fields, field_types, inherited_fields
-from mckibben.config.fields import OneOf
 from mckibben.control import Constant, Signal
 from mckibben.errors import ParameterError, closest, quoted
 from mckibben.scenario.scenario import Scenario, Start
@@ -64,7 +63,7 @@ class _Parameters:
         elif value is None:
             self.refused[key] = _ABSENT
         else:
-            self.refused[key] = (_TIMING, _IN_FILE) if mark else ("it is a text", _NOT_NUMERIC)
+            self.refused[key] = (_TIMING, _IN_FILE) if mark else ("it is not a number", _NOT_NUMERIC)
 
     def _add(self, name: str, places: tuple[Place, ...], mark: Mark, nominal: Any, *, listed: bool = True) -> None:
         """Add a parameter; one that is not listed can be varied, too."""
@@ -117,7 +116,7 @@ class _Parameters:
                 self._add(f"{name}.{index}", _below(places, index), mark, number, listed=part.listed)
             self.refused[name] = "it is a list", f"vary an item of it, such as {name}.0"
         else:
-            self.refused[name] = _ABSENT if value is None else (_what_it_is(form), _NOT_NUMERIC)
+            self.refused[name] = _ABSENT if value is None else ("it is not a number", _NOT_NUMERIC)
 
 
 class _Part(NamedTuple):
@@ -157,15 +156,6 @@ def _mark(form: Any) -> Mark | None:
     """Numeric annotation of a field; None for others."""
     marks = getattr(form, "__metadata__", ())
     return next((mark for mark in marks if isinstance(mark, Mark)), None)
-
-
-def _what_it_is(form: Any) -> str:
-    if any(isinstance(mark, OneOf) for mark in getattr(form, "__metadata__", ())):
-        return "it is a choice of words"
-    kind = get_args(form)[0] if getattr(form, "__metadata__", ()) else form
-    return {bool: "it is true or false", float: "it is a plain number without a range"}.get(
-        kind, "it is a list" if get_origin(form) is tuple else "it is a text"
-    )
 
 
 LISTING = "`mckibben sweep SCENARIO.yaml --list` shows all"
@@ -293,40 +283,26 @@ def find_parameters(scenario: Scenario, names: Iterable[str]) -> list[ScenarioPa
 
 
 def _resolve(parameters: _Parameters, name: str) -> ScenarioParameter:
+    """Parameter by its name or the unique end of it; `ParameterError` says what is there instead."""
     spelling = name.strip()
-    canonical = parameters.spellings.get(spelling)
-    ending = [listed for listed in parameters.listed if listed.endswith(f".{spelling}")]
-    if canonical is None and len(ending) == 1:
-        canonical = ending[0]
-    if canonical is not None:
+    endings = [known for known in parameters.listed if known.endswith(f".{spelling}")]
+    canonical = parameters.spellings.get(spelling, endings[0] if len(endings) == 1 else "")
+    if canonical:
         return ScenarioParameter(canonical, *parameters.numbers[canonical])
     keys = spelling.split(".")
-    for depth in range(len(keys), 0, -1):
-        reason = parameters.refused.get(".".join(keys[:depth]))
-        if reason is not None:
-            raise ParameterError(f"{quoted(spelling)} cannot be varied: {reason[0]}", value=name, remedy=reason[1])
-    below = [known for known in parameters.numbers if known.startswith(f"{spelling}.")]
-    if below and spelling:
-        message = f"{quoted(spelling)} is a group of parameters"
-        raise ParameterError(message, value=name, remedy=f"choose one, such as {below[0]}; {LISTING}")
-    if len(ending) > 1:
-        raise ParameterError(
-            f"{quoted(spelling)} is the end of several names", value=name, remedy=f"write {' or '.join(ending[:3])}"
-        )
-    for depth in range(len(keys) - 1, 0, -1):
-        around, rest = ".".join(keys[:depth]), ".".join(keys[depth:])
-        if around in parameters.parts:
-            own = {known[len(around) + 1 :]: known for known in parameters.numbers if known.startswith(f"{around}.")}
-            close = [own[key] for key in _close(rest, list(own))]
-            remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
-            what = f"{around}, of class {class_name(type(parameters.parts[around]))}, has no parameter {quoted(rest)}"
-            raise ParameterError(what, value=name, remedy=remedy)
-    close = _close(spelling, list(parameters.spellings))
-    remedy = f"did you mean {' or '.join(map(repr, close))}? {LISTING}" if close else LISTING
-    raise ParameterError(f"the scenario has no parameter {quoted(spelling)}", value=name, remedy=remedy)
-
-
-def _close(name: str, known: list[str]) -> list[str]:
-    """Names that end with a name, or the one closest to it."""
-    ending = [other for other in known if other.endswith(f".{name}")]
-    return ending[:2] or [nearest for nearest in (closest(name, known),) if nearest]
+    starts = [".".join(keys[:depth]) for depth in range(len(keys), 0, -1)]
+    if refused := next((start for start in starts if start in parameters.refused), ""):
+        reason, remedy = parameters.refused[refused]
+        raise ParameterError(f"{quoted(spelling)} cannot be varied: {reason}", value=name, remedy=remedy)
+    part = next((start for start in starts if start in parameters.parts), "")
+    inside = [known for known in parameters.spellings if known.startswith(f"{part}.")] if part else []
+    if part == spelling or len(endings) > 1:
+        message = f"{quoted(spelling)} is {'the end of several names' if endings else 'a group of parameters'}"
+        nearest = endings or inside
+    else:
+        kind = f"{part}, of class {class_name(type(parameters.parts[part]))}," if part else "the scenario"
+        message = f"{kind} has no parameter {quoted(spelling[len(part) :].lstrip('.'))}"
+        last = [known for known in inside if known.endswith(f".{keys[-1]}")]
+        nearest = last or list(filter(None, [closest(spelling, inside or list(parameters.spellings))]))
+    remedy = f"did you mean {' or '.join(map(repr, nearest[:3]))}? {LISTING}" if nearest else LISTING
+    raise ParameterError(message, value=name, remedy=remedy)

@@ -8,7 +8,7 @@ import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import is_dataclass, replace
+from dataclasses import is_dataclass
 from html import escape
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -280,11 +280,6 @@ class Scenario(RunSettings):
     def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
         """Write controller or plant for another program, see `mckibben.export.export`."""
         return _above("export").export(self, target, out, **options)
-
-    def with_extrapolation(self) -> Scenario:
-        """Return the scenario with force laws applied at all pressures of their specimens (`Muscle.extrapolate`)."""
-        muscles = {name: replace(getattr(self.joint, name), extrapolate=True) for name in ("muscle1", "muscle2")}
-        return self.model_copy(update={"joint": replace(self.joint, **muscles)})
 
     def reference(self) -> Reference:
         """Return angle and stiffness references over time."""
