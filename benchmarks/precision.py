@@ -48,7 +48,7 @@ def solver(problem: Problem, substeps: int) -> Callable[[], Angles]:
     """The native loop with a number of steps per control period."""
     start = problem.plant.complete_state(problem.start)
     parts = numeric((problem.plant, problem.pid, problem.setpoints, start))
-    return lambda: np.asarray(run_alone("auto", *parts, np.float64(PERIOD), substeps)[0][1].state.angle)
+    return lambda: np.asarray(run_alone("auto", (*parts, np.float64(PERIOD), np.asarray(substeps)))[0][1].state.angle)
 
 
 def measured(name: str, run: Callable[[], Angles], truth: Angles, rounds: int) -> Row:

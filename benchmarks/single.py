@@ -14,7 +14,7 @@ from timing import Bench
 
 from mckibben import simulate
 from mckibben.numerics.compiled import numeric
-from mckibben.simulation.engine import native_episode
+from mckibben.simulation.engine import run_alone
 
 SAME = 1e-9  # rad
 BASE = "plain C"
@@ -43,7 +43,7 @@ def single(problem: Problem, folder: Path, *, quick: bool) -> Table:
 
     def program() -> Candidate:
         parts = numeric((problem.plant, problem.pid, problem.setpoints, problem.start))
-        compute = native_episode.bound((*parts, np.float64(PERIOD), np.asarray(SUBSTEPS)))
+        compute = run_alone.native.bound((*parts, np.float64(PERIOD), np.asarray(SUBSTEPS)))
         note = "arguments packed beforehand, as for plain C; all records kept"
         return candidate("ours, native program", lambda: compute()[1].state.angle, note)
 

@@ -23,7 +23,6 @@ import xarray as xr
 from mckibben import catalog
 from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.codegen import cuda
-from mckibben.codegen.native import NativeFunction
 from mckibben.component import extensions
 from mckibben.control import Controller
 from mckibben.errors import DeviceError
@@ -31,8 +30,8 @@ from mckibben.joint import AntagonisticJoint
 from mckibben.leg import simulate as leg_runs
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant
-from mckibben.simulation import Batch, Metrics, Outcome, batch, compiled_episode, episode
-from mckibben.simulation.engine import compute_with
+from mckibben.simulation import Batch, Metrics, Outcome, batch
+from mckibben.simulation.engine import run_alone
 from mckibben.simulation.outcome import OUTCOMES
 
 FILES = itertools.count(1)  # with tests, of this process
@@ -262,17 +261,12 @@ def playback():
     return Playback()
 
 
-@NativeFunction
-def _episode(parts, _):
-    return episode(*parts)
-
-
 @pytest.fixture(scope="session")
 def short_episode():
     """`episode` by the engine of `simulate`, in C compiled in a fraction of XLA's time; give it `numeric` arguments."""
 
     def short_episode(*parts):
-        return compute_with("auto", lambda: _episode(parts), lambda: compiled_episode(*parts))[0]
+        return run_alone("auto", parts)[0]
 
     return short_episode
 

@@ -11,15 +11,13 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from mckibben.actuator import FirstOrderValve
-from mckibben.codegen.native import NativeFunction
 from mckibben.control import Setpoint
 from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellCreep
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation import compiled_episode, episode
-from mckibben.simulation.engine import compute_with
+from mckibben.simulation.engine import run_alone
 from mckibben.units import mm
 
 PERIODS, PERIOD = 1000, 1e-3
@@ -88,9 +86,7 @@ def test_creep_after_steps_of_the_pressure_moves_as_scipy_has_it(engine, knee, l
     first = (0.0, 0.0, 0.0, 0.0, P1, P2, P1, P2)
     expected = solve_ivp(rate, (0, times[-1]), first, t_eval=times, rtol=1e-11, atol=1e-9, method="DOP853").y
     held = Setpoint(*(jnp.full(PERIODS, p) for p in steps))
-    parts = (plant, playback, held, numeric(start), jnp.asarray(PERIOD), 4)
-    natively = NativeFunction(lambda parts, _: episode(*parts))
-    state = compute_with(engine, lambda: natively(parts), lambda: compiled_episode(*parts))[0][1].state
+    state = run_alone(engine, (plant, playback, held, numeric(start), jnp.asarray(PERIOD), 4))[0][1].state
     delayed = np.array([muscle.creep[1] for muscle in state.muscles])
     assert np.ptp(expected[0]) > math.radians(1) and np.ptp(expected[4:6], axis=1).min() > 4e4
     np.testing.assert_allclose(state.angle, expected[0], atol=1e-8)

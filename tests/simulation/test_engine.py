@@ -12,7 +12,7 @@ from mckibben.codegen.native import compiler
 from mckibben.errors import McKibbenWarning, ParameterError
 from mckibben.scenario import Scenario
 from mckibben.simulation import feasibility, problem
-from mckibben.simulation.engine import NATIVE, VECTOR, chunk_size, native_episode
+from mckibben.simulation.engine import NATIVE, VECTOR, chunk_size, run_alone
 from mckibben.simulation.software import software
 
 SIMULATE = importlib.import_module("mckibben.simulation.simulate")  # the package has a function of the same name
@@ -164,8 +164,8 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setattr(native, "compiler", lambda: "false")
     monkeypatch.setattr(native, "_WARNED", [])
-    for one in (SIMULATE._native_start, feasibility.static_bands._native, problem._each_sample._native, native_episode):
-        monkeypatch.setattr(one, "_known", {})
+    for function in (SIMULATE._start, feasibility.static_bands, problem._each_sample, run_alone):
+        monkeypatch.setattr(function.native, "_known", {})
     with pytest.warns(McKibbenWarning):
         assert mk.simulate(*parts, initial=scenario.initial(plant), **timing(scenario)).engine == "xla"
 

@@ -171,9 +171,9 @@ def simulate_leg(
     solutions: list[tuple[tuple[Any, Record], str]] = []
 
     def solve(number: int, _: Any = None) -> Positions:
-        found = run_alone(engine, run.plant, run.controller, times, run.start, np.asarray(control_period), number)
-        solutions[:] = [found]
-        at = found[0][1].state
+        parts = run.plant, run.controller, times, run.start, np.asarray(control_period), np.asarray(number)
+        solutions[:] = [run_alone(engine, parts)]
+        at = solutions[0][0][1].state
         return np.stack([at.x, at.z, at.pitch, *at.angle])[..., None]
 
     if substeps is None:

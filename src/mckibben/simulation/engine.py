@@ -8,18 +8,16 @@ from typing import Any, TypeVar
 
 import jax
 import numpy as np
-from jaxtyping import ArrayLike, PyTree
+from jaxtyping import PyTree
 from numpy.typing import DTypeLike, NDArray
 
 from mckibben.codegen.cuda import CudaFunction, device
 from mckibben.codegen.native import NativeFunction, compiler, warn_of_fallback
-from mckibben.control.base import DiscreteTimeSystem
 from mckibben.errors import DeviceError, ExportError, ParameterError, SimulationError, quoted
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.numerics.batching import batched_program, cores, map_chunks, pad_chunk
-from mckibben.numerics.compiled import jit_lanes
-from mckibben.plant import Plant
-from mckibben.simulation.loop import Record, compiled_episode, episode
+from mckibben.numerics.compiled import jit_arrays, jit_lanes
+from mckibben.simulation.loop import Record, episode
 
 R = TypeVar("R")
 
@@ -75,78 +73,53 @@ def _check_cuda(many: bool) -> None:
     raise ParameterError(f"the engine 'cuda' cannot be used: {missing}", field="engine", value="cuda", remedy=remedy)
 
 
-def compute_with(
-    engine: str,
-    native: Callable[[], R],
-    xla: Callable[[], R],
-    cuda: Callable[[], R] | None = None,  # of batches
-) -> tuple[R, str]:
-    """Result and engine of a computation; "auto" takes XLA where the native one cannot be used."""
-    chosen = check_engine(engine, many=cuda is not None)
-    if cuda is not None and chosen == "cuda":
-        return cuda(), chosen
-    if chosen == "native":
-        try:
-            return native(), "native"
-        except ExportError as error:
-            if engine == "native":
-                raise
-            warn_of_fallback(error)
-    return xla(), "xla"
-
-
-def run_alone(
-    engine: str,
-    plant: Plant,
-    controller: DiscreteTimeSystem,
-    setpoints: PyTree,
-    start: PyTree,
-    period: ArrayLike,
-    substeps: int,
-) -> tuple[tuple[PyTree, Record], str]:
-    """State after one run with its record, and the engine that computed them; `numeric` parts."""
-    parts: PyTree = plant, controller, setpoints, start, period, np.asarray(substeps)
-
-    def by_xla() -> tuple[PyTree, Record]:
-        # The stages of many muscles take minutes to compile, unless they are rolled; they are faster as well.
-        with batched_program() if len(plant.muscles) > 2 else contextlib.nullcontext():
-            return compiled_episode(*parts)
-
-    return compute_with(engine, lambda: native_episode(parts), by_xla)
-
-
-@NativeFunction
-def native_episode(parts: PyTree, _: None) -> tuple[PyTree, Record]:
-    """State after one run, and its record."""
-    return episode(*parts)
-
-
 class BatchFunction:
-    """A pure function of a shared tree and of one with the runs along the last axis, compiled by any engine."""
+    """A pure function of a shared tree and of one with the runs along the last axis, compiled by any engine.
+
+    Without the second tree it is a function of the first, of one run.
+    """
 
     def __init__(self, function: Callable[[PyTree, PyTree], PyTree]) -> None:
-        self._function, self._native, self._cuda = function, NativeFunction(function), CudaFunction(function)
+        self._function, self.native, self._cuda = function, NativeFunction(function), CudaFunction(function)
 
     def __call__(
-        self, engine: str, shared: PyTree, lanes: PyTree, precision: DTypeLike = np.float64
+        self, engine: str, shared: PyTree, lanes: PyTree = None, precision: DTypeLike = np.float64
     ) -> tuple[PyTree, str]:
-        """Results, and the engine that computed them."""
-        single = np.dtype(precision) == np.float32
-        return compute_with(
-            engine,
-            lambda: self._native(shared, lanes, single=single),
-            lambda: _by_xla(self._function, shared, lanes),
-            lambda: self._cuda(shared, lanes, single=single),
-        )
+        """Results, and the engine that computed them; "auto" takes XLA where the native one cannot be used."""
+        single, chosen = np.dtype(precision) == np.float32, check_engine(engine, many=lanes is not None)
+        if chosen == "cuda":
+            return self._cuda(shared, lanes, single=single), chosen
+        if chosen == "native":
+            try:
+                return self.native(shared, lanes, single=single), chosen
+            except ExportError as error:
+                if engine == "native":
+                    raise
+                warn_of_fallback(error)
+        by_xla = _run_by_xla if lanes is None else _batch_by_xla
+        return by_xla(self._function, shared, lanes), "xla"
+
+
+@jit_arrays
+def _run_by_xla(function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, _: None) -> PyTree:
+    return function(shared, None)
 
 
 @jit_lanes
-def _by_xla(function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, lanes: PyTree) -> PyTree:
+def _batch_by_xla(function: Callable[[PyTree, PyTree], PyTree], shared: PyTree, lanes: PyTree) -> PyTree:
     def run(lane: PyTree) -> PyTree:
         with batched_program():
             return function(shared, lane)
 
     return jax.vmap(run, in_axes=-1, out_axes=-1)(lanes)
+
+
+@BatchFunction
+def run_alone(parts: PyTree, _: None) -> tuple[PyTree, Record]:
+    """State after one run with its record, of the `numeric` arguments of `episode`."""
+    # The stages of many muscles take XLA minutes to compile, unless they are rolled; they are faster as well.
+    with batched_program() if len(parts[0].muscles) > 2 else contextlib.nullcontext():
+        return episode(*parts)
 
 
 def compute_chunks(

@@ -15,7 +15,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.codegen.native import NativeFunction
 from mckibben.component.columns import Label, attributes, declare, labels_of
 from mckibben.errors import FileError, Problem, SimulationError, no_attribute, suggest
 from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint, MuscleStates
@@ -24,7 +23,7 @@ from mckibben.muscle import Domain
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.result import Column, Remark, Result
 from mckibben.simulation.accuracy import Resolution
-from mckibben.simulation.engine import BatchFunction, compute_with
+from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.feasibility import Feasibility
 from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure_since
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
@@ -427,16 +426,14 @@ def compute_metrics(moved: Trajectory, period: float, angle_resolution: float = 
     """Metrics of a trajectory with a control period [s], and a step of the sensor of the angle [rad]."""
     change = last_change(moved.desired_stiffness, np)
     at_change = np.asarray(moved.stiffness)[change.at]
-    parts = jax.tree.map(np.asarray, (moved, change, at_change, period, angle_resolution))
-    return compute_with("auto", lambda: _native_metrics(parts), lambda: _metrics_by_xla(*parts))[0]
+    return _metrics("auto", jax.tree.map(np.asarray, (moved, change, at_change, period, angle_resolution)))[0]
 
 
-@NativeFunction
-def _native_metrics(parts: Any, _: None) -> Metrics:
+@BatchFunction
+def _metrics(parts: Any, _: None) -> Metrics:
     return measure_since(*parts)
 
 
-_metrics_by_xla = jit(measure_since)
 _friction_torque = jit(AntagonisticJoint.friction_torque)
 _creep_torque = jit(AntagonisticJoint.creep_torque)
 

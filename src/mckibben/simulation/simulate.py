@@ -10,12 +10,11 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from mckibben.codegen.native import NativeFunction
 from mckibben.component.calls import checked_call, user_level
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning, SimulationError
 from mckibben.joint import AntagonisticJoint
-from mckibben.numerics.compiled import jit, numeric
+from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation.accuracy import (
     ACCURACY,
@@ -28,7 +27,7 @@ from mckibben.simulation.accuracy import (
     refine,
     resolution_of,
 )
-from mckibben.simulation.engine import check_engine, compute_with, run_alone
+from mckibben.simulation.engine import BatchFunction, check_engine, run_alone
 from mckibben.simulation.feasibility import Feasibility, feasibility, static_band
 from mckibben.simulation.loop import Record
 from mckibben.simulation.outcome import SWUNG_OVER_AT
@@ -220,7 +219,7 @@ class _Run(NamedTuple):
     def record(self, substeps: int) -> tuple[Record, str]:
         """The record with a number of integration steps per period, and the engine that computed it."""
         parts = self.plant, self.controller, self.setpoints, self.start, np.asarray(self.control_period)
-        (_, record), used = run_alone(self.engine, *parts, substeps)
+        (_, record), used = run_alone(self.engine, (*parts, np.asarray(substeps)))
         return record, used
 
     def refined(self, accuracy: float, solutions: list[tuple[Record, str]]) -> Refinement:
@@ -313,16 +312,12 @@ def _result(
 
 def start_of(problem: SimulationProblem, setpoints: Setpoint, *, engine: str = "auto") -> tuple[PlantState, Array]:
     """Return the initial state, and whether it exists, of a problem without controller and reference."""
-    parts = problem, jax.tree.map(lambda values: np.asarray(values)[:1], setpoints)
-    return compute_with(engine, lambda: _native_start(parts), lambda: _start_by_xla(*parts))[0]
+    return _start(engine, (problem, jax.tree.map(lambda values: np.asarray(values)[:1], setpoints)))[0]
 
 
-@NativeFunction
-def _native_start(parts: tuple[SimulationProblem, Setpoint], _: None) -> tuple[PlantState, Array]:
+@BatchFunction
+def _start(parts: tuple[SimulationProblem, Setpoint], _: None) -> tuple[PlantState, Array]:
     return parts[0].start(parts[1])
-
-
-_start_by_xla = jit(SimulationProblem.start)
 
 
 def _raise_why(plant: JointPlant, initial: PlantState | AtRest | None, first_angle: float) -> None:
