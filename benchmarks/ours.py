@@ -37,7 +37,7 @@ def batch(
             duration=problem.periods * PERIOD,
             metrics=METRICS,
             substeps=substeps,
-            precision=dtype,
+            precision=np.finfo(dtype).bits,
             chunk=chunk,
             workers=cores,
             engine=engine,

@@ -123,7 +123,6 @@ def errors(seed, runs, name, excited, torque_error):
         duration=DURATION,
         metrics=("angle_rmse",),
         keep=("stiffness", "desired_stiffness"),
-        every=10 * ms,
         substeps=2,
     )
     assert not batch.failed.any()

@@ -16,7 +16,7 @@ import xarray as xr
 
 import mckibben as mk
 from mckibben.control import Controller
-from mckibben.errors import ParameterError, RangeError, SimulationError
+from mckibben.errors import CallError, ParameterError, RangeError, SimulationError
 from mckibben.leg import (
     BiarticularMuscle,
     JointwiseControl,
@@ -296,11 +296,11 @@ def test_the_air_of_a_run_is_that_which_flows_in(plant: LegPlant, start: LegStar
 
 def test_arguments_that_are_swapped_or_not_a_number_are_named(plant: LegPlant, start: LegStart) -> None:
     schedule = PressureSchedule(tuple((p,) for p in start.pressures))
-    for arguments, field in (
-        ((plant, start, schedule), "controller"),
-        ((plant, schedule, start._replace(upward_speed=float("nan"))), "start.upward_speed"),
+    for arguments, kind, field in (
+        ((plant, start, schedule), CallError, "controller"),
+        ((plant, schedule, start._replace(upward_speed=float("nan"))), SimulationError, "start.upward_speed"),
     ):
-        with pytest.raises(SimulationError) as caught:
+        with pytest.raises(kind) as caught:
             simulate_leg(*arguments, **STEP)  # type: ignore[arg-type]
         assert caught.value.field == field
     with pytest.raises(ParameterError):

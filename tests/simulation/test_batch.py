@@ -7,7 +7,6 @@ import warnings
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -173,7 +172,6 @@ def everything(parts):
         over=columns(ROWS, NOMINAL),
         initial=AtRest(**columns(ROWS, AT_REST)),
         keep=Trajectory._fields,
-        every=0.02,
         chunk=16,
         **SHORT,
     )
@@ -245,12 +243,12 @@ def test_coupling_is_known_where_the_stiffness_changes_and_stops(everything):
 
 @pytest.mark.slow
 def test_what_is_kept_are_columns_of_the_single_run(everything, alone):
-    np.testing.assert_allclose(everything.table["time"], np.arange(0, PERIODS, 20) * 1e-3, rtol=1e-15)
+    np.testing.assert_allclose(everything.table["time"], np.arange(PERIODS) * 1e-3, rtol=1e-15)
     for row in (0, 3, special("step early"), special("step late"), special("saturated")):
         for name in Trajectory._fields:
             kept = everything.table[name].to_numpy()[row]
             column = alone(row).columns[name]
-            np.testing.assert_allclose(kept, column[::20], rtol=1e-10, atol=1e-11 * np.abs(column).max(), err_msg=name)
+            np.testing.assert_allclose(kept, column, rtol=1e-10, atol=1e-11 * np.abs(column).max(), err_msg=name)
     assert everything.table["saturated"].dtype == bool
     assert everything.table["angle"].attrs["units"] == "rad"
 
@@ -402,10 +400,7 @@ def test_metrics_are_computed_as_asked(most, everything):
         ({"metrics": "rmse"}, "rmse"),
         ({"keep": ["speed"]}, "speed"),
         ({"keep": "angle"}, "angle"),
-        *(({"keep": ["angle"], "every": every}, every) for every in (0.03, 0.0005, 0.0, -0.02, math.nan, 0.2)),
-        ({"precision": "half"}, "half"),
         ({"precision": 16}, 16),
-        ({"precision": jnp.float16}, jnp.float16),
         ({"substeps": 0}, 0),
         ({"duration": 0.1005}, 0.1005),
     ],

@@ -101,7 +101,7 @@ OVER = {
 def batch(scenario, **options):
     plant = scenario.plant()
     return mk.simulate_many(
-        plant, scenario.control(), scenario.reference(), over=OVER, keep=["angle", "command1"], every=0.01, chunk=8,
+        plant, scenario.control(), scenario.reference(), over=OVER, keep=["angle", "command1"], chunk=8,
         initial=scenario.initial(plant), **timing(scenario), **options,
     )  # fmt: skip
 

@@ -146,8 +146,8 @@ KEPT = ("angle", "angle_without_step", "command2", "slack")
 
 @pytest.fixture(scope="module")
 def on_the_way(plant, playback):
-    @functools.partial(jax.jit, static_argnames=("keep", "every", "coupled"))
-    def run(setpoints, split, *, keep=KEPT, every=1, coupled=True):
+    @functools.partial(jax.jit, static_argnames=("keep", "coupled"))
+    def run(setpoints, split, *, keep=KEPT, coupled=True):
         return streaming_episode(
             plant,
             playback,
@@ -157,7 +157,6 @@ def on_the_way(plant, playback):
             2,
             split=split if coupled else None,
             keep=keep,
-            every=every,
         )
 
     return run

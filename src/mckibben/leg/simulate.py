@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -14,6 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, ArrayLike
 
+from mckibben.component.calls import checked_call
 from mckibben.component.columns import Label, attributes, declare, labels_of
 from mckibben.errors import McKibbenWarning, SimulationError
 from mckibben.leg.control import LegController
@@ -50,8 +50,6 @@ class LegProblem(NamedTuple):
     plant: LegPlant
     controller: LegController
     start: LegStart
-
-    kinds = MappingProxyType({"plant": (LegPlant,), "controller": (LegController,), "start": (LegStart,)})
 
 
 declare(__name__, {"command": Label("Pa", "commanded pressure", along="muscle")})
@@ -124,6 +122,7 @@ def leg_metrics(
     return lax.scan(advance, (loop, sums), times)[0][1].finished(len(times), period)
 
 
+@checked_call
 def simulate_leg(
     plant: LegPlant,
     controller: LegController,
@@ -204,6 +203,7 @@ def _measured(samples: LegSample, final: Any, period: ArrayLike, plant: LegPlant
     return measure(samples, plant.observe(final), period, plant)
 
 
+@checked_call
 def simulate_legs(
     plant: LegPlant,
     controller: LegController,
@@ -214,7 +214,7 @@ def simulate_legs(
     control_period: float = 0.5e-3,
     accuracy: float = ACCURACY,
     substeps: int | None = None,
-    precision: Any = 64,
+    precision: int = 64,
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",

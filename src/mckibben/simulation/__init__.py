@@ -8,7 +8,7 @@ from mckibben.simulation.feasibility import Feasibility, check_reference
 from mckibben.simulation.loop import compiled_episode, episode
 from mckibben.simulation.metrics import SETTLING_PART, Metrics, measure, rms, settling_band
 from mckibben.simulation.outcome import Outcome
-from mckibben.simulation.problem import AtRest, sampled, sampled_signal, without_last_change
+from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import RunResult, SimulationResult, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import needed_substeps, run_episode, simulate, unknown_air
 from mckibben.simulation.stability import Margins, disk_margins, linear_loop, margins
@@ -45,7 +45,6 @@ __all__ = [
     "rms",
     "run_episode",
     "sampled",
-    "sampled_signal",
     "settling_band",
     "simulate",
     "simulate_many",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -15,10 +14,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
-from mckibben.component.checks import whole_periods
+from mckibben.component.calls import checked_call
 from mckibben.component.columns import attributes, labels_of
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import McKibbenWarning, SimulationError
+from mckibben.errors import McKibbenWarning
 from mckibben.notebook import Progress
 from mckibben.numerics.batching import cast, pad_chunk
 from mckibben.numerics.compiled import jit_lanes
@@ -181,6 +180,7 @@ def outcome_variable(codes: NDArray[np.int8]) -> dict[str, Any]:
     return {"outcome": ("run", codes, flags)}
 
 
+@checked_call
 def simulate_many(
     plant: JointPlant,
     controller: Controller,
@@ -194,8 +194,7 @@ def simulate_many(
     initial: PlantState | AtRest | None = None,
     metrics: Sequence[str] = Metrics._fields,
     keep: Sequence[str] = (),
-    every: float | None = None,
-    precision: object = 64,
+    precision: int = 64,
     chunk: int | None = None,
     workers: int | None = None,
     engine: str = "auto",
@@ -222,8 +221,8 @@ def simulate_many(
         Metrics to compute. ``coupling`` needs a second run from the stiffness step on.
     precision
         Bits of the floats: 64 or 32.
-    keep, every
-        Names of `Trajectory` to keep over time, and the time between two values [s], by default the control period.
+    keep
+        Names of `Trajectory` to keep over time, at each control period.
     chunk
         Runs computed together. Default: 1024, 256 by XLA, up to 65,536 by CUDA, fewer where that would leave cores
         idle. Results with different chunk sizes agree to 1e-12; they do not depend on the number of workers.
@@ -265,15 +264,14 @@ def simulate_many(
     kind = float_type(precision)
     check_accuracy(accuracy, substeps, np.finfo(kind).bits)
     times = sampling_times(duration, control_period)
-    stride = _stride(every, control_period, times.size)
     check_names("metric", metrics, Metrics._fields)
     check_names("column of a trajectory", keep, Trajectory._fields)
-    asked = _Asked(tuple(metrics), tuple(keep), stride, kind.name)
+    asked = _Asked(tuple(metrics), tuple(keep), kind.name)
 
     problem = SimulationProblem.of(plant, controller, reference, initial)
     lanes, shared, count = split_runs(problem, over or {}, control_period, alone="simulate")
     varied = times.size * len(Setpoint._fields) * bool(jax.tree.leaves(lanes.reference))
-    numbers = len(asked.keep) * times.size // stride + varied
+    numbers = len(asked.keep) * times.size + varied
     size = chunk_size(chunk, count, workers, engine, numbers)
     runs = _Runs(lanes, shared, times, control_period, asked, engine, size)
     if substeps is None:
@@ -291,7 +289,7 @@ def simulate_many(
         engine=engine,
         progress=progress,
     )
-    table = _table(columns, over or {}, times[::stride], asked, steps)
+    table = _table(columns, over or {}, times, asked, steps)
     return Batch(table.assign_attrs(engine=used))
 
 
@@ -300,7 +298,6 @@ class _Asked(NamedTuple):
 
     metrics: tuple[str, ...]
     keep: tuple[str, ...]
-    stride: int
     precision: str
 
 
@@ -435,7 +432,7 @@ def _run(shared: PyTree, lane: PyTree) -> dict[str, Array]:
     precision = jnp.dtype(asked.precision)
     parts = cast((own.plant, own.controller, begun.setpoints, begun.starts, period), precision)
     streamed = streaming_episode(
-        *parts, substeps, change=cast(begun.changes, precision), split=begun.split, keep=asked.keep, every=asked.stride
+        *parts, substeps, change=cast(begun.changes, precision), split=begun.split, keep=asked.keep
     )
     metrics = {name: jnp.where(begun.exist, value, jnp.nan) for name, value in streamed.metrics._asdict().items()}
     deciding = {f"_{name}": metrics[name] for name in _DECIDING}
@@ -464,15 +461,3 @@ def _table(
     if asked.keep:
         table |= {"time": ("time", times, {"units": "s", "long_name": "time"})}
     return batch_table(table, code, over)
-
-
-def _stride(every: float | None, control_period: float, periods: int) -> int:
-    """Control periods between two kept values."""
-    if every is None:
-        return 1
-    stride = whole_periods(every, control_period) if math.isfinite(every) and every > 0 else None
-    if stride is None or periods % stride:
-        message = f"values every {every:g} s do not fit {periods} control periods of {control_period:g} s"
-        remedy = "give a multiple of the control period that divides the duration"
-        raise SimulationError(message, value=every, unit="s", remedy=remedy)
-    return stride

@@ -134,7 +134,6 @@ def streaming_episode(
     change: Change | None = None,  # of the desired stiffness; in 32 bits setpoints may round to one number
     split: ArrayLike | None = None,  # period from which the run without that change is computed alongside
     keep: tuple[str, ...] = (),  # names of `Trajectory`
-    every: int = 1,  # control periods between two kept values; a divisor of their number
 ) -> Streamed:
     """`episode` that accumulates metrics during the run: memory does not grow with the duration."""
     periods = setpoints.angle.shape[0]
@@ -171,19 +170,10 @@ def streaming_episode(
             name: getattr(now, name) for name in keep
         }
 
-    def block(carry: _Carry, at: tuple[Array, Setpoint]) -> tuple[_Carry, dict[str, Array]]:
-        carry, columns = lax.scan(next_period, carry, at)
-        return carry, {name: values[0] for name, values in columns.items()}
-
-    rows = jnp.arange(periods), setpoints
     loop = initial_loop(plant, controller, initial)
     zero = jnp.zeros_like(jnp.asarray(initial.angle))
     carry = _Carry(loop, loop, MetricSample.empty(zero).totals().empty(), zero, (zero, zero), Oscillation.empty(zero))
-    if every == 1 or not keep:
-        carry, columns = lax.scan(next_period, carry, rows)
-    else:
-        blocks = jax.tree.map(lambda x: x.reshape(-1, every, *x.shape[1:]), rows)
-        carry, columns = lax.scan(block, carry, blocks)
+    carry, columns = lax.scan(next_period, carry, (jnp.arange(periods), setpoints))
     run = Run(periods, period, Course(*carry.oscillation.limit_cycle(periods, period), change))
     metrics = values_of(Metrics, carry.total, run)
     if split is None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from numbers import Real
-from types import MappingProxyType
 from typing import Any, NamedTuple, TypeVar, cast
 
 import equinox as eqx
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 from mckibben.component.checks import whole_periods
 from mckibben.control.base import Controller, Reference, Setpoint
 from mckibben.control.reference import Signal
-from mckibben.errors import ParameterError, SimulationError, described, with_article
+from mckibben.errors import ParameterError, SimulationError, described
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.elementary import floating
@@ -43,15 +42,6 @@ class SimulationProblem(NamedTuple):
     reference: Reference
     initial: PlantState | AtRest
 
-    kinds = MappingProxyType(
-        {
-            "plant": (JointPlant,),
-            "controller": (Controller,),
-            "reference": (Reference,),
-            "initial": (PlantState, AtRest),
-        }
-    )
-
     @classmethod
     def of(
         cls, plant: JointPlant, controller: Controller, reference: Reference, initial: PlantState | AtRest | None
@@ -72,7 +62,7 @@ class SimulationProblem(NamedTuple):
 
 
 Problem = TypeVar("Problem", bound=tuple)
-"""A named tuple with all parts of a run, the plant first; its `kinds` are the types of its fields."""
+"""A named tuple with all parts of a run, the plant first."""
 
 
 def split_problem(
@@ -80,7 +70,6 @@ def split_problem(
 ) -> tuple[Problem | None, Problem, int | None]:
     """Problem with other values at named leaves, as its leaves that vary over runs, all others, and the run count."""
     whole: Any = problem
-    _check_types(whole._asdict(), whole.kinds)
     if over:  # else each object has checked its values when it was made
         whole = type(whole)(**with_leaves(whole._asdict(), over))
     _check_numbers(whole._asdict())
@@ -110,18 +99,6 @@ def single_run(problem: Problem, control_period: float, many: str) -> Problem:
         varying, remedy = ", ".join(named_leaves(cast(Any, lanes)._asdict())), f"use `{many}` for many runs"
         raise ParameterError(f"{varying}: an array in place of a number", remedy=remedy)
     return single
-
-
-def _check_types(trees: Mapping[str, Any], kinds: Mapping[str, tuple[type, ...]]) -> None:
-    """Raise unless each part is of its type: arguments are easily swapped."""
-    for name, types in kinds.items():
-        value = trees[name]
-        if not isinstance(value, types):
-            wanted = " or ".join(kind.__name__ for kind in types)
-            swapped = [other for other, others in kinds.items() if isinstance(value, others)]
-            hint = f"; it looks like the {swapped[0]}: are arguments swapped?" if swapped else ""
-            remedy = f"give {with_article(wanted)}{hint}"
-            raise SimulationError(f"{name} is {described(value)}", field=name, value=value, remedy=remedy)
 
 
 def _check_numbers(trees: Mapping[str, Any]) -> None:
@@ -162,16 +139,11 @@ def check_names(what: str, names: Sequence[str], known: Sequence[str]) -> None:
             )
 
 
-def float_type(precision: object) -> np.dtype:
-    """The float type of a precision: 32 or 64 bits, or the type itself."""
-    kinds = {32: np.dtype(np.float32), 64: np.dtype(np.float64)}
-    if isinstance(precision, int):
-        kind = kinds.get(precision)
-    else:
-        kind = next((kind for kind in kinds.values() if kind == precision), None)
-    if kind is None:
-        raise SimulationError(f"precision {precision!r}", value=precision, remedy="give 32 or 64")
-    return kind
+def float_type(precision: int) -> np.dtype:
+    """Float type of a precision in bits; `SimulationError` for any but 32 and 64."""
+    if precision not in (32, 64):
+        raise SimulationError(f"precision {precision!r}", field="precision", value=precision, remedy="give 32 or 64")
+    return np.dtype(f"float{precision}")
 
 
 def sample_reference(reference: Reference, times: ArrayLike) -> Setpoint:
@@ -196,20 +168,6 @@ def sampled_reference(reference: Reference, times: NDArray[np.float64]) -> Setpo
     else:  # another function may be one of all times
         setpoints = _all_samples(reference, times)
     return jax.tree.map(np.asarray, setpoints)
-
-
-def _value_at(signal: Signal, time: Array) -> Array:
-    return floating(signal(time))
-
-
-_each_value = BatchFunction(_value_at)
-
-
-def sampled_signal(signal: Signal | Callable, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Values of a signal at times [s], computed by a compiled program."""
-    if not isinstance(signal, Signal):  # another function may be one of all times
-        return np.asarray(signal(times), float)
-    return np.asarray(_each_value("auto", numeric(signal), times)[0], float)
 
 
 def sampled(reference: Reference, duration: float, period: float) -> tuple[NDArray[np.float64], Setpoint]:
