@@ -48,7 +48,6 @@ def test_root_mean_square_and_largest_error_of_angle_and_stiffness():
     assert float(found.stiffness_rmse) == pytest.approx(4.0, rel=1e-15)
     assert float(found.stiffness_max) == 8.0
     assert float(found.estimate_rmse) == pytest.approx(1.0, rel=1e-15)
-    assert float(found.stiffness_ripple) == pytest.approx(np.std([0.0, 0.0, 0.0, -8.0]), rel=1e-14)
 
 
 def test_air_is_what_is_taken_in_and_not_what_is_let_out():

@@ -127,7 +127,7 @@ def batch(plant):
         duration=PERIODS * PERIOD,
         substeps=2,
         initial=START,
-        metrics=("angle_rmse", "coupling", "air", "stiffness_ripple"),
+        metrics=("angle_rmse", "coupling", "air"),
         keep=KEPT,
         workers=1,
     )
@@ -158,7 +158,7 @@ def test_the_run_without_the_step_has_the_same_noise_and_the_same_pushes(batch, 
 
 
 @pytest.mark.slow
-def test_air_is_what_each_braid_takes_in_and_ripple_what_is_left_without_the_mean(batch, specimen, paper_precontracted):
+def test_air_is_what_each_braid_takes_in(batch, specimen, paper_precontracted):
     kept = {name: batch.table[name].to_numpy() for name in KEPT}
     thread = specimen.initial_length / np.cos(specimen.braid_angle)
     radius = specimen.initial_diameter / 2
@@ -173,5 +173,3 @@ def test_air_is_what_each_braid_takes_in_and_ripple_what_is_left_without_the_mea
     np.testing.assert_allclose(batch.metrics["air"], taken, rtol=1e-9)
     net = np.maximum(np.diff(kept["air1"] + kept["air2"], axis=1), 0.0).sum(axis=1)
     assert (batch.metrics["air"] > 1.5 * net).all()  # while one fills the other empties
-    off = kept["stiffness"] - kept["desired_stiffness"]
-    np.testing.assert_allclose(batch.metrics["stiffness_ripple"], off.std(axis=1), rtol=1e-6)

@@ -7,7 +7,7 @@ import functools
 import operator
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar, cast
+from typing import Annotated, Any, NamedTuple, TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +17,6 @@ from jaxtyping import Array, ArrayLike, PyTree
 from mckibben.component.columns import Label, labelled, labels_of
 from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.trajectories import Trajectory
-
-if TYPE_CHECKING:
-    pass
-
 
 M = TypeVar("M")
 
@@ -84,18 +80,6 @@ class RootMeanSquare(Metric):
 
     def value(self, totals: Totals, run: Run) -> PyTree:
         return root(totals.sums[f"{self.of}^2"] / run.periods)
-
-
-class StandardDeviation(Metric):
-    """Root mean square of an error about its mean over the run."""
-
-    def terms(self, sample: PyTree) -> Totals:
-        error = getattr(sample, self.of)
-        return Totals({f"{self.of}^2": jnp.square(error), self.of: error}, {})
-
-    def value(self, totals: Totals, run: Run) -> PyTree:
-        variance = totals.sums[f"{self.of}^2"] / run.periods - jnp.square(totals.sums[self.of] / run.periods)
-        return root(jnp.where(variance < 0, 0.0, variance))  # rounding may take it below
 
 
 class Largest(Metric):
@@ -201,15 +185,6 @@ class Metrics(NamedTuple):
         Array, RootMeanSquare("N*m/rad", "root mean square error of the stiffness", of="stiffness_error")
     ]
     stiffness_max: Annotated[Array, LargestError("N*m/rad", "largest error of the stiffness", of="stiffness_error")]
-    stiffness_ripple: Annotated[
-        Array,
-        StandardDeviation(
-            "N*m/rad",
-            "root mean square of the stiffness error about its mean",
-            of="stiffness_error",
-            note="at a constant setpoint, the effect of motion, without the constant error of a wrong force law",
-        ),
-    ]
     stiffness_settling: Annotated[
         Array,
         SettlingTime(
@@ -246,9 +221,6 @@ class Metrics(NamedTuple):
     time_slack: Annotated[Array, Duration("s", "time with a muscle slack", of="slack")]
     time_outside_domain: Annotated[Array, Duration("s", "time with a muscle outside its domain", of="outside_domain")]
     time_overloaded: Annotated[Array, Duration("s", "time with a muscle above its rated force", of="overloaded")]
-    excursion_max: Annotated[
-        Array, Largest("1", "largest distance of a contraction from its domain", of="excursion", shown="%")
-    ]
     force_max: Annotated[Array, Largest("N", "largest tension", of="force")]
     air: Annotated[
         Array,
@@ -362,7 +334,6 @@ class MetricSample(NamedTuple):
     slack: Array
     outside_domain: Array
     overloaded: Array
-    excursion: Array  # [-]
     force: Array  # [N]
     inflow: Array  # [m^3]
 
@@ -403,7 +374,6 @@ class MetricSample(NamedTuple):
             slack=number(moved.slack),
             outside_domain=number(moved.outside_domain),
             overloaded=number(moved.overloaded),
-            excursion=jnp.asarray(moved.excursion),
             force=larger(moved.force1, moved.force2),
             inflow=larger(moved.air1 - air_before[0], 0.0) + larger(moved.air2 - air_before[1], 0.0),
         )

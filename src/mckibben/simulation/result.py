@@ -6,7 +6,8 @@ import abc
 import functools
 import importlib
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections import UserDict
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, Self
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.columns import Label, attributes, declare, labels_of
 from mckibben.errors import FileError, Problem, SimulationError, no_attribute, suggest
-from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint, MuscleStates
+from mckibben.joint.antagonistic import SMALL_MOTION, AntagonisticJoint
 from mckibben.joint.geometry import Pressures
 from mckibben.muscle import Domain
 from mckibben.numerics.compiled import jit, numeric
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from mckibben.control.base import Setpoint
-    from mckibben.plant import JointPlant
+    from mckibben.plant import JointPlant, PlantState
     from mckibben.simulation.loop import Record
 
 BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
@@ -53,36 +54,17 @@ declare(
 )
 
 
-class Columns(Mapping[str, np.ndarray]):
-    """Arrays by name, of shape (periods,); some are computed when they are first asked for."""
+class Columns(UserDict[str, Any]):
+    """Arrays by name; a function in place of one is called when the array is first asked for."""
 
-    def __init__(
-        self,
-        names: Iterable[str],
-        known: Mapping[str, ArrayLike],
-        computed: Iterable[tuple[Iterable[str], Callable[[], Mapping[str, ArrayLike]]]] = (),
-    ) -> None:
-        self._names = tuple(dict.fromkeys(names))
-        self._known = dict(known)
-        self._computed = {name: compute for group, compute in computed for name in group}
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        if name not in self._known and name in self._computed:
-            self._known = dict(self._computed[name]()) | self._known
-        value = self._known[name] = np.asarray(self._known[name])
+    def __getitem__(self, key: str) -> np.ndarray:
+        value = super().__getitem__(key)
+        if not isinstance(value, np.ndarray):
+            value = self[key] = np.asarray(value() if callable(value) else value)
         return value
 
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
-
-    def __len__(self) -> int:
-        return len(self._names)
-
-    def __contains__(self, name: object) -> bool:
-        return name in self._names
-
-    def __reduce__(self) -> tuple[type, tuple[tuple[str, ...], dict[str, np.ndarray]]]:
-        return Columns, (self._names, dict(self))
+    def __reduce__(self) -> tuple[type, tuple[dict[str, np.ndarray]]]:
+        return dict, (dict(self),)
 
 
 class UnknownMetricError(SimulationError, KeyError):
@@ -443,18 +425,19 @@ def _small_motion_stiffness(joint: AntagonisticJoint, angle: ArrayLike, pressure
     return joint.secant_stiffness(angle, pressures, SMALL_MOTION)
 
 
-def joint_columns(
-    joint: AntagonisticJoint, angle: Array, velocity: Array, pressures: Pressures, muscles: MuscleStates
-) -> list[tuple[tuple[str, ...], Callable[[], dict[str, Array]]]]:
-    """Columns of friction and creep, by name, each computed when it is first asked for."""
-    return [
-        (
-            ("friction_torque",),
-            lambda: {"friction_torque": _friction_torque(joint, angle, velocity, pressures, muscles)},
-        ),
-        (("creep_torque",), lambda: {"creep_torque": _creep_torque(joint, angle, pressures, muscles)}),
-        (
-            ("small_motion_stiffness",),
-            lambda: {"small_motion_stiffness": _small_motion_stiffness(joint, angle, pressures)},
-        ),
-    ]
+def path_columns(
+    joint: AntagonisticJoint, state: PlantState, stiffness_amplitude: ArrayLike | None
+) -> dict[str, Callable[[], Array]]:
+    """Functions that compute the columns of the muscles' friction and creep, by name; empty without them.
+
+    The stiffness of small motion is one of them unless the controller has a `stiffness_amplitude`.
+    """
+    angle, velocity, pressures, muscles = state[:4]
+    columns: dict[str, Callable[[], Array]] = {}
+    if joint.has_friction:
+        columns["friction_torque"] = lambda: _friction_torque(joint, angle, velocity, pressures, muscles)
+    if joint.has_creep:
+        columns["creep_torque"] = lambda: _creep_torque(joint, angle, pressures, muscles)
+    if joint.has_friction and stiffness_amplitude is None:
+        columns["small_motion_stiffness"] = lambda: _small_motion_stiffness(joint, angle, pressures)
+    return columns

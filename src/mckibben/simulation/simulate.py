@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import warnings
 from typing import Any, NamedTuple
@@ -40,7 +41,7 @@ from mckibben.simulation.problem import (
     single_run,
     without_last_change,
 )
-from mckibben.simulation.result import BAND, Columns, SimulationResult, compute_trajectory, joint_columns
+from mckibben.simulation.result import BAND, Columns, SimulationResult, compute_trajectory, path_columns
 from mckibben.simulation.trajectories import Trajectory
 from mckibben.units import deg
 
@@ -258,18 +259,28 @@ def _result(
     notes: tuple[str, ...] = (),
 ) -> SimulationResult:
     """Result of a run; much is computed when it is first asked for."""
-    plant, controller, setpoints = run.plant, run.controller, run.setpoints
+    plant, setpoints, amplitude = run.plant, run.setpoints, run.controller.stiffness_amplitude
     state, telemetry = record.state, dict(record.telemetry)
     commands = plant.arriving(state, record.commands, run.control_period)
     telemetry |= plant.valve.telemetry(state.air, commands, state.pressures)
-    telemetry |= {"friction_torque": None} if plant.joint.has_friction else {}
-    telemetry |= {"creep_torque": None} if plant.joint.has_creep else {}
-    if plant.joint.has_friction and controller.stiffness_amplitude is None:
-        telemetry |= {"small_motion_stiffness": None}
     if plant.friction is not None:
-        telemetry |= {"joint_friction_torque": -plant.friction.resisting_torque(state.friction, state.angle)}
-    band = dict(zip(BAND, (reach.lowest, reach.highest), strict=True)) if reach else {}
-    immediate = {
+        telemetry["joint_friction_torque"] = -plant.friction.resisting_torque(state.friction, state.angle)
+
+    @functools.cache
+    def derived() -> Trajectory:
+        return compute_trajectory(plant, setpoints, record, state.angle, amplitude, engine=run.engine)
+
+    def without_step() -> Array:
+        constant = without_last_change(setpoints)
+        if constant is None:
+            return state.angle
+        return run._replace(setpoints=constant).record(resolution.substeps)[0].state.angle
+
+    columns = {name: functools.partial(lambda name: getattr(derived(), name), name) for name in Trajectory._fields}
+    columns |= dict(zip(BAND, (reach.lowest, reach.highest), strict=True)) if reach else {}
+    columns |= {name: value for name, value in telemetry.items() if name != "saturated"}
+    columns |= path_columns(plant.joint, state, amplitude)
+    columns |= {
         "angle": state.angle,
         "velocity": state.velocity,
         "pressure1": state.pressures[0],
@@ -278,27 +289,10 @@ def _result(
         "desired_stiffness": setpoints.stiffness,
         "command1": record.commands[0],
         "command2": record.commands[1],
-        **{name: value for name, value in telemetry.items() if name != "saturated" and value is not None},
-        **band,
+        "angle_without_step": without_step,
     }
-
-    def unchanged(setpoints: Setpoint) -> Array:
-        return run._replace(setpoints=setpoints).record(resolution.substeps)[0].state.angle
-
-    def without_step() -> dict[str, Array]:
-        constant = without_last_change(setpoints)
-        return {"angle_without_step": state.angle if constant is None else unchanged(constant)}
-
-    def derived() -> dict[str, Array]:
-        amplitude = controller.stiffness_amplitude
-        moved = compute_trajectory(plant, setpoints, record, state.angle, amplitude, engine=run.engine)._asdict()
-        return {name: value for name, value in moved.items() if name != "angle_without_step"}
-
-    computed = [(Trajectory._fields, derived), (("angle_without_step",), without_step)]
-    computed += joint_columns(plant.joint, *state[:4])
-    names = (*Trajectory._fields, *band, *telemetry)
     return SimulationResult(
-        Columns(names, immediate, computed),
+        Columns(columns),
         run.control_period,
         scenario,
         used,
