@@ -7,7 +7,6 @@ import math
 import os
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import is_dataclass
 from html import escape
 from pathlib import Path
@@ -319,29 +318,19 @@ def run_scenario(scenario: Scenario, *, source: str = "", warn_infeasible: bool 
 
     Raises `ScenarioError` if its parts do not fit together.
     """
-
-    @contextmanager
-    def building(field: str) -> Iterator[None]:
-        try:
-            yield
-        except FileError:
-            raise  # has its own file and line
-        except McKibbenError as error:
-            own = getattr(error, "field", "") or ""
-            field = own if own.partition(".")[0] in Scenario.model_fields else field
-            raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error
-
-    with building("joint, load or valve"):
-        plant = scenario.plant()
-    with building("controller"):
-        control = scenario.control()
-    with building("start"):  # all else has been checked
+    try:
         return simulate(
-            plant,
-            control,
+            scenario.plant(),
+            scenario.control(),
             scenario.reference(),
             **scenario.timing,
             initial=initial_state(scenario),
             scenario=scenario.dumps(),
             warn_infeasible=warn_infeasible,
         )
+    except FileError:
+        raise  # has its own file and line
+    except McKibbenError as error:
+        own = getattr(error, "field", "") or ""
+        field = own if own.partition(".")[0] in Scenario.model_fields else "start"  # all else has been checked
+        raise ScenarioError(source or scenario.name, [Problem.of(error, field=field)]) from error

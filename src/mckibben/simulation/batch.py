@@ -50,7 +50,7 @@ from mckibben.simulation.problem import (
     sampling_times,
     split_runs,
 )
-from mckibben.simulation.result import Measured, metric_columns, unknown_metric
+from mckibben.simulation.result import Measured, metric_columns, unknown_column
 from mckibben.simulation.trajectories import Trajectory
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class RunTable(Result):
 
     def __getitem__(self, name: str) -> NDArray[Any]:
         if name not in self.table:
-            raise unknown_metric(name, self.table)
+            raise unknown_column(name, self.table)
         return self.table[name].to_numpy()
 
     def __contains__(self, name: object) -> bool:

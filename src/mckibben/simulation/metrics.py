@@ -262,20 +262,26 @@ def in_shown_units(metrics: Mapping[str, float]) -> dict[str, float]:
     return {name: metrics[metric] / unit for name, (metric, _, unit) in METRICS.items()}
 
 
-def measure(moved: Trajectory, period: ArrayLike, *, angle_resolution: ArrayLike = 0.0) -> Metrics:
-    """Metrics of a trajectory with a control period [s], and a step of the sensor of the angle [rad]."""
-    change = last_change(moved.desired_stiffness)
-    at_change = jnp.asarray(moved.stiffness)[change.at]
-    return measure_since(moved, change, at_change, period, angle_resolution)
-
-
-def measure_since(
-    moved: Trajectory, change: Change, at_change: ArrayLike, period: ArrayLike, angle_resolution: ArrayLike
+def measure(
+    moved: Trajectory, period: ArrayLike, angle_resolution: ArrayLike = 0.0, change: Change | None = None
 ) -> Metrics:
-    """`measure` with the last change of the desired stiffness, and the stiffness [N*m/rad] at it."""
+    """Metrics of a trajectory.
+
+    Parameters
+    ----------
+    moved
+        Columns of shape (periods,), SI.
+    period
+        Control period [s].
+    angle_resolution
+        Step of the sensor of the angle [rad].
+    change
+        Last change of the desired stiffness, if it is known (`last_change`).
+    """
+    change = last_change(moved.desired_stiffness) if change is None else change
     moved = Trajectory(*map(jnp.asarray, moved))
     periods = moved.angle.shape[0]
-    zero = jnp.zeros_like(moved.stiffness[0])
+    zero, at_change = jnp.zeros_like(moved.stiffness[0]), moved.stiffness[change.at]
 
     def following(so_far: PyTree, at: tuple[Array, Trajectory]) -> tuple[PyTree, None]:
         totals, air = so_far

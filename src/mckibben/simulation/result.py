@@ -26,7 +26,7 @@ from mckibben.result import Column, Remark, Result
 from mckibben.simulation.accuracy import Resolution
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.feasibility import Feasibility
-from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure_since
+from mckibben.simulation.metrics import Metrics, first_of_end, last_change, measure
 from mckibben.simulation.outcome import OUTCOMES, Outcome, outcomes
 from mckibben.simulation.trajectories import Trajectory, trajectory
 from mckibben.units import bar, deg, percent
@@ -67,23 +67,17 @@ class Columns(UserDict[str, Any]):
         return dict, (dict(self),)
 
 
-class UnknownMetricError(SimulationError, KeyError):
-    """A metric that a result does not have."""
-
-    __str__ = SimulationError.__str__
-
-
 class Measured(dict[str, Any]):
     """Metrics by name; the error of an unknown one has a suggestion."""
 
     def __missing__(self, name: str) -> NoReturn:
-        raise unknown_metric(name, self)
+        raise unknown_column(name, self)
 
 
-def unknown_metric(name: str, known: Iterable[object]) -> UnknownMetricError:
-    """Error of a metric that is none of the known ones."""
+def unknown_column(name: str, known: Iterable[object]) -> SimulationError:
+    """Return the error of a metric or column that is none of the known ones, with the closest one."""
     remedy = suggest(str(name), list(map(str, known)))
-    return UnknownMetricError(f"there is no metric {name!r}", value=name, remedy=remedy)
+    return SimulationError(f"the result has no {name!r}", value=name, remedy=remedy)
 
 
 class RunResult(Result, abc.ABC):
@@ -149,8 +143,7 @@ class RunResult(Result, abc.ABC):
         if name == "time":
             return self.times
         if name not in self.columns:
-            remedy = suggest(str(name), list(self.columns))
-            raise SimulationError(f"there is no column {name!r}", value=name, remedy=remedy)
+            raise unknown_column(name, self.columns)
         return self.columns[name]
 
     def __contains__(self, name: str) -> bool:
@@ -358,17 +351,13 @@ class SimulationResult(RunResult):
         from mckibben.dataset.schema import load_netcdf
 
         table = load_netcdf(Path(path))
-        columns = (*Trajectory._fields, *BAND)
-        missing = [name for name in columns if name not in table or table[name].dims != ("time",)]
-        outcome = str(table.attrs.get("outcome"))
         period: Any = table.attrs.get("control_period")
-        problems = [Problem(f"it is not a simulation result: it lacks {', '.join(missing)}")] if missing else []
-        if outcome not in Outcome.__members__:
-            problems.append(Problem(f"{outcome!r} is not an outcome", field="outcome"))
-        if not isinstance(period, float | np.floating) or not period > 0:
-            problems.append(Problem(f"{period!r} is not a positive time", field="control_period"))
-        if problems:
-            raise FileError(str(path), problems)
+        columns = (*Trajectory._fields, *BAND)
+        wrong = [name for name in columns if name not in table or table[name].dims != ("time",)]
+        wrong += [] if str(table.attrs.get("outcome")) in Outcome.__members__ else ["outcome"]
+        wrong += [] if isinstance(period, float | np.floating) and period > 0 else ["control_period"]
+        if wrong:
+            raise FileError(str(path), [Problem(f"it is not a simulation result: it lacks {', '.join(wrong)}")])
         return cls(
             {str(name): variable.to_numpy() for name, variable in table.data_vars.items()},
             float(period),
@@ -376,7 +365,7 @@ class SimulationResult(RunResult):
             resolution=Resolution.of(table.attrs),
             angle_resolution=float(table.attrs.get("angle_resolution", 0.0)),
             domains=tuple(Domain(*bounds) for bounds in np.reshape(table.attrs.get("domains", ()), (-1, 4)).tolist()),
-            known_outcome=Outcome[outcome],
+            known_outcome=Outcome[str(table.attrs["outcome"])],
         )
 
 
@@ -407,13 +396,12 @@ def compute_trajectory(
 def compute_metrics(moved: Trajectory, period: float, angle_resolution: float = 0.0) -> Metrics:
     """Metrics of a trajectory with a control period [s], and a step of the sensor of the angle [rad]."""
     change = last_change(moved.desired_stiffness, np)
-    at_change = np.asarray(moved.stiffness)[change.at]
-    return _metrics("auto", jax.tree.map(np.asarray, (moved, change, at_change, period, angle_resolution)))[0]
+    return _metrics("auto", jax.tree.map(np.asarray, (moved, period, angle_resolution, change)))[0]
 
 
 @BatchFunction
 def _metrics(parts: Any, _: None) -> Metrics:
-    return measure_since(*parts)
+    return measure(*parts)
 
 
 _friction_torque = jit(AntagonisticJoint.friction_torque)
