@@ -44,7 +44,7 @@ def checked_call(function: Callable[P, R]) -> Callable[P, R]:
                 raise CallError(text, field=name, value=value, remedy="give True or False")
         try:
             return function(*args, **named)
-        except (TypeError, AttributeError, ValueError) as error:
+        except (TypeError, AttributeError, ValueError, LookupError) as error:
             _explain(function, (args, named), error)
             raise
 

@@ -295,14 +295,21 @@ def _resolve(parameters: _Parameters, name: str) -> ScenarioParameter:
         reason, remedy = parameters.refused[refused]
         raise ParameterError(f"{quoted(spelling)} cannot be varied: {reason}", value=name, remedy=remedy)
     part = next((start for start in starts if start in parameters.parts), "")
-    inside = [known for known in parameters.spellings if known.startswith(f"{part}.")] if part else []
-    if part == spelling or len(endings) > 1:
+    inside = [known for known in parameters.spellings if known.startswith(f"{part}.")]
+    if part == spelling or endings:
         message = f"{quoted(spelling)} is {'the end of several names' if endings else 'a group of parameters'}"
-        nearest = endings or inside
-    else:
-        kind = f"{part}, of class {class_name(type(parameters.parts[part]))}," if part else "the scenario"
-        message = f"{kind} has no parameter {quoted(spelling[len(part) :].lstrip('.'))}"
-        last = [known for known in inside if known.endswith(f".{keys[-1]}")]
-        nearest = last or list(filter(None, [closest(spelling, inside or list(parameters.spellings))]))
-    remedy = f"did you mean {' or '.join(map(repr, nearest[:3]))}? {LISTING}" if nearest else LISTING
-    raise ParameterError(message, value=name, remedy=remedy)
+        raise _unknown(message, name, endings or inside)
+    kind = f"{part}, of class {class_name(type(parameters.parts[part]))}," if part else "the scenario"
+    message = f"{kind} has no parameter {quoted(spelling.removeprefix(f'{part}.'))}"
+    raise _unknown(message, name, _nearest(spelling, inside or list(parameters.spellings)))
+
+
+def _nearest(name: str, known: list[str]) -> list[str]:
+    """Return the names with the same last key, or the closest one."""
+    return [other for other in known if other.endswith(f".{name.split('.')[-1]}")] or [closest(name, known)]
+
+
+def _unknown(message: str, name: str, nearest: list[str]) -> ParameterError:
+    """Return the error of a name of no parameter, with those that may be meant."""
+    meant = " or ".join(repr(known) for known in nearest[:3] if known)
+    return ParameterError(message, value=name, remedy=f"did you mean {meant}? {LISTING}" if meant else LISTING)

@@ -16,13 +16,13 @@ from jaxtyping import Array, ArrayLike
 from numpy.typing import NDArray
 
 from mckibben.component.checks import whole_periods
-from mckibben.control.base import Controller, Reference, Setpoint
+from mckibben.control.base import Controller, DiscreteTimeSystem, Reference, Setpoint
 from mckibben.control.reference import Signal
 from mckibben.errors import ParameterError, SimulationError, described
 from mckibben.numerics.batching import lanes_of, named_leaves, with_leaves
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.elementary import floating
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import JointPlant, Plant, PlantState
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.metrics import last_change
 
@@ -70,6 +70,8 @@ def split_problem(
 ) -> tuple[Problem | None, Problem, int | None]:
     """Problem with other values at named leaves, as its leaves that vary over runs, all others, and the run count."""
     whole: Any = problem
+    if not isinstance(whole.plant, Plant) or not isinstance(whole.controller, DiscreteTimeSystem):
+        raise TypeError("plant and controller")  # `checked_call` says what is there instead
     if over:  # else each object has checked its values when it was made
         whole = type(whole)(**with_leaves(whole._asdict(), over))
     _check_numbers(whole._asdict())
