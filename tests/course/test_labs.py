@@ -40,20 +40,14 @@ notebooks, grade, grading = (load(name) for name in ("notebooks", "grade", "grad
 LABS = notebooks.LABS
 WRONG = {  # task: plausible mistakes, as changes of the solution
     "force_law": {
-        "ideal": [
-            ("np.pi * DIAMETER**2 / 4 * pressure", "np.pi * DIAMETER**2 / 4 * pressure / bar"),
-            ("** 2 / np.tan", "/ np.tan"),
-        ],
+        "ideal": [("np.pi * DIAMETER**2 / 4 * pressure", "np.pi * DIAMETER**2 / 4 * pressure / bar")],
         "fit": [("np.exp(-decay * contraction)", "contraction**2"), ("np.sqrt(np.mean(", "np.sqrt(np.sum(")],
         "validate": [("data.select(~out)", "data"), ("np.unique(pressure)", "pressure[:3]")],
         "compare": [("fit.rmse", "1.0")],
     },
     "uncertainty": {
         "confidence": [("(1 + level) / 2", "level"), ("matrix.shape[1]", "0"), ("np.sqrt(variance)", "variance")],
-        "prediction": [
-            ("np.hypot(confidence(matrix, force, new, level)[1], ", "("),
-            ("residuals @ residuals / degrees", "0.0"),
-        ],
+        "prediction": [("np.hypot(confidence(matrix, force, new, level)[1], ", "(")],
         "coverage": [("- new_truth) <= half", "- new_truth) <= 2 * half"), ("- new_truth", "- 1.01 * new_truth")],
         "jackknife": [("(count - 1) *", ""), ("kept = groups != group", "kept = groups == groups")],
         "left_out": [("data.select(~out)", "data"), ("Grouping.POINT).confidence", "Grouping.POINT).prediction")],
@@ -66,54 +60,35 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
         "energy": [("/ 2 * np", "* np"), ("np.sum", "-np.sum")],
         "secant": [("/ amplitude", ""), ("moved[1] * arm", "moved[1]")],
         "ratio": [("> 2 * isobaric", "> 3 * isobaric"), ("0.01 * deg) / isobaric", "0.01) / isobaric")],
-        "rest": [
-            ("np.dot(widths, moment_arms(0.0))", "widths[0] * moment_arms(0.0)[0]"),
-            ("deviation = ", "deviation = 1 / deg * "),
-        ],
+        "rest": [("np.dot(widths, moment_arms(0.0))", "widths[0] * moment_arms(0.0)[0]")],
         "identify": [("ExponentialLaw, loading)", "ExponentialLaw, means)"), (" - np.asarray(law.force(*grid))", "")],
     },
     "attainable_stiffness": {
         "torque": [("return -sum", "return sum"), ("joint.tensions", "(lambda *_: (100.0, 100.0))")],
         "stiffness": [("return -(", "return ("), ("(2 * step)", "step")],
         "common": [("6 * bar, 6 * bar", "4 * bar, 4 * bar")],
-        "attainable": [
-            ("taut & (pressure2 >= 0)", "(pressure2 >= 0)"),
-            ("& (pressure2 <= 6 * bar)", "& (pressure2 <= 4 * bar)"),
-        ],
+        "attainable": [("taut & (pressure2 >= 0)", "(pressure2 >= 0)")],
         "design": [("208 * mm", "190 * mm"), ("208 * mm", "201 * mm")],
     },
     "position_control": {
-        "step": [
-            ("ki * period * error", "ki * error"),
-            ("return integral, kp * error + integral", "return integral, kp * error"),
-        ],
+        "step": [("ki * period * error", "ki * error")],
         "error": [("np.sqrt(np.mean(", "np.sqrt(np.max(")],
         "tune": [("150 * bar", "60 * bar"), ("4 * bar", "4"), ("150 * bar", "5000 * bar")],
-        "feasible": [
-            ("np.all", "np.any"),
-            ("(lowest <= stiffness) & ", ""),
-            ("(lowest <= stiffness) &", "(lowest > 0) |"),
-        ],
+        "feasible": [("np.all", "np.any"), ("(lowest <= stiffness) & ", "")],
     },
     "model_based_control": {
         "inverse": [("found[0] * bar", "found[0]"), ("both((6 * bar, 5 * bar))", "both((5 * bar, 5.5 * bar))")],
         "torque": [("- np.asarray(load.gravity", "+ np.asarray(load.gravity"), ("load.total_inertia * ", "")],
         "lead": [("pressures + time", "pressures - time"), (", times, axis", ", axis")],
         "fair": [("50.0", "20.0"), ("50.0", "80.0"), ("50.0", "90.0")],
-        "coupling": [
-            ("5 * deg)[", "0 * deg)["),
-            ("deviation_pid, deviation_decoupling", "deviation_decoupling, deviation_pid"),
-        ],
+        "coupling": [("5 * deg)[", "0 * deg)[")],
         "hidden": [("(knee, weak)", "(weak, knee)"), ('["stiffness_rmse"] / right', '["stiffness_rmse"] - right')],
         "robust": [("55.0", "30.0"), ("55.0", "75.0")],
     },
     "jumping_leg": {
         "take_off": [("np.argmax(np.diff(touching))", "0"), ("(2 * GRAVITY)", "GRAVITY")],
         "energy": [('"resisting_power", ', '"stop_power", '), ("mass * GRAVITY * ", "GRAVITY * ")],
-        "constant": [
-            ("(0 * bar, 6 * bar, 0 * bar, 6 * bar)", "(0 * bar, 6 * bar, 6 * bar, 0 * bar)"),
-            ("6 * bar)", "6)"),
-        ],
+        "constant": [("(0 * bar, 6 * bar, 0 * bar, 6 * bar)", "(0 * bar, 6 * bar, 6 * bar, 0 * bar)")],
         "timing": [(", max(rises)", ", rises[0]"), ("np.argmax(rises)", "0")],
         "landing": [("np.argmin(", "np.argmax("), ("(plant, shut)", "(shut, plant)")],
         "plan": [(" / (mass * GRAVITY)", ""), ("(0.95, 1.0, 1.05)", "(1.0, 1.0, 1.0)")],
@@ -123,16 +98,11 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
             (
                 "command + (pressure - command) * np.exp(-period / time_constant)",
                 "pressure + (command - pressure) * period / time_constant",
-            ),
-            ("-period", "-2 * period"),
+            )
         ],
         "flow": [("1.0 if ratio <= CRITICAL else ", ""), ("** 2)", ")"), ("upstream * share", "downstream * share")],
         "fill": [("start + air.ATMOSPHERE", "start"), ("1.2 * ", "")],
-        "margin": [
-            ("np.pi + np.angle", "np.angle"),
-            ("2 * np.pi * frequency[crossing]", "frequency[crossing]"),
-            ("np.min(phase", "-np.min(-phase"),
-        ],
+        "margin": [("np.pi + np.angle", "np.angle"), ("2 * np.pi * frequency[crossing]", "frequency[crossing]")],
         "cycle": [("2 * np.mean", "np.mean"), (" * control_period", "")],
         "onset": [("np.argmax(", "-1 - 0 * np.argmax("), ("np.arange(10, 25) * ms", "np.arange(10, 25, 4) * ms")],
         "predict": [("[-1]", "[0]"), ('["angle_rmse"])', '["angle_rmse"]) / deg')],

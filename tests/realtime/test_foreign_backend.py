@@ -72,15 +72,6 @@ def test_calibrations_of_other_channels_are_refused(scenario, monkeypatch):
             prepare(scenario, JointRig.parse(TEXT))
 
 
-def test_mistakes_have_their_line():
-    with pytest.raises(ScenarioError) as error:
-        JointRig.parse(TEXT.replace("BorrowedJoint", "BorowedJoint"))
-    assert [(problem.line, problem.value) for problem in error.value.problems] == [(1, "BorowedJoint")]
-    with pytest.raises(ScenarioError) as error:
-        JointRig.parse(TEXT.replace("port: 3", "port: 30"))
-    assert [(problem.line, problem.field) for problem in error.value.problems] == [(1, "rig.port")]
-
-
 def test_the_muscle_bench_is_no_hardware_of_a_joint():
     with pytest.raises(ScenarioError) as error:
         JointRig.parse("rig: {simulated: {parts: ideal}}\n")

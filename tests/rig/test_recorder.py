@@ -50,16 +50,10 @@ def test_single_rows_are_rows(tmp_path):
     with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
         recorder.append({"time": 1.0, "force": 2.0, "pulses": 3})
         recorder.append({"time": [], "force": [], "pulses": []})
-        assert recorder.rows == 1
-    assert read_record(tmp_path).columns["time"].tolist() == [1.0]
-
-
-def test_the_callers_arrays_may_change_afterwards(tmp_path):
-    table = rows(0, 3)
-    with Recorder.create(tmp_path, {}, COLUMNS) as recorder:
-        recorder.append(table)
-        table["time"][:] = -1
-    assert read_record(tmp_path).columns["time"].tolist() == [0.0, 0.001, 0.002]
+        recorder.append(table := rows(0, 3))
+        table["time"][:] = -1  # of the caller
+        assert recorder.rows == 4
+    assert read_record(tmp_path).columns["time"].tolist() == [1.0, 0.0, 0.001, 0.002]
 
 
 def test_a_file_cut_anywhere_keeps_all_whole_chunks(filled):
@@ -182,18 +176,30 @@ def test_rows_that_are_none_are_refused(tmp_path):
             recorder.append({**rows(0, 3), "other": [1.0, 2.0, 3.0]})
 
 
+@pytest.fixture
+def failing(monkeypatch):
+    """Let a write fail when a part of it is written, as a full disk does."""
+
+    def fail(after, number, meanwhile=lambda: None):
+        put, places = journal._write_at, []
+
+        def write(file, at, content):
+            places.append(at)
+            if len(places) == after:
+                meanwhile()
+                os.pwrite(file, content[: len(content) // 2], at)
+                raise OSError(number, os.strerror(number))
+            put(file, at, content)
+
+        monkeypatch.setattr(journal, "_write_at", write)
+        return places
+
+    return fail
+
+
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
-def test_a_full_disk_keeps_what_came_before_and_the_reason(tmp_path, monkeypatch, number):
-    put, left = journal._write_at, [2]
-
-    def filling(file, at, content):
-        left[0] -= 1
-        if left[0] == 0:  # part of it is written, as a full disk does
-            os.pwrite(file, content[: len(content) // 2], at)
-            raise OSError(number, os.strerror(number))
-        put(file, at, content)
-
-    monkeypatch.setattr(journal, "_write_at", filling)
+def test_a_full_disk_keeps_what_came_before_and_the_reason(tmp_path, failing, number):
+    failing(2, number)
     recorder = Recorder.create(tmp_path, {}, COLUMNS)
     recorder.append(rows(0, 10))
     recorder.flush()
@@ -211,73 +217,23 @@ def test_a_full_disk_keeps_what_came_before_and_the_reason(tmp_path, monkeypatch
     assert not (tmp_path / "reserve").exists()
 
 
-def test_a_broken_disk_leaves_no_gap(tmp_path, monkeypatch):
-    put, left = journal._write_at, [2]
-
-    def breaking(file, at, content):
-        left[0] -= 1
-        if left[0] == 0:
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-        put(file, at, content)
-
-    monkeypatch.setattr(journal, "_write_at", breaking)
+def test_after_a_write_that_failed_nothing_more_is_written_and_its_part_is_cut_off(tmp_path, failing):
+    """What came later would stand after a gap; also what was taken while the failure was not known yet."""
     recorder = Recorder.create(tmp_path, {}, COLUMNS)
-    for first in (0, 10):
-        recorder.append(rows(first, 10))
-        try:
-            recorder.flush()
-        except RigError as error:
-            assert "Input/output error" in str(error)
-    with pytest.raises(RigError, match="Input/output error"):
-        recorder.event("stopped")
-    with pytest.raises(RigError):
-        recorder.close()
-    assert len(read_record(tmp_path)) == 10
-
-
-def test_what_was_left_of_a_write_that_failed_is_cut_off(tmp_path, monkeypatch):
-    put, calls = journal._write_at, []
-
-    def breaking(file, at, content):
-        calls.append(at)
-        if len(calls) == 2:
-            os.pwrite(file, content[: len(content) // 2], at)
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-        put(file, at, content)
-
-    monkeypatch.setattr(journal, "_write_at", breaking)
-    recorder = Recorder.create(tmp_path, {}, COLUMNS)
+    places = failing(2, errno.EIO, lambda: recorder.event("point", "taken meanwhile"))
     recorder.append(rows(0, 10))
     recorder.flush()
     whole = recorder.path.stat().st_size
     recorder.append(rows(10, 10))
-    with pytest.raises(RigError):
+    with pytest.raises(RigError, match="Input/output error"):
         recorder.flush()
     assert recorder.path.stat().st_size == whole
+    with pytest.raises(RigError, match="Input/output error"):
+        recorder.event("stopped")
     with pytest.raises(RigError):
         recorder.close()
-
-
-def test_after_a_write_that_failed_nothing_more_is_written(tmp_path, monkeypatch):
-    """What came later would stand after a gap; also what was taken while the failure was not known yet."""
-    put, calls = journal._write_at, []
-
-    def breaking(file, at, content):
-        calls.append(at)
-        if len(calls) == 1:
-            recorder.event("point", "taken meanwhile")  # by the test, which does not know yet
-            raise OSError(errno.EIO, os.strerror(errno.EIO))
-        put(file, at, content)
-
-    monkeypatch.setattr(journal, "_write_at", breaking)
-    recorder = Recorder.create(tmp_path, {}, COLUMNS)
-    recorder.append(rows(0, 10))
-    with pytest.raises(RigError):
-        recorder.flush()
-    with pytest.raises(RigError):
-        recorder.close()
-    assert len(calls) == 1
-    assert len(read_record(tmp_path)) == 0 and not read_record(tmp_path).events
+    assert len(places) == 2
+    assert len(read_record(tmp_path)) == 10 and not read_record(tmp_path).events
 
 
 def test_whatever_goes_wrong_in_its_thread_is_told_and_nothing_is_lost_in_silence(tmp_path, monkeypatch):

@@ -198,53 +198,6 @@ def test_vented_muscle_has_no_pressure_within_a_second(contraction):
     assert rig.truth.pressure == pytest.approx(2 * bar, abs=0.1 * bar)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "fault",
-    [
-        lambda at: SupplyLost(at),
-        lambda at: ValveStuck(at, 1.0),
-        lambda at: SensorDisconnected(at, "pressure"),
-        lambda at: SensorDisconnected(at, "force", None),
-        lambda at: Slipped(at),
-        lambda at: Burst(at),
-        lambda at: Stalled(at),
-        lambda at: HostDelayed(at, 0.5),
-        lambda at: HostDelayed(at, 3.0),
-        lambda at: SamplesStopped(at),
-        lambda at: SamplesDropped(at, 20, every=0.1),
-        lambda at: SamplesDelayed(at, 0.3),
-    ],
-)
-def test_whatever_is_broken_it_vents_when_told_and_when_not(fault):
-    """At random instants of a move at 6 bar; the host vents, closes, or dies."""
-    random = np.random.default_rng(5)
-    for at, until in random.uniform(0, 3, (6, 2)):
-        for ending in ("vent", "close", "nothing"):
-            rig = opened(faults=[fault(at)], patience=0.5)
-            press(rig, 6 * bar)
-            rig.move(-800, 400.0)
-            before = []
-            try:
-                while rig.clock() < until:
-                    before.append(rig.read(50, timeout=0.2))
-                    rig.heartbeat()
-            except SilentError:
-                pass
-            if ending != "nothing":
-                getattr(rig, ending)()
-                if ending == "close":
-                    assert not rig.moving
-            rig.pass_time(1.0 if ending != "nothing" else 0.5 + 1.0)
-            assert rig.truth.pressure < SAFE and rig.truth.vented
-            if ending == "nothing":
-                assert not rig.moving
-                for what in (lambda rig=rig: press(rig, 1 * bar), lambda rig=rig: rig.move(1, 80.0)):
-                    with pytest.raises(RigError, match="without a heartbeat"):
-                        what()
-            assert all((np.diff(block.time) > 0).all() for block in before)
-
-
 def test_missed_beat_vents_in_time_and_holds_until_opened_anew():
     rig = opened(patience=0.3)
     press(rig, 6 * bar)
