@@ -94,12 +94,7 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
         "plan": [(" / (mass * GRAVITY)", ""), ("(0.95, 1.0, 1.05)", "(1.0, 1.0, 1.0)")],
     },
     "valves_and_delay": {
-        "lag": [
-            (
-                "command + (pressure - command) * np.exp(-period / time_constant)",
-                "pressure + (command - pressure) * period / time_constant",
-            )
-        ],
+        "lag": [("-period", "-2 * period")],
         "flow": [("1.0 if ratio <= CRITICAL else ", ""), ("** 2)", ")"), ("upstream * share", "downstream * share")],
         "fill": [("start + air.ATMOSPHERE", "start"), ("1.2 * ", "")],
         "margin": [("np.pi + np.angle", "np.angle"), ("2 * np.pi * frequency[crossing]", "frequency[crossing]")],
