@@ -76,10 +76,10 @@ mutants: $(VENV)/.installed-dev
 lock: $(VENV)/.installed-dev
 	$(BIN)/python -m pip freeze --disable-pip-version-check --exclude-editable > requirements-dev.lock
 
-#   make bench       ratios against plain C and others, measured in one run, to build/benchmarks.md and .json
+#   make bench       ratios against plain C and others, measured in one run, to build/benchmarks.md
 bench: $(VENV)/.installed-dev $(VENV)/.installed-bench
 	@mkdir -p build
-	$(BIN)/python benchmarks/run.py --json build/benchmarks.json --markdown build/benchmarks.md
+	$(BIN)/python benchmarks/run.py --markdown build/benchmarks.md
 
 #   make docs        the documentation as a site with executed examples, to build/docs/index.html
 docs: $(VENV)/.installed-docs

@@ -69,7 +69,6 @@ class Command:
             base=IMPORT,
             seconds=tuple(self.seconds),
             ratio=statistics.median(ratios),
-            ratio_of_least=min(self.seconds) / min(imported),
         )
 
 

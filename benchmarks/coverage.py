@@ -1,37 +1,29 @@
 """Coverage of 95 % intervals over many synthetic data sets.
 
     python benchmarks/coverage.py [--sets 2000]
-    python benchmarks/coverage.py --files 100
 
 The truth is Eq. 3, measured as the rig does: loading and unloading at each pressure, noise within a plateau correlated
 from sample to sample (so that only its mean is a measurement), and in every other row an error common to each stroke.
-Each data set goes through the estimator of `identify`. Prints the table of docs/uncertainty.md; takes a few minutes.
-
-With `--files` the data are files as that of the tutorial (`examples/your-muscle/make_data.py`), each with noise of its
-own, and go through `read_dataset`, `identify` and `identify_hysteresis`; eight minutes of one core for 100.
+Each data set goes through the estimator of `identify`; takes a few minutes. tests/identification/test_coverage.py runs
+fewer sets.
 """
 
 import argparse
 import dataclasses
-import runpy
-import tempfile
-import warnings
-from pathlib import Path
 
 import equinox as eqx
 import numpy as np
 from scipy.signal import lfilter
 
-from mckibben import catalog, identify, identify_hysteresis, read_dataset
+from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
-from mckibben.errors import McKibbenWarning
 from mckibben.identification import DatasetSummary, Fit, Grouping
 from mckibben.identification.estimator import standard_errors
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.regression import Regression
 from mckibben.muscle import ExponentialLaw, forces
 from mckibben.study.uncertainty import joint_bands
-from mckibben.units import bar, factor, mm, percent
+from mckibben.units import bar, percent
 
 EQ_3 = catalog.law("lei-mas-10-180n")
 TRUTH = np.array([float(getattr(EQ_3, p.name)) for p in ExponentialLaw.parameters()])
@@ -146,32 +138,6 @@ def shares(points, knee, sets: int, *, common: bool):
     return covered(points, measured, further, knee, (Grouping.POINT, Grouping.STROKE))
 
 
-def lab_files(count: int, longest: float) -> str:
-    """Row of the table of files: how many hold the truth, by parameter, of the raw and the corrected points."""
-    data = runpy.run_path(str(Path(__file__).parents[1] / "examples" / "your-muscle" / "make_data.py"))
-    columns = {"Druck [bar]": "pressure_bar", "Kraft [N]": "force_N", "Laenge [mm]": "length_mm"}
-    truth = [data["LAW"][p.name] * factor(p.shown, p.unit) for p in ExponentialLaw.parameters()]
-    inside, widths, unseen = np.zeros((2, len(truth)), int), [], []
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "rig.csv"
-        for seed in range(count):
-            path.write_text(data["text"](seed, longest), encoding="utf-8")
-            points = read_dataset(path, columns=columns, initial_length=data["LENGTH"] * mm)
-            friction = identify_hysteresis(ExponentialLaw, points)
-            fits = identify(ExponentialLaw, points), identify(ExponentialLaw, friction.corrected(points))
-            for held, fit in zip(inside, fits, strict=True):
-                bounds = fit.intervals().values()
-                held += [low <= true <= high for (low, high), true in zip(bounds, truth, strict=True)]
-            widths.append(float(friction.friction.half_width))
-            unseen.append([fit.leave_one_pressure_out.rmse for fit in fits])
-    off = np.abs(np.array(widths) - data["FRICTION"])
-    return (
-        f"| {longest:g} % | {inside[0].min()} .. {inside[0].max()} | {inside[1].min()} .. {inside[1].max()} | "
-        f"{np.mean(widths):.2f} +- {np.std(widths):.2f} N, {np.count_nonzero(off <= 0.3)} within 0.3 N | "
-        f"{np.mean(unseen, axis=0)[0]:.1f} N, {np.mean(unseen, axis=0)[1]:.1f} N |"
-    )
-
-
 def pre_contracted_knee():
     """The knee of Table 2 with connectors of 208 mm."""
     return eqx.tree_at(lambda j: j.geometry.connector_length, catalog.joint("knee-table-2"), 0.208)
@@ -180,15 +146,7 @@ def pre_contracted_knee():
 def main():
     parser = argparse.ArgumentParser(description="How often 95 % intervals hold the truth.")
     parser.add_argument("--sets", type=int, default=2000, help="data sets a row")
-    parser.add_argument("--files", type=int, help="files as that of the tutorial instead")
     options = parser.parse_args()
-    if options.files:
-        warnings.simplefilter("ignore", McKibbenWarning)
-        print(f"| largest contraction | of {options.files} hold a parameter | without friction | friction | unseen |")
-        print("|---|---|---|---|---|")
-        for longest in (30.0, 20.0, 12.0):
-            print(lab_files(options.files, longest), flush=True)
-        return
     sets, knee = options.sets, pre_contracted_knee()
     print("| strokes | points | errors | by stroke | classical |\n|---|---|---|---|---|")
     for step in (0.5, 1.0, 2.0):

@@ -1,11 +1,7 @@
-"""Landings of a leg on one core: our batches against MuJoCo with the plugin for the same muscles.
-
-`python benchmarks/leg.py --errors` prints our errors by step, with explicit and with implicit friction.
-"""
+"""Landings of a leg on one core: our batches against MuJoCo with the plugin for the same muscles."""
 
 from __future__ import annotations
 
-import dataclasses
 import os
 import subprocess
 import sys
@@ -252,23 +248,6 @@ def first_batch(folder: Path) -> float:
     return float(done.stdout)
 
 
-def errors() -> None:
-    """Largest error of the knee's angle [deg] in space by step, against explicit steps of 1/64 ms."""
-    counts = 3, 4, 8, 16, 32
-    print("| step [ms] |", *(f"{PERIOD / count / ms:.2g} |" for count in counts))
-    for name, ground in GROUNDS.items():
-        for implicit in (False, True)[: 1 + ground.implicit_friction]:
-            plant = leg_plant(name + IN_SPACE)
-            plain, own = (
-                dataclasses.replace(plant, ground=dataclasses.replace(ground, implicit_friction=one))
-                for one in (False, implicit)
-            )
-            true = traced(plain, FINER * SUBSTEPS)[0]
-            found = (np.abs(traced(own, count)[0] - true).max() / deg for count in counts)
-            shown = ("refused" if np.isnan(one) else f"{one:.1g}" for one in found)
-            print(f"| {name}, {'implicit' if implicit else 'explicit'} |", *(f"{one} |" for one in shown))
-
-
 def main() -> None:
     """Seconds of the first batch of this process."""
     plant = leg_plant(next(iter(GROUNDS)))
@@ -281,4 +260,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    errors() if "--errors" in sys.argv else main()
+    main()

@@ -7,10 +7,10 @@ import importlib.metadata
 import os
 import platform
 import subprocess
+from contextlib import suppress
 from pathlib import Path
 
-PACKAGES = ("mckibben", "jax", "jaxlib", "equinox", "numpy", "scipy", "xarray", "h5netcdf")
-COMPARED = ("casadi", "mujoco", "control", "lmfit")
+PACKAGES = "mckibben jax jaxlib equinox numpy scipy xarray h5netcdf casadi mujoco lmfit".split()
 
 
 def cores() -> int:
@@ -18,50 +18,18 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def describe() -> dict[str, object]:
-    """The machine, and the versions of all that is compared; None for what is not installed."""
-    model, flags = _processor()
-    return {
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "processor": model,
-        "avx512": "avx512f" in flags,
-        "cores": cores(),
-        "load_at_start": os.getloadavg()[0],
-        "system": platform.platform(),
-        "python": platform.python_version(),
-        "compiler": _compiler(),
-        "packages": {name: _version(name) for name in PACKAGES + COMPARED},
-    }
-
-
-def sentence(machine: dict) -> str:
-    """The same in a line or two."""
-    versions = ", ".join(f"{name} {version}" for name, version in machine["packages"].items() if version)
-    vectors = "AVX-512" if machine["avx512"] else "no AVX-512"
-    return (
-        f"{machine['processor']} ({vectors}), {machine['cores']} cores; Python {machine['python']}, {versions}; "
-        f"{machine['compiler']}; {machine['date']}, load {machine['load_at_start']:.1f} at the start"
-    )
-
-
-def _processor() -> tuple[str, set[str]]:
-    try:
+def sentence() -> str:
+    """Return processor, cores, compiler and versions of all that is compared, in a line or two."""
+    model, compiler, versions = platform.machine(), "no C compiler", [f"Python {platform.python_version()}"]
+    with suppress(OSError):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor() or platform.machine(), set()
-    fields = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
-    return fields.get("model name", platform.machine()), set(fields.get("flags", "").split())
-
-
-def _compiler() -> str:
-    try:
-        return subprocess.run(["cc", "--version"], capture_output=True, text=True).stdout.splitlines()[0]
-    except (OSError, IndexError):
-        return "no C compiler"
-
-
-def _version(name: str) -> str | None:
-    try:
-        return importlib.metadata.version(name)
-    except importlib.metadata.PackageNotFoundError:
-        return None
+        fields = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+        vectors = "AVX-512" if "avx512f" in fields.get("flags", "") else "no AVX-512"
+        model = f"{fields.get('model name', model)} ({vectors})"
+    with suppress(OSError, IndexError):
+        compiler = subprocess.run(["cc", "--version"], capture_output=True, text=True).stdout.splitlines()[0]
+    for name in PACKAGES:
+        with suppress(importlib.metadata.PackageNotFoundError):
+            versions.append(f"{name} {importlib.metadata.version(name)}")
+    today, load = datetime.datetime.now(datetime.UTC).date(), os.getloadavg()[0]
+    return f"{model}, {cores()} cores; {', '.join(versions)}; {compiler}; {today}, load {load:.1f} at the start"

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from machine import describe, sentence
+from machine import sentence
 
 from mckibben.realtime import JointRig, prepare
 from mckibben.realtime import loop as module
@@ -86,7 +86,7 @@ def main():
     period = asked.period * 1e-3
     if asked.ordinary:
         module._set_real_time_priority = lambda: None
-    print(sentence(describe()) + "\n")
+    print(sentence() + "\n")
     print_runs(asked.duration, period)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,6 @@ class Row:
     seconds: tuple[float, ...] = ()
     cpu_seconds: tuple[float, ...] = ()
     ratio: float | None = None
-    ratio_of_least: float | None = None
 
     @property
     def time(self) -> float | None:
@@ -69,25 +67,9 @@ class Row:
         return statistics.median(self.seconds) / self.work if self.seconds else None
 
     @property
-    def least(self) -> float | None:
-        """Least seconds per unit of work."""
-        return min(self.seconds) / self.work if self.seconds else None
-
-    @property
     def cores(self) -> float | None:
         """How many cores it kept busy."""
         return sum(self.cpu_seconds) / sum(self.seconds) if self.seconds else None
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        time_per_unit = self.time
-        derived = {
-            "seconds_per_unit": time_per_unit,
-            "least_seconds_per_unit": self.least,
-            "units_per_second": 1 / time_per_unit if time_per_unit else None,
-            "cores_busy": self.cores,
-        }
-        return asdict(self) | derived
 
 
 @dataclass(frozen=True)
@@ -110,8 +92,3 @@ class Table:
     deviation_of: str
     rows: tuple[Row, ...]
     notes: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        named = {name: getattr(self, name) for name in ("title", "unit", "shown", "deviation_of", "notes")}
-        return named | {"rows": [row.as_dict() for row in self.rows]}

@@ -1,6 +1,6 @@
 """All benchmarks in one run: ratios, side by side, of engines that were seen to compute the same.
 
-    python benchmarks/run.py [--json FILE] [--markdown FILE] [--quick] [--only SECTION ...]
+    python benchmarks/run.py [--markdown FILE] [--quick] [--only SECTION ...]
 
 Times differ from machine to machine and hour to hour: look at the ratios. What is not installed is a row that says so;
 the exit status is 1 where an engine that is there failed.
@@ -9,7 +9,6 @@ the exit status is 1 where an engine that is there failed.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import sys
 import tempfile
@@ -25,20 +24,18 @@ from rows import Row, Table
 from tables import as_markdown, as_text
 from timing import failure
 
-SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "reading", "identification", "leg",
-            "simulators")  # fmt: skip
+SECTIONS = ("single", "precision", "batch", "gpu", "gradient", "cold", "identification", "leg")
 
 
 def main() -> int:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    arguments.add_argument("--json", type=Path, metavar="FILE", help="write all that was measured to this file")
     arguments.add_argument("--markdown", type=Path, metavar="FILE", help="write the tables to this file")
     arguments.add_argument("--quick", action="store_true", help="fewer and shorter runs")
     arguments.add_argument("--only", nargs="+", choices=SECTIONS, default=SECTIONS, help="some sections")
     options = arguments.parse_args()
 
-    described, begin = machine.describe(), time.perf_counter()
-    print(machine.sentence(described), end="\n\n", flush=True)
+    described, begin = machine.sentence(), time.perf_counter()
+    print(described, end="\n\n", flush=True)
     tables = []
     with tempfile.TemporaryDirectory() as folder:
         for name, section in sections(Path(folder), quick=options.quick).items():
@@ -49,16 +46,6 @@ def main() -> int:
                 print(f"({time.perf_counter() - started:.0f} s)\n", flush=True)
     seconds = time.perf_counter() - begin
     print(f"{seconds:.0f} s in all, load {os.getloadavg()[0]:.1f} at the end")
-    if options.json:
-        everything = {
-            "machine": described,
-            "load_at_end": os.getloadavg()[0],
-            "quick": options.quick,
-            "seconds": seconds,
-        }
-        everything["tables"] = [table.as_dict() for table in tables]
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
     if options.markdown:
         options.markdown.write_text(document(described, tables, quick=options.quick), encoding="utf-8")
     return int(any(row.note.startswith("failed:") for table in tables for row in table.rows))
@@ -83,7 +70,6 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
     from leg import leg
     from precision import precision
     from reference import reference_problem
-    from simulators import simulators
     from single import single
 
     problem = reference_problem()
@@ -96,18 +82,17 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
         "cold": lambda: cold(folder, quick=quick),
         "identification": lambda: identification(folder, quick=quick),
         "leg": lambda: leg(folder, quick=quick),
-        "simulators": lambda: simulators(folder, quick=quick),
     }
 
 
-def document(described: dict, tables: list[Table], *, quick: bool) -> str:
+def document(described: str, tables: list[Table], *, quick: bool) -> str:
     """The page of the documentation."""
     how = "make bench" + (" (quick: fewer and shorter runs)" if quick else "")
     head = (
         "# Benchmarks\n\n"
         f"Written by `{how}`; do not edit. Ratios were measured side by side in one run, after a check that all "
         "engines compute the same; they hold for this machine, and times vary from hour to hour.\n\n"
-        f"{machine.sentence(described)}\n"
+        f"{described}\n"
     )
     return "\n".join([head, *(as_markdown(table) for table in tables)])
 

@@ -98,10 +98,7 @@ class _Clock:
             self.seconds.append(wall)
 
     def row(self, base: _Clock | None) -> Row:
-        """What came out. The ratio is the median, over the rounds, of the ratios inside one round.
-
-        The ratio of the least times is kept as well: on a machine that others use, the two should be near each other.
-        """
+        """What came out. The ratio is the median, over the rounds, of the ratios inside one round."""
         candidate = self.candidate
         if self.failed:
             return Row(candidate.engine, note=self.failed, deviation=candidate.deviation)
@@ -117,7 +114,6 @@ class _Clock:
             seconds=tuple(self.seconds),
             cpu_seconds=tuple(self.cpu_seconds),
             ratio=statistics.median(ratios) if ratios else None,
-            ratio_of_least=(min(times[0]) / mine) / (min(times[1]) / other) if ratios else None,
         )
 
     def _run(self) -> None:
@@ -135,14 +131,7 @@ def failure(error: Exception) -> str:
 
 def inverted(rows: tuple[Row, ...]) -> tuple[Row, ...]:
     """Ratios of speeds in place of ratios of times."""
-    return tuple(
-        replace(
-            row,
-            ratio=1 / row.ratio if row.ratio else None,
-            ratio_of_least=1 / row.ratio_of_least if row.ratio_of_least else None,
-        )
-        for row in rows
-    )
+    return tuple(replace(row, ratio=1 / row.ratio if row.ratio else None) for row in rows)
 
 
 def _refused(candidate: Candidate) -> Row:
