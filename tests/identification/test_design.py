@@ -1,53 +1,99 @@
+"""Designs that give no force law are refused, whatever the law; those of ordinary tests are not."""
+
+import functools
+
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from mckibben.identification import design_matrix
-from mckibben.identification.estimator import tsqr_r
+from mckibben.dataset import IsobaricDataset
+from mckibben.errors import IdentificationError
+from mckibben.identification import identify, rank
+from mckibben.identification.design import check_design
 from mckibben.muscle import ChouLaw, ExponentialLaw
-from mckibben.units import deg, mm
+from mckibben.units import bar, deg, mm
 
-LINEAR = ["a1", "a2", "b1", "b2", "c1", "c2"]
-CONTRACTION = np.linspace(-0.03, 0.25, 23)
-PRESSURE = np.linspace(0.0, 6e5, 23)[::-1]
-
-
-def test_of_eq_2_is_the_basis_written_by_hand():
-    decayed = np.exp(-30.0 * CONTRACTION)
-    one = np.ones_like(CONTRACTION)
-    hand = np.stack([one, PRESSURE, CONTRACTION, CONTRACTION * PRESSURE, decayed, decayed * PRESSURE], axis=1)
-    law = ExponentialLaw(1.0, 0.2, 3.0, 0.4, 5.0, 0.6, decay=30.0)
-    np.testing.assert_allclose(design_matrix(law, LINEAR, CONTRACTION, PRESSURE), hand, rtol=1e-14)
+SWEEP = np.concatenate([np.linspace(1, 6, 30), np.linspace(6, 1, 30)]) * bar
+MUSCLE = ChouLaw(24 * deg, 12 * mm)
 
 
-def test_columns_come_in_the_order_asked_for():
-    law = ExponentialLaw(1.0, 0.2, 3.0, 0.4, 5.0, 0.6, decay=30.0)
-    some = design_matrix(law, ["c2", "a1"], CONTRACTION, PRESSURE)
-    every = design_matrix(law, LINEAR, CONTRACTION, PRESSURE)
-    np.testing.assert_array_equal(some, every[:, [5, 0]])
-    assert design_matrix(law, [], CONTRACTION, PRESSURE).shape == (23, 0)
+@functools.cache
+def contraction_at(load):
+    """Contraction [-] at which the muscle carries a load [N]."""
+    contraction = np.linspace(-0.1, 0.35, 4501)
+    force = np.asarray(MUSCLE.force(contraction[:, None], SWEEP))
+    return contraction[np.argmin(np.abs(force - load), axis=0)]
 
 
-@given(angle=st.floats(10.0, 50.0), diameter=st.floats(5.0, 40.0))
-def test_of_shape_parameters_agrees_with_finite_differences(angle, diameter):
-    def force(angle, diameter):
-        return np.asarray(ChouLaw(angle * deg, diameter * mm).force(CONTRACTION, PRESSURE))
-
-    law = ChouLaw(angle * deg, diameter * mm)
-    by_angle, by_diameter = design_matrix(law, ["braid_angle", "initial_diameter"], CONTRACTION, PRESSURE).T
-    h = 1e-4
-    for column, difference in (
-        (by_angle, (force(angle + h, diameter) - force(angle - h, diameter)) / (2 * h * deg)),
-        (by_diameter, (force(angle, diameter + h) - force(angle, diameter - h)) / (2 * h * mm)),
-    ):
-        np.testing.assert_allclose(column, difference, atol=1e-6 * np.abs(column).max())
+def one_load(seed, *, force_noise=0.0, friction=0.0):
+    """Pressure up and down at a hanging weight; friction makes a loop of the contraction."""
+    rng = np.random.default_rng(seed)
+    up = np.arange(60) < 30
+    contraction = np.where(
+        up, contraction_at(60 + friction), contraction_at(60 - friction)
+    ) + 1e-4 * rng.standard_normal(60)
+    return SWEEP, contraction, 60 + force_noise * rng.standard_normal(60)
 
 
-@pytest.mark.parametrize("rows", [6, 1000, 1025, 20_000])
-def test_triangle_agrees_with_lapack_up_to_signs(rows):
-    matrix = np.random.default_rng(rows).normal(size=(rows, 6))
-    r = tsqr_r(matrix)
-    expected = np.linalg.qr(matrix, mode="r")
-    np.testing.assert_allclose(np.abs(r), np.abs(expected), atol=1e-11)
-    np.testing.assert_allclose(tsqr_r(np.asfortranarray(matrix)), r, atol=1e-12)
+def spring(seed):
+    """A spring in series, stretched by the muscle: force, contraction and pressure along one curve."""
+    contraction = np.linspace(0.02, 0.2, 60)
+    return np.linspace(1, 5, 60) ** 1.5 * bar, contraction, 500 * contraction
+
+
+def one_length(seed):
+    pressure = np.linspace(0.5, 6, 60) * bar
+    noise = 1e-4 * np.random.default_rng(seed).standard_normal(60)
+    return pressure, 0.1 + noise, np.asarray(MUSCLE.force(0.1, pressure))
+
+
+def one_pressure(seed):
+    contraction = np.linspace(0, 0.2, 60)
+    return np.full(60, 4 * bar), contraction, np.asarray(MUSCLE.force(contraction, 4 * bar))
+
+
+@pytest.mark.parametrize("law", [ChouLaw, ExponentialLaw])
+@pytest.mark.parametrize(
+    ("test", "field"),
+    [
+        (lambda seed: one_load(seed), "force"),
+        (lambda seed: one_load(seed, force_noise=0.25), "force"),
+        (lambda seed: one_load(seed, force_noise=0.25, friction=6.0), "force"),
+        (spring, "contraction"),
+        (one_length, "contraction"),
+        (one_pressure, "pressure"),
+    ],
+)
+def test_a_design_that_gives_no_law_is_refused(law, test, field):
+    pressure, contraction, force = test(1)
+    data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=0.0)
+    with pytest.raises(IdentificationError) as error:
+        identify(law, data)
+    assert error.value.field == field
+    assert error.value.remedy
+
+
+def test_one_load_is_never_taken_for_a_law():
+    """By chance, slopes of pure noise have the right signs: their share of the variance tells them apart."""
+    for seed in range(300):
+        pressure, contraction, force = one_load(seed, force_noise=0.25, friction=3.0)
+        data = IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=0.0)
+        with pytest.raises(IdentificationError):
+            check_design(data)
+
+
+def test_a_ranking_refuses_before_the_fits():
+    pressure, contraction, force = one_load(1)
+    with pytest.raises(IdentificationError) as error:
+        rank(IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=0.0))
+    assert error.value.field == "force"
+
+
+@pytest.mark.parametrize("loads", [[30, 60], [30, 60, 90, 110]])
+def test_two_loads_give_a_law(loads):
+    pressure = np.tile(SWEEP, len(loads))
+    contraction = np.concatenate([contraction_at(load) for load in loads])
+    force = np.repeat(np.array(loads, float), len(SWEEP))
+    law = identify(
+        ChouLaw, IsobaricDataset.of(pressure=pressure, contraction=contraction, force=force, slack_force=0.0)
+    ).law
+    assert law.braid_angle == pytest.approx(24 * deg, abs=0.1 * deg)

@@ -221,7 +221,6 @@ def test_too_few_points():
 @pytest.mark.parametrize(
     ("pressures", "contractions", "unidentifiable"),
     [
-        ([6 * bar], np.linspace(0, 0.2, 20), "a1, a2"),  # one pressure
         ([3 * bar, 4 * bar, 5 * bar, 6 * bar], [0.02, 0.08], "a1"),  # two contractions
         ([3 * bar, 4 * bar, 5 * bar, 6 * bar], [0.0, 0.05, 0.1], "a1"),  # three
     ],
@@ -231,13 +230,6 @@ def test_a_singular_design_names_what_it_does_not_determine(pressures, contracti
     with pytest.raises(IdentificationError, match=r"not determine .*condition number.*; measure at more") as error:
         identify(ExponentialLaw, data)
     assert unidentifiable in str(error.value)
-
-
-def test_one_pressure_is_enough_for_chou_and_no_error_at_unseen_ones_is_claimed():
-    fit = identify(ChouLaw, grid(ChouLaw(25 * deg, 10 * mm), pressures=[4 * bar]))
-    assert fit.law.braid_angle == pytest.approx(25 * deg)
-    assert fit.leave_one_pressure_out is None
-    assert any("only one pressure" in warning for warning in texts(fit))
 
 
 # --- what is said, not hidden -------------------------------------------------------------------------------

@@ -160,15 +160,6 @@ def test_friction_of_the_data_does_not_reorder_the_laws(rankings):
     assert ours <= eq2 < other  # equal where friction hides the deviations
 
 
-@pytest.mark.slow
-def test_where_nothing_can_be_left_out_the_criterion_decides():
-    made = made_by(catalog.law("sarosi-dmsp-10"), noise=1.0, pressures=[4 * bar], contractions=np.linspace(0, 0.15, 20))
-    found = rank(made, [ReynoldsLaw, HuntLaw, ChouLaw, TonduLopezLaw])
-    fitted = [entry for entry in found.entries if entry.fit]
-    assert len(fitted) > 1
-    assert [entry.aicc for entry in fitted] == sorted(entry.aicc for entry in fitted)
-
-
 def test_all_parameters_at_their_bounds_are_an_error_of_units():
     pressure, contraction = (a.ravel() for a in np.meshgrid(PRESSURES, np.linspace(0, 0.2, 9)))
     force = forces(catalog.law("lei-mas-10-180n"), contraction, pressure)

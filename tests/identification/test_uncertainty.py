@@ -12,7 +12,7 @@ from mckibben.errors import IdentificationError, RangeError
 from mckibben.identification import Fit, Grouping, identify
 from mckibben.identification.estimator import ClusterRobustErrors
 from mckibben.identification.grouping import group_labels
-from mckibben.muscle import ChouLaw, ExponentialLaw, ReynoldsLaw
+from mckibben.muscle import ExponentialLaw, ReynoldsLaw
 from mckibben.units import bar
 
 EQ_3 = catalog.law("lei-mas-10-180n")
@@ -167,12 +167,6 @@ def test_intervals_are_t_intervals_of_the_errors_that_they_are_asked_for(fit):
     assert error == pytest.approx(np.sqrt(model.variance(np.eye(7)[6:])[0][0]))
     with pytest.raises(RangeError, match=r"a level of 95 is not a probability; write 0\.95 for 95 %"):
         fit.intervals(95)
-
-
-def test_one_group_gives_no_errors(chart):
-    once = identify(ChouLaw, chart.at(chart.pressures[-1]))
-    with pytest.raises(IdentificationError, match="no errors can be given for 1 pressure"):
-        once.intervals(by=Grouping.PRESSURE)
 
 
 def test_a_parameter_at_its_bound_has_no_interval():

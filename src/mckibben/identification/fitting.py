@@ -10,6 +10,7 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, described
+from mckibben.identification.design import check_design
 from mckibben.identification.estimator import (
     CONDITION_LIMIT,
     Bools,
@@ -99,6 +100,7 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
     taut = means.taut
     smooth = law_type in SMOOTH_LAWS
     _check_count(ExponentialLaw if smooth else law_type, taut, slack=len(means) - len(taut))
+    check_design(taut)
     points = _within_validity(law_type, taut)
     if len(points.pressures) == 1:  # the scatter about it says nothing about the pressure
         points = IsobaricDataset(points.table.assign(pressure=("point", points.levels)))

@@ -13,6 +13,7 @@ import numpy as np
 from mckibben.component.calls import checked_call
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
+from mckibben.identification.design import check_design
 from mckibben.identification.fit import Fit
 from mckibben.identification.fitting import check_law_type, identify, without_direction_means
 from mckibben.identification.outliers import find_outliers, without_outliers
@@ -199,7 +200,7 @@ def rank(
     Raises
     ------
     IdentificationError
-        If there is no taut point.
+        If there is no taut point, or the points give no law (`check_design`).
 
     Examples
     --------
@@ -220,6 +221,7 @@ def rank(
     points = means.taut
     if not len(points):
         raise IdentificationError(f"all {len(means)} points are slack", remedy="measure at higher pressures")
+    check_design(points)
     blocks, missing = _blocks(points)
     progress, entries = progress or notebook_progress(), []
     ranked: dict[type[ForceLaw], RankedLaw] = {}

@@ -1,0 +1,93 @@
+"""What the points of a test determine: whether they show how the force varies with contraction and with pressure."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.schema import format_range
+from mckibben.errors import IdentificationError
+from mckibben.identification.summary import CONTRACTION_NOISE
+from mckibben.units import bar, percent
+
+
+def check_design(points: IsobaricDataset) -> None:
+    """Refuse points that cannot give a force law, whatever the law.
+
+    The force of a muscle falls with contraction at a constant pressure and rises with pressure at a constant
+    contraction. Points show both if they lie on no curve in the plane of contraction and pressure, and if the plane
+    through their forces has these slopes, significantly (95 %), and explains most of the variance of the force. A test
+    at one load, one pressure or one length does not.
+
+    Parameters
+    ----------
+    points
+        Taut points, without samples.
+
+    Raises
+    ------
+    IdentificationError
+        With what such points do give, and the smallest further test.
+
+    Examples
+    --------
+    >>> at_one_load = IsobaricDataset.of(
+    ...     pressure=[1e5, 2e5, 3e5, 4e5, 5e5], contraction=[0.05, 0.12, 0.16, 0.19, 0.21], force=[98, 98, 98, 98, 98]
+    ... )
+    >>> check_design(at_one_load)
+    Traceback (most recent call last):
+        ...
+    mckibben.errors.IdentificationError: the force (98 N) does not fall with contraction (5..21 %) and rise ...
+    """
+    force, contraction, pressure = points.force, points.contraction, points.levels
+    pressures, contractions = (
+        f"{format_range(values / size)} {unit}"
+        for values, size, unit in ((points.pressures, bar, "bar"), (contraction, percent, "%"))
+    )
+    if len(points.pressures) == 1:
+        raise IdentificationError(
+            f"all points are at one pressure ({pressures}): they give the stiffness there, not a force law",
+            field="pressure",
+            remedy="measure the same contractions at two further pressures or more",
+        )
+    loads = f"the contraction over pressure at {format_range(force)} N, not a force law"
+    remedy = "measure at three further loads or more, or strokes at constant pressures"
+    across = _residuals(contraction, np.vander((pressure - pressure.mean()) / np.ptp(pressure), 4))
+    if np.sqrt(np.mean(across**2)) <= CONTRACTION_NOISE:
+        raise IdentificationError(
+            f"the contraction is a function of the pressure, or constant ({contractions} at {pressures}): the points "
+            f"give {loads}",
+            field="contraction",
+            remedy=remedy,
+        )
+    if not _plane_is_physical(contraction, pressure, force):
+        raise IdentificationError(
+            f"the force ({format_range(force)} N) does not fall with contraction ({contractions}) and rise with "
+            f"pressure ({pressures}), as that of a muscle: at one load, the points give {loads}",
+            field="force",
+            remedy=remedy,
+        )
+
+
+def _residuals(values: np.ndarray, basis: np.ndarray) -> np.ndarray:
+    return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
+
+
+def _plane_is_physical(contraction: np.ndarray, pressure: np.ndarray, force: np.ndarray, level: float = 0.975) -> bool:
+    """Whether the plane through the forces falls with contraction and rises with pressure, and explains their majority.
+
+    By partial correlation: the t value of a slope is that of the residuals of force and regressor given the other.
+    """
+    from scipy.special import stdtrit
+
+    ones, total = np.ones_like(force), float(np.sum((force - force.mean()) ** 2))
+    freedom = len(force) - 3
+    if not total or freedom < 1:
+        return False
+    left = np.sum(_residuals(force, np.column_stack([ones, contraction, pressure])) ** 2)
+    for sign, values, other in ((-1, contraction, pressure), (1, pressure, contraction)):
+        basis = np.column_stack([ones, other])
+        own, rest = _residuals(values, basis), _residuals(force, basis)
+        if sign * (own @ rest) <= stdtrit(freedom, level) * np.sqrt(left / freedom * (own @ own)):
+            return False
+    return bool(left < total / 2)
