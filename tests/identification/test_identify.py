@@ -7,8 +7,8 @@ from mckibben import catalog
 from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.errors import IdentificationError
 from mckibben.identification import find_outliers, identify, read_law
-from mckibben.identification.summary import unphysical
 from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, HuntLaw, Parameter, PressureAffineLaw, SarosiLaw
+from mckibben.muscle.slopes import unphysical
 from mckibben.result import Severity
 from mckibben.units import bar, deg, mm, percent
 

@@ -7,8 +7,9 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.identification import identify, smooth
 from mckibben.identification.least_squares import FitProblem, grid_search, solve
 from mckibben.identification.smooth import monotone
-from mckibben.identification.summary import domain_of, unphysical
+from mckibben.identification.summary import domain_of
 from mckibben.muscle import ExponentialLaw, GaussianProcessLaw, SmoothLaw, forces
+from mckibben.muscle.slopes import unphysical
 from mckibben.units import bar
 
 CONTRACTION, PRESSURE = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.12, 7), np.linspace(1, 6, 6) * bar))

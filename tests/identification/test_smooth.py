@@ -6,7 +6,6 @@ import pytest
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.identification import identify
-from mckibben.identification.summary import unphysical
 from mckibben.muscle import (
     ExponentialLaw,
     GaussianProcessLaw,
@@ -16,6 +15,7 @@ from mckibben.muscle import (
     TonduLopezVariableLaw,
     forces,
 )
+from mckibben.muscle.slopes import unphysical
 from mckibben.units import bar, percent
 
 EQ_2 = catalog.law("lei-mas-10-180n")

@@ -35,6 +35,7 @@ from mckibben.identification.summary import (
     off_levels,
 )
 from mckibben.muscle import ExponentialLaw, ForceLaw, SmoothLaw
+from mckibben.muscle.slopes import unphysical
 from mckibben.result import Remark
 from mckibben.units import show
 
@@ -142,8 +143,10 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
         notes.append(Remark.note("standard_errors", f"the standard errors are for independent points: {ungrouped}"))
     lopo, reason = _leave_one_pressure_out(regression)
     notes += [Remark.note("leave_one_pressure_out", reason)] if reason else []
+    law = dataclasses.replace(problem.law(solution.values), domain=domain_of(points))
+    notes += _severe_remarks(law, lopo, float(np.std(points.force)))
     return Fit(
-        law=dataclasses.replace(problem.law(solution.values), domain=domain_of(points)),
+        law=law,
         standard_errors={p.name: float(error) for p, error in zip(parameters, errors, strict=True)},
         correlations=correlations,
         rmse=float(np.sqrt(np.mean(residuals**2))),
@@ -248,6 +251,16 @@ def _friction_remarks(points: IsobaricDataset, residuals: Floats) -> Iterator[Re
         if column == "phase":
             remedy = "to identify the friction, record strokes in both directions at constant pressures as well"
         yield Remark.warning("friction", text, remedy)
+
+
+def _severe_remarks(law: ForceLaw, lopo: LeaveOnePressureOut | None, spread: float) -> Iterator[Remark]:
+    """Remarks on a law that no muscle has, or that predicts worse than the mean of forces with a deviation `spread`."""
+    remedy = "look for wrong units and columns, measure at more pressures, or use a law with fewer parameters"
+    if lopo is not None and lopo.rmse > spread:
+        text = f"pressures left out are predicted worse ({show(lopo.rmse, 'N', 3)}) than by the mean of all forces"
+        yield Remark.severe("leave_one_pressure_out", text, remedy)
+    if wrong := unphysical(law):
+        yield Remark.severe("law", f"the law is not that of a muscle: {wrong}", remedy)
 
 
 WITH_FRICTION = "identify the friction with identify_hysteresis (command line: --friction on)"

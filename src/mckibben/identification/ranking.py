@@ -23,9 +23,10 @@ from mckibben.identification.regression import (
     contraction_blocks,
     pressure_blocks,
 )
-from mckibben.identification.summary import Outlier, left_out, unphysical
+from mckibben.identification.summary import Outlier, left_out
 from mckibben.identification.with_friction import shows_hysteresis
 from mckibben.muscle import LAWS, ForceLaw, GaussianProcessLaw, SmoothLaw
+from mckibben.muscle.slopes import unphysical
 from mckibben.notebook import Progress, notebook_progress
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.units import show

@@ -35,9 +35,10 @@ from mckibben.identification.estimator import CONDITION_LIMIT, Bools, Floats, co
 from mckibben.identification.least_squares import FitProblem, Solution, design_matrix, project, solve
 from mckibben.identification.mixed_model import MixedModel
 from mckibben.identification.regression import RESOLUTION, Refit, Regression, contraction_blocks, pressure_blocks
-from mckibben.identification.summary import domain_of, slope_grid, unphysical, wrong_slopes
+from mckibben.identification.summary import domain_of
 from mckibben.muscle import Domain, ExponentialLaw, ForceLaw, GaussianProcessLaw, SmoothAffineLaw, SmoothLaw
 from mckibben.muscle.gaussian_process import ORDER
+from mckibben.muscle.slopes import slope_grid, unphysical, wrong_slopes
 from mckibben.muscle.smooth import DEGREE
 
 SMOOTH_LAWS = (GaussianProcessLaw, SmoothLaw, SmoothAffineLaw)

@@ -1,4 +1,4 @@
-"""Points of a fit: their summary, domain, outliers, and the slopes that a force over them should have."""
+"""Points of a fit: their summary, domain and outliers."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import numpy as np
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import printable
-from mckibben.identification.estimator import Bools, Floats
-from mckibben.muscle import Domain, ForceLaw, forces
+from mckibben.muscle import Domain
 from mckibben.result import Remark
-from mckibben.units import bar, percent, show
+from mckibben.units import percent, show
 
 CONTRACTION_NOISE = 0.1 * percent
 """Error of a contraction [-] that counts as measurement noise."""
@@ -96,38 +95,3 @@ def off_levels(points: IsobaricDataset, *, small: float = 0.05) -> float:
     """Largest distance [Pa] of a measured pressure from its level; 0 up to a `small` share of the range of levels."""
     farthest = float(np.abs(points.levels - points.pressure).max())
     return farthest if farthest > small * float(np.ptp(points.levels)) else 0.0
-
-
-def unphysical(law: ForceLaw, domain: Domain | None = None) -> str:
-    """First violation on a grid of a force that exists, falls with contraction and rises with pressure."""
-    contraction, pressure = slope_grid(law.domain if domain is None else domain)
-    force = forces(law, contraction, pressure)
-    texts = ("it has no force", "its force rises with contraction", "its force falls with pressure")
-    for violation, wrong in zip(texts, (~np.isfinite(force), *wrong_slopes(force)), strict=True):
-        if wrong.any():
-            i, j = np.unravel_index(np.argmax(wrong), wrong.shape)
-            return f"{violation} at {contraction[i, 0] / percent:.4g} % and {pressure[j] / bar:.4g} bar"
-    return ""
-
-
-def slope_grid(
-    box: Domain, *, contractions: int = 57, pressures: int = 33, first_step: float = 0.02
-) -> tuple[Floats, Floats]:
-    """Contraction, a column, and pressure [Pa], a row, at which slopes are checked.
-
-    The first step of the contraction is short, a share `first_step` of the others: an exponential term is steepest
-    there.
-    """
-    contraction = np.linspace(float(box.contraction_min), float(box.contraction_max), contractions)
-    contraction = np.insert(contraction, 1, contraction[0] + first_step * np.diff(contraction[:2]))
-    return contraction[:, None], np.linspace(float(box.pressure_min), float(box.pressure_max), pressures)
-
-
-def wrong_slopes(force: Floats, *, rounding: float = 1e-9) -> tuple[Bools, Bools]:
-    """Masks of intervals of the grid in which a force rises with contraction, and in which it falls with pressure.
-
-    Changes by a share `rounding` of the largest force do not count.
-    """
-    rounding = rounding * float(np.nanmax(np.abs(force), initial=0.0))
-    rises = (force[:-1] > 0) & (np.diff(force, axis=0) > rounding)
-    return rises, (force[:, :-1] > 0) & (-np.diff(force, axis=1) > rounding)

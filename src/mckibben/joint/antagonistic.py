@@ -18,9 +18,11 @@ from mckibben.joint.tendon import RigidTendon, Tendon
 from mckibben.muscle import NO_STATE, MaxwellSlip, Muscle, MuscleState, PressureAffineLaw, SpringLaw
 from mckibben.muscle.air import ATMOSPHERE
 from mckibben.muscle.muscle import warn_outside
+from mckibben.muscle.slopes import unphysical
 from mckibben.numerics.calculus import bracketed_root, derivative, value_and_derivative
 from mckibben.numerics.compiled import cached_trace, jit_inline
 from mckibben.numerics.elementary import floating
+from mckibben.result import Remark
 from mckibben.units import deg
 
 SMALL_MOTION = 0.1 * deg
@@ -181,17 +183,24 @@ class AntagonisticJoint(Component):
         return any(muscle.has_friction for muscle in self.muscles)
 
     @property
-    def remarks(self) -> list[str]:
-        """Remarks on extrapolated laws and on friction, in words, for tables and figures of stiffness."""
-        remarks = list(dict.fromkeys(muscle.extrapolation for muscle in self.muscles if muscle.extrapolation))
+    def remarks(self) -> list[Remark]:
+        """Remarks on laws that are extrapolated or no muscle's, and on friction, for tables and figures."""
+        texts = dict.fromkeys(muscle.extrapolation for muscle in self.muscles)
+        remarks = [Remark.note("joint", text) for text in filter(None, texts)]
+        wrong = {muscle.specimen.name: unphysical(muscle.law, muscle.domain) for muscle in self.muscles}
+        for name, text in wrong.items():
+            if text:
+                remedy = "check the signs and units of its parameters, and its domain"
+                remarks.append(Remark.severe("joint", f"the law of {name!r} is not that of a muscle: {text}", remedy))
         if self.has_friction:
             names = [f"muscle{number}" for number, muscle in enumerate(self.muscles, 1) if muscle.has_friction]
             have = "have" if len(names) > 1 else "has"
-            remarks.append(
+            text = (
                 f"{' and '.join(names)} {have} friction, which the isobaric stiffness leaves out; the small-motion "
                 f"stiffness, of motion by {SMALL_MOTION / deg:g} deg, includes it and depends on the presliding "
                 "length, a guess where the comments of muscle.yaml say so"
             )
+            remarks.append(Remark.note("joint", text))
         return remarks
 
     @property

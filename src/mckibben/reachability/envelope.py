@@ -81,7 +81,7 @@ class Envelope(Result):
             remarks.append(Remark.warning("reference", text))
         ends = [end[:, static.inside] for end in (static.pressures_at_lowest, static.pressures_at_highest)]
         limits = active_limits(plant.supplied_joint, plant.muscles, static.angles[static.inside], ends)
-        remarks += [Remark.warning("joint", text) for text in self.scenario.joint.remarks]
+        remarks += self.scenario.joint.remarks
         return remarks + [Remark.note("stiffness", text) for text in limits]
 
     def listings(self) -> list[Listing]:

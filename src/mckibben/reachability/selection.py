@@ -114,7 +114,7 @@ class Selection(Result):
         return [
             *(Remark.severe("requirement", f"not met: {check.requirement}: {check.value}") for check in missed),
             *(Remark.warning("muscles", f"rejected: {name}: {reason}") for name, reason in self.rejected),
-            *(Remark.warning("joint", text) for text in self.best.plant.joint.remarks),
+            *self.best.plant.joint.remarks,
         ]
 
     def listings(self) -> list[Listing]:

@@ -221,7 +221,7 @@ class SimulationResult(RunResult):
     domains: tuple[Domain, ...] = ()
     known_outcome: Outcome | None = None
     feasibility: Feasibility | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Remark, ...] = ()
 
     @classmethod
     def of(
@@ -325,7 +325,7 @@ class SimulationResult(RunResult):
             remedy = "check by `mckibben envelope` whether the motion is too fast for the joint, or tune the controller"
             yield Remark.warning("controller", self.poor_tracking, remedy)
         yield from super().remarks()
-        yield from (Remark.note("joint", note) for note in self.notes)
+        yield from self.notes
         if "small_motion_stiffness" in self.columns and not self.outcome.failed:
             small, isobaric = (
                 f"{self[name].min():.3g}..{self[name].max():.3g} N*m/rad"

@@ -17,6 +17,7 @@ from mckibben.errors import DomainWarning, McKibbenWarning, ReachabilityWarning,
 from mckibben.joint import AntagonisticJoint
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import JointPlant, PlantState
+from mckibben.result import Remark
 from mckibben.simulation.accuracy import (
     ACCURACY,
     Positions,
@@ -127,7 +128,8 @@ def simulate(
         plant.check_substeps(*setpoints, control_period, substeps)
     run = _Run(problem.plant, problem.controller, setpoints, start, control_period, engine)
     record, used, resolution = run.solved(accuracy, substeps)
-    notes = *plant.joint.remarks, *filter(None, [unknown_air(plant.joint)])
+    unknown = unknown_air(plant.joint)
+    notes = *plant.joint.remarks, *([Remark.note("joint", unknown)] if unknown else [])
     result = _result(run, record, used, resolution, scenario, reach, notes)
     if not resolution.resolved:
         warnings.warn(resolution.describe(), McKibbenWarning, stacklevel=user_level())
@@ -256,7 +258,7 @@ def _result(
     resolution: Resolution,
     scenario: str = "",
     reach: Feasibility | None = None,
-    notes: tuple[str, ...] = (),
+    notes: tuple[Remark, ...] = (),
 ) -> SimulationResult:
     """Result of a run; much is computed when it is first asked for."""
     plant, setpoints, amplitude = run.plant, run.setpoints, run.controller.stiffness_amplitude

@@ -80,8 +80,7 @@ class TuneResult(Result):
         if self.at_bound:
             text = f"at a bound of the range: {', '.join(self.at_bound)}"
             yield Remark.warning("at_bound", text, remedy="consider a wider range")
-        for text in dict.fromkeys(text for scenario in self.before for text in scenario.joint.remarks):
-            yield Remark.note("joint", text)
+        yield from dict.fromkeys(remark for scenario in self.before for remark in scenario.joint.remarks)
 
     def listings(self) -> Iterator[Listing]:
         """Yield the scalars, the parameters and the effect on each scenario."""
