@@ -16,6 +16,7 @@ from mckibben.identification.estimator import Bools, Floats, Ints, robust_errors
 from mckibben.identification.fit import Fit, warning_texts
 from mckibben.identification.fitting import identify
 from mckibben.identification.friction_model import FRICTION, FrictionForm, PathDependentModel, PathSolution
+from mckibben.identification.grouping import held_values
 from mckibben.identification.least_squares import UnitCube
 from mckibben.identification.loading_path import DriftBasis, LoadingPaths, clipped, loop_half_width
 from mckibben.identification.outliers import find_outliers
@@ -337,7 +338,9 @@ def _drift_rate(
     """
     slope = model.drift.slope
     gradient = np.concatenate([np.zeros(len(solution.free)), slope])[solution.inside]
-    by_level = np.unique(model.means.levels[model.used], return_inverse=True)[1]  # the misfit of the law is common
+    by_level = np.unique(held_values(model.means)[model.used], return_inverse=True)[
+        1
+    ]  # the misfit of the law is common
     labels = by_level if by_level.max() + 1 >= fewest_levels else model.paths.label[model.used]
     errors = robust_errors(solution.minimum.jacobian[:, solution.inside], solution.minimum.residuals, labels)
     variance, freedom = errors.variance(gradient[None])
@@ -351,7 +354,7 @@ def _compare_forms(
 
     Its error is at most `tolerance` times the lowest, or larger by less than the standard error of the difference.
     """
-    levels = model.means.levels[model.used]
+    levels = held_values(model.means)[model.used]
     blocks = levels if len(np.unique(levels)) >= 3 else model.paths.label[model.used]
     squares: dict[FrictionForm, Floats] = {}
     solutions: dict[FrictionForm, PathSolution] = {}

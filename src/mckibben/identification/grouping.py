@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
-from mckibben.identification.estimator import Ints
+from mckibben.identification.estimator import Floats, Ints
 
 
 class Grouping(enum.Enum):
@@ -28,11 +28,22 @@ class Grouping(enum.Enum):
         return f"{count} {self.value}{'' if count == 1 else 's'}"
 
 
+def held_at_load(points: IsobaricDataset) -> bool:
+    """Whether the load was held along a path, as by hanging weights: few forces, each at several pressures."""
+    loads = len(np.unique(points.force))
+    return 2 * loads <= len(points) and loads < len(points.pressures)
+
+
+def held_values(points: IsobaricDataset) -> Floats:
+    """Value that was held along the path of each point, shape (points,): the load [N], or else the pressure [Pa]."""
+    return points.force if held_at_load(points) else points.levels
+
+
 def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:
     """Group number of each point, from 0 without gaps, shape (points,)."""
     if grouping is Grouping.POINT:
         return np.arange(len(points))
-    columns: list[np.ndarray] = [points.levels]
+    columns: list[np.ndarray] = [held_values(points)]
     if grouping is Grouping.STROKE:
         columns += [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
         columns.append(approach_labels(points))
@@ -46,7 +57,7 @@ def approach_labels(points: IsobaricDataset) -> NDArray[np.str_]:
         for name in ("direction", "phase")
     )
     repeat = [points.table["repeat"].to_numpy()] if "repeat" in points.table else []
-    cells = row_numbers([points.levels, *repeat])
+    cells = row_numbers([held_values(points), *repeat])
     has_direction = np.bincount(cells, direction != "") > 0
     own = pd.Series(np.where(has_direction[cells], direction, phase), dtype=object)
     following = own.mask(own == "").groupby(cells).bfill()

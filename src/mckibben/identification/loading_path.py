@@ -1,4 +1,4 @@
-"""Loading paths of an isobaric test, and the force along them."""
+"""Loading paths of a test at constant pressures or loads, and the force along them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import pandas as pd
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints
-from mckibben.units import show
+from mckibben.identification.grouping import held_at_load, held_values
+from mckibben.units import bar, show
 
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
 _FAR = 1.0  # m: exceeds any presliding length
@@ -24,7 +25,7 @@ class NoHysteresisError(IdentificationError):
 
 @dataclass(frozen=True, eq=False)
 class LoadingPaths:
-    """Loading paths of a test: the points at constant pressure, in temporal order.
+    """Loading paths of a test: the points at constant pressure, or at a constant load, in temporal order.
 
     Attributes
     ----------
@@ -39,7 +40,8 @@ class LoadingPaths:
     step
         Median distance of successive points [m].
     turns
-        1 or -1 at a loading or unloading row at the same position as a row of the other direction, else 0.
+        1 or -1 at a loading or unloading row at the position of the row of the other direction before it, or behind
+        that; else 0.
     overshot
         Whether the muscle overshot these points and came back, which reverses its friction.
     """
@@ -138,12 +140,13 @@ class LoadingPaths:
             )
         length = table.attrs["initial_length"] * (1 - means.contraction)
         order = np.argsort(table["time"].to_numpy(), kind="stable") if "time" in table else np.arange(len(means))
-        ends = np.flatnonzero(np.diff(means.levels[order])) + 1
+        ends = np.flatnonzero(np.diff(held_values(means)[order])) + 1
         paths = np.split(order, ends)
         if np.median([len(path) for path in paths]) < fewest:
             raise IdentificationError(
-                f"{len(means)} points make {len(paths)} paths at constant pressure: too short to show friction",
-                remedy="give the nominal pressure of each point (set_pressure), and rows in the order of the test",
+                f"{len(means)} points make {len(paths)} paths at constant pressure or load: too short to show friction",
+                remedy="give the nominal pressure of each point (set_pressure) or its load without noise, and rows in "
+                "the order of the test",
             )
         loading = table["direction"].to_numpy() == "loading"
         measured = length
@@ -185,13 +188,13 @@ def _check_order(
 
 
 def _turns(length: Floats, paths: Sequence[Ints], loading: Bools) -> Floats:
-    """1 or -1 at a row at the same position as the row of the other direction before it, else 0."""
+    """1 or -1 at a row of another direction than the row before it, at its position or behind it; else 0."""
     turns = np.zeros(len(length))
     for path in paths:
-        size = np.abs(np.diff(length[path]))
+        move, turn = np.diff(length[path]), np.diff(loading[path].astype(float))
+        size = np.abs(move)
         neighbours = np.minimum(np.append(size[:1], size[:-1]), np.append(size[1:], size[-1:]))
-        repeated = size <= _NEAR * neighbours
-        turns[path[1:]] = np.where(repeated, np.diff(loading[path].astype(float)), 0.0)
+        turns[path[1:]] = np.where((size <= _NEAR * neighbours) | (move * turn < 0), turn, 0.0)
     return turns
 
 
@@ -249,6 +252,33 @@ def clipped(means: IsobaricDataset, *, share: float = 0.25) -> bool:
     return bool(len(slack)) and int(np.count_nonzero(slack == slack.min())) > max(1.0, share * len(slack))
 
 
+def _gap_of_pairs(means: IsobaricDataset, taut: Bools, loading: Bools) -> tuple[float, float, int]:
+    """Median force of loading minus that of unloading [N] at the same place, standard error and degrees of freedom."""
+    gaps = _gaps(means, taut, loading)
+    if len(gaps) < 2:
+        message = f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions"
+        remedy = "measure the same positions in both directions, and give nominal pressures (set_pressure)"
+        raise NoHysteresisError(message, value=len(gaps), lower=2, remedy=remedy)
+    middle = float(np.median(gaps))
+    error = 1.25 * float(np.std(gaps, ddof=1)) / np.sqrt(len(gaps))
+    return middle, max(error, np.finfo(float).eps * abs(middle)), len(gaps) - 1
+
+
+def _gap_by_regression(means: IsobaricDataset, taut: Bools, loading: Bools) -> tuple[float, float, int]:
+    """As `_gap_of_pairs`, by regression: at a constant load, no two points share pressure and contraction."""
+    powers = np.vander(means.contraction[taut], 4)
+    pressure, side = means.pressure[taut, None] / bar, np.where(loading[taut], 1.0, -1.0)
+    basis = np.concatenate([powers, powers * pressure, side[:, None]], axis=1)
+    freedom = len(basis) - basis.shape[1]
+    if freedom < 1:
+        remedy = f"measure at {basis.shape[1] + 1} points or more"
+        raise NoHysteresisError(f"{len(basis)} taut points show no friction", value=len(basis), remedy=remedy)
+    factor, residuals = np.linalg.qr(basis, "r"), means.force[taut]
+    half = np.linalg.lstsq(basis, residuals, rcond=None)[0]
+    noise = float(np.sqrt(np.sum((residuals - basis @ half) ** 2) / freedom))
+    return 2 * float(half[-1]), 2 * noise / abs(float(factor[-1, -1])), freedom
+
+
 def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools) -> Floats:
     """Force of loading minus that of unloading [N], at each level and contraction, up to noise of the length."""
     moves = np.abs(np.diff(means.contraction))
@@ -262,9 +292,11 @@ def _gaps(means: IsobaricDataset, taut: Bools, loading: Bools) -> Floats:
 
 
 def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.99865) -> float:
-    """Median half-difference [N] between the directions at the same pressure and contraction.
+    """Half-difference [N] between the directions at the same pressure and contraction.
 
-    Its significance is tested by the one-sided t quantile of a `level`: three standard errors of many pairs.
+    It is the median over pairs of points or, in a test at constant loads, the regression coefficient of the direction
+    beside a force that is cubic in the contraction and affine in the pressure. Its significance is tested by the
+    one-sided t quantile of a `level`: three standard errors of many points.
 
     Raises
     ------
@@ -273,19 +305,14 @@ def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.998
     IdentificationError
         If loading is significantly below unloading.
     """
-    gaps = _gaps(means, taut, means.table["direction"].to_numpy() == "loading")
-    if len(gaps) < 2:
-        message = f"{len(gaps)} taut points were measured at the same pressure and contraction in both directions"
-        remedy = "measure the same positions in both directions, and give nominal pressures (set_pressure)"
-        raise NoHysteresisError(message, value=len(gaps), lower=2, remedy=remedy)
+    loading = means.table["direction"].to_numpy() == "loading"
+    middle, error, freedom = (_gap_by_regression if held_at_load(means) else _gap_of_pairs)(means, taut, loading)
     from scipy.special import stdtrit
 
-    middle, count = float(np.median(gaps)), len(gaps)
-    error = max(1.25 * float(np.std(gaps, ddof=1)) / np.sqrt(count), np.finfo(float).eps * abs(middle))
-    if not abs(middle) > float(stdtrit(count - 1, level)) * error:
+    if not abs(middle) > float(stdtrit(freedom, level)) * error:
         raise NoHysteresisError(
-            f"loading is {middle:.2g} N above unloading, with a standard error of {error:.2g} N from {count} pairs of "
-            "points: the data show no hysteresis",
+            f"loading is {middle:.2g} N above unloading, with a standard error of {error:.2g} N ({freedom} degrees of "
+            "freedom): the data show no hysteresis",
             value=middle,
             unit="N",
             remedy="fit the law alone (`identify`), or measure with less noise",
