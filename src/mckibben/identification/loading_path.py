@@ -273,7 +273,7 @@ def _gap_by_regression(means: IsobaricDataset, taut: Bools, loading: Bools) -> t
     if freedom < 1:
         remedy = f"measure at {basis.shape[1] + 1} points or more"
         raise NoHysteresisError(f"{len(basis)} taut points show no friction", value=len(basis), remedy=remedy)
-    factor, residuals = np.linalg.qr(basis, "r"), means.force[taut]
+    factor, residuals = np.linalg.qr(basis).R, means.force[taut]
     half = np.linalg.lstsq(basis, residuals, rcond=None)[0]
     noise = float(np.sqrt(np.sum((residuals - basis @ half) ** 2) / freedom))
     return 2 * float(half[-1]), 2 * noise / abs(float(factor[-1, -1])), freedom
