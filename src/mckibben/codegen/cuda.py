@@ -17,9 +17,9 @@ from typing import Any, NamedTuple
 from jaxtyping import PyTree
 from numpy.typing import NDArray
 
-from mckibben.codegen.functions import header
 from mckibben.codegen.kernels import THREADS
 from mckibben.codegen.native import Compiled, NativeFunction
+from mckibben.codegen.templates import filled
 from mckibben.errors import CompilerError, DeviceError
 
 _WHEELS = {12: "cuda_nvrtc", 13: "cu13"}  # folders of NVRTC in the package `nvidia`, by version of CUDA
@@ -82,8 +82,8 @@ class Nvrtc:
         known = architecture in self.architectures
         target = f"sm_{architecture}" if known else f"compute_{max(self.architectures)}"
         options = [option.encode() for option in (f"--gpu-architecture={target}", *_OPTIONS)]
-        program = c_void_p()
-        self._call("nvrtcCreateProgram", byref(program), (header("cuda.h") + source).encode(), b"run.cu", 0, None, None)
+        program, text = c_void_p(), filled("cuda.h", {}) + source
+        self._call("nvrtcCreateProgram", byref(program), text.encode(), b"run.cu", 0, None, None)
         try:
             status = self._library.nvrtcCompileProgram(program, len(options), (c_char_p * len(options))(*options))
             log = self._text(program, "ProgramLog").decode(errors="replace").rstrip("\0")

@@ -10,10 +10,9 @@ import functools
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from importlib.resources import files
-from string import Template
 
 from mckibben.codegen.languages import c_language
+from mckibben.codegen.templates import filled
 from mckibben.codegen.writer import Language
 from mckibben.numerics import elementary
 
@@ -25,12 +24,6 @@ def native_language() -> Language:
     language = c_language()
     own = {"exp": "exp_of", "sin": "sin_of", "cos": "cos_of", "tanh": "tanh_of"}
     return replace(language, functions={**language.functions, **own})
-
-
-@functools.cache
-def header(name: str) -> str:
-    """Text of a header of this package."""
-    return (files("mckibben.codegen") / "headers" / name).read_text(encoding="utf-8")
 
 
 @functools.cache
@@ -57,7 +50,7 @@ def definitions() -> str:
         "sin": _estrin("z", k.sin),
         "cos": _estrin("z", k.cos),
     }
-    return Template(header("single.h")).substitute({name: repr(number) for name, number in numbers.items()} | texts)
+    return filled("single.h", numbers | texts)
 
 
 def _powers() -> list[tuple[float, float]]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.languages import JAVASCRIPT
-from mckibben.codegen.source_module import Function, Member, SourceModule, element, identifier, is_scalar
-from mckibben.codegen.writer import Text, Writer, inputs_of
+from mckibben.codegen.source_module import Function, Member, SourceModule, element_names, is_scalar
+from mckibben.codegen.templates import filled
+from mckibben.codegen.writer import Text, Writer
 from mckibben.errors import ExportError
 
 
@@ -16,24 +17,28 @@ def write_js(module: SourceModule, comment: str = "") -> str:
 
     The object has ``defaults()``, which returns ``self`` with ``parameters`` and ``state``, ``prepare(self)``, to be
     called after changing a parameter, and the functions, which take ``self`` and their arguments. A function updates
-    the state and returns its other results as an object, or as a number if there is only one.
+    the state and returns its other results as an object, or as a number if there is only one. Raises `ExportError` for
+    operations on 64-bit integers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> spring = SourceModule("spring", {"stiffness": np.array(40.0)})
+    >>> spring.add("force", "force [N]", lambda p, x: {"force": -p["stiffness"] * x}, {"x": np.array(0.0)})
+    >>> print(write_js(spring).splitlines()[-6].strip())
+    return t1;
     """
     writer = _Writer(module.scopes, JAVASCRIPT, module.results())
-    functions = [_defaults(module), _prepare(module, writer)]
-    functions += [_function(function, writer) for function in module.functions]
-    names = ["defaults", "prepare", *(function.name for function in module.functions)]
-    lines = "\n".join([*sorted(writer.helpers), *functions]).splitlines()
-    return "\n".join(
-        [
-            *(f"// {line}".rstrip() for line in comment.splitlines()),
-            f"const {module.name} = (function () {{",
-            '    "use strict";',
-            *(f"    {line}".rstrip() for line in lines),
-            f"    return {{{', '.join(names)}}};",
-            "})();",
-            f'if (typeof module !== "undefined") module.exports = {module.name};\n',
-        ]
-    )
+    structures = {"parameters": module.members, "state": module.state}
+    values = {
+        "comment": comment.splitlines(),
+        "name": module.name,
+        "structures": [f"{name}: {_object(members, _literals(members))}" for name, members in structures.items()],
+        "prepare": writer.prepared(module.graph.root, "self.{}".format, "self.prepared.{}[{}]")[0],
+        "functions": [_function(function, writer) for function in module.functions],
+        "helpers": sorted(writer.helpers),
+    }
+    return filled("module.js", values)
 
 
 _BITS = {"and", "or", "xor", "shift_left", "shift_right", "bits", "from_bits", "from_bits_32", "single"}
@@ -52,73 +57,33 @@ class _Writer(Writer):
         return text, strength
 
 
-def _defaults(module: SourceModule) -> str:
-    lines = [
-        f"    {structure}: {{{', '.join(f'{member.name}: {_literal(member, zero=zero)}' for member in members)}}},"
-        for structure, members, zero in (("parameters", module.members, False), ("state", module.state, True))
-    ]
-    return "\n".join(
-        [
-            "function defaults() {",
-            "    const self = {",
-            *(f"    {line}" for line in lines),
-            f"        prepared: {{{', '.join(f'{kind.value}: []' for kind in Kind)}}},",
-            "    };",
-            "    prepare(self);",
-            "    return self;",
-            "}\n",
-        ]
-    )
+def _literals(members: Sequence[Member]) -> list[str]:
+    """Texts of the values of members."""
+    return [JAVASCRIPT.literal(x.item(), member.kind) for member in members for x in member.value.flat]
 
 
-def _literal(member: Member, *, zero: bool) -> str:
-    """Numbers of a member; its state is set by a function."""
-    numbers = [JAVASCRIPT.literal(0 if zero else number.item(), member.kind) for number in member.value.flat]
-    numbers = ["false" if zero and member.kind is Kind.BOOLEAN else number for number in numbers]
-    return f"[{', '.join(numbers)}]" if member.shape else numbers[0]
+def _object(members: Sequence[Member], texts: Sequence[str]) -> str:
+    """Object of members, from the texts of their elements."""
+    rest = iter(texts)
+    numbers = [(member, ", ".join([next(rest) for _ in range(member.size)])) for member in members]
+    items = [f"{member.name}: [{text}]" if member.shape else f"{member.name}: {text}" for member, text in numbers]
+    return f"{{{', '.join(items)}}}"
 
 
-def _prepare(module: SourceModule, writer: Writer) -> str:
-    """The function that computes what depends on parameters alone."""
-    lines, _ = writer.prepared(
-        module.graph.root,
-        lambda value: f"self.{value.data}",
-        lambda kind, place: f"self.prepared.{kind.value}[{place}]",
-    )
-    return "\n".join(["function prepare(self) {", *lines, "}\n"])
-
-
-def _function(function: Function, writer: Writer) -> str:
-    lines = []
-    for value in inputs_of(function.scope):
-        if writer.is_needed(value):
-            structure, name = value.data.split(".", 1)[0], identifier(value.data)
-            place = f"self.{value.data}" if structure == "state" else value.data
-            writer.name(value, name)
-            if name != place:
-                lines.append(f"    const {name} = {place};")
-    lines += writer.scope(function.scope)
+def _function(function: Function, writer: Writer) -> Mapping[str, object]:
+    """Description, name, arguments and statements of a function."""
+    lines = writer.function(function.scope, lambda name: f"self.{name}" if name.startswith("state.") else name)
     returned: dict[str, str] = {}
     for result, members in function.results.items():
-        values = iter(function.values[result])
-        texts = {member.name: [writer.text(next(values)) for _ in range(member.size)] for member in members}
+        texts = [writer.text(value) for value in function.values[result]]
         if result == "state":
-            places = [element("state", member, number) for member in members for number in range(member.size)]
-            values = [text for member in members for text in texts[member.name]]
-            lines += [f"    self.{place} = {text};" for place, text in zip(places, values, strict=True)]
-        elif is_scalar(members):
-            returned[result] = texts[members[0].name][0]
+            places = element_names("state", members)
+            lines += [f"    self.{place} = {text};" for place, text in zip(places, texts, strict=True)]
         else:
-            returned[result] = _object(members, texts)
+            returned[result] = texts[0] if is_scalar(members) else _object(members, texts)
     if function.returned is not None:
         lines.append(f"    return {returned[function.returned]};")
     elif returned:
         lines.append(f"    return {{{', '.join(f'{name}: {text}' for name, text in returned.items())}}};")
-    arguments = ["self", *(name for name in function.arguments if name != "state")]
-    return "\n".join([f"// {function.text}", f"function {function.name}({', '.join(arguments)}) {{", *lines, "}\n"])
-
-
-def _object(members: Sequence[Member], texts: dict[str, list[str]]) -> str:
-    values = {name: ", ".join(numbers) for name, numbers in texts.items()}
-    items = (f"{x.name}: [{values[x.name]}]" if x.shape else f"{x.name}: {values[x.name]}" for x in members)
-    return f"{{{', '.join(items)}}}"
+    arguments = ", ".join(["self", *(name for name in function.arguments if name != "state")])
+    return {"text": function.text, "name": function.name, "arguments": arguments, "lines": lines}

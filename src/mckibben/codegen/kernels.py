@@ -9,11 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from string import Template
 
-from mckibben.codegen.functions import header
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
+from mckibben.codegen.templates import filled
 from mckibben.codegen.writer import ATOM, Language, Text, Writer
 
 THREADS = 128
@@ -47,12 +46,8 @@ def kernels(
     real: str,
 ) -> str:
     """Both kernels, from declarations of places, statements of either, and texts of the constants."""
-    stores = [f"        (({real} *)results)[{place}] = {text};" for place, text in enumerate(constants)]
-    counts = {"scalars": scalars, "constants": len(constants), "threads": THREADS, "blocks": _BLOCKS[real]}
-    texts = {"places": places, "prepared": prepared, "stores": stores, "body": body}
-    values = {name: str(max(count, 1)) for name, count in counts.items()}
-    values |= {name: "\n".join(lines) for name, lines in texts.items()}
-    return Template(header("kernels.cu")).substitute(values, real=real)
+    values = {"scalars": scalars, "threads": THREADS, "blocks": _BLOCKS[real], "real": real, "constants": constants}
+    return filled("kernels.cu", values | {"places": places, "prepared": prepared, "body": body})
 
 
 class KernelWriter(Writer):

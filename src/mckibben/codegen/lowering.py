@@ -18,15 +18,19 @@ from jaxtyping import ArrayLike, PyTree
 from mckibben.codegen.array_rules import ArrayRules, Parameters, Shape, array_of
 from mckibben.codegen.graph import FOLDED, ForLoop, Graph, Kind, StoredArray, Value
 from mckibben.codegen.polynomials import erf_inv, log1p, tanh
-from mckibben.codegen.random_bits import MASK, fold_in, is_supported, random_bits, seed_key
+from mckibben.codegen.random_bits import MASK, RULES, is_supported
 from mckibben.errors import ExportError
 from mckibben.numerics import elementary
 
 _UNROLLED = 300  # equations: loops with fewer in total are unrolled
-_RENAMED = {"add_any": "add", "shift_right_arithmetic": "shift_right"}
+_RENAMED = {
+    "add_any": "add",
+    "shift_right_arithmetic": "shift_right",
+    ("shift_right_logical", "uint32"): "shift_right",  # words are never negative
+}
 _OWN = {"bits", "from_bits", "from_bits_32", "single", "real", "integer", "boolean"}  # not primitives of JAX
 _ELEMENTWISE = FOLDED.keys() - _OWN - {"round"}
-_RANDOM = {"random_seed", "random_fold_in", "random_bits", "random_wrap", "random_unwrap"}
+_RANDOM = RULES.keys() | {"random_wrap", "random_unwrap"}
 _WRAPPING = {"add", "sub", "mul", "neg", "not", "shift_left"}  # around the range of unsigned integers
 _SAME = {"stop_gradient", "copy", "copy_p", "optimization_barrier"}
 _RULES = {"_exp_rule": ("exp",), "_sincos_rule": ("sin", "cos")}  # of `numerics.elementary`, for library functions
@@ -157,9 +161,9 @@ class Lowering(ArrayRules):
         name, parameters = equation.primitive.name, equation.params
         aval = equation.outvars[0].aval
         if name in _RANDOM:
-            return self._random(name, parameters, aval, arguments, equation)
+            return self._random(equation, arguments)
         kind = kind_of(aval.dtype)
-        name = _RENAMED.get(name, name)
+        name = _RENAMED.get((name, aval.dtype.name), _RENAMED.get(name, name))
         if name == "erf_inv" and aval.dtype == np.float32:
             return self._closed(_jaxpr_of(erf_inv, aval.shape, aval.dtype), arguments)
         if name in _DECOMPOSED:
@@ -196,33 +200,19 @@ class Lowering(ArrayRules):
             return self._graph.operation("and", Kind.INTEGER, result, self._graph.constant(MASK, Kind.INTEGER))
         return result
 
-    def _random(
-        self,
-        name: str,
-        parameters: Parameters,
-        aval: jax.ShapeDtypeStruct,
-        arguments: list[Array],
-        equation: Equation,
-    ) -> list[Array]:
+    def _random(self, equation: Equation, arguments: list[Array]) -> list[Array]:
         """Random keys (two words each) and the bits drawn from them."""
-        if (
-            (aval.ndim and name != "random_bits")
-            or not is_supported()
-            or "fry" not in str(arguments[0].dtype) + str(parameters.get("impl", "fry"))
-        ):
+        name, parameters = equation.primitive.name, equation.params
+        is_single = name == "random_bits" or not equation.outvars[0].aval.ndim
+        is_threefry = is_supported() and "fry" in str(parameters.get("impl", "fry"))
+        if not is_single or not is_threefry or parameters.get("bit_width", 32) not in (32, 64):
             raise _UnsupportedError(equation)
-        first = arguments[0]
-        if name == "random_seed":
-            return [np.array([*seed_key(self._graph, first.item()), None], object)[:-1]]
-        key = first[0], first[1]
-        if name == "random_fold_in":
-            return [np.array([*fold_in(self._graph, key, arguments[1].item()), None], object)[:-1]]
-        if name != "random_bits" or parameters["bit_width"] not in (32, 64):
-            return [first]
-        places = np.arange(math.prod(aval.shape)).reshape(aval.shape)
-        return [
-            array_of(aval.shape, lambda at: random_bits(self._graph, key, int(places[at]), parameters["bit_width"]))
-        ]
+        if name not in RULES:
+            return arguments
+        words = equation.invars[0].aval.dtype if name == "random_seed" else np.uint32
+        shapes = [jax.ShapeDtypeStruct(x.shape, words) for x in arguments]
+        options = {key: parameters[key] for key in ("bit_width", "shape") if key in parameters}
+        return self._closed(jax.make_jaxpr(functools.partial(RULES[name], **options))(*shapes), arguments)
 
     def _rule(self, name: str, inner: Jaxpr, arguments: list[Array]) -> tuple[str, ...]:
         """Operations in place of one of our polynomials; of batches only the exponential, in kernels."""

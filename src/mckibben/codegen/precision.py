@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 
 from mckibben.codegen.graph import Kind, Scope, Value
-from mckibben.codegen.source_module import SourceModule, element
+from mckibben.codegen.source_module import SourceModule, element_names
 
 
 def wide_values(module: SourceModule, inputs: Collection[str]) -> set[int]:
@@ -33,13 +33,11 @@ def wide_values(module: SourceModule, inputs: Collection[str]) -> set[int]:
 def wide_inputs(module: SourceModule, arguments: Collection[str]) -> frozenset[str]:
     """Names of inputs that are members of some arguments, or of the state and depend on those alone."""
     inputs = {
-        element(name, member, place)
+        element_name
         for function in module.functions
         for name, members in function.arguments.items()
         if name in (*arguments, "state")
-        for member in members
-        if member.kind is Kind.REAL
-        for place in range(member.size)
+        for element_name in element_names(name, [member for member in members if member.kind is Kind.REAL])
     }
     while True:
         wide = wide_values(module, inputs)
@@ -53,8 +51,7 @@ def _states(module: SourceModule) -> Iterator[tuple[str, Value]]:
     """State inputs, and their values after each function that takes them as arguments."""
     for function in module.functions:
         if "state" in function.arguments and "state" in function.results:
-            members = function.results["state"]
-            names = [element("state", member, place) for member in members for place in range(member.size)]
+            names = element_names("state", function.results["state"])
             yield from zip(names, function.values["state"], strict=True)
 
 

@@ -1,48 +1,55 @@
-"""Random bits of JAX's keys (Threefry-2x32, Salmon et al. 2011) as 64-bit integer operations on 32-bit words."""
+"""Random numbers of JAX's keys: Threefry-2x32 (Salmon et al. 2011) on words of 32 bits."""
 
 from __future__ import annotations
 
-import jax
+import math
+from collections.abc import Callable
 
-from mckibben.codegen.graph import Graph, Kind, Value
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Int, UInt, UInt32
 
 MASK = 0xFFFFFFFF
+"""Largest word."""
 _PARITY = 0x1BD11BDA
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
-Pair = tuple[Value, Value]
 
 
-def seed_key(graph: Graph, seed: Value) -> Pair:
-    """Key of an integer seed."""
-    return _shifted(graph, "shift_right", seed, 32), _masked(graph, seed)
+def seed_key(seed: Int[Array, ""]) -> UInt32[Array, "2"]:
+    """Key of an integer seed: its high and its low word."""
+    return jnp.stack([seed >> 32, seed]).astype(jnp.uint32)
 
 
-def fold_in(graph: Graph, key: Pair, data: Value) -> Pair:
+def fold_in(key: UInt32[Array, "2"], word: UInt32[Array, ""]) -> UInt32[Array, "2"]:
     """Key derived from a key and a word."""
-    return threefry(graph, key, (_integer(graph, 0), data))
+    return jnp.stack(threefry(key, jnp.uint32(0), word))
 
 
-def random_bits(graph: Graph, key: Pair, index: int, width: int) -> Value:
-    """Bits at an index of an array drawn from a key."""
-    high, low = threefry(graph, key, (_integer(graph, index >> 32), _integer(graph, index & MASK)))
-    if width == 64:
-        return _operation(graph, "or", _shifted(graph, "shift_left", high, 32), low)
-    return _masked(graph, _operation(graph, "xor", high, low))
+def random_bits(key: UInt32[Array, "2"], *, bit_width: int, shape: tuple[int, ...]) -> UInt[Array, "..."]:
+    """Random words of 32 or 64 bits, each from the key and its index in the array.
+
+    Examples
+    --------
+    >>> key = jax.random.key(7)
+    >>> drawn = random_bits(jax.random.key_data(key), bit_width=64, shape=(3,))
+    >>> bool(jnp.all(drawn == jax.random.bits(key, (3,), "uint64")))
+    True
+    """
+    index = np.arange(math.prod(shape)).reshape(shape)
+    high, low = threefry(key, np.uint32(index >> 32), np.uint32(index & MASK))
+    return high.astype(jnp.uint64) << 32 | low if bit_width == 64 else high ^ low
 
 
-def threefry(graph: Graph, key: Pair, counts: Pair) -> Pair:
-    """Two words from a key and a counter."""
-    parity = _operation(graph, "xor", _operation(graph, "xor", *key), _integer(graph, _PARITY))
-    keys = (*key, parity)
-    x, y = (_sum(graph, count, word) for count, word in zip(counts, key, strict=True))
+def threefry(key: UInt32[Array, "2"], high: Array, low: Array) -> tuple[Array, Array]:
+    """Two words from a key and the words of a counter, which may be arrays."""
+    keys = key[0], key[1], key[0] ^ key[1] ^ jnp.uint32(_PARITY)
+    x, y = high + keys[0], low + keys[1]
     for group in range(5):
         for rotation in _ROTATIONS[group % 2]:
-            x = _sum(graph, x, y)
-            left = _masked(graph, _shifted(graph, "shift_left", y, rotation))
-            y = _operation(graph, "or", left, _shifted(graph, "shift_right", y, 32 - rotation))
-            y = _operation(graph, "xor", x, y)
-        x = _sum(graph, x, keys[(group + 1) % 3])
-        y = _sum(graph, _sum(graph, y, keys[(group + 2) % 3]), _integer(graph, group + 1))
+            x = x + y
+            y = x ^ (y << rotation | y >> (32 - rotation))
+        x, y = x + keys[(group + 1) % 3], y + keys[(group + 2) % 3] + jnp.uint32(group + 1)
     return x, y
 
 
@@ -51,22 +58,9 @@ def is_supported() -> bool:
     return bool(jax.config.jax_threefry_partitionable)  # type: ignore[attr-defined]
 
 
-def _integer(graph: Graph, number: int) -> Value:
-    return graph.constant(number, Kind.INTEGER)
-
-
-def _operation(graph: Graph, name: str, *arguments: Value) -> Value:
-    return graph.operation(name, Kind.INTEGER, *arguments)
-
-
-def _masked(graph: Graph, x: Value) -> Value:
-    return _operation(graph, "and", x, _integer(graph, MASK))
-
-
-def _sum(graph: Graph, x: Value, y: Value) -> Value:
-    return _masked(graph, _operation(graph, "add", x, y))
-
-
-def _shifted(graph: Graph, name: str, x: Value, places: int) -> Value:
-    shifted = _operation(graph, name, x, _integer(graph, places))
-    return _masked(graph, shifted) if name == "shift_right" and places == 32 else shifted
+RULES: dict[str, Callable[..., Array]] = {
+    "random_seed": seed_key,
+    "random_fold_in": fold_in,
+    "random_bits": random_bits,
+}
+"""Primitives of JAX as functions of keys of two words."""

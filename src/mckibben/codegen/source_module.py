@@ -168,6 +168,11 @@ def element(structure: str, member: Member, number: int) -> str:
     return f"{structure}.{member.name}" + (f"[{number}]" if member.shape else "")
 
 
+def element_names(structure: str, members: Sequence[Member]) -> list[str]:
+    """Names of the elements of all members of a structure, in the order of their values."""
+    return [element(structure, member, number) for member in members for number in range(member.size)]
+
+
 def members_of(tree: PyTree, prefix: str = "") -> list[Member]:
     """Members of a structure for the leaves of a tree, with names from their paths without a prefix.
 

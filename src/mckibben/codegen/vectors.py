@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mckibben.codegen.functions import header
 from mckibben.codegen.graph import Kind, Scope, StoredArray, Value
 from mckibben.codegen.languages import c_language
+from mckibben.codegen.templates import filled
 from mckibben.codegen.writer import ATOM, PREFIX, Text, Writer
 
 _VECTORS = {Kind.REAL: "V", Kind.INTEGER: "I", Kind.BOOLEAN: "I"}
@@ -39,7 +39,7 @@ _OF_32_BITS = {
 
 def prelude(single: bool) -> str:
     """Definitions of the vectors, of 32 or 64 bits."""
-    return f"{'#define SINGLE' * single}\n{header('vectors.h')}"
+    return filled("vectors.h", {"single": single})
 
 
 class VectorWriter(Writer):

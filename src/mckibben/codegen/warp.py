@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from mckibben.codegen.graph import Kind, Value
 from mckibben.codegen.languages import literals
-from mckibben.codegen.source_module import Function, SourceModule, element, identifier
+from mckibben.codegen.source_module import Function, SourceModule, element_names, identifier
 from mckibben.codegen.writer import ATOM, Language, Text, Writer, inputs_of
 from mckibben.errors import ExportError
 
@@ -22,15 +22,15 @@ def write_warp(module: SourceModule) -> str:
     needed = {value.data for value in inputs_of(module.graph.root) if writer.is_needed(value)}
     lines, places = [], {}
     for member in module.members:
-        names = [element("parameters", member, number) for number in range(member.size)]
+        names = element_names("parameters", [member])
         if needed.intersection(names):
             values = [float(value) for value in member.value.flat]
             lines.append(f"    {member.path.removeprefix(module.prefix)!r}: ({len(places)}, {values!r}),")
             places |= {name: f"model.parameters[world, {len(places) + place}]" for place, name in enumerate(names)}
     stored, counts = writer.prepared(
         module.graph.root,
-        lambda value: places.get(value.data),
-        lambda kind, place: f"model.{kind.value}[world, {place}]",
+        places.get,
+        "model.{}[world, {}]",
     )
     prepare = ["@wp.kernel", "def prepare(model: Model):", "    world = wp.tid()", *stored, ""]
     functions = [_function(function, writer) for function in module.functions]
@@ -40,7 +40,7 @@ def write_warp(module: SourceModule) -> str:
             "PARAMETERS = {",
             *lines,
             "}",
-            f"PREPARED = {tuple(counts.values())!r}  # numbers, integers and booleans that follow from the parameters",
+            f"PREPARED = {tuple(counts)!r}  # numbers, integers and booleans that follow from the parameters",
             "",
             "",
             *sorted(writer.helpers),
@@ -53,10 +53,10 @@ def write_warp(module: SourceModule) -> str:
 
 def _function(function: Function, writer: _Writer) -> str:
     inputs = [
-        (identifier(element(name, member, number)), _TYPES[member.kind])
-        for name, members in function.arguments.items()
+        (identifier(name), _TYPES[member.kind])
+        for structure, members in function.arguments.items()
         for member in members
-        for number in range(member.size)
+        for name in element_names(structure, [member])
     ]
     for value in inputs_of(function.scope):
         writer.name(value, identifier(value.data))

@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from mckibben.codegen.graph import Branch, Carried, ForLoop, Kind, Scope, StoredArray, Value, needed
+from mckibben.codegen.source_module import identifier
 
 _LONGEST = 100  # characters of an expression without its own variable
 ATOM, PREFIX, _PRODUCT, _SUM, _COMPARISON, _AND, _OR, _CHOICE = 8, 7, 6, 5, 4, 3, 2, 1
@@ -115,20 +116,38 @@ class Writer:
                 lines += self._value(statement, indent, stored)
         return lines
 
-    def prepared(
-        self, scope: Scope, place_of: Callable[[Value], str | None], store: Callable[[Kind, int], str]
-    ) -> tuple[list[str], dict[Kind, int]]:
-        """Lines that store what follows from parameters at the places of their inputs, and its count by kind."""
+    def prepared(self, scope: Scope, place_of: Callable[[str], str | None], store: str) -> tuple[list[str], list[int]]:
+        """Lines that compute what follows from parameters alone, and how many numbers of each kind they store.
+
+        Parameters
+        ----------
+        scope
+            The root of a graph, whose inputs are the parameters.
+        place_of
+            Text of a parameter by the name of its input; None for one that is not used.
+        store
+            Place of a stored number, such as ``self->prepared.{}[{}]``, of its kind and its index among those.
+        """
         counts = dict.fromkeys(Kind, 0)
 
         def stored(value: Value) -> str:
             counts[value.kind] += 1
-            return store(value.kind, counts[value.kind] - 1)
+            return store.format(value.kind.value, counts[value.kind] - 1)
 
         for value in inputs_of(scope):
-            if (place := place_of(value)) is not None:
+            if (place := place_of(value.data)) is not None:
                 self.name(value, place)
-        return self.scope(scope, stored=stored), counts
+        return self.scope(scope, stored=stored), list(counts.values())
+
+    def function(self, scope: Scope, place_of: Callable[[str], str]) -> list[str]:
+        """Lines of a function: its inputs as variables, from the texts of their places by name, and its statements."""
+        lines = []
+        for value in inputs_of(scope):
+            if self.is_needed(value):
+                name, place = identifier(value.data), place_of(value.data)
+                self.name(value, name)
+                lines += [f"    {self.declared(self.constant(value), name, place)}"] if name != place else []
+        return lines + self.scope(scope)
 
     def _value(self, value: Value, indent: str, stored: Callable[[Value], str] | None) -> list[str]:
         text = self._expression(value)

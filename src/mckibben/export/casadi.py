@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array, PyTree
 
-from mckibben.codegen.source_module import SourceModule
+from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.errors import ExportError, ParameterError
-from mckibben.export.evaluation import element_names, evaluate, find_function
+from mckibben.export.evaluation import evaluate, find_function
 from mckibben.export.plant import plant_module
 from mckibben.plant import JointPlant
 from mckibben.scenario import Scenario

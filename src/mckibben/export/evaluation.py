@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from jaxtyping import PyTree
 
 from mckibben.codegen.graph import Branch, ForLoop, Kind, Scope, StoredArray, Value, needed
-from mckibben.codegen.source_module import Function, Member, SourceModule, element
+from mckibben.codegen.source_module import Function, SourceModule, element_names
 from mckibben.errors import ExportError
 
 _OF_INTEGERS = {"and", "or", "xor", "not", "div"}  # operators that have another meaning there
@@ -52,11 +52,6 @@ def evaluate(
 def _defaults(module: SourceModule) -> dict[str, PyTree]:
     names = element_names("parameters", module.members)
     return dict(zip(names, [x.item() for member in module.members for x in member.value.flat], strict=True))
-
-
-def element_names(structure: str, members: Sequence[Member]) -> list[str]:
-    """Names of the inputs for the elements of a structure."""
-    return [element(structure, member, number) for member in members for number in range(member.size)]
 
 
 class _Evaluation:

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 import os
 from collections.abc import Iterator, Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import jinja2
-
 import mckibben
+from mckibben.codegen import templates
 from mckibben.codegen.source_module import identifier
 from mckibben.component.calls import checked_call
 from mckibben.errors import ExportError, ParameterError, quoted
@@ -134,19 +132,6 @@ def check_name(name: str) -> str:
     return name
 
 
-@functools.cache
-def _environment() -> jinja2.Environment:
-    """Templates of this package, whose marks are none of C, Python and XML."""
-    return jinja2.Environment(
-        *("<%", "%>", "${", "}", "<#", "#>"),
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-        undefined=jinja2.StrictUndefined,
-        loader=jinja2.PackageLoader("mckibben.export"),
-    )
-
-
 def filled(template: str, values: Mapping[str, object]) -> str:
     """Text of a template of this package with these values, and the `version` of mckibben."""
-    return _environment().get_template(template).render(values, version=mckibben.__version__)
+    return templates.filled(template, {**values, "version": mckibben.__version__}, "mckibben.export")

@@ -1,3 +1,6 @@
+<% if single %>
+#define SINGLE
+<% endif %>
 /* Vectors `V` of W real numbers, `I` and `U` of integers, `D` and `L` of their 64-bit forms; masks are integers. */
 #ifndef __clang__
 /* for long blocks: scheduling before register allocation, without passes that are slow to compile */

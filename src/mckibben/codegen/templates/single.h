@@ -5,22 +5,22 @@
 #include <string.h>
 const int64_t width = 1;
 
-/* powers of two to multiples of 1 / $points, and their relative rounding errors */
-static const double POWERS[$points][2] = {$powers};
+/* powers of two to multiples of 1 / ${points}, and their relative rounding errors */
+static const double POWERS[${points}][2] = {${powers}};
 
 static __attribute__((noinline, const)) double exp_of(double x)
 {
-    const double shifted = x * $per_power + $magic, n = shifted - $magic;
-    const double r = (x - n * $power_high) - n * $power_low;
+    const double shifted = x * ${per_power} + ${magic}, n = shifted - ${magic};
+    const double r = (x - n * ${power_high}) - n * ${power_low};
     int64_t whole, bits;
     memcpy(&whole, &shifted, sizeof whole);
-    const double *power = POWERS[whole & ($points - 1)];
-    const double rest = (power[1] + r) + r * r * $exp;
+    const double *power = POWERS[whole & (${points} - 1)];
+    const double rest = (power[1] + r) + r * r * ${exp};
     double y = power[0] + power[0] * rest;
     memcpy(&bits, &y, sizeof bits);
-    bits += (whole >> $point_bits) << $mantissa_bits;
+    bits += (whole >> ${point_bits}) << ${mantissa_bits};
     memcpy(&y, &bits, sizeof y);
-    return x < $lowest_exp ? 0.0 : x > $highest_exp ? INFINITY : y;
+    return x < ${lowest_exp} ? 0.0 : x > ${highest_exp} ? INFINITY : y;
 }
 
 static __attribute__((noinline, const)) double tanh_of(double x)
@@ -31,10 +31,10 @@ static __attribute__((noinline, const)) double tanh_of(double x)
 
 static __attribute__((noinline, const)) double _Complex sincos_of(double x)
 {
-    const double shifted = x * $per_quadrant + $magic, n = shifted - $magic;
-    const double r = (x - n * $quadrant_high) - n * $quadrant_low, z = r * r;
-    const double sine = r + r * z * $sin;
-    const double cosine = 1 - (z / 2 - z * z * $cos);
+    const double shifted = x * ${per_quadrant} + ${magic}, n = shifted - ${magic};
+    const double r = (x - n * ${quadrant_high}) - n * ${quadrant_low}, z = r * r;
+    const double sine = r + r * z * ${sin};
+    const double cosine = 1 - (z / 2 - z * z * ${cos});
     int64_t quadrant;
     memcpy(&quadrant, &shifted, sizeof quadrant);
     if ((quadrant & 3) == 0) return __builtin_complex(sine, cosine);
