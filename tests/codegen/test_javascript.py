@@ -102,7 +102,7 @@ def test_controller(tmp_path, kind):
     module, _ = controller_program(source, "controller")
     contraction = {"contraction": 0.1, "pressure": 3e5}
     force = run(write_js(module), "return controller.muscle1_force(controller.defaults(), 0.1, 3e5);", contraction)
-    assert force == pytest.approx(float(source.controller.model.muscle1.force(0.1, 3e5)), rel=1e-12)
+    assert force == pytest.approx(float(source.of(source.parameters).model.muscle1.force(0.1, 3e5)), rel=1e-12)
 
 
 def test_nothing_is_written_for_numbers_of_32_bits(tmp_path):

@@ -84,6 +84,14 @@ def write_c(
     return Sources(filled("module.h", values), filled("module.c", values))
 
 
+class Structure(NamedTuple):
+    """A structure in C: its name, a comment above it, and the declarations of its members."""
+
+    name: str
+    text: str
+    lines: list[str]
+
+
 class _Types(NamedTuple):
     """Types of a module's structures in C."""
 
@@ -92,7 +100,7 @@ class _Types(NamedTuple):
     wide: frozenset[str]  # inputs that are `double` in any case
     units: Mapping[str, str]
 
-    def structure(self, name: str, members: Sequence[Member], text: str = "") -> dict[str, object]:
+    def structure(self, name: str, members: Sequence[Member], text: str = "") -> Structure:
         """Structure with a line per member, and its unit as a comment."""
         lines = []
         for member in members:
@@ -100,7 +108,7 @@ class _Types(NamedTuple):
             size = f"[{member.size}]" if member.shape else ""
             unit = comment_text(self.units.get(f"{name}.{member.path}", ""))
             lines.append(f"{kind} {member.name}{size};" + f" /* {unit} */" * bool(unit))
-        return {"name": f"{self.name}_{name}", "text": text, "lines": lines}
+        return Structure(f"{self.name}_{name}", text, lines)
 
     def argument(self, name: str, members: Sequence[Member], *, is_input: bool) -> str:
         """Declaration of an argument: a number, or a pointer to a structure or a result."""
@@ -109,16 +117,15 @@ class _Types(NamedTuple):
         return f"{'const ' if is_input else ''}{self.name}_{name} *{name}"
 
 
-def _structures(module: SourceModule, types: _Types, counts: Mapping[Kind, int]) -> list[dict[str, object]]:
+def _structures(module: SourceModule, types: _Types, counts: Mapping[Kind, int]) -> list[Structure]:
     """All structures: parameters, what follows from them, the state, all of these, then arguments and results."""
     parts = {"parameters": types.structure("parameters", module.members, "may be changed; call prepare afterwards")}
     if any(counts.values()):
         lines = [f"{types.of[kind]} {kind.value}[{count}];" for kind, count in counts.items() if count]
-        text = "computed from the parameters"
-        parts["prepared"] = {"name": f"{module.name}_prepared", "text": text, "lines": lines}
+        parts["prepared"] = Structure(f"{module.name}_prepared", "computed from the parameters", lines)
     if module.state:
         parts["state"] = types.structure("state", module.state, "from one step to the next")
-    whole = {"name": module.name, "text": "", "lines": [f"{module.name}_{part} {part};" for part in parts]}
+    whole = Structure(module.name, "", [f"{module.name}_{part} {part};" for part in parts])
     return [*parts.values(), whole, *(types.structure(*structure) for structure in module.structures().items())]
 
 

@@ -37,7 +37,7 @@ def random_bits(key: UInt32[Array, "2"], *, bit_width: int, shape: tuple[int, ..
     True
     """
     index = np.arange(math.prod(shape)).reshape(shape)
-    high, low = threefry(key, np.uint32(index >> 32), np.uint32(index & MASK))
+    high, low = threefry(key, jnp.uint32(index >> 32), jnp.uint32(index & MASK))
     return high.astype(jnp.uint64) << 32 | low if bit_width == 64 else high ^ low
 
 

@@ -15,15 +15,15 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 from numpy.typing import NDArray
 
-from mckibben.codegen.source_module import SourceModule
+from mckibben.codegen.source_module import SourceModule, element_names
 from mckibben.component.base import Units, field_hints, field_quantities, units_of_part
-from mckibben.control import Controller, Setpoint
+from mckibben.control import Setpoint
 from mckibben.export.plant import is_real
-from mckibben.joint import AntagonisticJoint, Measurement
+from mckibben.joint import AntagonisticJoint
 from mckibben.muscle import ForceLaw, PressureAffineLaw
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import jit_arrays, numeric
-from mckibben.plant import JointPlant, Plant, PlantState
+from mckibben.plant import Plant
 from mckibben.scenario import Scenario
 from mckibben.simulation.problem import sampled
 from mckibben.units import SYMBOLS
@@ -50,50 +50,72 @@ class ControllerModule(NamedTuple):
 
 
 class ControllerFunctions(NamedTuple):
-    """Functions of a controller over its parameters, and examples of their arguments."""
-
-    parameters: dict[str, PyTree]
-    of: Callable[[PyTree], Controller]  # parameters
-    init: Callable[[PyTree, Measurement], dict[str, PyTree]]
-    step: Callable[[PyTree, PyTree, Setpoint, Measurement], dict[str, PyTree]]
-    state: PyTree
-    setpoint: Setpoint
-    measurement: Measurement  # the first one
-    plant: JointPlant
-    controller: Controller
-    initial: PlantState
-
-
-def controller_functions(scenario: Scenario) -> ControllerFunctions:
-    """First and subsequent steps of a scenario's controller; all its real numbers are parameters.
+    """Functions of a controller over its parameters, and examples of their arguments.
 
     The functions are pure, and take the parameters first: ``init(parameters, measurement)`` returns the ``state``,
     ``step(parameters, state, setpoint, measurement)`` the next ``state``, the ``commands`` [Pa] and the ``telemetry``.
     """
+
+    parameters: dict[str, PyTree]
+    of: Callable[[PyTree], PyTree]  # the controller with these parameters
+    init: Callable[[PyTree, PyTree], dict[str, PyTree]]
+    step: Callable[[PyTree, PyTree, PyTree, PyTree], dict[str, PyTree]]
+    state: PyTree
+    setpoint: PyTree
+    measurement: PyTree  # the first one
+    plant: Plant
+    initial: PyTree  # state of the plant
+
+
+def controller_functions(scenario: Scenario) -> ControllerFunctions:
+    """First and subsequent steps of a scenario's controller; all its real numbers are parameters."""
     period = scenario.control_period
     plant, controller = scenario.plant().with_period(period), scenario.control().with_period(period)
     plant, controller, initial = numeric((plant, controller, scenario.initial(plant)))
-    initial = plant.complete_state(initial)
-    numbers, fixed = eqx.partition(controller, is_real)
-    parameters = {"controller": numbers, "control_period": np.asarray(scenario.control_period)}
+    setpoint = Setpoint(jnp.zeros(()), jnp.zeros(()))
+    return functions_of(plant, controller, plant.complete_state(initial), period, setpoint)
 
-    def of(parameters: PyTree) -> Controller:
+
+def functions_of(
+    plant: Plant,
+    controller: PyTree,
+    initial: PyTree,
+    period: float,
+    setpoint: PyTree,
+    applied: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]] = lambda controller, setpoint: (controller, setpoint),
+) -> ControllerFunctions:
+    """Functions of a controller of a joint or a leg, all of whose real numbers are parameters.
+
+    Parameters
+    ----------
+    plant, initial
+        Plant and its state at the start, for the first measurement.
+    period
+        Control period [s].
+    setpoint
+        Example of a setpoint.
+    applied
+        ``applied(controller, setpoint)`` returns the controller and the second argument of its `step`.
+    """
+    numbers, fixed = eqx.partition(controller, is_real)
+    parameters = {"controller": numbers, "control_period": np.asarray(period)}
+
+    def of(parameters: PyTree) -> PyTree:
         return eqx.combine(parameters["controller"], fixed)
 
-    def init(parameters: PyTree, measurement: Measurement) -> dict[str, PyTree]:
+    def init(parameters: PyTree, measurement: PyTree) -> dict[str, PyTree]:
         return {"state": of(parameters).init(measurement)}
 
-    def step(parameters: PyTree, state: PyTree, setpoint: Setpoint, measurement: Measurement) -> dict[str, PyTree]:
-        controller = of(parameters)
-        state, commands = controller.step(state, setpoint, measurement, parameters["control_period"])
+    def step(parameters: PyTree, state: PyTree, setpoint: PyTree, measurement: PyTree) -> dict[str, PyTree]:
+        controller, second = applied(of(parameters), setpoint)
+        state, commands = controller.step(state, second, measurement, parameters["control_period"])
         pressures = {f"pressure{number}": command for number, command in enumerate(commands, 1)}
         return {"state": state, "commands": pressures, "telemetry": controller.telemetry(state)}
 
     measurement = plant.sample(initial, 0.0)[1]
     state = jax.eval_shape(controller.init, measurement)
     state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state)
-    setpoint = Setpoint(jnp.zeros(()), jnp.zeros(()))
-    return ControllerFunctions(parameters, of, init, step, state, setpoint, measurement, plant, controller, initial)
+    return ControllerFunctions(parameters, of, init, step, state, setpoint, measurement, plant, initial)
 
 
 def controller_module(scenario: Scenario, name: str = "controller") -> ControllerModule:
@@ -106,39 +128,26 @@ def controller_module(scenario: Scenario, name: str = "controller") -> Controlle
     module, left_out = controller_program(source, name)
     _, setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)
     setpoints = jax.tree.map(lambda x: x[:_MOST_PERIODS], setpoints)
-    timing = scenario.control_period, scenario.needed_substeps()
-    recording = recorded(source.plant, source.controller, setpoints, source.initial, *timing, _setpoint_of)
-    columns = ("setpoint.angle", "setpoint.stiffness", "measurement.angle", "measurement.pressures_0",
-               "measurement.pressures_1", "commands.pressure1", "commands.pressure2")  # fmt: skip
-    return ControllerModule(module, units_of(module, "Pa, gauge"), columns, recording, left_out)
+    made = recorded(source, module, source.of(source.parameters), setpoints, scenario.needed_substeps(), _setpoint_of)
+    return made._replace(left_out=left_out)
 
 
-def _setpoint_of(controller: Controller, state: PyTree, setpoint: Setpoint, *_: object) -> Setpoint:
+def _setpoint_of(controller: PyTree, state: PyTree, setpoint: Setpoint, *_: object) -> Setpoint:
     return setpoint
 
 
 def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceModule, tuple[str, ...]]:
     """First step, subsequent steps and model of a controller, and the parts that cannot be exported."""
-    examples = source.state, source.setpoint, source.measurement
-    module = stepping_module(name, source.parameters, source.init, source.step, *examples)
-    model = getattr(source.controller, "model", None)
+    module, model = stepping_module(name, source), getattr(source.of(source.parameters), "model", None)
     return module, tuple(_add_model(module, source.of, model) if isinstance(model, AntagonisticJoint) else ())
 
 
-def stepping_module(
-    name: str,
-    parameters: PyTree,
-    init: Callable[..., PyTree],
-    step: Callable[..., PyTree],
-    state: PyTree,
-    setpoint: PyTree,
-    measurement: PyTree,
-) -> SourceModule:
+def stepping_module(name: str, source: ControllerFunctions) -> SourceModule:
     """Source module of the first step and the subsequent steps of a controller."""
-    module = SourceModule(name, parameters, "controller.")
-    module.add("init", "first state, from the first measurement", init, {"measurement": measurement})
-    text = "one control period: new state, and commands from now on"
-    module.add("step", text, step, {"state": state, "setpoint": setpoint, "measurement": measurement})
+    module = SourceModule(name, source.parameters, "controller.")
+    module.add("init", "first state, from the first measurement", source.init, {"measurement": source.measurement})
+    arguments = {"state": source.state, "setpoint": source.setpoint, "measurement": source.measurement}
+    module.add("step", "one control period: new state, and commands from now on", source.step, arguments)
     return module
 
 
@@ -171,19 +180,33 @@ def _add_model(module: SourceModule, of: Callable[[PyTree], PyTree], model: Anta
 
 
 def recorded(
-    plant: Plant,
+    source: ControllerFunctions,
+    module: SourceModule,
     controller: PyTree,
     rows: PyTree,
-    initial: PyTree,
-    period: ArrayLike,
     substeps: int,
-    setpoints: Callable[..., PyTree],
-) -> NDArray[np.float64]:
-    """Recording of a run with the inputs `rows` of its controller in each period, from which `setpoints` follow."""
-    measured, *columns = _recorded(plant, controller, rows, initial, period, substeps, setpoints)
-    others = [np.nan] * len(columns[0]), [np.nan] * len(columns[2])
-    first = [*others[0], *map(float, jax.tree.leaves(measured)), *others[1]]
-    return np.vstack([first, np.column_stack([column for part in columns for column in part])])
+    setpoint_of: Callable[..., PyTree],
+) -> ControllerModule:
+    """A module with the recording of a run of its controller.
+
+    Parameters
+    ----------
+    controller, rows
+        The controller in the simulation, and the second arguments of its steps, a row for each period.
+    substeps
+        Integration steps per period.
+    setpoint_of
+        Setpoint in a period; takes controller, its state, the row, the measurement and the period.
+    """
+    step = next(function for function in module.functions if function.name == "step")
+    structures = step.arguments | step.results
+    parts = "setpoint", "measurement", "commands"
+    columns = [column for part in parts for column in element_names(part, structures[part])]
+    period = source.parameters["control_period"]
+    first, *table = _recorded(source.plant, controller, rows, source.initial, period, substeps, setpoint_of)
+    start = [*([np.nan] * len(table[0])), *map(float, jax.tree.leaves(first)), *([np.nan] * len(table[2]))]
+    recording = np.vstack([start, np.column_stack([column for part in table for column in part])])
+    return ControllerModule(module, units_of(module, "Pa, gauge"), tuple(columns), recording, ())
 
 
 @jit_arrays
@@ -194,13 +217,13 @@ def _recorded(
     initial: PyTree,
     period: ArrayLike,
     substeps: int,
-    setpoints: Callable[..., PyTree],
+    setpoint_of: Callable[..., PyTree],
 ) -> tuple[PyTree, ...]:
     """First measurement; setpoints, measurements and commands of a run, each of shape (periods,)."""
 
     def next_period(states: PyTree, rows: PyTree) -> PyTree:
         plant_state, measurement = plant.sample(states[0], period)
-        wanted = setpoints(controller, states[1], rows, measurement, period)
+        wanted = setpoint_of(controller, states[1], rows, measurement, period)
         state, commands = controller.step(states[1], rows, measurement, period)
         following = plant.follow(plant_state, plant.clip_commands(commands), period, substeps)
         return (following, state), (tuple(wanted), tuple(jax.tree.leaves(measurement)), commands)

@@ -5,18 +5,14 @@ from __future__ import annotations
 import dataclasses
 import os
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import ArrayLike, PyTree
 
 import mckibben
 from mckibben.control import Setpoint
 from mckibben.errors import ExportError
-from mckibben.export.controller import ControllerModule, recorded, stepping_module, units_of
+from mckibben.export.controller import ControllerModule, functions_of, recorded, stepping_module
 from mckibben.export.controller_files import program_files
-from mckibben.export.plant import is_real
 from mckibben.export.targets import Exported, check_name
 from mckibben.leg import JointwiseControl, LegMeasurement, LegPlant, LegReference, LegStart
 from mckibben.numerics.compiled import numeric
@@ -77,42 +73,20 @@ def _module(
 ) -> ControllerModule:
     """Program and recorded run of a controller."""
     plant, controller, initial = numeric((plant, controller.with_period(period), plant.begin(start)))
-    joints = len(controller.controllers)
-    zero = jnp.zeros(())
-    example = dataclasses.replace(controller, reference=_GivenSetpoints((Setpoint(zero, zero),) * joints))
-    numbers, fixed = eqx.partition(example, is_real)
-    parameters = {"controller": numbers, "control_period": np.asarray(period)}
+    zeros = (jnp.zeros(()),) * len(controller.controllers)
+    example, setpoint = _with_setpoints(controller, ()), {"angles": zeros, "stiffness": zeros}
 
-    def of(parameters: PyTree, setpoints: tuple[Setpoint, ...]) -> JointwiseControl:
-        controller = eqx.combine(parameters["controller"], fixed)
-        return dataclasses.replace(controller, reference=_GivenSetpoints(setpoints))
-
-    def init(parameters: PyTree, measurement: LegMeasurement) -> dict[str, PyTree]:
-        return {"state": of(parameters, ()).init(measurement)}
-
-    def step(parameters: PyTree, state: PyTree, setpoint: PyTree, measurement: LegMeasurement) -> dict[str, PyTree]:
+    def applied(controller: JointwiseControl, setpoint: PyTree) -> tuple[JointwiseControl, ArrayLike]:
         setpoints = tuple(map(Setpoint, setpoint["angles"], setpoint["stiffness"]))
-        controller = of(parameters, setpoints)
-        state, commands = controller.step(state, jnp.zeros(()), measurement, parameters["control_period"])
-        pressures = {f"pressure{number}": command for number, command in enumerate(commands, 1)}
-        return {"state": state, "commands": pressures, "telemetry": controller.telemetry(state)}
+        return _with_setpoints(controller, setpoints), jnp.zeros(())
 
-    measurement = plant.sample(initial, 0.0)[1]
-    state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), jax.eval_shape(example.init, measurement))
-    setpoint = {"angles": (zero,) * joints, "stiffness": (zero,) * joints}
-    module = stepping_module(name, parameters, init, step, state, setpoint, measurement)
-    muscles, of_joints = range(1, len(plant.muscles) + 1), range(joints)
-    measured = [f"angles_{i}" for i in of_joints] + [f"pressures_{i - 1}" for i in muscles] + ["ground_force"]
-    columns = (
-        *(f"setpoint.angles_{i}" for i in of_joints),
-        *(f"setpoint.stiffness_{i}" for i in of_joints),
-        *(f"measurement.{name}" for name in measured),
-        *(f"commands.pressure{i}" for i in muscles),
-    )
-    times = sampling_times(duration, period)
-    substeps = plant.needed_substeps(start.angles, None, period)
-    recording = recorded(plant, controller, times, initial, period, substeps, _wanted)
-    return ControllerModule(module, units_of(module, "Pa, gauge"), columns, recording, ())
+    source = functions_of(plant, example, initial, period, setpoint, applied)
+    times, substeps = sampling_times(duration, period), plant.needed_substeps(start.angles, None, period)
+    return recorded(source, stepping_module(name, source), controller, times, substeps, _wanted)
+
+
+def _with_setpoints(controller: JointwiseControl, setpoints: tuple[Setpoint, ...]) -> JointwiseControl:
+    return dataclasses.replace(controller, reference=_GivenSetpoints(setpoints))
 
 
 def _wanted(
