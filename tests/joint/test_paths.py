@@ -50,25 +50,15 @@ def test_moment_arms_and_stiffness_are_derivatives(joint):
     assert np.shape(paths) == (2, ANGLES.size)
 
 
-def tendons(name: str, angle: float) -> str:
-    """MJCF of the tendons of muscles 1 and 2: through sites where the geometry has points, else with the moment arm."""
-    if name == "two bones":
-        return "".join(f'<spatial name="{i}"><site site="p{i}"/><site site="d{i}"/></spatial>' for i in (1, 2))
-    x = angle
-    arms = {
+def expected_arms(name, x):
+    """Moment arms by the formula of each geometry."""
+    return {
         "pulleys": (0.030, 0.025),
         "cams": (0.030 + 0.008 * x - 0.010 * x * x, 0.028 - 0.005 * x),
-        "arms and a pulley": (series_arm(ARMS, x), 0.025),
+        "arms and a pulley": (0.03 + 0.004 * math.cos(x), 0.025),
         "knee": knee_arms(x),
-        "tables": (series_arm(TABLES[0], x), -series_arm(TABLES[1], x)),
+        "tables": knee_arms(x),
     }[name]
-    signed = (arms[0], -arms[1])
-    return "".join(f'<fixed name="{i}"><joint joint="hinge" coef="{a!r}"/></fixed>' for i, a in enumerate(signed, 1))
-
-
-def series_arm(path: TabulatedPath, x: float) -> float:
-    """Slope of the Chebyshev series of a table, by NumPy."""
-    return float(Chebyshev(path.coefficients, path.window).deriv()(x))
 
 
 def knee_arms(x: float) -> tuple[float, float]:
@@ -79,33 +69,35 @@ def knee_arms(x: float) -> tuple[float, float]:
     return (r * (H * math.cos(x) + r * math.sin(x)) / length1, r * (H * math.cos(x) - r * math.sin(x)) / length2)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["knee", "pulleys", "cams", "two bones", "tables", "arms and a pulley"])
-def test_mujoco_agrees_on_the_torque(name):
-    """With the tensions of our muscles; the series of tables are the exact curves to 1e-6 m."""
-    if name == "tables":
-        assert tuple(GEOMETRIES[name].moment_arms(0.3)) == pytest.approx(knee_arms(0.3), abs=1e-6)
-    elif name == "arms and a pulley":
-        assert series_arm(ARMS, 0.3) == pytest.approx(0.03 + 0.004 * math.cos(0.3), abs=1e-6)
-    joint = AntagonisticJoint(GEOMETRIES[name], MUSCLE, MUSCLE)
+@pytest.mark.parametrize("name", ["knee", "pulleys", "cams", "tables", "arms and a pulley"])
+def test_moment_arms_are_those_of_the_formula(name):
+    """The series of tables are the exact curves to 1e-6 m."""
     for angle in (-0.4, -0.1, 0.0, 0.3):
-        placed = {
-            kind: "".join(f'<site name="{kind}{i}" pos="{a[at]} {a[at + 1]} 0"/>' for i, a in ANCHORS.items())
-            for kind, at in (("p", 0), ("d", 2))
-        }
-        model = mujoco.MjModel.from_xml_string(
-            f"""<mujoco><option gravity="0 0 0"/><worldbody>{placed["p"]}
-            <body><joint name="hinge" type="hinge" axis="0 0 1"/><geom size="0.01" mass="1"/>{placed["d"]}</body>
-            </worldbody><tendon>{tendons(name, angle)}</tendon><actuator>
-            <motor tendon="1" gear="-1"/><motor tendon="2" gear="-1"/></actuator></mujoco>"""
-        )  # fmt: skip
-        data = mujoco.MjData(model)
-        data.qpos[0] = angle
-        data.ctrl[:] = [float(tension) for tension in joint.tensions(angle, PRESSURES)]
-        mujoco.mj_forward(model, data)
-        assert data.qfrc_actuator[0] == pytest.approx(float(joint.torque(angle, PRESSURES)), abs=1e-9)
-        if name == "two bones":
-            np.testing.assert_allclose(data.ten_length, joint.geometry.path_lengths(angle), atol=1e-12)
+        arms = [float(arm) for arm in GEOMETRIES[name].moment_arms(angle)]
+        assert arms == pytest.approx(expected_arms(name, angle), abs=1e-6)
+
+
+@pytest.mark.parametrize("angle", [-0.4, -0.1, 0.3])
+def test_mujoco_agrees_on_the_torque_and_lengths_of_paths_over_two_bones(angle):
+    """With the tensions of our muscles."""
+    joint = AntagonisticJoint(GEOMETRIES["two bones"], MUSCLE, MUSCLE)
+    fixed, turning = (
+        "".join(f'<site name="{kind}{i}" pos="{a[at]} {a[at + 1]} 0"/>' for i, a in ANCHORS.items())
+        for kind, at in (("p", 0), ("d", 2))
+    )
+    tendons = "".join(f'<spatial name="{i}"><site site="p{i}"/><site site="d{i}"/></spatial>' for i in (1, 2))
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><option gravity="0 0 0"/><worldbody>{fixed}
+        <body><joint name="hinge" type="hinge" axis="0 0 1"/><geom size="0.01" mass="1"/>{turning}</body>
+        </worldbody><tendon>{tendons}</tendon><actuator>
+        <motor tendon="1" gear="-1"/><motor tendon="2" gear="-1"/></actuator></mujoco>"""
+    )
+    data = mujoco.MjData(model)
+    data.qpos[0] = angle
+    data.ctrl[:] = [float(tension) for tension in joint.tensions(angle, PRESSURES)]
+    mujoco.mj_forward(model, data)
+    assert data.qfrc_actuator[0] == pytest.approx(float(joint.torque(angle, PRESSURES)), abs=1e-9)
+    np.testing.assert_allclose(data.ten_length, joint.geometry.path_lengths(angle), atol=1e-12)
 
 
 def test_beyond_the_table_the_moment_arm_is_constant():
