@@ -1,4 +1,4 @@
-"""The air of muscles behind pressure regulators, by SciPy, with the equations written anew."""
+"""The air of muscles behind valves, by SciPy, with the equations written anew."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.integrate import solve_ivp
+
+from mckibben.actuator import FlowValve
 
 ATMOSPHERE, GAS, ROOM, DENSITY, KAPPA = 101325.0, 288.0, 293.15, 1.185, 1.4
 
@@ -20,14 +22,18 @@ def flow(conductance, inlet, outlet, critical=0.3, temperature=ROOM):
     return conductance * DENSITY * inlet * share * min((1 - ratio) / 0.001, 1.0)
 
 
+def clip(opening):
+    return min(max(opening, -1.0), 1.0)
+
+
 def beyond(error, width):
     return math.copysign(max(abs(error) - (width or 0.0), 0.0), error)
 
 
 def follow(actuators: Sequence, start, commands, times, volumes, growth=0.0, reservoir=None):
-    """Muscles behind regulators, or tubes of regulators, from the start [Pa] at room temperature.
+    """Muscles behind valves, or tubes of valves, from the start [Pa] at room temperature.
 
-    Returns pressures of muscles, their temperatures [K], lagged commands and pressures of tubes, each of shape
+    Returns pressures of muscles, their temperatures [K], states of valves and pressures of tubes, each of shape
     (muscles, times), and the pressure of the `reservoir` (volume, conductance of its line), of shape (times,).
     """
 
@@ -40,8 +46,15 @@ def follow(actuators: Sequence, start, commands, times, volumes, growth=0.0, res
             valve, volume = getattr(actuator, "valve", actuator), volume + growth * t
             has_tube = valve is not actuator
             outlet, outlet_temperature = (tube, ROOM) if has_tube else (muscle, temperature)
-            error = beyond(held + ATMOSPHERE - outlet, valve.dead_zone)
-            opening = min(max(error / valve.band, -1.0), 1.0)
+            if isinstance(valve, FlowValve):  # of whose dead zone a part is skipped
+                zone, skipped = valve.dead_zone, valve.compensation * valve.dead_zone
+                opening = beyond(held, zone) / (1 - zone)
+                wanted = clip((command + ATMOSPHERE - outlet) / valve.band)
+                wanted = (1 - skipped) * wanted + skipped * clip(wanted / (zone - skipped))
+                lagging = (wanted - held) / valve.spool_lag
+            else:
+                opening = clip(beyond(held + ATMOSPHERE - outlet, valve.dead_zone) / valve.band)
+                lagging = beyond(command - held, (valve.hysteresis or 0.0) / 2) / valve.time_constant
             conductance = valve.conductance if opening > 0 else valve.exhaust_conductance or valve.conductance
             source = store if opening > 0 else ATMOSPHERE
             inflow = flow(conductance * abs(opening), source, outlet, temperature=outlet_temperature)
@@ -61,7 +74,6 @@ def follow(actuators: Sequence, start, commands, times, volumes, growth=0.0, res
                 slope = (KAPPA * (GAS * energy - muscle * growth) + (KAPPA - 1) * heat) / volume
                 lost = (through + leaked) * GAS * temperature / (muscle * volume)
                 warming = temperature * (slope / muscle + growth / volume - lost)
-            lagging = beyond(command - held, (valve.hysteresis or 0.0) / 2) / valve.time_constant
             changes.append([slope, warming, lagging, filling])
         line = 0.0
         if reservoir:
@@ -70,7 +82,8 @@ def follow(actuators: Sequence, start, commands, times, volumes, growth=0.0, res
 
     supply = actuators[0].supply + ATMOSPHERE
     gauge = np.asarray(start, float)
-    first = [*gauge + ATMOSPHERE, *np.full(len(gauge), ROOM), *gauge, *gauge + ATMOSPHERE, supply]
+    states = gauge * [not isinstance(actuator, FlowValve) for actuator in actuators]
+    first = [*gauge + ATMOSPHERE, *np.full(len(gauge), ROOM), *states, *gauge + ATMOSPHERE, supply]
     tight = {"method": "LSODA", "rtol": 1e-11, "atol": 1e-9, "max_step": times[-1] / 500}
     found = solve_ivp(rate, (0, times[-1]), first, t_eval=times, **tight).y
     muscles, temperatures, held, tubes = found[:-1].reshape(4, len(gauge), -1)

@@ -1,4 +1,4 @@
-"""Valves with air, against closed forms and against SciPy with the equations written anew."""
+"""Valves with air, against closed forms."""
 
 import math
 
@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 
 from mckibben.actuator import FlowValve, PressureRegulator, SwitchingValves
 from mckibben.actuator.base import AirState, AirVolume
@@ -14,14 +13,12 @@ from mckibben.muscle.air import ATMOSPHERE, DENSITY, ENERGY, LAMINAR, mass_flow,
 from mckibben.numerics.calculus import rk4
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.plant import JointPlant
-from tests.air import beyond, flow
 
 C = 0.4e-8  # m^3/(s*Pa): 0.4 dm^3/(s*bar)
 RESERVOIR = {"reservoir_volume": 1e-3, "line_conductance": 0.2e-8}
 VALVES = {
     "flow": FlowValve(C, 7e5, exhaust_conductance=0.6e-8, dead_volume=3e-6, dead_zone=0.05, **RESERVOIR),
     "regulator": PressureRegulator(C, 7e5, time_constant=0.02),
-    "leaking": PressureRegulator(C, 7e5, time_constant=0.02, leak=0.05e-8, dead_zone=0.3e5),
 }
 advance = jit(lambda plant, state, commands, time: plant.advance(state, commands, time, 100))
 
@@ -62,58 +59,6 @@ def plants(knee, load):
 def braid_volume(contraction):
     alpha, ratio = math.radians(25), 1 - contraction
     return math.pi * 0.01**2 * 0.18 / 4 * ratio * (1 - math.cos(alpha) ** 2 * ratio**2) / math.sin(alpha) ** 2
-
-
-def independent(paper, valve, commands, start, time):
-    """The joint with its air, by SciPy."""
-    is_flow, dead, index = isinstance(valve, FlowValve), valve.dead_volume, valve.polytropic_index
-
-    def rates(_, y):
-        angle, velocity, *pressures, state1, state2, reservoir = y
-        inlet = 101325 + (7e5 if valve.reservoir_volume is None else reservoir)
-        arms, changes, moved, drawn = paper.eq5(angle), [], [], 0.0
-        contractions = paper.contractions(angle)
-        for i, (pressure, state, command) in enumerate(zip(pressures, (state1, state2), commands, strict=True)):
-            error = beyond((command if is_flow else state) - pressure, 0.0 if is_flow else valve.dead_zone)
-            wanted = min(max(error / 1e5, -1.0), 1.0)
-            zone = valve.dead_zone if is_flow else 0.0
-            if is_flow:  # nine tenths of the dead zone are skipped
-                wanted = (1 - 0.9 * zone) * wanted + 0.9 * zone * min(max(wanted / (0.1 * zone), -1.0), 1.0)
-            opening = beyond(state, zone) / (1 - zone) if is_flow else wanted
-            moved.append((wanted - state) / 0.002 if is_flow else (command - state) / 0.02)
-            source = (C * opening, inlet) if opening > 0 else ((valve.exhaust_conductance or C) * -opening, 101325)
-            mass = flow(*source, pressure + 101325)
-            drawn += max(mass, 0.0)
-            mass -= flow(valve.leak or 0.0, pressure + 101325, 101325)
-            volume = braid_volume(contractions[i]) + dead
-            slope = (braid_volume(contractions[i] + 1e-5) - braid_volume(contractions[i] - 1e-5)) / 2e-5
-            growth = slope * (-arms[0], arms[1])[i] * velocity / 0.18
-            changes.append(index / volume * (288 * 293.15 * mass - (pressure + 101325) * growth))
-        filling = 0.0
-        if valve.reservoir_volume is not None:
-            filling = index / 1e-3 * 288 * 293.15 * (flow(0.2e-8, 7e5 + 101325, inlet) - drawn)
-        return [velocity, paper.acceleration(angle, velocity, pressures), *changes, *moved, filling]
-
-    pressures = [float(p) for p in start.pressures]
-    first = [float(start.angle), 0.0, *pressures, *([0.0, 0.0] if is_flow else pressures), 7e5]
-    return solve_ivp(rates, (0, time), first, method="LSODA", rtol=1e-9, atol=1e-9, max_step=1e-3).y[:, -1]
-
-
-@pytest.mark.parametrize("name", VALVES)
-@pytest.mark.slow
-def test_joint_and_air_move_as_an_independent_solver_says(plants, paper_precontracted, name):
-    plant, time = plants[name], 0.05
-    start = plant.equilibrium(0.1)
-    commands = (float(start.pressures[0]) + 2e5, float(start.pressures[1]) - 1e5)
-    got = advance(plant, start, commands, time)
-    angle, velocity, pressure1, pressure2, *_, reservoir = independent(
-        paper_precontracted, VALVES[name], commands, start, time
-    )
-    assert float(got.angle) == pytest.approx(angle, abs=2e-5)
-    assert float(got.velocity) == pytest.approx(velocity, abs=2e-3)
-    assert [float(p) for p in got.pressures] == pytest.approx([pressure1, pressure2], abs=20.0)
-    if name == "flow":
-        assert float(got.air.reservoir) == pytest.approx(reservoir, abs=1.0) and reservoir < 6.99e5
 
 
 def test_with_shut_valves_the_air_is_compressed_as_p_v_to_the_n_and_is_as_stiff_as_the_joint_says(
