@@ -1,14 +1,12 @@
-"""A joint whose muscles creep: against SciPy, its energy, its rest, beside friction, many at once, its derivatives."""
+"""A joint whose muscles creep: against SciPy, and its bound."""
 
 import dataclasses
 import math
 
-import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import quad, solve_ivp
+from scipy.integrate import solve_ivp
 
 from mckibben.actuator import FirstOrderValve
 from mckibben.control import Setpoint
@@ -16,7 +14,7 @@ from mckibben.errors import RangeError
 from mckibben.joint import SeriesSpring
 from mckibben.muscle import MaxwellCreep
 from mckibben.numerics.compiled import numeric
-from mckibben.plant import JointPlant, PlantState
+from mckibben.plant import JointPlant
 from mckibben.simulation.engine import run_alone
 from mckibben.units import mm
 
@@ -25,33 +23,14 @@ P1, P2 = 4e5, 3.6e5
 ARM = MaxwellCreep(3000.0, 0.2)
 
 
-def with_creep(joint, arm=ARM, slip=None, **changes):
-    given = {"creep": arm} | ({"friction": slip} if slip else {})
-    muscle = dataclasses.replace(joint.muscle1, **given)
+def with_creep(joint, arm=ARM, **changes):
+    muscle = dataclasses.replace(joint.muscle1, creep=arm)
     return dataclasses.replace(joint, muscle1=muscle, muscle2=muscle, **changes)
-
-
-@pytest.fixture(scope="module")
-def creeping(ideal_plant, knee, load):
-    return numeric(JointPlant(with_creep(knee), load, ideal_plant.valve))
 
 
 def creep_of(state):
     """Shape (muscles, periods)."""
     return np.array([muscle.creep[0] for muscle in state.muscles])
-
-
-@pytest.fixture(scope="module")
-def swing(creeping, playback, short_episode):
-    """At held pressures, from a state; all with one program."""
-
-    def run(start, *, damping, pressures=(P1, P2)):
-        held = Setpoint(*(jnp.full(PERIODS, p) for p in pressures))
-        chosen = eqx.tree_at(lambda p: p.load.damping, creeping, jnp.asarray(damping))
-        start = numeric(chosen.complete_state(jax.tree.map(jnp.asarray, start)))
-        return short_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
-
-    return run
 
 
 @pytest.mark.slow
@@ -94,22 +73,19 @@ def test_creep_after_steps_of_the_pressure_moves_as_scipy_has_it(engine, knee, l
     np.testing.assert_allclose(delayed, expected[4:6], atol=0.5)
 
 
-@pytest.mark.parametrize("pressures", [(P1, P2), (1.2e5, 0.9e5)])  # the second goes slack and meets the bound
-def test_a_free_swing_only_loses_energy(swing, paper_precontracted, pressures):
-    paper = paper_precontracted
-    state = swing(PlantState(math.radians(15), 0.3, pressures), damping=0.0, pressures=pressures)
-    every = slice(None, None, 25)
-    angles, velocities = np.asarray(state.angle)[every], np.asarray(state.velocity)[every]
-    work = [quad(lambda a: paper.torque(a, pressures), 0, x, epsabs=1e-11, epsrel=1e-11, limit=200)[0] for x in angles]
-    stored = sum(np.asarray(x)[every] ** 2 / (2 * ARM.stiffness) for x in creep_of(state))
-    total = paper.inertia * velocities**2 / 2 - np.array(work) - paper.G * np.cos(np.pi / 6 - angles) + stored
-    assert np.diff(total).max() < 1e-6 * (total[0] - total[-1])
-    assert total[0] - total[-1] > 5e-3
+def test_creep_holds_at_most_half_of_the_tension(ideal_plant, knee, load, playback, short_episode, paper_precontracted):
+    """A swing at low pressures, at which the muscles go slack."""
+    pressures, paper = (1.2e5, 0.9e5), paper_precontracted
+    plant = numeric(JointPlant(with_creep(knee), load, ideal_plant.valve))
+    start = numeric(plant.init_state(math.radians(15), pressures)._replace(velocity=jnp.asarray(0.3)))
+    held = Setpoint(*(jnp.full(PERIODS, p) for p in pressures))
+    state = short_episode(plant, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
+    angles = np.asarray(state.angle)
     tensions = np.array(
         [np.maximum(paper.eq3(c, p), 0) for c, p in zip(paper.contractions(angles), pressures, strict=True)]
     )
-    assert (tensions.min() == 0) == (pressures[1] < 1e5)
-    assert np.all(np.abs(creep_of(state)[:, every]) <= tensions / 2 + 1e-9)
+    assert tensions.min() == 0 and np.abs(creep_of(state)).max() > 1
+    assert np.all(np.abs(creep_of(state)) <= tensions / 2 + 1e-9)
 
 
 def test_a_series_spring_is_refused(knee):

@@ -17,7 +17,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.simulation import episode
 from mckibben.units import bar, mm
 
-PERIODS, PERIOD = 1500, 1e-3
+PERIODS, PERIOD = 400, 1e-3
 P1, P2 = 4e5, 3.6e5
 SLIP = MaxwellSlip(12.0, 0.5 * mm, growth=0.5 / bar, reference_pressure=3 * bar, viscous=30.0, elements=3)
 
@@ -30,24 +30,6 @@ def with_friction(joint, slip=SLIP, **changes):
 @pytest.fixture(scope="module")
 def with_slip(ideal_plant, knee, load):
     return numeric(JointPlant(with_friction(knee), load, ideal_plant.valve))
-
-
-@pytest.fixture(scope="module")
-def swing(with_slip, playback, short_episode):
-    """At held pressures, from a state; all with one program."""
-    held = Setpoint(jnp.full(PERIODS, P1), jnp.full(PERIODS, P2))
-
-    def run(start, *, viscous=0.0, half_width=12.0, damping=0.0):
-        def numbers(plant):
-            pair = plant.joint.muscle1.friction, plant.joint.muscle2.friction
-            return (*(f.viscous for f in pair), *(f.half_width for f in pair), plant.load.damping)
-
-        given = (viscous, viscous, half_width, half_width, damping)
-        chosen = eqx.tree_at(numbers, with_slip, tuple(map(jnp.asarray, given)))
-        start = numeric(chosen.complete_state(jax.tree.map(jnp.asarray, start)))
-        return short_episode(chosen, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
-
-    return run
 
 
 def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
@@ -99,9 +81,11 @@ def tiny_steps(paper, angle, velocity, seconds, damping, step=2e-5):
     return np.array(angles)
 
 
-def test_it_moves_as_in_tiny_steps_of_plain_python(swing, paper_precontracted):
-    start = PlantState(math.radians(12), 0.5, (P1, P2))
-    state = swing(start, viscous=SLIP.viscous, damping=0.02)
+def test_it_moves_as_in_tiny_steps_of_plain_python(with_slip, playback, short_episode, paper_precontracted):
+    plant = eqx.tree_at(lambda plant: plant.load.damping, with_slip, jnp.asarray(0.02))
+    start = numeric(plant.complete_state(PlantState(*map(jnp.asarray, (math.radians(12), 0.5)), (P1, P2))))
+    held = Setpoint(jnp.full(PERIODS, P1), jnp.full(PERIODS, P2))
+    state = short_episode(plant, playback, held, start, jnp.asarray(PERIOD), 4)[1].state
     expected = tiny_steps(paper_precontracted, math.radians(12), 0.5, 0.4, 0.02)
     assert np.ptp(expected) > math.radians(5)
     np.testing.assert_allclose(np.asarray(state.angle)[: len(expected)], expected, atol=2e-6)

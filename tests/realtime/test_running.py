@@ -11,7 +11,7 @@ from mckibben.control.base import Setpoint
 from mckibben.errors import ExportError, RigError, StoppedError
 from mckibben.numerics.compiled import numeric
 from mckibben.realtime import ControlProgram, JointLimits, Sensing, Timing, compiled_step
-from mckibben.realtime.compiled_step import FlatTree, LimitCycleDetection, vented_angle
+from mckibben.realtime.compiled_step import LimitCycleDetection, vented_angle
 from mckibben.realtime.loop import realtime_process_settings
 from mckibben.realtime.record import Phase, RowBuffer
 from mckibben.realtime.wiring import JointReading, Wiring
@@ -34,15 +34,6 @@ def simulated(knee, short_episode):
 @pytest.fixture(scope="module")
 def ran(knee):
     return knee.run()
-
-
-def test_a_tree_is_packed_to_floats_and_back():
-    tree = (np.asarray(2.5), np.asarray([1, 2]), np.asarray(True), "fixed")
-    flat = FlatTree.like(tree)
-    assert flat.pack(tree).tolist() == [2.5, 1.0, 2.0, 1.0]
-    number, counts, flag, fixed = flat.unpack(np.array([3.5, 4.0, 5.0, 0.0]))
-    assert (number, counts.tolist(), bool(flag), fixed) == (3.5, [4, 5], False, "fixed")
-    assert counts.dtype.kind == "i"
 
 
 @pytest.mark.slow
@@ -342,23 +333,3 @@ def test_in_real_time_it_takes_the_time_that_it_says(stiff):
 def _patient():
     """RigLimits for a machine that others use."""
     return JointLimits(lowest_angle=-1.0, highest_angle=1.0, pressure=9 * bar, late=1.0, pressure_error=9 * bar)
-
-
-def test_a_rate_in_the_first_of_several_samples_is_not_accepted(stiff):
-    """Many samples at once: their first window begins among those before them."""
-    limits = JointLimits(lowest_angle=-6, highest_angle=6, pressure=9 * bar, angle_rate=2.0, window=PERIOD)
-    sensors, angles = Wiring().sensors, np.zeros(60)
-    monitor = JointMonitor(stiff.joint(), limits, sensors, PERIOD)
-
-    def volts(values):
-        rows = [
-            [float(one.volts(value)) for one, value in zip(sensors, (each, 0.0, 0.0), strict=True)] for each in values
-        ]
-        return np.array(rows)
-
-    for i, row in enumerate(volts(angles[:50])):
-        monitor.check_sample(i * PERIOD, row, None, None)
-    time = np.arange(50, 60) * PERIOD
-    assert not monitor.accept(time, volts(angles[50:] + 3 * PERIOD), np.zeros((10, 2)))
-    assert monitor.accept(time, volts(angles[50:] + 1.9 * PERIOD), np.zeros((10, 2)))
-    assert not monitor.accept(time + 10 * PERIOD, volts(angles[50:] - 0.2 * PERIOD), np.zeros((10, 2)))

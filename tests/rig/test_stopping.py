@@ -8,7 +8,7 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import RigError, SignalledError, SilentError, StoppedError
 from mckibben.muscle import Muscle
-from mckibben.rig.backend import Backend, Block
+from mckibben.rig.backend import Backend
 from mckibben.rig.bench import Bench, RigLimits
 from mckibben.rig.record import read_record, recorded_points
 from mckibben.rig.recorder import Recorder
@@ -133,19 +133,6 @@ def test_readings_from_before_the_stop_do_not_tell_that_it_is_vented(tmp_path):
     record = read_record(tmp_path)
     assert record.columns["time"][-1] > 0.1 + 0.6 + 0.3
     assert record.columns["pressure"].max() > rig.calibrations["pressure"].volts(1 * bar)  # it saw it come and go
-
-
-@pytest.mark.parametrize("back", [0.0, 0.3])
-def test_readings_that_come_twice_or_go_back_stop_it(tmp_path, back):
-    def same(rig, count, timeout):
-        block = rig._twin.read(count, timeout=timeout)
-        past = 200 if not back else 500
-        return Block(block.first - past, block.time - past / 1e3, block.volts, block.pulses)
-
-    rig = Around(twin(), 20, read=same)
-    with pytest.raises(StoppedError, match="the time of the samples"):
-        start(tmp_path, rig, UNDER_PRESSURE)
-    assert empty(rig)
 
 
 def test_nothing_moves_before_the_muscle_was_seen_to_be_empty(tmp_path):
