@@ -21,21 +21,43 @@ if TYPE_CHECKING:  # the watchdog's process needs little
 
 
 class AnalogChannel(NamedTuple):
-    """Analog input or output: its name, the range of the converter [V], and its terminal, such as "Dev1/ai0"."""
+    """Analog input or output.
 
-    name: str  # "force", "pressure", "angle", "pressure1" ... of an input; "valve", "valve1", "valve2" of an output
+    Attributes
+    ----------
+    name
+        "force", "pressure", "angle", "pressure1" ... of an input; "valve", "valve1", "valve2" of an output.
+    low, high
+        Range of the converter [V].
+    where
+        Terminal, such as "Dev1/ai0".
+    """
+
+    name: str
     low: float
     high: float
     where: str = ""
 
 
 class Block(NamedTuple):
-    """Consecutive samples of all channels."""
+    """Consecutive samples of all channels.
 
-    first: int  # number of the first sample since opening; above the expected one if samples were dropped
-    time: NDArray[float64]  # since opening [s], by the clock of the backend, shape (samples,)
-    volts: NDArray[float64]  # shape (samples, channels), in the order of `Backend.inputs`
-    pulses: NDArray[int64]  # of the motor since opening, positive = stretching, shape (samples,); zeros without a motor
+    Attributes
+    ----------
+    first
+        Number of the first sample since opening; above the expected one if samples were dropped.
+    time
+        Times since opening [s] by the clock of the backend, shape (samples,).
+    volts
+        Readings [V], shape (samples, channels), in the order of `Backend.inputs`.
+    pulses
+        Pulses of the motor since opening, positive = stretching, shape (samples,); zeros without a motor.
+    """
+
+    first: int
+    time: NDArray[float64]
+    volts: NDArray[float64]
+    pulses: NDArray[int64]
 
 
 class ChannelStatus(NamedTuple):
@@ -48,7 +70,11 @@ class ChannelStatus(NamedTuple):
 
 
 class Backend(abc.ABC):
-    """Sensors and valves of a rig, in volts; vented when opened, and by its watchdog without `heartbeat`."""
+    """Sensors and valves of a rig, in volts.
+
+    A backend is vented when it is opened, and by its watchdog when `heartbeat` is not called within `patience`.
+    Subclasses give the channels, their calibrations, `open`, `clock`, `read`, `set_valves`, `heartbeat`, `vent` and `close`.
+    """
 
     physical: ClassVar[bool] = True
     """Whether real air is under pressure."""
@@ -82,7 +108,13 @@ class Backend(abc.ABC):
 
     @abc.abstractmethod
     def open(self) -> None:
-        """Open the devices; vented, at rest, the clock at 0. `RigError` if a driver or a device is missing."""
+        """Open the devices: vented, at rest, the clock at 0.
+
+        Raises
+        ------
+        RigError
+            If a driver or a device is missing.
+        """
 
     @abc.abstractmethod
     def clock(self) -> float:
@@ -90,7 +122,22 @@ class Backend(abc.ABC):
 
     @abc.abstractmethod
     def read(self, count: int, *, timeout: float = 1.0) -> Block:
-        """Wait for samples; `SilentError` if they are later than the timeout [s], `RigError` if the device is lost."""
+        """Wait for samples and return them.
+
+        Parameters
+        ----------
+        count
+            Number of samples of each input.
+        timeout
+            Longest wait [s] after the last of them is due.
+
+        Raises
+        ------
+        SilentError
+            If they are later.
+        RigError
+            If the device is lost, or samples were overwritten.
+        """
 
     @abc.abstractmethod
     def set_valves(self, volts: Sequence[float]) -> None:
@@ -184,7 +231,20 @@ class MovingBackend(Backend, MuscleRig):
 
     @abc.abstractmethod
     def move(self, pulses: int, rate: float) -> None:
-        """Begin a move by pulses, positive = stretching, at a rate [Hz]; `RigError` if it is moving already."""
+        """Begin a move and return.
+
+        Parameters
+        ----------
+        pulses
+            Pulses of the motor, positive = stretching.
+        rate
+            Pulse rate [Hz].
+
+        Raises
+        ------
+        RigError
+            If the motor is moving already, or cannot run at this rate.
+        """
 
     @property
     @abc.abstractmethod
@@ -201,7 +261,21 @@ class MovingBackend(Backend, MuscleRig):
 
 
 class Watchdog:
-    """Watchdog of a rig: expires without a reset within a timeout [s], and stays expired until it is restarted."""
+    """Watchdog of a rig: expires without a reset within a timeout, and stays expired until it is started again.
+
+    Parameters
+    ----------
+    timeout
+        Longest time between two heartbeats [s].
+
+    Examples
+    --------
+    >>> watchdog = Watchdog(0.5)
+    >>> watchdog.start(0.0)
+    >>> watchdog.reset(0.4)
+    >>> watchdog.expires(0.9), watchdog.expires(0.91), watchdog.has_expired
+    (False, True, True)
+    """
 
     def __init__(self, timeout: float) -> None:
         self.timeout = timeout

@@ -47,12 +47,30 @@ _WHOLE = 1e-6  # pulses
 
 @dataclass(frozen=True, kw_only=True)
 class Drive(Checked):
-    """Stepper motor, reducer and lead screw; the paper's."""
+    """Stepper motor, reducer and lead screw; by default those of the paper.
 
-    steps: Annotated[int, BoundedInt(1, 1_000_000)] = 200  # pulses per revolution (ours: the usual motor, full steps)
-    reduction: Factor = 10.0  # revolutions of the motor per revolution of the screw (the paper, "Experimental system")
-    lead: Travel = 5 * mm  # travel per revolution of the screw (the paper)
-    fastest: SampleRate = 2000.0  # highest pulse rate (ours), which is 5 mm/s
+    Parameters
+    ----------
+    steps
+        Pulses per revolution of the motor: 200 (ours), full steps of the usual motor.
+    reduction
+        Revolutions of the motor per revolution of the screw (the paper, "Experimental system").
+    lead
+        Travel [m] per revolution of the screw (the paper).
+    fastest
+        Highest pulse rate [Hz] (ours), which is 5 mm/s.
+
+    Examples
+    --------
+    >>> drive = Drive()
+    >>> drive.pulses(1 * mm), drive.rate(0.2 * mm)
+    (400, 80.0)
+    """
+
+    steps: Annotated[int, BoundedInt(1, 1_000_000)] = 200
+    reduction: Factor = 10.0
+    lead: Travel = 5 * mm
+    fastest: SampleRate = 2000.0
 
     @property
     def pulses_per_metre(self) -> float:
@@ -60,7 +78,13 @@ class Drive(Checked):
         return float(self.steps * Fraction(str(self.reduction)) / Fraction(str(self.lead)))
 
     def pulses(self, travel: float) -> int:
-        """Pulses for a travel [m]; `RangeError` if that is not a whole number."""
+        """Return the pulses for a travel [m].
+
+        Raises
+        ------
+        RangeError
+            If the travel is not a whole number of pulses; the remedy is the travel of one.
+        """
         exact = travel * self.pulses_per_metre
         if not np.isfinite(exact) or abs(exact - round(exact)) > _WHOLE:
             one = 1 / self.pulses_per_metre / mm
@@ -77,7 +101,13 @@ class Drive(Checked):
         return np.asarray(pulses, np.float64) / self.pulses_per_metre
 
     def rate(self, speed: float) -> float:
-        """Pulse rate [Hz] for a speed [m/s]; `RangeError` if it is above that of the motor."""
+        """Return the pulse rate [Hz] for a speed [m/s] of either sign.
+
+        Raises
+        ------
+        RangeError
+            If the speed is 0, or the rate is above that of the motor.
+        """
         rate = abs(speed) * self.pulses_per_metre
         if not 0 < rate <= self.fastest:
             message = f"{speed / mm:g} mm/s are {rate:g} pulses per second; the motor does {self.fastest:g} at most"
@@ -88,34 +118,86 @@ class Drive(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class RigLimits(Checked):
-    """Limits of a test rig; a single sample beyond one of them stops the test."""
+    """Limits of a test rig; a single sample beyond one of them vents the muscle and stops the test.
 
-    pressure: PositivePressure  # highest
-    force: Annotated[Tension, Inherited(lambda scope: scope["muscle"].specimen.known_force_limit)]  # highest
-    stretch: Travel  # travel from the mounted position, in either direction
+    Parameters
+    ----------
+    pressure
+        Highest pressure [Pa].
+    force
+        Highest force [N]; in a file, by default the rated force of the specimen.
+    stretch, shorten
+        Longest travel [m] from the mounted position, in either direction.
+    pressure_rate
+        Highest rate of the pressure [Pa/s], between the means of two cycles; not checked while it is vented.
+    pressure_error
+        Highest deviation from the set pressure [Pa] after `settling`.
+    settling
+        Time [s] that the pressure has to reach the set one.
+    gap
+        Highest age of the newest sample, and longest time without one [s].
+    frozen
+        Longest time [s] for which a sensor may read the same volts; only for sensors with noise.
+    deviation
+        Highest deviation of a point's mean force from the law [N].
+
+    Raises
+    ------
+    RangeError
+        If a number is out of the range of its field.
+    """
+
+    pressure: PositivePressure
+    force: Annotated[Tension, Inherited(lambda scope: scope["muscle"].specimen.known_force_limit)]
+    stretch: Travel
     shorten: Travel
-    pressure_rate: PressureRate = 50 * bar / s  # between the means of two cycles; not checked during venting
-    pressure_error: PressureScale = 0.3 * bar  # highest deviation from the set pressure after `settling`
-    settling: Duration = 10 * s  # of the pressure
-    gap: MonitorTime = 500 * ms  # highest age of the newest sample, and longest time without one
-    frozen: Duration = math.inf  # longest time for which a sensor may read the same volts; for sensors with noise
-    deviation: Tension = math.inf  # highest deviation of a point's mean force from the law
+    pressure_rate: PressureRate = 50 * bar / s
+    pressure_error: PressureScale = 0.3 * bar
+    settling: Duration = 10 * s
+    gap: MonitorTime = 500 * ms
+    frozen: Duration = math.inf
+    deviation: Tension = math.inf
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointLimits(Checked):
-    """Limits of a joint rig, in SI; a single sample beyond one of them stops the run and vents both muscles."""
+    """Limits of a joint rig; a single sample beyond one of them stops the run and vents both muscles.
+
+    Parameters
+    ----------
+    lowest_angle, highest_angle
+        Range of the angle [rad].
+    pressure
+        Highest pressure [Pa] of either muscle.
+    angle_rate, pressure_rate
+        Highest rates [rad/s], [Pa/s], between the means over two consecutive windows.
+    window
+        Length of such a window [s].
+    pressure_error
+        Highest deviation [Pa] of a pressure from its command, filtered: of a lost supply or a stuck valve.
+    following
+        Time constant of that filter [s].
+    silence
+        Longest wait for a sample that is due [s].
+    late
+        Highest age of the newest sample, and longest time without one [s].
+
+    Raises
+    ------
+    RangeError
+        If a number is out of the range of its field, or the angles do not rise.
+    """
 
     lowest_angle: Angle
     highest_angle: Angle
-    pressure: PositivePressure  # of either muscle
-    angle_rate: AngularRate = 720 * deg  # highest, between the means over two consecutive windows
-    pressure_rate: PressureRate = math.inf  # the same
+    pressure: PositivePressure
+    angle_rate: AngularRate = 720 * deg
+    pressure_rate: PressureRate = math.inf
     window: MonitorTime = 10 * ms
-    pressure_error: PressureScale = 1 * bar  # highest filtered deviation from the command: lost supply, stuck valve ...
-    following: MonitorTime = 250 * ms  # time constant of that filter
-    silence: MonitorTime = 20 * ms  # timeout of a sample after it was due
-    late: MonitorTime = 50 * ms  # highest age of the newest sample, and longest time without one
+    pressure_error: PressureScale = 1 * bar
+    following: MonitorTime = 250 * ms
+    silence: MonitorTime = 20 * ms
+    late: MonitorTime = 50 * ms
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -128,22 +210,57 @@ class JointLimits(Checked):
 
 @dataclass(frozen=True, kw_only=True)
 class Bench:
-    """Test bench: the muscle, how it is mounted, the motor, calibrations, limits and recording."""
+    """Test bench: the muscle, its mounting, the motor, calibrations, limits and recording.
 
-    of: Muscle | Specimen  # the specimen if its law is not known
-    mounted_at: float = 0.0  # contraction, the origin of the motor
+    Parameters
+    ----------
+    of
+        Muscle, or specimen if its law is not known.
+    mounted_at
+        Contraction [-] at which it is mounted, the origin of the motor.
+    drive
+        The motor with its gear.
+    calibrations
+        Calibrations of the inputs "force" and "pressure", and of the output "valve".
+    limits
+        Safety limits.
+    rate
+        Sampling rate [Hz] of each input.
+    cycle
+        Period [s] at which samples are read and checked.
+    between
+        Rate [Hz] of the record between plateaus; after a stop all samples are recorded.
+    settled, vented
+        Tolerance [Pa] of the set pressure, for the mean of a cycle; pressure [Pa] below which the muscle is vented.
+    steady
+        Time [s] for which the pressure has to be settled or vented.
+    slack_force
+        Highest mean force [N] of a slack muscle, for the zero error of a sensor.
+    shuts
+        Whether the rig has a shut-off valve.
+    supply
+        Highest pressure [Pa] of supply and regulator.
+
+    Raises
+    ------
+    RangeError
+        If a number is out of the range of its field, or a cycle has no sample.
+    """
+
+    of: Muscle | Specimen
+    mounted_at: float = 0.0
     drive: Drive
-    calibrations: Mapping[str, Calibration]  # of "force", "pressure" (inputs) and "valve" (output)
+    calibrations: Mapping[str, Calibration]
     limits: RigLimits
-    rate: float = 1000 * Hz  # of each input
-    cycle: MonitorTime = 100 * ms  # period at which samples are read and checked
-    between: SampleRate = 10 * Hz  # rate of the record between plateaus; after a stop all samples are recorded
-    settled: float = 0.1 * bar  # tolerance of the set pressure, for the mean of a cycle [Pa]
-    vented: float = 0.1 * bar  # pressure below which the muscle is vented [Pa]
-    steady: float = 1 * s  # time for which the pressure has to be settled or vented [s]
-    slack_force: Force = 1 * N  # highest mean force of a slack muscle, for the zero error of a sensor
-    shuts: bool = False  # whether the rig has a shut-off valve
-    supply: PositivePressure = math.inf  # highest pressure of supply and regulator
+    rate: float = 1000 * Hz
+    cycle: MonitorTime = 100 * ms
+    between: SampleRate = 10 * Hz
+    settled: float = 0.1 * bar
+    vented: float = 0.1 * bar
+    steady: float = 1 * s
+    slack_force: Force = 1 * N
+    shuts: bool = False
+    supply: PositivePressure = math.inf
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -170,5 +287,5 @@ class Bench:
         return self.drive.nearest((self.mounted_at - contraction) * float(self.specimen.initial_length))
 
     def contraction_at(self, pulses: float) -> float:
-        """Contraction [-] at a position of the motor."""
+        """Return the contraction [-] at a position of the motor [pulses] from the mounted one."""
         return self.mounted_at - pulses / self.drive.pulses_per_metre / float(self.specimen.initial_length)

@@ -25,22 +25,55 @@ _TOLERANCE = 1 * percent  # highest residual, as a share of the range of the kno
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """Linear calibration of a channel: x = gain (U - offset) - tare, in SI; valves are set by the inverse."""
+    """Linear calibration of a channel, ``x = gain (U - offset) - tare``; a valve is set by the inverse.
 
-    name: str  # of the channel: "force", "pressure", "valve", "angle" ...
-    unit: str  # SI: "N", "Pa", "rad"
-    gain: float  # unit per volt; negative for a sensor wired in reverse
-    offset: float = 0.0  # [V]
-    tare: float = 0.0  # reading of the unloaded sensor, see `tared`
-    low: float  # span of the sensor
+    Parameters
+    ----------
+    name
+        Name of the channel, such as "force", "pressure", "valve", "angle".
+    unit
+        SI unit of x, such as "N", "Pa", "rad".
+    gain
+        Units per volt; negative for a sensor that is wired in reverse.
+    offset
+        Volts [V] at 0 before the tare.
+    tare
+        Reading of the unloaded sensor, see `tared`.
+    low, high
+        Span of the sensor, in the unit.
+    margin
+        Share of the span by which a reading may leave it before the sensor counts as lost.
+    made, by, method
+        Date, person and method of the calibration.
+    known, volts_read, residual
+        Data of the fit, and its largest residual, in the unit.
+
+    Raises
+    ------
+    RangeError
+        If a number is not finite, the gain is 0, or the span is empty.
+
+    Examples
+    --------
+    >>> force = Calibration(name="force", unit="N", gain=200.0, offset=0.05, low=-2000.0, high=2000.0)
+    >>> float(force.si(1.05)), float(force.volts(200.0))
+    (200.0, 1.05)
+    """
+
+    name: str
+    unit: str
+    gain: float
+    offset: float = 0.0
+    tare: float = 0.0
+    low: float
     high: float
-    margin: float = 2 * percent  # share of the span by which a reading may leave it before the sensor counts as `lost`
+    margin: float = 2 * percent
     made: str = ""
     by: str = ""
     method: str = ""
-    known: tuple[float, ...] = ()  # data that it was fitted to
+    known: tuple[float, ...] = ()
     volts_read: tuple[float, ...] = ()
-    residual: float = 0.0  # largest residual of the fit
+    residual: float = 0.0
 
     _texts: ClassVar[tuple[str, ...]] = ("name", "unit", "made", "by", "method")
 
@@ -66,7 +99,15 @@ class Calibration:
         return (np.asarray(si, np.float64) + self.tare) / self.gain + self.offset
 
     def lost(self, volts: ArrayLike, channel: AnalogChannel | None = None) -> NDArray[np.bool_]:
-        """Whether volts [V] are outside the working range, which a tare does not move, or NaN; any shape."""
+        """Return whether volts mark a lost sensor: outside its working range, or NaN.
+
+        Parameters
+        ----------
+        volts
+            Readings [V], any shape.
+        channel
+            Channel of the converter; readings at the ends of its range count as lost.
+        """
         volts = np.asarray(volts, np.float64)
         lowest, highest = self.working_volts(channel)
         return ~((volts >= lowest) & (volts <= highest))
@@ -86,7 +127,7 @@ class Calibration:
         return max(low, math.nextafter(channel.low, math.inf)), min(high, math.nextafter(channel.high, -math.inf))
 
     def check(self, low: float, high: float, channel: AnalogChannel | None = None) -> list[Problem]:
-        """Violations of span and converter range by values from low to high, in the unit."""
+        """Return the problems of values from `low` to `high`, in the unit, beyond the span or the converter's range."""
         problems: list[Problem] = []
         if low < self.low or high > self.high:
             message = f"{low:g}..{high:g} {self.unit} leaves its span {self.low:g}..{self.high:g} {self.unit}"
@@ -102,7 +143,13 @@ class Calibration:
         return problems
 
     def tared(self, volts: ArrayLike) -> Calibration:
-        """Calibration that reads 0 at these volts of the unloaded sensor; `RigError` beyond a tenth of the span."""
+        """Return the calibration that reads 0 at the mean of volts [V] of the unloaded sensor.
+
+        Raises
+        ------
+        RigError
+            If a reading is that of a lost sensor, or the tare is more than a tenth of the span.
+        """
         readings = np.asarray(volts, np.float64)
         if not readings.size or self.lost(readings).any():
             raise RigError(f"no {self.name} to tare: the sensor is lost", remedy="check its wiring and its supply")
@@ -122,7 +169,14 @@ class Calibration:
 
     @classmethod
     def from_json(cls, form: Mapping[str, Any]) -> Calibration:
-        """Calibration from a JSON object; `RangeError` with all fields that are missing, unknown or wrong."""
+        """Return the calibration of a JSON object.
+
+        Raises
+        ------
+        RangeError
+            With all fields that are missing, unknown or wrong, or because the checksum does not match; an object
+            without a checksum is accepted.
+        """
         lists, numbers = ("known", "volts_read"), (*_NUMBERS, "margin", "residual")
         needed = ("name", "unit", "gain", "low", "high")
         problems = [Problem("missing", field=field) for field in needed if field not in form]
@@ -166,7 +220,31 @@ def calibrate(
     made: str = "",
     by: str = "",
 ) -> Calibration:
-    """Least-squares calibration through readings [V] at known values, both of shape (points,)."""
+    """Fit a calibration to readings at known values by least squares.
+
+    Parameters
+    ----------
+    name, unit
+        Name of the channel, and SI unit of the known values.
+    volts, known
+        Readings [V] and values, shape (points,).
+    low, high
+        Span of the sensor, in the unit; the values have to cover 60 % of it.
+    made, by
+        Date and person, for the record.
+
+    Raises
+    ------
+    RigError
+        If shapes differ, the points make no line, they do not cover the span, or the largest residual exceeds 1 % of
+        their range.
+
+    Examples
+    --------
+    >>> fitted = calibrate("force", "N", volts=[0.0, 2.5, 5.0], known=[0.0, 500.0, 1000.0], low=0.0, high=1000.0)
+    >>> round(fitted.gain, 6), fitted.method
+    (200.0, 'least squares of 3 points')
+    """
     read, there = np.asarray(volts, np.float64), np.asarray(known, np.float64)
     if read.shape != there.shape or read.ndim != 1 or not np.isfinite([read, there]).all():
         raise RigError(f"{name}: {read.size} readings for {there.size} known values", remedy="give one for each")
@@ -213,7 +291,20 @@ def calibrate(
 
 
 def read_calibrations(path: Path, units: Mapping[str, str]) -> dict[str, Calibration]:
-    """Calibrations of a JSON file by channel; `units` are those of the channels. `ScenarioError` with all problems."""
+    """Read the calibrations of a rig from a JSON file.
+
+    Parameters
+    ----------
+    path
+        File with one object per channel, see `Calibration.to_json`.
+    units
+        SI units by channel; the file has to have these channels and no others.
+
+    Raises
+    ------
+    ScenarioError
+        With all problems of the file.
+    """
     remedy = f"it needs {', '.join(units)}, see docs/rig-hardware.md"
     try:
         content = from_json(path.read_text(encoding="utf-8"), allow_inf_nan=False)

@@ -24,9 +24,24 @@ _MOST_ROWS = 10**10  # of its record
 
 
 class DryRun(StepInterpreter):
-    """Dry run of a test: all violations; its duration and points, `estimated` where steps end by a measurement.
+    """Dry run of a test.
 
-    `shuts` says whether a step shuts the valve.
+    Attributes
+    ----------
+    problems
+        All violations of limits, and steps that the rig cannot do.
+    duration
+        Duration [s].
+    plateaus, samples, rows
+        Numbers of plateaus, of their samples, and of rows of the record.
+    pulses
+        Pulses of the motor, all moves together.
+    pressure, contraction, force
+        Range of the pressures [Pa] and contractions [-], and highest force by the law [N].
+    estimated
+        Whether steps end by a measurement, so that numbers are upper bounds.
+    shuts
+        Whether a step shuts the valve.
     """
 
     def __init__(self, bench: Bench) -> None:
@@ -44,7 +59,7 @@ class DryRun(StepInterpreter):
         self._visited: dict[tuple[int, float], str] = {}  # position and pressure, and the step that reached them
 
     def bytes(self, row_size: int) -> int:
-        """Disk space, with a tenth to spare."""
+        """Return the disk space [bytes] of rows of a size [bytes], with a tenth to spare."""
         return math.ceil(1.1 * self.rows * row_size) + (1 << 20)
 
     def run(self, steps: Sequence[ProtocolStep], inputs: Sequence[AnalogChannel], patience: float) -> None:
@@ -302,7 +317,37 @@ _KEYS: dict[type[ProtocolStep], str] = {
 def dry_run(
     steps: Sequence[ProtocolStep], bench: Bench, inputs: Sequence[AnalogChannel] = (), *, patience: float = math.inf
 ) -> DryRun:
-    """Dry run of steps: bench and inputs are checked, and two cycles against the watchdog's `patience` [s]."""
+    """Go through the steps of a test without a rig.
+
+    Parameters
+    ----------
+    steps
+        Steps of the test.
+    bench
+        Its bench: muscle, limits, calibrations.
+    inputs
+        Inputs of the rig, whose converters have to have the range of the limits.
+    patience
+        Timeout of the watchdog [s], which two cycles have to fit into.
+
+    Returns
+    -------
+    DryRun
+        With all problems; repeats are counted without going through each.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.rig.bench import Drive, RigLimits
+    >>> from mckibben.rig.simulated.sensing import FORCE, PRESSURE, VALVE
+    >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+    >>> bench = Bench(of=muscle, drive=Drive(), calibrations={"force": FORCE, "pressure": PRESSURE, "valve": VALVE},
+    ...               limits=RigLimits(pressure=6.5 * bar, force=630.0, stretch=8 * mm, shorten=50 * mm))
+    >>> dry_run([Move(to=0.05), Acquire()], bench).plateaus
+    1
+    >>> [problem.field for problem in dry_run([Move(to=0.5)], bench).problems]
+    ['[0].move.to', '[0].move.to']
+    """
     found = DryRun(bench)
     found.run(steps, inputs, patience)
     return found

@@ -32,7 +32,17 @@ _WINDOW = 1 << 20
 
 
 class JournalRecord(NamedTuple):
-    """One record: its kind (one byte), a number chosen by the writer, and its content."""
+    """One record of a journal.
+
+    Attributes
+    ----------
+    kind
+        Its kind, one byte.
+    number
+        Number of the writer's choice.
+    payload
+        Its content.
+    """
 
     kind: bytes
     number: int
@@ -62,7 +72,17 @@ def _encoded(record: JournalRecord, owner: bytes, position: int) -> bytes:
 class JournalReader:
     """Iterates over the intact records of a journal, header included; an incomplete last record is not damage.
 
-    Raises `error` at a record that belongs to another journal, or that was moved or repeated.
+    Parameters
+    ----------
+    path
+        File of the journal.
+    error
+        Class of the errors.
+
+    Raises
+    ------
+    FileError
+        Of that class, at a record that belongs to another journal, or that was moved, removed or repeated.
     """
 
     def __init__(self, path: Path, error: type[FileError] = FileError) -> None:
@@ -124,7 +144,13 @@ class JournalReader:
         return content if isinstance(content, dict) else None
 
     def checked_header(self) -> dict[str, Any] | None:
-        """`header`; raises if the header of the journal is damaged, truncated, missing, or of another version."""
+        """Return the content of the header; None if the file is not a journal.
+
+        Raises
+        ------
+        FileError
+            If the header is damaged, truncated, missing, or of another version.
+        """
         if (header := self.header()) is not None:
             return header
         with self.path.open("rb") as file:
@@ -189,7 +215,18 @@ def _find_magic(file: BinaryIO, start: int) -> int | None:
 
 
 class Journal:
-    """Appends records to a journal from any thread; each append is synced to disk before it returns."""
+    """Appends records to a journal from any thread; each append is synced to disk before it returns.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with Journal.create(Path(folder, "a"), {"format": "test", "version": 1}) as journal:
+    ...         journal.append(JournalRecord(b"I", 0, b"first"), JournalRecord(b"I", 1, b"second"))
+    ...     payloads = [record.payload for record in JournalReader(Path(folder, "a")) if record.kind == b"I"]
+    >>> payloads
+    [b'first', b'second']
+    """
 
     def __init__(self, path: Path, owner: bytes, end: int) -> None:
         self.path = path
@@ -209,7 +246,15 @@ class Journal:
         return cls(path, owner, len(content))
 
     def append(self, *records: JournalRecord) -> None:
-        """Append records, all or none; `FileNotFoundError` if the file was removed or moved."""
+        """Append records, all or none.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the file was removed or moved.
+        OSError
+            If the records cannot be written; the file is then as before.
+        """
         with self._lock:
             content = b""
             for record in records:

@@ -26,7 +26,15 @@ SAMPLES, EVENT = b"S", b"E"
 
 
 class Column(NamedTuple):
-    """One quantity of a record: name, unit, and NumPy type, stored little-endian."""
+    """One quantity of a record.
+
+    Attributes
+    ----------
+    name, unit
+        Its name, and its SI unit; "V" for a reading.
+    dtype
+        NumPy type of its values, stored little-endian.
+    """
 
     name: str
     unit: str
@@ -39,7 +47,20 @@ class Column(NamedTuple):
 
 
 def pack_rows(columns: Sequence[Column], arrays: Sequence[np.ndarray]) -> bytes:
-    """The payload of samples: one column after the other."""
+    """Return the payload of samples: one column after the other.
+
+    Parameters
+    ----------
+    columns, arrays
+        Columns, and an array of shape (rows,) for each.
+
+    Examples
+    --------
+    >>> columns = [Column("time", "s"), Column("pulses", "1", "int32")]
+    >>> payload = pack_rows(columns, [np.array([0.0, 0.1]), np.array([1, 2])])
+    >>> len(payload), unpack_rows(columns, payload)["pulses"].tolist()
+    (24, [1, 2])
+    """
     return b"".join(
         np.ascontiguousarray(array, column.stored).tobytes() for column, array in zip(columns, arrays, strict=True)
     )
@@ -68,7 +89,17 @@ def read_header(path: Path) -> tuple[dict[str, Any], list[Column]]:
 
 
 class Event(NamedTuple):
-    """An event: its kind in a word, its text, the number of rows before it, and its data."""
+    """An event of a record.
+
+    Attributes
+    ----------
+    kind, text
+        Its kind, in a word, and its text.
+    row
+        Number of rows before it.
+    data
+        Its data, an object of JSON.
+    """
 
     kind: str
     text: str
@@ -77,7 +108,15 @@ class Event(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Rows of a record that were written together: the number of the first, and the columns."""
+    """Rows of a record that were written together.
+
+    Attributes
+    ----------
+    first
+        Number of the first of them.
+    columns
+        Columns by name, shape (rows,).
+    """
 
     first: int
     columns: dict[str, np.ndarray]
@@ -85,7 +124,17 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RigRecord:
-    """A record in memory: units and columns by name, and events in order."""
+    """A record in memory.
+
+    Attributes
+    ----------
+    header
+        Header of its first segment.
+    units, columns
+        Units and values by column, the values of shape (rows,).
+    events
+        Events in order.
+    """
 
     header: dict[str, Any]  # of the first segment
     units: dict[str, str]
@@ -97,7 +146,18 @@ class RigRecord:
 
 
 def read_record(folder: str | os.PathLike[str]) -> RigRecord:
-    """Read a record without an incomplete end; `DatasetError` if there is none, or rows are missing."""
+    """Read a record without an incomplete end.
+
+    Parameters
+    ----------
+    folder
+        Folder of `rig run --out`.
+
+    Raises
+    ------
+    DatasetError
+        If there is no record, or rows are missing that no damage explains; damaged parts are a warning.
+    """
     header, columns = header_of(folder)
     rows: list[dict[str, np.ndarray]] = []
     events: list[Event] = []
@@ -126,7 +186,15 @@ def header_of(folder: str | os.PathLike[str]) -> tuple[dict[str, Any], list[Colu
 
 
 def entries(folder: str | os.PathLike[str]) -> Iterator[Rows | Event]:
-    """Rows and events of a record in order; warns of rows lost in damaged parts, and raises an error for other gaps."""
+    """Iterate over rows and events of a record in order, a chunk at a time.
+
+    Warns of rows that are lost in damaged parts.
+
+    Raises
+    ------
+    DatasetError
+        If rows are missing or repeated without damage: a file was changed, or is missing.
+    """
     expected, damaged = 0, False
     for path in segments(Path(folder)):
         _, columns = read_header(path)
@@ -177,23 +245,43 @@ POINT, PLACE = "point", "place"
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """A plateau whose samples were all recorded."""
+    """A plateau whose samples were all recorded.
 
-    number: int  # of all plateaus of the test, from 0
-    first: int  # row of its first sample
-    rows: int  # from its first to its last sample
-    every: int  # rows per sample: the card may be faster than the protocol requires
+    Attributes
+    ----------
+    number
+        Its number among all plateaus of the test, from 0.
+    first, rows, every
+        Row of its first sample, rows to its last one, and rows per sample: a card may be faster than required.
+    samples
+        Number of its samples.
+    time
+        Time of the first one, by the clock of the record [s].
+    pulses, contraction
+        Position of the motor from the mounted one [pulses], and contraction [-].
+    force, pressure, set_pressure
+        Mean force [N] and pressure [Pa], and set pressure [Pa].
+    direction, phase, repeat
+        Words of the step, and number of the innermost repeat.
+    keep
+        Whether it is a point of the dataset.
+    """
+
+    number: int
+    first: int
+    rows: int
+    every: int
     samples: int
-    time: float  # of the first sample, by the clock of the record [s]
-    pulses: int  # of the motor, from where the muscle was mounted
+    time: float
+    pulses: int
     contraction: float
-    force: float  # mean [N]
-    pressure: float  # mean [Pa]
-    set_pressure: float  # [Pa]
+    force: float
+    pressure: float
+    set_pressure: float
     direction: str
     phase: str
-    repeat: int  # number of the innermost repetition
-    keep: bool  # whether it is a point of the dataset
+    repeat: int
+    keep: bool
 
 
 def points(events: Iterable[Event]) -> list[Point]:
@@ -211,7 +299,27 @@ def recorded_points(folder: str | os.PathLike[str]) -> list[Point]:
 
 
 def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> IsobaricDataset:
-    """The dataset of a record: one row per point, with its float32 samples if all points have equally many."""
+    """Return the dataset of a record: one row per point.
+
+    Parameters
+    ----------
+    folder
+        Folder of the record.
+    bench
+        Bench of the test, of whose calibrations the samples are converted.
+    source
+        Source of the dataset.
+
+    Returns
+    -------
+    IsobaricDataset
+        With the samples of each point, float32 of shape (points, samples), if all have equally many.
+
+    Raises
+    ------
+    DatasetError
+        If no point is complete. Points of which samples are missing are left out, with a warning.
+    """
     from mckibben.dataset import IsobaricDataset  # pandas and xarray take 0.5 s
 
     kept = [point for point in recorded_points(folder) if point.keep]
@@ -257,7 +365,7 @@ def assemble(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") 
 
 
 def recording_of(folder: str | os.PathLike[str], bench: Bench, *, source: str = "") -> Recording:
-    """All samples of a record over time, between points as decimated as they were recorded."""
+    """Return all samples over time, between points as decimated as they were recorded; parameters as `assemble`."""
     from mckibben.dataset import Recording
 
     columns = read_record(folder).columns

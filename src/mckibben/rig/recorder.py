@@ -32,9 +32,23 @@ _FULL = (errno.ENOSPC, getattr(errno, "EDQUOT", errno.ENOSPC))
 
 
 class Recorder:
-    """Appends samples and events to a record; a thread writes and syncs them, into a reserve if the disk is full.
+    """Appends samples and events to a record; a thread writes and syncs them.
 
-    As a context it is closed at the end; after an error before the first sample or event, its file is removed.
+    On a full disk, pending rows and the reason are written into a reserve; after any other error nothing more is
+    written, so that a record has no gaps. As a context it is closed at the end; after an error before the first sample
+    or event, its file is removed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from mckibben.rig.record import read_record
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     with Recorder.create(folder, {"specimen": "ours"}, [Column("time", "s")]) as recorder:
+    ...         recorder.append({"time": [0.0, 0.1]})
+    ...         recorder.event("point", number=0)
+    ...     record = read_record(folder)
+    >>> record.columns["time"].tolist(), record.events[0].kind, record.events[0].row
+    ([0.0, 0.1], 'point', 2)
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any], columns: Sequence[Column], first: int) -> None:
@@ -69,7 +83,24 @@ class Recorder:
 
     @classmethod
     def create(cls, folder: str | os.PathLike[str], header: Mapping[str, Any], columns: Sequence[Column]) -> Self:
-        """Begin a record in a folder, made if need be; `FileError` if there is one, or it cannot be written."""
+        """Begin a record.
+
+        Parameters
+        ----------
+        folder
+            Its folder, made if need be.
+        header
+            Description of the test, an object of JSON.
+        columns
+            Columns of its rows, of unique names.
+
+        Raises
+        ------
+        FileError
+            If the folder has a record, or cannot be written.
+        RangeError
+            If columns have one name.
+        """
         folder = make_folder(folder)
         if segments(folder):
             remedy = "resume it, or choose another folder"
@@ -78,7 +109,13 @@ class Recorder:
 
     @classmethod
     def resume(cls, folder: str | os.PathLike[str], header: Mapping[str, Any], columns: Sequence[Column]) -> Self:
-        """Continue a record in a new file; `FileError` if there is none, or one with other columns."""
+        """Continue a record in a new file of its folder; parameters as `create`.
+
+        Raises
+        ------
+        FileError
+            If there is no record, or one with other columns.
+        """
         folder = Path(folder)
         there = segments(folder)
         if not there:
@@ -91,7 +128,20 @@ class Recorder:
         return cls(folder / _name(number), header, columns, rows_in(folder))
 
     def append(self, table: Mapping[str, ArrayLike]) -> None:
-        """Append rows: for each column an array, all of one length, or single numbers for one row. They are copied."""
+        """Append rows; they are copied, and on the disk within a second.
+
+        Parameters
+        ----------
+        table
+            For each column an array of shape (rows,), or a number for one row.
+
+        Raises
+        ------
+        RangeError
+            If columns are missing, unknown or of different lengths.
+        RigError
+            If the recorder is closed, or earlier rows could not be written.
+        """
         arrays = [np.array(table[column.name], column.stored, ndmin=1) for column in self.columns]
         count = len(arrays[0])
         if len(table) != len(arrays) or any(array.shape != (count,) for array in arrays):
@@ -114,7 +164,20 @@ class Recorder:
             self.rows += count
 
     def event(self, kind: str, text: str = "", /, **data: Any) -> None:
-        """Record an event between the rows before and after it: a kind (one word), a text, data for JSON."""
+        """Record an event between the rows before and after it.
+
+        Parameters
+        ----------
+        kind, text
+            A word, and a sentence.
+        data
+            Values for JSON.
+
+        Raises
+        ------
+        RigError
+            As `append`, but not if the disk is full.
+        """
         content = {"kind": kind, "text": text, "data": data}
         with self._change:
             chunk = json_record(EVENT, self.rows, content)
@@ -124,7 +187,13 @@ class Recorder:
             self._is_empty = False
 
     def flush(self) -> None:
-        """Return when everything that was appended before is on the disk."""
+        """Return when everything that was appended before is on the disk.
+
+        Raises
+        ------
+        RigError
+            If it could not be written.
+        """
         with self._change:
             self._asked += 1
             asked = self._asked
@@ -134,7 +203,13 @@ class Recorder:
             self._raise_failure()
 
     def close(self) -> None:
-        """Write pending rows, and release the file. May be called again."""
+        """Write pending rows, and release the file; may be called again.
+
+        Raises
+        ------
+        RigError
+            If they could not be written.
+        """
         with self._change:
             self._closing = True
             self._change.notify_all()

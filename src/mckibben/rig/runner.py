@@ -22,7 +22,11 @@ _TURNING = 5 * mm  # travel before a reversal that is repeated on resuming, so t
 
 
 def columns_of(inputs: Sequence[str]) -> tuple[Column, ...]:
-    """Columns of the record of a test."""
+    """Return the columns of the record of a test.
+
+    >>> [column.name for column in columns_of(["force", "pressure"])]
+    ['time', 'force', 'pressure', 'pulses', 'plateau']
+    """
     volts = (Column(name, "V", "float32") for name in inputs)
     return (Column("time", "s"), *volts, Column("pulses", "1", "int32"), Column("plateau", "1", "int32"))
 
@@ -128,7 +132,16 @@ class _Target:
 
 
 class Runner(StepInterpreter):
-    """Runs steps in a session, vented at the end; otherwise it vents, records the reason and raises."""
+    """Runs the steps of a test in a session; in any case the muscle is vented at the end.
+
+    Parameters
+    ----------
+    session
+        Session of the rig.
+    done
+        Points that an earlier session has recorded. Their steps are skipped; before the first missing point the rig is
+        brought to the state of the completed steps, from the same side.
+    """
 
     def __init__(self, session: RigSession, *, done: Sequence[Point] = ()) -> None:
         super().__init__(session.bench)
@@ -140,7 +153,20 @@ class Runner(StepInterpreter):
         self._speed = self.bench.drive.fastest / self.bench.drive.pulses_per_metre / 4  # unless a step has set one
 
     def run(self, steps: Sequence[ProtocolStep]) -> None:
-        """Open the backend, do the steps, vent, close; `StoppedError` (of a signal `SignalledError`) after a stop."""
+        """Open the backend, do the steps, vent, close.
+
+        Parameters
+        ----------
+        steps
+            Steps of the test, as `dry_run` has checked them.
+
+        Raises
+        ------
+        StoppedError
+            If a limit was exceeded, or anything failed; the muscle was vented, and the reason recorded.
+        SignalledError
+            If the reason was a signal.
+        """
         rig = self._rig
         with rig.backend.opened():
             try:

@@ -25,7 +25,21 @@ _SHOWN = {"Pa": ("bar", bar), "rad": ("deg", deg), "m": ("mm", mm)}
 
 
 class SignalLimits(NamedTuple):
-    """Limits of one input: value = `gain` * volts + `zero`; `low`, `high` are the volts of a working sensor."""
+    """Limits of one input.
+
+    Attributes
+    ----------
+    name, column
+        Name of the input, and its column in a block.
+    gain, zero
+        Value in the unit = gain * volts + zero.
+    low, high
+        Range of the volts of a working sensor [V].
+    unit, lower, upper
+        Unit, and range of the value in it.
+    rate
+        Highest rate [unit/s] between the means over two windows.
+    """
 
     name: str
     column: int
@@ -57,7 +71,21 @@ class SignalLimits(NamedTuple):
 
 
 class StopFlag:
-    """Number of the signal that was received; 0 for none. Checked once per period or cycle."""
+    """Flag that a signal sets, checked once per period or cycle.
+
+    Attributes
+    ----------
+    signal
+        Number of the signal; 0 for none.
+
+    Examples
+    --------
+    >>> flag = StopFlag()
+    >>> flag.check()
+    >>> flag.signal = signal.SIGINT
+    >>> flag.error().message
+    'interrupted by SIGINT (Ctrl-C)'
+    """
 
     def __init__(self) -> None:
         self.signal = 0
@@ -86,15 +114,39 @@ def stop_on_signals() -> Iterator[StopFlag]:
 
 
 class VentResult(NamedTuple):
-    """Pressures after an emergency stop; None for what was not observed."""
+    """Result of an emergency stop; None for what was not observed.
 
-    pressure: float | None = None  # highest, as last measured [Pa]
-    duration: float | None = None  # until all were below the threshold [s]
-    pulses: int | None = None  # position of the motor at rest, since it was opened
+    Attributes
+    ----------
+    pressure
+        Highest pressure, as last measured [Pa].
+    duration
+        Time until all pressures were below the threshold [s].
+    pulses
+        Position of the motor at rest, since it was opened.
+    """
+
+    pressure: float | None = None
+    duration: float | None = None
+    pulses: int | None = None
 
 
 class SafetyMonitor:
-    """Checks every sample, sends the heartbeat while all is well, and vents when it is not."""
+    """Checks every sample, sends the heartbeat while all is well, and vents when it is not.
+
+    Parameters
+    ----------
+    backend
+        Backend that is vented.
+    signals
+        Limits of its inputs.
+    maximum_age
+        Highest age of the newest sample, and longest time without one [s].
+    frozen
+        Longest time for which an input may read the same volts [s].
+    window
+        Calls of `check` per window of the rates.
+    """
 
     def __init__(
         self,
@@ -127,7 +179,27 @@ class SafetyMonitor:
         means: Sequence[float],
         clock: float | None,
     ) -> list[float]:
-        """Means in SI of samples from `first` to `last` [s], of which the volts are given; raises beyond a limit."""
+        """Check consecutive samples.
+
+        Parameters
+        ----------
+        first, last
+            Times of the first and the last sample [s].
+        lowest, highest, means
+            Volts of each input: lowest, highest and mean over the samples [V].
+        clock
+            Time of the backend after reading [s]; None to leave the age unchecked.
+
+        Returns
+        -------
+        list of float
+            Means of the inputs with limits, in their units.
+
+        Raises
+        ------
+        StoppedError
+            If a limit is exceeded, a sensor is lost, or samples are late, missing or repeated.
+        """
         values = []
         for name, column, gain, zero, low, high, unit, lower, upper, _ in self.signals:
             least, most = lowest[column], highest[column]
@@ -179,7 +251,21 @@ class SafetyMonitor:
     def observe_venting(
         self, record: Callable[[Block], object], *, threshold: float, duration: float, samples: int, timeout: float
     ) -> VentResult:
-        """Read and record after `stop` until all pressures are below a threshold [Pa], by samples taken after it."""
+        """Read and record after `stop` until all pressures are below a threshold, by samples taken after it.
+
+        Parameters
+        ----------
+        record
+            Is called with each block.
+        threshold
+            Pressure below which a muscle is vented [Pa].
+        duration
+            Longest observation [s].
+        samples
+            Samples per block.
+        timeout
+            Longest wait for a block [s].
+        """
         backend, rate, found = self.backend, self.backend.rate, VentResult()
         pressures = [one for one in self.signals if one.name.startswith("pressure")]
         try:
@@ -282,7 +368,17 @@ def _exceeded(name: str, value: float, lower: float, upper: float, unit: str, *,
 
 
 class BlockMeans(NamedTuple):
-    """Time of the last sample [s], mean force [N] and pressure [Pa], and position of the motor at the end [m]."""
+    """Means of a block.
+
+    Attributes
+    ----------
+    time
+        Time of the last sample [s].
+    force, pressure
+        Mean force [N] and pressure [Pa].
+    position
+        Position of the motor at the end [m], positive = stretched.
+    """
 
     time: float
     force: float
@@ -291,7 +387,17 @@ class BlockMeans(NamedTuple):
 
 
 class RigMonitor(SafetyMonitor):
-    """Safety monitor of a test rig: also the travel of the motor, and the settling of the set pressure."""
+    """Safety monitor of a test rig: also the travel of the motor, and the settling of the set pressure.
+
+    Parameters
+    ----------
+    backend, limits, calibrations
+        Backend, its limits, and its calibrations by channel.
+    pulses_per_metre
+        Of the motor, see `Drive`.
+    origin
+        Position of the motor when it was opened [pulses], from the mounted one.
+    """
 
     def __init__(
         self,
@@ -343,7 +449,20 @@ class RigMonitor(SafetyMonitor):
             self._rates_from = time + self.limits.settling
 
     def check_block(self, block: Block, clock: float) -> BlockMeans:
-        """Means of a block, if no limit is exceeded; `clock` is that of the backend after reading [s]."""
+        """Return the means of a block.
+
+        Parameters
+        ----------
+        block
+            Samples of all inputs.
+        clock
+            Time of the backend after reading [s].
+
+        Raises
+        ------
+        StoppedError
+            As `SafetyMonitor.check`; or if the travel is outside the limits, or the pressure does not settle.
+        """
         columns = np.ascontiguousarray(block.volts.T)  # NumPy is several times as fast along the last axis
         self.sums = columns.sum(axis=1)
         pulses = block.pulses[[0, -1]]
@@ -369,7 +488,17 @@ class RigMonitor(SafetyMonitor):
 
 
 class JointMonitor(SafetyMonitor):
-    """Safety monitor of a joint rig: also the deviation of the pressures from their commands."""
+    """Safety monitor of a joint rig: also the deviation of the pressures from their commands.
+
+    Parameters
+    ----------
+    backend, limits
+        Backend and its limits.
+    sensors
+        Calibrations of angle and both pressures.
+    period
+        Sampling period [s].
+    """
 
     def __init__(self, backend: Backend, limits: JointLimits, sensors: Sequence[Calibration], period: float) -> None:
         angle, *pressures = sensors
@@ -389,7 +518,24 @@ class JointMonitor(SafetyMonitor):
     def check_sample(
         self, time: float, volts: Sequence[float], commands: Sequence[float] | None, clock: float | None
     ) -> None:
-        """Check the volts of one sample [s] against limits and the commands until then [Pa]."""
+        """Check one sample.
+
+        Parameters
+        ----------
+        time
+            Its time [s].
+        volts
+            Volts of all inputs [V].
+        commands
+            Commands until then [Pa]; None where the pressures need not follow.
+        clock
+            Time of the backend after reading [s]; None to leave the age unchecked.
+
+        Raises
+        ------
+        StoppedError
+            As `SafetyMonitor.check`; or if a pressure stays off its command.
+        """
         values = self.check(time, time, volts, volts, volts, clock)
         if commands is None:
             return
@@ -408,9 +554,21 @@ class JointMonitor(SafetyMonitor):
                 )
 
     def accept(self, time: NDArray[np.float64], volts: NDArray[np.float64], errors: NDArray[np.float64]) -> bool:
-        """Check samples at once: times [s], volts of all inputs, and filtered errors of the pressures [Pa] at them.
+        """Check many samples at once.
 
-        False if one may be beyond a limit, and then nothing is changed: `check_sample` has the error.
+        Parameters
+        ----------
+        time
+            Times [s], shape (samples,).
+        volts
+            Volts of all inputs [V], shape (samples, inputs).
+        errors
+            Filtered errors of both pressures [Pa], shape (samples, 2).
+
+        Returns
+        -------
+        bool
+            False if a sample may be beyond a limit; then nothing is changed, and `check_sample` has the error.
         """
         values = []
         for one in self.signals:

@@ -26,7 +26,19 @@ _SPEED = 0.2 * mm  # m/s: its highest speed
 
 
 class Progress(NamedTuple):
-    """Progress of a test: time of the rig [s], latest measurement, setpoint, number of points taken."""
+    """Progress of a test.
+
+    Attributes
+    ----------
+    time
+        Time of the rig [s].
+    latest
+        Means of the latest cycle.
+    contraction, set_pressure
+        Contraction [-], and set pressure [Pa].
+    points
+        Number of points taken.
+    """
 
     time: float
     latest: BlockMeans
@@ -40,14 +52,36 @@ ProgressCallback = Callable[[Progress], None]
 
 
 class PlateauSamples(NamedTuple):
-    """Samples of a plateau: time of the first one [s], mean volts of each input."""
+    """Samples of a plateau.
+
+    Attributes
+    ----------
+    begun
+        Time of the first one [s].
+    means
+        Mean volts [V] by input.
+    """
 
     begun: float
     means: Mapping[str, float]
 
 
 class RigSession:
-    """One session of a test: each cycle reads a block, checks it, sends the heartbeat and records the block."""
+    """One session of a test: each cycle reads a block, checks it, sends the heartbeat and records the block.
+
+    Parameters
+    ----------
+    backend, bench, recorder
+        Backend, the bench with its limits, and an open recorder with the columns of `columns_of`.
+    origin
+        Position of the motor when it was opened [pulses], from the mounted one.
+    since
+        Time at which the record goes on [s].
+    report
+        Is called with the progress after each cycle.
+    stop_flag
+        Stops the test when a signal has set it.
+    """
 
     def __init__(
         self,
@@ -81,7 +115,15 @@ class RigSession:
         self.vent_and_wait()
 
     def acquire(self, count: int, plateau: int) -> PlateauSamples:
-        """Take and record the samples of a plateau."""
+        """Take and record the samples of a plateau.
+
+        Parameters
+        ----------
+        count
+            Number of rows.
+        plateau
+            Number of the plateau, for its column.
+        """
         sums: NDArray[np.float64] = np.zeros(len(self._names))
         begun, left, self._points = None, count, plateau
         while left:
@@ -141,9 +183,23 @@ class RigSession:
     def set_pressure(
         self, before: float, pressure: float, rate: float | None, holding: float | None, shut: float | None = None
     ) -> None:
-        """Change the pressure [Pa], at once or at a rate [Pa/s], at constant length or at a force [N]; wait for it.
+        """Change the pressure, and wait until the muscle has it.
 
-        With `shut`, the valve is shut as soon as the muscle has the pressure, for at least this time [s].
+        Parameters
+        ----------
+        before, pressure
+            Set pressures before and after [Pa].
+        rate
+            Rate of the set pressure [Pa/s]; None for a step.
+        holding
+            Force that is held meanwhile by moving [N]; None for constant length.
+        shut
+            Least time for which the valve is shut once the muscle has the pressure [s]; None to leave it open.
+
+        Raises
+        ------
+        StoppedError
+            If the pressure does not settle, or a limit is exceeded.
         """
         self._set_pressure = pressure
         self.recorder.event("pressure", pressure=pressure)
@@ -264,7 +320,18 @@ class RigSession:
         self.recorder.append(table | dict(zip(self._names, volts.T, strict=True)))
 
     def record_stop(self, error: BaseException) -> StoppedError:
-        """Record the reason of a stop, observe the venting, and return both as an error."""
+        """Record the reason of a stop, observe the venting, and return both as an error.
+
+        Parameters
+        ----------
+        error
+            Reason of the stop, of whatever class.
+
+        Returns
+        -------
+        StoppedError
+            Of a signal a `SignalledError`.
+        """
         if isinstance(error, KeyboardInterrupt) and self._stop_flag.signal:  # a second signal
             error = self._stop_flag.error()
         reason = str(error) if isinstance(error, McKibbenError) else f"{type(error).__name__}: {error}".rstrip(": ")

@@ -56,7 +56,15 @@ class ProtocolStep(Keyed, Checked, abc.ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class Move(ProtocolStep):
-    """Move of the motor to a contraction."""
+    """Move of the motor to a contraction.
+
+    Parameters
+    ----------
+    to
+        Contraction [-].
+    speed
+        Speed [m/s]; by default that of the paper.
+    """
 
     short_name = "move"
     shorthand = "to"
@@ -70,7 +78,13 @@ class Move(ProtocolStep):
 
 @dataclass(frozen=True, kw_only=True)
 class Dwell(ProtocolStep):
-    """Wait for a duration [s]."""
+    """Wait.
+
+    Parameters
+    ----------
+    duration
+        Duration [s].
+    """
 
     short_name = "dwell"
     shorthand = "duration"
@@ -83,15 +97,37 @@ class Dwell(ProtocolStep):
 
 @dataclass(frozen=True, kw_only=True)
 class Pressurise(ProtocolStep):
-    """Change of the set pressure, until the muscle has it; or shut off from then on, for a test with a shut valve."""
+    """Change of the set pressure, until the muscle has it.
+
+    Parameters
+    ----------
+    pressure
+        Set pressure [Pa].
+    rate
+        Rate of the set pressure [Pa/s]. Default: a step.
+    holding
+        Force [N] that is held meanwhile by moving, see `HoldForce`. Default: constant length.
+    shut
+        Wait [s] behind the shut valve, from the first cycle with this pressure, for a test with a shut valve.
+
+    Raises
+    ------
+    RangeError
+        If `shut` comes with `rate` or `holding`.
+
+    Examples
+    --------
+    >>> Pressurise(pressure=3 * bar, rate=0.1 * bar).describe()
+    'pressurise to 3 bar at 0.1 bar/s'
+    """
 
     short_name = "pressurise"
     shorthand = "pressure"
 
     pressure: SetPressure
-    rate: PressureRate | None = None  # of the set pressure; a step unless given
-    holding: Tension | None = None  # force held meanwhile by moving, see `HoldForce`; constant length unless given
-    shut: Duration | None = None  # wait [s] behind the shut valve, from the first cycle with this pressure
+    rate: PressureRate | None = None
+    holding: Tension | None = None
+    shut: Duration | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -111,15 +147,27 @@ class Pressurise(ProtocolStep):
 
 @dataclass(frozen=True, kw_only=True)
 class HoldForce(ProtocolStep):
-    """Move until the muscle has a force, by feedback of the force."""
+    """Move until the muscle has a force, by feedback of the force.
+
+    Parameters
+    ----------
+    force
+        Force [N].
+    tolerance
+        Tolerance of the mean force over a cycle [N].
+    speed
+        Highest speed [m/s].
+    longest
+        Time [s] after which the test is stopped.
+    """
 
     short_name = "hold_force"
     shorthand = "force"
 
     force: Tension
-    tolerance: Tension = 2 * N  # of the mean over a cycle
-    speed: Speed = SPEED  # highest
-    longest: Duration = 300 * s  # timeout, after which the test is stopped
+    tolerance: Tension = 2 * N
+    speed: Speed = SPEED
+    longest: Duration = 300 * s
 
     def describe(self) -> str:
         return f"move until the force is {self.force:g} N +- {self.tolerance:g} N"
@@ -127,7 +175,17 @@ class HoldForce(ProtocolStep):
 
 @dataclass(frozen=True, kw_only=True)
 class Acquire(ProtocolStep):
-    """Acquisition of a point: the samples of a plateau."""
+    """Acquisition of a point: the samples of a plateau.
+
+    Parameters
+    ----------
+    samples, duration
+        Number of samples, and their duration [s].
+    direction, phase
+        Words for the dataset: loading or unloading; filling or venting.
+    keep
+        Whether it is a point of the dataset, not one that only finds a boundary.
+    """
 
     short_name = "acquire"
 
@@ -135,7 +193,7 @@ class Acquire(ProtocolStep):
     duration: Duration = 1 * s
     direction: Literal["", "loading", "unloading"] = ""
     phase: Phase = ""
-    keep: bool = True  # whether it is a point of the dataset, not one that only finds a boundary
+    keep: bool = True
 
     def describe(self) -> str:
         return f"acquire {self.samples} samples in {self.duration:g} s"
@@ -143,17 +201,33 @@ class Acquire(ProtocolStep):
 
 @dataclass(frozen=True, kw_only=True)
 class Walk(ProtocolStep):
-    """Pass from plateau to plateau: acquire a point, then repeatedly move a step, wait, and acquire."""
+    """Pass from plateau to plateau: acquire a point, then repeatedly move a step, wait, and acquire.
+
+    Parameters
+    ----------
+    to
+        Contraction [-] of the last plateau. Default: the start of the walk before.
+    step, speed, dwell
+        Distance [m] and speed [m/s] of each move, and the wait [s] after it.
+    acquire
+        The acquisition at each plateau.
+    force
+        Force [N] before which the walk ends, predicted for the next step.
+    slack
+        Number of plateaus after the last one above `slack_force` at which the walk ends.
+    slack_force
+        Highest force [N] of a slack muscle.
+    """
 
     short_name = "walk"
 
-    to: Contraction | None = None  # the start of the walk before
+    to: Contraction | None = None
     step: StepTravel = 1 * mm
     speed: Speed = SPEED
     dwell: WaitTime = 5 * s
     acquire: Acquire = field(default_factory=Acquire)
-    force: Tension | None = None  # ends before a step that is predicted to exceed it
-    slack: Repeats | None = None  # ends this number of plateaus after the last one above `slack_force`
+    force: Tension | None = None
+    slack: Repeats | None = None
     slack_force: Force = 1 * N
 
     def describe(self) -> str:
@@ -180,7 +254,15 @@ class Vent(ProtocolStep):
 
 @dataclass(frozen=True, kw_only=True)
 class Repeat(ProtocolStep):
-    """Repeated steps. The points inside have the number of the innermost repeat, from 0."""
+    """Repeated steps; points inside have the number of the innermost repeat, from 0.
+
+    Parameters
+    ----------
+    times
+        Number of repeats.
+    steps
+        Steps of one of them, at least one.
+    """
 
     short_name = "repeat"
 
@@ -199,7 +281,19 @@ class Repeat(ProtocolStep):
 
 @dataclass(frozen=True, kw_only=True)
 class Steps(Protocol):
-    """Steps one after another."""
+    """Protocol of steps one after another.
+
+    Parameters
+    ----------
+    steps
+        At least one.
+
+    Examples
+    --------
+    >>> protocol = Steps(steps=(Pressurise(pressure=2 * bar), Dwell(duration=5.0), Vent()))
+    >>> describe_steps(protocol.steps)
+    ['pressurise to 2 bar', 'wait 5 s', 'vent']
+    """
 
     short_name = "steps"
     shorthand = "steps"
@@ -235,7 +329,16 @@ _ADJUSTED = 5 * mm  # stretch before the first plateau: after 2 mm 2 % of a loop
 
 
 def isobaric_steps(protocol: IsobaricProtocol, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
-    """Steps of the paper's procedure: adjust, find the boundary values, unloading test, loading test, vent."""
+    """Return the steps of the paper's procedure: adjust, find the boundary values, unloading test, loading test, vent.
+
+    A muscle has its `boundaries` by its law. For a specimen they are found at each pressure: from the shortest length
+    until the next step would exceed the rated force, and back until the muscle is slack.
+
+    Raises
+    ------
+    RangeError
+        As the `check` of the protocol; or if the specimen has neither a law nor a rated force.
+    """
     protocol.check(of)
     unloading, loading = (
         Acquire(samples=protocol.samples, duration=protocol.acquisition, direction=direction)
@@ -285,13 +388,32 @@ def _short_of(low: float, protocol: IsobaricProtocol, of: Muscle) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class SteppedProtocol(Protocol, abc.ABC):
-    """Base of tests in which the pressure is stepped up and down at each value of another quantity."""
+    """Base of tests in which the pressure is stepped up and down at each value of another quantity.
+
+    Parameters
+    ----------
+    pressures
+        Set pressures [Pa], rising.
+    rate
+        Rate of the set pressure [Pa/s]. Default: steps.
+    speed, dwell
+        Speed of moves [m/s], and wait [s] before each point.
+    acquisition, samples
+        Duration [s] and number of samples of each point.
+    repeats
+        Number of repeats.
+
+    Raises
+    ------
+    RangeError
+        With all fields out of range, or if the pressures do not rise.
+    """
 
     held: ClassVar[str]
     """Field of the values of the other quantity."""
 
     pressures: Sequence[SetPressure] = PAPER_PRESSURES
-    rate: PressureRate | None = None  # of the set pressure; steps unless given
+    rate: PressureRate | None = None
     speed: Speed = SPEED
     dwell: WaitTime = 5 * s
     acquisition: Duration = 1 * s
@@ -315,12 +437,18 @@ class SteppedProtocol(Protocol, abc.ABC):
 
 @dataclass(frozen=True, kw_only=True)
 class IsometricProtocol(SteppedProtocol):
-    """Isometric test: constant length, the pressure stepped up and down."""
+    """Isometric test: constant length, the pressure stepped up and down.
+
+    Parameters
+    ----------
+    contractions
+        Contractions [-] (ours by default). Other parameters are those of `SteppedProtocol`.
+    """
 
     short_name = "isometric"
     held = "contractions"
 
-    contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))  # ours
+    contractions: Sequence[Contraction] = tuple(value * percent for value in (-3, 0, 5, 10, 15, 20))
 
     def steps(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
         """Steps of the test, without pressures whose force by the law exceeds the rated one; `dry_run` checks them."""
@@ -348,15 +476,25 @@ class IsometricProtocol(SteppedProtocol):
 
 @dataclass(frozen=True, kw_only=True)
 class IsotonicProtocol(SteppedProtocol):
-    """Isotonic test: constant force, the pressure stepped up and down."""
+    """Isotonic test: constant force, the pressure stepped up and down.
+
+    Parameters
+    ----------
+    forces
+        Forces [N] (ours by default); 200 N take about 2 bar, so that the pressures begin there.
+    rate
+        Rate of the set pressure [Pa/s] (ours), slow enough for the motor.
+    tolerance
+        Tolerance of the force at a point [N]. Other parameters are those of `SteppedProtocol`.
+    """
 
     short_name = "isotonic"
     held = "forces"
 
-    forces: Sequence[Tension] = (50.0, 100.0, 200.0)  # ours
-    pressures: Sequence[SetPressure] = PAPER_PRESSURES[4:]  # ours; 200 N takes about 2 bar
-    rate: PressureRate = 0.1 * bar / s  # ours, slow enough for the motor
-    tolerance: Force = 2.0  # of the force at a point
+    forces: Sequence[Tension] = (50.0, 100.0, 200.0)
+    pressures: Sequence[SetPressure] = PAPER_PRESSURES[4:]
+    rate: PressureRate = 0.1 * bar / s
+    tolerance: Force = 2.0
 
     def steps(self, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
         """Steps of the test, from the vented muscle at its initial length; `dry_run` checks them."""
@@ -379,7 +517,20 @@ class IsotonicProtocol(SteppedProtocol):
 
 
 def steps_of(protocol: Protocol, of: Muscle | Specimen) -> tuple[ProtocolStep, ...]:
-    """Steps of a test, for a muscle or for a specimen without a law."""
+    """Return the steps of a protocol for a muscle, or for a specimen without a law.
+
+    Raises
+    ------
+    RangeError
+        As the `check` of the protocol.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+    >>> count_steps(steps_of(IsometricProtocol(contractions=[0.05], pressures=[1 * bar, 2 * bar]), muscle))
+    15
+    """
     if isinstance(protocol, Steps):
         return protocol.steps
     assert isinstance(protocol, IsobaricProtocol | SteppedProtocol)
