@@ -170,10 +170,36 @@ def compute_periods(
     *,
     size: int,
 ) -> tuple[PeriodRecord, LoopState]:
-    """Compute up to `size` periods after a command [Pa], with a controller's state, or without one on a ramp [Pa].
+    """Compute many periods of a simulated joint after a command.
 
-    The steps of the controller are numbered for the detection of limit cycles, whose state is that before the periods.
-    Returns their record, of shape (periods, ...), and the state after them; `ExportError` if it cannot be compiled.
+    Parameters
+    ----------
+    program, backend, monitor, detection
+        Controller, joint, safety monitor and detection of limit cycles, the last with its state before the periods.
+    limits
+        Lowest and highest command of each muscle [Pa].
+    memory
+        Packed state of the controller, shape (size,); None on a ramp.
+    steps
+        Numbers of the controller's steps, shape (periods,), for the detection.
+    commands
+        Commands before the periods [Pa].
+    ramp, references
+        Commands of a ramp [Pa], and references [rad], [N*m/rad]; shape (periods, 2).
+    sensors
+        Calibrations of the sensors as the host has them.
+    size
+        Most periods of a call.
+
+    Returns
+    -------
+    tuple of PeriodRecord and LoopState
+        Record, arrays of shape (periods, ...), and the state after the periods.
+
+    Raises
+    ------
+    ExportError
+        If it cannot be compiled.
     """
     count, raising, start = len(references), memory is None, backend.ahead(len(references))
     memory = np.zeros(program.layouts[1].size) if memory is None else memory

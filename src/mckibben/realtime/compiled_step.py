@@ -66,7 +66,21 @@ _ARRAYS = (*ARRAYS, jax.ShapeDtypeStruct)
 
 @dataclass(frozen=True)
 class FlatTree:
-    """Layout of the numeric leaves of a pytree in one array of 64-bit floats; other leaves are part of it."""
+    """Layout of the numeric leaves of a pytree in one array of 64-bit floats; other leaves are part of it.
+
+    Attributes
+    ----------
+    structure, fixed
+        Structure of the tree, and its other leaves.
+    kinds
+        Shape and dtype of each numeric leaf; None for the others.
+
+    Examples
+    --------
+    >>> flat = FlatTree.like((np.asarray(2.5), np.asarray([1, 2]), "fixed"))
+    >>> flat.pack((np.asarray(2.5), np.asarray([1, 2]), "fixed")).tolist()
+    [2.5, 1.0, 2.0]
+    """
 
     structure: Any
     fixed: tuple[Any, ...]
@@ -106,16 +120,32 @@ class FlatTree:
 
 
 class StepResult(NamedTuple):
-    """Next state of a controller, and ``[command1, command2, *telemetry]``."""
+    """Result of a step of a controller.
+
+    Attributes
+    ----------
+    state
+        Packed next state, shape (size,).
+    values
+        ``[command1, command2, *telemetry]``, the commands in Pa.
+    """
 
     state: NDArray[np.float64] | Array
     values: NDArray[np.float64]
 
 
 class ControlProgram:
-    """Compiled controller, the same as in a simulation, one step per call; its parameters are arguments.
+    """Compiled controller, the same as in a simulation, one step per call.
 
-    `telemetry` has the names of its telemetry, in the order of `StepResult.values` after the two commands.
+    Parameters
+    ----------
+    controller
+        The controller; its parameters are arguments of the program, so that controllers of one layout share it.
+
+    Attributes
+    ----------
+    telemetry
+        Names of its telemetry, in the order of `StepResult.values` after the two commands.
     """
 
     def __init__(self, controller: Controller) -> None:
@@ -130,21 +160,34 @@ class ControlProgram:
         self.init(0.0, 0.0, 0.0)  # compiles it, too
 
     def init(self, angle: float, pressure1: float, pressure2: float) -> NDArray[np.float64]:
-        """Initial state at an angle [rad] and pressures [Pa]."""
+        """Return the packed initial state, shape (size,), at an angle [rad] and pressures [Pa]."""
         return self._states.pack(_begin(self._controller, angle, (pressure1, pressure2)))
 
     def step(self, state: ArrayLike, inputs: NDArray[np.float64]) -> StepResult:
         """Return the next state and the commands.
 
-        Inputs: reference angle [rad] and stiffness [N*m/rad], measured angle [rad] and pressures [Pa], time since the
-        last step [s]; shape (6,).
+        Parameters
+        ----------
+        state
+            Packed state, shape (size,).
+        inputs
+            Reference angle [rad] and stiffness [N*m/rad], measured angle [rad] and pressures [Pa], time since the last
+            step [s]; shape (6,).
         """
         after, values = self._step(self.numbers, state, inputs)
         return StepResult(after, np.asarray(values))
 
 
 class PlantProgram:
-    """Compiled plant, one integration under constant commands in `substeps` Runge-Kutta steps per call."""
+    """Compiled plant, one integration under constant commands per call.
+
+    Parameters
+    ----------
+    plant
+        The plant.
+    substeps
+        Runge-Kutta steps of an integration.
+    """
 
     def __init__(self, plant: JointPlant, substeps: int) -> None:
         plant = numeric(plant)
@@ -164,7 +207,15 @@ class PlantProgram:
 
 
 class LimitCycleDetection:
-    """Compiled detection of limit cycles of a run with a control period [s], one sample per call."""
+    """Compiled detection of limit cycles of a run, one sample per call.
+
+    Parameters
+    ----------
+    period
+        Control period [s].
+    resolution
+        Resolution of the angle [rad]; smaller cycles are not reported.
+    """
 
     def __init__(self, period: float, resolution: float) -> None:
         empty = Oscillation.empty(jnp.zeros(()))
@@ -175,7 +226,15 @@ class LimitCycleDetection:
         self._step(self.memory, self._inputs)  # compiles it, if XLA does
 
     def after(self, angle: float, desired: float, index: int) -> LimitCycle | None:
-        """Limit cycle after the measured angle and the reference [rad] of a period, counted from 0; None for none."""
+        """Return the limit cycle after a sample; None for none.
+
+        Parameters
+        ----------
+        angle, desired
+            Measured angle and reference [rad].
+        index
+            Number of the period, from 0.
+        """
         self._inputs[:3] = angle, desired, index
         self.memory, found = self._step(self.memory, self._inputs)
         return limit_cycle_of(found)

@@ -25,13 +25,27 @@ from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitT
 
 
 class RunConditions(NamedTuple):
-    """Conditions of a run, for the hardware of a joint rig; the last three are for a simulated joint."""
+    """Conditions of a run, for the hardware of a joint rig; the last three are for a simulated joint.
 
-    period: float  # control period, which is the sampling period [s]
-    patience: float  # timeout of the watchdog [s]
-    substeps: int = 4  # integration steps per period
-    paced: bool = True  # whether it runs in real time
-    start: PlantState | None = None  # state at which it starts, with ideal sensors; else vented, with its own sensors
+    Attributes
+    ----------
+    period
+        Control period, which is the sampling period [s].
+    patience
+        Timeout of the watchdog [s].
+    substeps
+        Integration steps per period.
+    paced
+        Whether it runs in real time.
+    start
+        State at which it starts, with ideal sensors. Default: vented, with its own sensors.
+    """
+
+    period: float
+    patience: float
+    substeps: int = 4
+    paced: bool = True
+    start: PlantState | None = None
 
 
 class JointHardware(Keyed, Checked, abc.ABC):
@@ -42,12 +56,28 @@ class JointHardware(Keyed, Checked, abc.ABC):
 
     @abc.abstractmethod
     def backend(self, plant: JointPlant, run: RunConditions) -> Backend:
-        """Return the backend, closed; `plant` is that of the scenario."""
+        """Return the backend, closed.
+
+        Parameters
+        ----------
+        plant
+            Plant of the scenario.
+        run
+            Conditions of the run.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedJointSettings(JointHardware):
-    """The plant of the scenario, with these sensors, see `Sensing`."""
+    """The plant of the scenario as a joint.
+
+    Parameters
+    ----------
+    angle_step, pressure_noise
+        Resolution of the encoder [rad] and noise of the pressures [Pa], see `Sensing`.
+    seed
+        Seed of the noise.
+    """
 
     short_name = "simulated"
     physical = False
@@ -71,7 +101,15 @@ class SimulatedJointSettings(JointHardware):
 
 @dataclass(frozen=True, kw_only=True)
 class JointCardSettings(CardSettings, JointHardware):
-    """A card of National Instruments, see `NiBackend`, which samples once per control period."""
+    """A card of National Instruments, see `NiBackend`, which samples once per control period.
+
+    Parameters
+    ----------
+    angle, pressure1, pressure2
+        Inputs of the sensors.
+    valve1, valve2
+        Outputs of the valves. Other parameters are those of `CardSettings`.
+    """
 
     short_name = "nidaqmx"
     sensors = MappingProxyType({"angle": "rad", "pressure1": "Pa", "pressure2": "Pa"})

@@ -43,15 +43,39 @@ _FEW = 50  # periods for which a chunk does not pay
 
 @dataclass(frozen=True)
 class RunPlan:
-    """Plan of a run: approach and reference."""
+    """Plan of a run: approach and reference.
 
-    references: NDArray[np.float64]  # angle [rad] and stiffness [N*m/rad] at the start of each period, (periods, 2)
-    period: float  # control period [s]
-    raising: int  # periods in which the pressures are ramped to `pressures`, without the controller
-    settling: int  # periods in which the controller holds the first reference
-    pressures: tuple[float, float]  # [Pa]
-    command_limits: tuple[tuple[float, float], tuple[float, float]]  # lowest and highest of each muscle [Pa]
-    angle_resolution: float = 0.0  # step of the sensor [rad], 0 for none; smaller limit cycles are not reported
+    Parameters
+    ----------
+    references
+        Angle [rad] and stiffness [N*m/rad] at the start of each period, shape (periods, 2).
+    period
+        Control period [s].
+    raising
+        Periods in which the pressures are ramped to `pressures`, without the controller.
+    settling
+        Periods in which the controller holds the first reference.
+    pressures
+        Pressures of the muscles at the start [Pa].
+    command_limits
+        Lowest and highest command of each muscle [Pa].
+    angle_resolution
+        Step of the sensor [rad], 0 for none; smaller limit cycles are not reported.
+
+    Examples
+    --------
+    >>> plan = RunPlan(np.zeros((100, 2)), 1e-3, 20, 10, (2e5, 2e5), ((0.0, 6e5), (0.0, 6e5)))
+    >>> plan.periods, plan.phase(25).name
+    (130, 'SETTLING')
+    """
+
+    references: NDArray[np.float64]
+    period: float
+    raising: int
+    settling: int
+    pressures: tuple[float, float]
+    command_limits: tuple[tuple[float, float], tuple[float, float]]
+    angle_resolution: float = 0.0
 
     @property
     def periods(self) -> int:
@@ -68,26 +92,54 @@ class RunPlan:
 
 
 class RunProgress(NamedTuple):
-    """Progress of a run."""
+    """Progress of a run.
 
-    time: float  # [s]
-    duration: float  # [s]
+    Attributes
+    ----------
+    time, duration
+        Time and duration [s].
+    phase, reading
+        Phase of the run, and latest reading.
+    reference
+        Reference angle [rad].
+    missed
+        Number of missed deadlines.
+    limit_cycle
+        Limit cycle of the closed loop so far; None for none.
+    """
+
+    time: float
+    duration: float
     phase: Phase
     reading: JointReading
-    reference: float  # angle [rad]
-    missed: int  # deadlines
-    limit_cycle: LimitCycle | None = None  # of the closed loop so far
+    reference: float
+    missed: int
+    limit_cycle: LimitCycle | None = None
 
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """Outcome of a run."""
+    """Outcome of a run.
 
-    kind: str  # "completed"; or "stopped", "signal", "silent", "rig", "failed"
-    text: str  # reason, as a sentence
-    error: McKibbenError | None = None  # that stopped it
-    vented_after: float | None = None  # time from the vent until both pressures were below 0.2 bar [s], if measured
-    remaining: float | None = None  # the higher pressure [Pa] as last measured after the vent, if it was
+    Attributes
+    ----------
+    kind
+        "completed"; or "stopped" at a limit, "signal", "silent", "rig", "failed".
+    text
+        The reason, as a sentence.
+    error
+        The error that stopped it.
+    vented_after
+        Time from the vent until both pressures were below 0.2 bar [s]; None if that was not measured.
+    remaining
+        The higher pressure [Pa] as last measured after the vent; None if it was not.
+    """
+
+    kind: str
+    text: str
+    error: McKibbenError | None = None
+    vented_after: float | None = None
+    remaining: float | None = None
 
     @property
     def completed(self) -> bool:
@@ -163,10 +215,24 @@ def control(
 ) -> RunOutcome:
     """Open a backend, run a controller on it, vent it and close it; all of it is recorded.
 
-    `recorder` needs the columns of `record.columns` and is left open; `stop_flag` stops the run when it is set;
-    `progress` is called each period and must return at once. Errors that are not from mckibben are raised again, after
-    the vent. A simulated joint that is not paced may compute many periods `together`, with the same results; `progress`
-    is then called, and `stop_flag` checked, once for all of them.
+    Parameters
+    ----------
+    backend, program, plan, limits
+        Closed backend, compiled controller, the plan of the run, and its safety limits.
+    recorder
+        Recorder with the columns of `record.columns`; it is left open.
+    stop_flag
+        Stops the run when it is set.
+    progress
+        Is called each period, and must return at once.
+    together
+        Periods that a simulated joint which is not paced computes at once, with the same results; `progress` is then
+        called, and `stop_flag` checked, once for all of them.
+
+    Returns
+    -------
+    RunOutcome
+        Also of a run that was stopped. Errors that are not from mckibben are raised again, after the vent.
 
     Raises
     ------

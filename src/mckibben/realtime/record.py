@@ -62,7 +62,15 @@ def columns(telemetry: Sequence[str]) -> list[Column]:
 
 
 class RowBuffer:
-    """Buffer of rows before a recorder; missing values are NaN."""
+    """Buffer of rows before a recorder; missing values are NaN.
+
+    Parameters
+    ----------
+    recorder
+        Recorder with the columns of `columns`.
+    telemetry
+        Names of the controller's telemetry.
+    """
 
     def __init__(self, recorder: Recorder, telemetry: Sequence[str]) -> None:
         self._recorder = recorder
@@ -73,7 +81,17 @@ class RowBuffer:
     def begin(
         self, sample: int, phase: int, time: float, volts: Sequence[float], reading: JointReading, read_at: float
     ) -> int:
-        """Begin the row of a sample; return its index."""
+        """Begin the row of a sample; return its index.
+
+        Parameters
+        ----------
+        sample, phase
+            Number of the sample, and phase of the run.
+        time, read_at
+            Times of the sample and of its reading [s].
+        volts, reading
+            Volts of angle and pressures [V], and the same in SI.
+        """
         if self._filled == _TOGETHER or (self._filled and time - self._table[0, _TIME] > _LONGEST):
             self.flush()
         row = self._filled
@@ -91,7 +109,19 @@ class RowBuffer:
         limited: bool,
         telemetry: NDArray[np.float64] | None = None,
     ) -> None:
-        """Set reference, commands and telemetry of a row."""
+        """Set reference, commands and telemetry of a row.
+
+        Parameters
+        ----------
+        row
+            Index of the row.
+        reference
+            Angle [rad] and stiffness [N*m/rad].
+        commands, limited
+            Commands of both muscles [Pa], and whether they were limited.
+        telemetry
+            Telemetry of the controller, shape (values,); None without a step of it.
+        """
         table = self._table
         table[row, _REFERENCE], table[row, _REFERENCE + 1] = reference
         table[row, _COMMAND], table[row, _COMMAND + 1] = commands
@@ -113,7 +143,15 @@ class RowBuffer:
         self._table[:] = np.nan
 
     def extend(self, own: Mapping[str, NDArray[Any]], telemetry: NDArray[np.float64]) -> None:
-        """Record complete rows; the telemetry has the shape (rows, values)."""
+        """Record complete rows.
+
+        Parameters
+        ----------
+        own
+            Columns by name, shape (rows,).
+        telemetry
+            Telemetry of the controller, shape (rows, values).
+        """
         self.flush()
         self._recorder.append({**own, **dict(zip(self._names[_TELEMETRY:], telemetry.T, strict=True))})
 
@@ -134,7 +172,21 @@ def measured_result(
     *,
     scenario: str = "",
 ) -> SimulationResult | None:
-    """Result of a recorded run; stiffness, torque and forces by the laws of the muscles, None without a run."""
+    """Return the result of a recorded run; None without a run.
+
+    Parameters
+    ----------
+    columns
+        Columns of the record, shape (rows,).
+    plant, reach
+        Plant, by whose laws stiffness, torque and forces are computed, and feasibility of the reference.
+    period
+        Control period [s].
+    stiffness_amplitude
+        Amplitude of the motion that the stiffness is of [rad]; None for that of an infinitely small one.
+    scenario
+        Text of the scenario.
+    """
     whole = _every_period(columns)
     run = whole["phase"] == Phase.RUN
     count = int(run.sum())
@@ -182,7 +234,13 @@ def _by_laws(plant: JointPlant) -> JointPlant:
 
 
 class Percentiles(NamedTuple):
-    """Percentiles of times [s]: 50, 95, 99.9 and 100 %."""
+    """Percentiles of times [s]: 50, 95, 99.9 and 100 %.
+
+    Examples
+    --------
+    >>> Percentiles.of(np.arange(101.0)).most
+    95.0
+    """
 
     median: float
     most: float
@@ -191,30 +249,51 @@ class Percentiles(NamedTuple):
 
     @classmethod
     def of(cls, times: NDArray[np.float64]) -> Percentiles:
-        """NaN where there are none."""
+        """Return the percentiles of times [s] of shape (times,); NaN of none."""
         if not times.size:
             return cls(*[float("nan")] * 4)
         return cls(*(float(value) for value in np.percentile(times, (50, 95, 99.9, 100))))
 
     def to_json(self) -> dict[str, float]:
-        """In microseconds."""
+        """Return them as a JSON object [us]."""
         return dict(zip(("median_us", "p95_us", "p999_us", "worst_us"), (time * 1e6 for time in self), strict=True))
 
 
 class Timing(NamedTuple):
-    """Timing of the closed loop of a run."""
+    """Timing of the closed loop of a run.
+
+    Attributes
+    ----------
+    periods
+        Number of periods.
+    missed
+        Periods in which the command from their sample did not reach the valves before their end.
+    skipped, dropped
+        Of these: without a command, because the loop was late and took the next sample; lost by the device.
+    lateness, work, jitter
+        Times [s] from a sample to its reading by the loop; from the reading to the commands; and absolute differences
+        between the time between commands and the period.
+    """
 
     periods: int
-    missed: int  # periods in which the command from their sample did not reach the valves before their end
-    skipped: int  # of these: without a command, as the loop was late and took the next sample
-    dropped: int  # of these: samples that the device lost
-    lateness: Percentiles  # from a sample to its reading by the loop
-    work: Percentiles  # from the reading to the commands: limits, controller, valves
-    jitter: Percentiles  # absolute difference between the time between commands and the period
+    missed: int
+    skipped: int
+    dropped: int
+    lateness: Percentiles
+    work: Percentiles
+    jitter: Percentiles
 
     @classmethod
     def of(cls, columns: Mapping[str, NDArray[Any]], period: float) -> Timing:
-        """Timing of the closed loop in the columns of a record."""
+        """Return the timing of the closed loop in the columns of a record.
+
+        Parameters
+        ----------
+        columns
+            Columns by name, shape (rows,).
+        period
+            Control period [s].
+        """
         closed = np.isin(columns["phase"], (Phase.SETTLING, Phase.RUN))
         sample, taken, had, out = (
             columns[name][closed].astype(float) for name in ("sample", "time", "read_at", "commanded_at")

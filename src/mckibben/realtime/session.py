@@ -33,7 +33,21 @@ _ABOVE = 1.05  # pressure limit over the rated pressure
 
 
 class JointRunResult(NamedTuple):
-    """Result of a run."""
+    """Result of a run.
+
+    Attributes
+    ----------
+    outcome
+        Outcome of the run.
+    result
+        Measured motion, pressures and stiffness; None without a run.
+    reach
+        Feasibility of the reference.
+    timing
+        Timing of the loop; meaningless for an unpaced run.
+    priority
+        Priority of the process: "real-time" or "ordinary".
+    """
 
     outcome: RunOutcome
     result: (
@@ -46,7 +60,19 @@ class JointRunResult(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class JointSession:
-    """A scenario on a rig, checked and compiled; `header` is that of the record."""
+    """A scenario on a rig, checked and compiled; `prepare` makes one.
+
+    Parameters
+    ----------
+    scenario, plant, reach
+        The scenario, its plant, and the feasibility of its reference.
+    backend, limits
+        Backend of the rig, and its safety limits.
+    plan, program
+        Plan of the run, and compiled controller.
+    header
+        Header of the record.
+    """
 
     scenario: Scenario
     plant: JointPlant

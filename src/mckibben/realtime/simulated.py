@@ -38,11 +38,21 @@ _OUTPUTS = tuple(AnalogChannel(name, 0.0, 10.0, "simulated") for name in ("valve
 
 @dataclass(frozen=True)
 class Sensing(Checked):
-    """Sensors of a simulated joint."""
+    """Sensors of a simulated joint.
 
-    angle_step: AngleStep = 0.022 * deg  # resolution of the encoder, 14 bits per revolution; 0 for none
-    pressure_noise: PressureNoise = 4 * kPa  # standard deviation of each sample
-    volts_step: Annotated[float, Quantity("V", "V", 0, 20)] = 20 / 2**16  # of the converter, 16 bits; 0 for none
+    Parameters
+    ----------
+    angle_step
+        Resolution of the encoder [rad], 14 bits per revolution; 0 for none.
+    pressure_noise
+        Standard deviation of each sample [Pa].
+    volts_step
+        Resolution of the converter [V], 16 bits; 0 for none.
+    """
+
+    angle_step: AngleStep = 0.022 * deg
+    pressure_noise: PressureNoise = 4 * kPa
+    volts_step: Annotated[float, Quantity("V", "V", 0, 20)] = 20 / 2**16
 
 
 PERFECT = Sensing(0.0, 0.0, 0.0)
@@ -57,7 +67,19 @@ def rated_commands(plant: JointPlant) -> tuple[tuple[float, float], tuple[float,
 
 
 class StartOfLoop(NamedTuple):
-    """Start of a compiled loop: period [s], packed state of the plant, valve commands, noise of the samples [Pa]."""
+    """Start of a compiled loop.
+
+    Attributes
+    ----------
+    period
+        Sampling period [s].
+    state
+        Packed state of the plant, shape (size,).
+    commands
+        Commands of both valves [Pa].
+    noise
+        Noise of the next samples [Pa], shape (samples, 2).
+    """
 
     period: float
     state: NDArray[np.float64]
@@ -182,7 +204,18 @@ class SimulatedJoint(Backend):
         self._watchdog.reset(now)
 
     def set_valves(self, volts: Sequence[float]) -> None:
-        """Set the signals of the valves [V]; `RigError` if its watchdog has expired, or it is not open."""
+        """Set the signals of the valves.
+
+        Parameters
+        ----------
+        volts
+            Signals [V], one per valve.
+
+        Raises
+        ------
+        RigError
+            If the watchdog has expired, or it is not open.
+        """
         self._check_open()
         now = self.clock()
         self._check_watchdog(now)
@@ -233,14 +266,30 @@ class SimulatedJoint(Backend):
         return not (self.paced or self._faults or self._delay or self._watchdog.has_expired)
 
     def ahead(self, count: int) -> StartOfLoop:
-        """Return its state directly after a command, and the noise of the next samples."""
+        """Return the state directly after a command, for a compiled loop.
+
+        Parameters
+        ----------
+        count
+            Number of samples that follow, whose noise is drawn.
+        """
         while len(self._noise) < count:
             self._noise = self._drawn() + self._noise  # the last ones are used first
         noise = np.array(self._noise[-count:])[::-1]
         return StartOfLoop(self._period, self._state, self._pending[-1][1] if self._pending else self._commands, noise)
 
     def moved_ahead(self, count: int, state: NDArray[np.float64], commands: tuple[float, float]) -> None:
-        """Set the state after a number of samples; the valves were set and the watchdog was reset at the last one."""
+        """Set the state after samples; the valves were set and the watchdog was reset at the last one.
+
+        Parameters
+        ----------
+        count
+            Number of samples.
+        state
+            Packed state of the plant, shape (size,).
+        commands
+            Last commands of both valves [Pa].
+        """
         self._next += count
         self._now = self._at = (self._next - 1) * self._period
         self._state, self._commands = state, commands

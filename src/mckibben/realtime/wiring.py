@@ -14,7 +14,15 @@ from mckibben.units import bar, deg
 
 
 class JointReading(NamedTuple):
-    """Measured angle [rad] and gauge pressures [Pa]."""
+    """Reading of a joint.
+
+    Attributes
+    ----------
+    angle
+        Measured angle [rad].
+    pressure1, pressure2
+        Measured gauge pressures [Pa].
+    """
 
     angle: float
     pressure1: float
@@ -27,6 +35,14 @@ class Wiring:
 
     Defaults are those of common devices: a potentiometer of 340 deg on 10 V, pressure sensors with 1 to 5 V
     for 0 to 10 bar, and regulators (ITV0050 class) that give 9 bar at 10 V.
+
+    Examples
+    --------
+    >>> wiring = Wiring()
+    >>> [calibration.name for calibration in (*wiring.sensors, *wiring.valves)]
+    ['angle', 'pressure1', 'pressure2', 'valve1', 'valve2']
+    >>> float(wiring.valve1.volts(4.5 * bar))
+    5.0
     """
 
     angle: Calibration = Calibration(
@@ -43,7 +59,13 @@ class Wiring:
 
     @classmethod
     def of(cls, calibrations: Mapping[str, Calibration]) -> Wiring:
-        """Return the calibrations of a backend; `RigError` if these are not of the five channels."""
+        """Return the wiring of the calibrations of a backend.
+
+        Raises
+        ------
+        RigError
+            If these are not of the five channels.
+        """
         channels = [field.name for field in fields(cls)]
         if set(calibrations) != set(channels):
             raise RigError(
@@ -68,7 +90,18 @@ class Wiring:
 
 
 class Connected:
-    """Calibrations of a backend on its channels, for the real-time loop; `RigError` if channels are missing."""
+    """Calibrations of a backend on its channels, for the real-time loop.
+
+    Parameters
+    ----------
+    backend
+        Backend with the five channels of `Wiring`.
+
+    Raises
+    ------
+    RigError
+        If channels or calibrations are missing.
+    """
 
     def __init__(self, backend: Backend) -> None:
         self.wiring = wiring = Wiring.of(backend.calibrations)
@@ -94,7 +127,7 @@ class Connected:
         self._outputs = outputs
 
     def picked(self, volts: Sequence[float]) -> list[float]:
-        """Volts of angle and pressures, of those of all inputs."""
+        """Return the volts of angle and pressures among those of all inputs [V]."""
         return [volts[sensor[0]] for sensor in self._sensors]
 
     def reading(self, volts: Sequence[float]) -> JointReading:
@@ -107,9 +140,9 @@ class Connected:
         )
 
     def volts(self, commands: Sequence[float]) -> list[float]:
-        """Signals of the outputs [V] for commands of muscles 1 and 2 [Pa]."""
+        """Return the signals of the outputs [V], in their order, for commands of muscles 1 and 2 [Pa]."""
         return [(commands[i] + valve.tare) / valve.gain + valve.offset for i, valve in self._valves]
 
     def check(self, low: float, high: float) -> list[Problem]:
-        """Violations of commands from low to high [Pa]."""
+        """Return the problems of commands from `low` to `high` [Pa], beyond a valve's span or the converter's range."""
         return [problem for c in self.wiring.valves for problem in c.check(low, high, self._outputs[c.name])]

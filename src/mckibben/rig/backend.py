@@ -73,7 +73,7 @@ class Backend(abc.ABC):
     """Sensors and valves of a rig, in volts.
 
     A backend is vented when it is opened, and by its watchdog when `heartbeat` is not called within `patience`.
-    Subclasses give the channels, their calibrations, `open`, `clock`, `read`, `set_valves`, `heartbeat`, `vent` and `close`.
+    Subclasses give channels and calibrations, and `open`, `clock`, `read`, `set_valves`, `heartbeat`, `vent`, `close`.
     """
 
     physical: ClassVar[bool] = True

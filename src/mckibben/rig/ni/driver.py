@@ -20,7 +20,18 @@ _DRIVER = "install NI-DAQmx from ni.com (`nidaqmx installdriver` helps), or give
 
 
 class Driver:
-    """The driver NI-DAQmx of this machine, or of an NI gRPC Device Server at `server` ("host:port")."""
+    """The driver NI-DAQmx.
+
+    Parameters
+    ----------
+    server
+        Address of an NI gRPC Device Server, "host:port"; empty for the driver of this machine.
+
+    Raises
+    ------
+    RigError
+        If the package, the driver or the server is missing.
+    """
 
     def __init__(self, server: str = "") -> None:
         try:
@@ -133,18 +144,41 @@ def _first(error: Exception) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Terminals:
-    """Terminals of a rig, in the notation of the driver; by default the paper's."""
+    """Terminals of a rig, in the notation of the driver; by default the paper's.
+
+    Parameters
+    ----------
+    inputs, outputs
+        Terminals of the sensors and valves, by channel.
+    heartbeat
+        Line that toggles with each heartbeat; an external relay opens when it does not.
+    hold
+        Line that through this relay energises the spring-return vent valve: high = closed.
+    counter
+        Counter of the motor's pulses; empty without a motor.
+    direction
+        Line of the motor's direction: high = stretching.
+    input_range, output_range
+        Ranges of all inputs and outputs [V].
+    rest
+        Signal of the outputs at which a valve vents [V].
+
+    Raises
+    ------
+    RangeError
+        With all terminals that are missing or given twice, or if the rest is outside the range.
+    """
 
     # analog inputs of the sensors, each differential: "Dev1/ai0" is AI 0 against AI 8
     inputs: Mapping[str, str] = field(default_factory=lambda: {"force": "Dev1/ai0", "pressure": "Dev1/ai1"})
     outputs: Mapping[str, str] = field(default_factory=lambda: {"valve": "Dev1/ao0"})
-    heartbeat: str = "Dev1/port0/line0"  # toggles with each heartbeat; an external relay opens when it does not
-    hold: str = "Dev1/port0/line1"  # through that relay energises the spring-return vent valve: high = closed
-    counter: str = "Dev1/ctr0"  # of the motor's pulses; empty without a motor
-    direction: str = "Dev1/port0/line2"  # of the motor: high = stretching
-    input_range: tuple[float, float] = (-10.0, 10.0)  # of all inputs [V]
+    heartbeat: str = "Dev1/port0/line0"
+    hold: str = "Dev1/port0/line1"
+    counter: str = "Dev1/ctr0"
+    direction: str = "Dev1/port0/line2"
+    input_range: tuple[float, float] = (-10.0, 10.0)
     output_range: tuple[float, float] = (0.0, 10.0)
-    rest: float = 0.0  # signal of the outputs at which a valve vents [V]
+    rest: float = 0.0
 
     def __post_init__(self) -> None:
         problems: list[Problem] = []

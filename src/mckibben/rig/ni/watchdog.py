@@ -36,7 +36,15 @@ _END = 2.0  # s until a process that does not end by itself is killed
 
 
 class WatchdogLink:
-    """The second process, seen from the process of the test: `beat` raises if it has died or does not answer."""
+    """The second process, seen from the process of the test.
+
+    Parameters
+    ----------
+    process
+        The second process.
+    patience
+        Timeout of the relay [s].
+    """
 
     def __init__(self, process: subprocess.Popen[bytes], patience: float) -> None:
         self._process, self._interval = process, patience / _BEATS
@@ -46,7 +54,18 @@ class WatchdogLink:
         threading.Thread(target=self._listen, name="answers of the watchdog process", daemon=True).start()
 
     def beat(self, now: float) -> None:
-        """Send a heartbeat, at most five in the timeout of the relay; the previous one has to be answered by then."""
+        """Send a heartbeat, at most five in the timeout of the relay.
+
+        Parameters
+        ----------
+        now
+            Time [s].
+
+        Raises
+        ------
+        RigError
+            If the process has died, or has not answered the previous heartbeat.
+        """
         if not self._ended and now - self._sent_at < self._interval:
             return
         with self._changed:

@@ -19,7 +19,13 @@ _MAINS = 50.0  # Hz
 
 @dataclass(frozen=True)
 class Fault(Checked):
-    """A fault of simulated hardware, at a time since the rig was first opened [s]."""
+    """A fault of simulated hardware.
+
+    Parameters
+    ----------
+    at
+        Time since the rig was first opened [s].
+    """
 
     at: WaitTime
 
@@ -31,20 +37,38 @@ class SupplyLost(Fault):
 
 @dataclass(frozen=True)
 class ValveStuck(Fault):
-    """Regulator stuck at an opening, from -1 (exhaust) to 1 (supply), whatever its signal."""
+    """Regulator stuck at an opening, whatever its signal.
+
+    Parameters
+    ----------
+    opening
+        From -1 (exhaust) to 1 (supply).
+    """
 
     opening: Annotated[float, Quantity("1", lower=-1, upper=1)] = 1.0
 
 
 @dataclass(frozen=True)
 class SensorDisconnected(Fault):
-    """The cable of a sensor is disconnected: it reads `volts`, 10 by default (a rail); None: it floats, with hum."""
+    """The cable of a sensor is disconnected.
+
+    Parameters
+    ----------
+    sensor
+        Name of its input.
+    volts
+        Its reading [V], by default a rail; None: it floats, with hum.
+    """
 
     sensor: str = "force"
     volts: float | None = 10.0
 
     def volts_at(self, time: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Readings [V] at times [s]."""
+        """Return readings [V] at times [s], of the same shape.
+
+        >>> SensorDisconnected(1.0, "force", volts=0.7).volts_at(np.array([1.0, 2.0])).tolist()
+        [0.7, 0.7]
+        """
         if self.volts is None:
             return 1.0 + 2.0 * np.sin(2 * np.pi * _MAINS * time)
         return np.full(len(time), self.volts)
@@ -63,7 +87,13 @@ class Slipped(Fault):
 
 @dataclass(frozen=True)
 class Burst(Fault):
-    """Burst bladder, of a sonic conductance [m^3/(s*Pa)], by default 5 dm^3/(s*bar)."""
+    """Burst bladder.
+
+    Parameters
+    ----------
+    conductance
+        Sonic conductance of the leak [m^3/(s*Pa)], by default 5 dm^3/(s*bar).
+    """
 
     conductance: Conductance = 5 * L_PER_S_BAR
 
@@ -75,7 +105,13 @@ class Stalled(Fault):
 
 @dataclass(frozen=True)
 class HostDelayed(Fault):
-    """Host is busy for a duration [s], by which its next read is delayed."""
+    """Host is busy, by which its next read is delayed.
+
+    Parameters
+    ----------
+    duration
+        Delay [s].
+    """
 
     duration: Duration = 1.0
 
@@ -87,7 +123,15 @@ class SamplesStopped(Fault):
 
 @dataclass(frozen=True)
 class SamplesDropped(Fault):
-    """Samples are lost: a number of them and all that are waiting to be read; repeated with a period `every` [s]."""
+    """Samples are lost: some, and all that are waiting to be read.
+
+    Parameters
+    ----------
+    samples
+        Number of them.
+    every
+        Period at which it happens again [s]; None for once.
+    """
 
     samples: Samples = 10
     every: Duration | None = None
@@ -95,6 +139,12 @@ class SamplesDropped(Fault):
 
 @dataclass(frozen=True)
 class SamplesDelayed(Fault):
-    """Samples come with a delay [s]."""
+    """Samples come late.
+
+    Parameters
+    ----------
+    delay
+        Delay [s].
+    """
 
     delay: PositiveTime = 0.2

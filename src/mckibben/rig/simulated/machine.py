@@ -32,12 +32,20 @@ _HERMITE = np.array([[1, 0, 0, 0], [0, 0, 1, 0], [-3, 3, -2, -1], [2, -2, 1, 1]]
 
 @dataclass(frozen=True)
 class ForceTable:
-    """Table of a law's force over contraction [-] and pressure [Pa], a bicubic spline; constant outside."""
+    """Table of a law's force over contraction and pressure, a bicubic spline; constant outside.
+
+    Attributes
+    ----------
+    contraction, pressure
+        Ranges of contraction [-] and gauge pressure [Pa].
+    error
+        Largest deviation from the law in the centres of cells with a taut muscle [N].
+    """
 
     contraction: tuple[float, float]
     pressure: tuple[float, float]
-    error: float  # largest deviation from the law in the centres of cells with a taut muscle [N]
-    _cells: NDArray[np.float64]  # shape (contractions, pressures, 16)
+    error: float
+    _cells: NDArray[np.float64]
 
     def force(self, contraction: float, pressure: float) -> float:
         """Force [N] at a contraction [-] and a gauge pressure [Pa]."""
@@ -59,7 +67,21 @@ class ForceTable:
 
 
 def force_table(muscle: Muscle) -> ForceTable:
-    """Table of the law of a muscle, cached; `RangeError` if the law is not smooth or not finite."""
+    """Return the table of the law of a muscle, cached.
+
+    Raises
+    ------
+    RangeError
+        If the law is not smooth enough for a table, or has no finite force.
+
+    Examples
+    --------
+    >>> from mckibben import catalog
+    >>> from mckibben.units import bar
+    >>> muscle = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
+    >>> round(force_table(muscle).force(0.0, 6 * bar), 2)  # of Eq. 3
+    584.72
+    """
     bare = Muscle(muscle.specimen, muscle.law, strength=muscle.strength, correction=muscle.correction)
     try:
         return _cached(bare)
@@ -113,7 +135,15 @@ _LEAST = 1e-9  # N, least width of a friction band
 
 
 class Grip:
-    """Force of a muscle by `MaxwellSlip` and `MaxwellCreep` in plain floats; relaxed where it is clamped."""
+    """Force of a clamped muscle with `MaxwellSlip` and `MaxwellCreep`, in plain floats.
+
+    Parameters
+    ----------
+    muscle
+        The muscle.
+    contraction
+        Contraction [-] at which it is clamped, relaxed.
+    """
 
     def __init__(self, muscle: Muscle, contraction: float) -> None:
         specimen, friction, creep = muscle.specimen, muscle.friction, muscle.creep
@@ -179,7 +209,17 @@ class Grip:
         return math.sqrt(self.volume(stretch) / self.volume(0.0) * length)
 
     def force(self, stretch: float, pressure: float, span: float) -> float:
-        """Force [N] after a move to a stretch [m] within a time span [s], at a gauge pressure [Pa]."""
+        """Return the force [N] after a move.
+
+        Parameters
+        ----------
+        stretch
+            Stretch at its end, from where the muscle was clamped [m].
+        pressure
+            Gauge pressure [Pa].
+        span
+            Its duration [s].
+        """
         if not self.held:
             return 0.0
         travel, self._stretch = stretch - self._stretch, stretch
@@ -232,21 +272,47 @@ INSTANT = 1e-9
 
 
 class Truth(NamedTuple):
-    """True state of the simulated rig."""
+    """True state of the simulated rig.
 
-    time: float  # since the rig was first opened [s]
-    pressure: float  # in the muscle [Pa, gauge]
-    force: float  # at the clamps [N]
-    stretch: float  # travel of the carriage since the rig was first opened [m], positive = stretching
-    contraction: float  # [-]
-    flow: float  # of air into the muscle [kg/s]
-    mass: float  # of the air in muscle and tube [kg]
-    vented: bool  # whether the vent valve is open
-    temperature: float  # of the air [K]
+    Attributes
+    ----------
+    time
+        Time since the rig was first opened [s].
+    pressure
+        Gauge pressure in the muscle [Pa].
+    force
+        Force at the clamps [N].
+    stretch
+        Travel of the carriage since the rig was first opened [m], positive = stretching.
+    contraction
+        Contraction [-].
+    flow, mass, temperature
+        Flow of air into the muscle [kg/s]; mass [kg] and temperature [K] of the air in muscle and tube.
+    vented
+        Whether the vent valve is open.
+    """
+
+    time: float
+    pressure: float
+    force: float
+    stretch: float
+    contraction: float
+    flow: float
+    mass: float
+    vented: bool
+    temperature: float
 
 
 class Knots(NamedTuple):
-    """Knots of a piecewise linear history: time since the first opening [s], force [N], pressure [Pa]."""
+    """Knots of a piecewise linear history.
+
+    Attributes
+    ----------
+    time
+        Times since the first opening [s].
+    force, pressure
+        Force [N] and pressure [Pa] at these times.
+    """
 
     time: list[float]
     force: list[float]
@@ -254,7 +320,15 @@ class Knots(NamedTuple):
 
 
 class Machine:
-    """State of the simulated rig without sensors and card; `mounted_at` is the initial contraction [-]."""
+    """State of the simulated rig without sensors and card.
+
+    Parameters
+    ----------
+    muscle, mounted_at
+        The muscle, and its contraction [-] at the beginning.
+    regulator, stretcher
+        The other parts.
+    """
 
     def __init__(self, muscle: Muscle, mounted_at: float, regulator: Regulator, stretcher: Stretcher) -> None:
         self.now = 0.0  # since the rig was first opened [s]

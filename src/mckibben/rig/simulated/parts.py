@@ -53,21 +53,53 @@ class Regulator(Checked):
     without current its spring shuts off the regulator and vents the muscle.
 
     Numbers "of the maker" are quoted from memory from the ITV0000 data sheet, unverified; others are ours.
+
+    Parameters
+    ----------
+    supply
+        Supply pressure [Pa]; the maker allows 10 bar.
+    conductance
+        Sonic conductance C [m^3/(s*Pa)] fully open, in both directions: the maker's 6 dm^3/min at 10 bar.
+    critical
+        Critical pressure ratio b [-].
+    band
+        Error of the pressure [Pa] at which it is fully open.
+    lag
+        Time constant [s] of the command: a third of the maker's response of 0.1 s without a load.
+    hysteresis
+        Width [Pa] of the command's play: the maker's 0.5 % of 9 bar.
+    repeatability
+        Largest offset [Pa], drawn at each new command: the maker's 0.5 % of 9 bar.
+    highest
+        Highest command [Pa] (the maker).
+    dead_volume
+        Volume [m^3] of tube and fittings: a metre of tube with 2.5 mm inside.
+    exhaust, exhaust_delay
+        C [m^3/(s*Pa)] of the vent valve with its tube, and its opening time [s].
+    leak
+        C of a leak [m^3/(s*Pa)].
+    wall_conductance
+        h A [W/K] of the wall of the muscle as mounted; without it, the air is at room temperature.
+
+    Raises
+    ------
+    RangeError
+        If a number is out of the range of its field.
     """
 
-    supply: PositivePressure = 8 * bar  # the maker allows 10
-    conductance: Conductance = 0.0091 * L_PER_S_BAR  # fully open, in both directions: the maker's 6 dm^3/min at 10 bar
+    supply: PositivePressure = 8 * bar
+    conductance: Conductance = 0.0091 * L_PER_S_BAR
     critical: CriticalRatio = 0.3
-    band: PressureScale = 0.1 * bar  # pressure error at which it is fully open
-    lag: PositiveTime = 30 * ms  # of the command: a third of the maker's response of 0.1 s without a load
-    hysteresis: PressureNoise = 4.5 * kPa  # width of the command's play: the maker's 0.5 % of 9 bar
-    repeatability: PressureNoise = 4.5 * kPa  # largest offset, drawn at each new command: the maker's 0.5 % of 9 bar
-    highest: PositivePressure = 9 * bar  # command (the maker)
-    dead_volume: Volume = 5e-6  # of tube and fittings: a metre of tube with 2.5 mm inside
-    exhaust: Conductance = 0.1 * L_PER_S_BAR  # of the vent valve with its tube
-    exhaust_delay: ShortTime = 20 * ms  # its opening time
+    band: PressureScale = 0.1 * bar
+    lag: PositiveTime = 30 * ms
+    hysteresis: PressureNoise = 4.5 * kPa
+    repeatability: PressureNoise = 4.5 * kPa
+    highest: PositivePressure = 9 * bar
+    dead_volume: Volume = 5e-6
+    exhaust: Conductance = 0.1 * L_PER_S_BAR
+    exhaust_delay: ShortTime = 20 * ms
     leak: Annotated[float, Quantity("m^3/(s*Pa)", "L/(s*bar)", 0, 1e4)] = 1e-5 * L_PER_S_BAR
-    wall_conductance: HeatConductance | None = None  # h A as mounted; without it, room temperature
+    wall_conductance: HeatConductance | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -85,7 +117,15 @@ _GROWTH = HEAT_CAPACITY_RATIO - 1
 
 
 class Chamber:
-    """Air of the muscle. Its mass is the state, and with a wall its temperature; the pressure follows."""
+    """Air of the muscle. Its mass is the state, and with a wall its temperature; the pressure follows.
+
+    Parameters
+    ----------
+    regulator
+        Regulator with its vent valve.
+    volume
+        Volume of the muscle at the beginning [m^3], vented.
+    """
 
     def __init__(self, regulator: Regulator, volume: float) -> None:
         self.regulator = regulator
@@ -120,7 +160,20 @@ class Chamber:
         return self._played + self.offset if self.signal > 0 else 0.0
 
     def step(self, span: float, volume: Callable[[float], float]) -> float:
-        """Integrate at most a time span [s], with the volume [m^3] as a function of time; return the step [s]."""
+        """Integrate a step.
+
+        Parameters
+        ----------
+        span
+            Longest step [s].
+        volume
+            Volume of the muscle [m^3], a function of the time from now [s].
+
+        Returns
+        -------
+        float
+            The step [s].
+        """
         dead = self.regulator.dead_volume
         decay, wall = self.regulator.lag, self.wall
         target, command = self.target, self._command
@@ -202,10 +255,19 @@ class Stretcher(Checked):
 
     A force above the friction of the guide takes up the backlash: with a taut muscle the carriage follows the screw,
     with a slack one it stays.
+
+    Parameters
+    ----------
+    drive
+        Motor with its gear.
+    backlash
+        Backlash of the nut [m].
+    guide_friction
+        Friction of the guide [N].
     """
 
     drive: Drive = field(default_factory=Drive)
-    backlash: Distance = 0.02 * mm  # of the nut
+    backlash: Distance = 0.02 * mm
     guide_friction: Force = 5 * N
 
 
@@ -224,7 +286,15 @@ class _Move:
 
 
 class Motor:
-    """Position of the motor over time."""
+    """Position of the motor over time.
+
+    Examples
+    --------
+    >>> motor = Motor(Stretcher())
+    >>> motor.move(0.0, 40, 80.0)
+    >>> motor.counted(np.array([0.0, 0.25, 1.0])).tolist(), motor.moving(0.4)
+    ([0, 20, 40], True)
+    """
 
     def __init__(self, stretcher: Stretcher) -> None:
         self._per_metre = stretcher.drive.pulses_per_metre

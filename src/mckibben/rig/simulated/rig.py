@@ -204,7 +204,18 @@ class SimulatedRig(MovingBackend):
         return sampling.take(count)
 
     def set_valves(self, volts: Sequence[float]) -> None:
-        """Set the signal of the valve [V]; one of more than 0 bar ends a `vent`."""
+        """Set the signal of the valve; one of more than 0 bar ends a `vent`.
+
+        Parameters
+        ----------
+        volts
+            Signal [V], one value.
+
+        Raises
+        ------
+        RigError
+            If the signal cannot be given, the rig is not open, or its watchdog has expired.
+        """
         self._catch_up()
         self._check_armed()
         if len(volts) != 1 or not -10 <= volts[0] <= 10:
@@ -304,7 +315,15 @@ _SOON = 1e-6  # s, shortest sleep
 
 
 class RealTimeRig(SimulatedRig):
-    """A `SimulatedRig` in real time, by a clock [s] and a sleep; by default those of the system."""
+    """A `SimulatedRig` in real time.
+
+    Parameters
+    ----------
+    muscle, parts
+        As for `SimulatedRig`.
+    wall, sleep
+        Clock [s], and function that sleeps for a time [s]; by default those of the system.
+    """
 
     def __init__(
         self,

@@ -49,13 +49,25 @@ VALVE = Calibration(
 
 @dataclass(frozen=True, kw_only=True)
 class Sensor:
-    """Sensor with its amplifier; noise, drift and wander are in the calibration's unit."""
+    """Sensor with its amplifier.
 
-    calibration: Calibration  # the true one, which may differ from that of the host
-    noise: float = 0.0  # standard deviation of a sample, white
-    drift: float = 0.0  # of its zero, after an hour
-    wander: float = 0.0  # standard deviation of the random walk of its zero, after an hour
-    saturation: float = 10.5  # of its amplifier, in both directions [V]
+    Parameters
+    ----------
+    calibration
+        The true calibration, which may differ from that of the host.
+    noise
+        Standard deviation of a sample, white, in the calibration's unit.
+    drift, wander
+        Drift of its zero, and standard deviation of the random walk of its zero, after an hour, in that unit.
+    saturation
+        Highest output of its amplifier, in both directions [V].
+    """
+
+    calibration: Calibration
+    noise: float = 0.0
+    drift: float = 0.0
+    wander: float = 0.0
+    saturation: float = 10.5
 
     def __post_init__(self) -> None:
         name, unit = self.calibration.name, self.calibration.unit
@@ -73,7 +85,22 @@ PRESSURE_SENSOR = Sensor(calibration=PRESSURE, noise=0.5 * kPa)
 
 @dataclass(frozen=True, kw_only=True)
 class Converter:
-    """Data acquisition card such as the PCI-6281 (18 bits, -10 to 10 V its widest range), with a buffer [s] (ours)."""
+    """Data acquisition card such as the PCI-6281.
+
+    Parameters
+    ----------
+    bits
+        Resolution: 18 bits.
+    low, high
+        Range [V]; -10 to 10 V is its widest.
+    buffer
+        Length of its buffer [s] (ours).
+
+    Examples
+    --------
+    >>> Converter(bits=2, low=-2.0, high=2.0).quantise(np.array([-3.0, 0.4, 0.6])).tolist()
+    [-2.0, 0.0, 1.0]
+    """
 
     bits: int = 18
     low: float = -10.0
@@ -99,7 +126,15 @@ class Converter:
 
 
 class SensorChannel:
-    """Signal of a sensor over time; the generator is that of its wander."""
+    """Signal of a sensor over time.
+
+    Parameters
+    ----------
+    sensor
+        The sensor.
+    generator
+        Generator of its wander.
+    """
 
     def __init__(self, sensor: Sensor, generator: np.random.Generator) -> None:
         self._sensor = sensor
@@ -114,7 +149,13 @@ class SensorChannel:
     def volts(
         self, time: NDArray[np.float64], truth: NDArray[np.float64], noise: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Volts [V] of a true value at times [s], with given noise [V]."""
+        """Return the volts [V] of a true value.
+
+        Parameters
+        ----------
+        time, truth, noise
+            Times [s], true values in the unit, and noise [V], each of shape (samples,).
+        """
         if self.disconnected is not None:
             return self.disconnected.volts_at(time) + (noise if self.disconnected.volts is None else 0.0)
         sensor = self._sensor
@@ -145,7 +186,17 @@ _ROUNDING = 1e-6  # samples
 
 
 class Sampling:
-    """Sensors, converter and its buffer; `noise` and `wanders` are generators of noise and of each sensor's wander."""
+    """Sensors, converter and its buffer.
+
+    Parameters
+    ----------
+    sensors
+        Sensors by input.
+    converter, rate
+        The converter, and its sampling rate of each input [Hz].
+    noise, wanders
+        Generator of noise, and of the wander of each sensor.
+    """
 
     def __init__(
         self,
@@ -215,7 +266,13 @@ class Sampling:
         self._waiting.append(Block(first, since, self._converter.quantise(volts), motor.counted(time) - self._zero))
 
     def take(self, count: int) -> Block:
-        """The next samples of the buffer; `RigError` if it was overwritten."""
+        """Return the next samples of the buffer.
+
+        Raises
+        ------
+        RigError
+            If they were overwritten.
+        """
         if self._overrun:
             raise RigError(
                 f"samples were overwritten: the host did not read for more than {self._converter.buffer:g} s",
