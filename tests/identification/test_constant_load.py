@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from mckibben.dataset import IsobaricDataset
+from mckibben.dataset import IsobaricDataset, read_dataset
 from mckibben.identification import identify_with_friction, shows_hysteresis
 from mckibben.muscle import ExponentialLaw, forces
 from mckibben.units import bar, deg, mm
@@ -50,3 +50,13 @@ def test_law_and_friction_of_a_test_with_weights(friction):
 
 def test_weights_without_friction_show_none():
     assert not shows_hysteresis(hanging_weights(0.0))
+
+
+def test_directions_follow_from_the_order_of_the_rows_at_each_load(tmp_path):
+    known = hanging_weights(6.0)
+    rows = zip(known.pressure / bar, 260 * (1 - known.contraction), known.force, strict=True)
+    path = tmp_path / "weights.csv"
+    path.write_text("\n".join(["pressure_bar,length_mm,load_N", *(",".join(map(str, row)) for row in rows)]))
+    read = read_dataset(path, initial_length=260 * mm)
+    same = read.table["direction"].to_numpy() == known.table["direction"].to_numpy()
+    assert np.count_nonzero(~same) <= 4  # the first row after each reversal, where the muscle still shortens

@@ -89,18 +89,24 @@ def _with_passes(table: xr.Dataset, files: Ints | None) -> tuple[xr.Dataset, lis
     """Table with directions and repeats, and a note; unchanged if it has directions or shows no reversals."""
     if "direction" in table:
         return table, []
-    values, groups = np.unique(_levels(table), return_inverse=True)
+    values, groups = np.unique(table["force"] if held_at_load(table) else _levels(table), return_inverse=True)
     grouped = 2 * len(values) <= len(groups)
     strokes = passes(groups if grouped else 0 * groups, table["contraction"].to_numpy(), files)
     if strokes is None:
         return table, []
     direction, repeat = strokes
     table = table.assign(direction=("point", direction))
-    per_level = ""
+    per_level, of = "", "load" if held_at_load(table) else "level"
     if grouped and repeat.any() and "repeat" not in table:
         table = table.assign(repeat=("point", repeat))
-        per_level = f"{repeat.max() + 1} of each per level, "
+        per_level = f"{repeat.max() + 1} of each per {of}, "
     return table, [f"passes of loading and unloading, {per_level}from the order of the rows"]
+
+
+def held_at_load(table: xr.Dataset) -> bool:
+    """Whether the load is held along a path, as by hanging weights: few forces, each at three points or more."""
+    counts = np.unique(table["force"], return_counts=True)[1]
+    return counts.min(initial=len(table["force"])) >= _FEWEST and len(counts) < len(np.unique(_levels(table)))
 
 
 def _levels(table: xr.Dataset) -> Floats:
@@ -203,6 +209,8 @@ class Slack(NamedTuple):
 
 
 def _slack_of(table: xr.Dataset) -> Slack | None:
+    if held_at_load(table):
+        return None
     levels = _levels(table)
     levels = np.where(np.isnan(grouped := pressure_levels(levels)), levels, grouped)
     strokes = np.unique(levels, return_inverse=True)[1]

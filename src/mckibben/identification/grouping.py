@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import held_at_load
 from mckibben.identification.estimator import Floats, Ints
 
 
@@ -28,15 +29,9 @@ class Grouping(enum.Enum):
         return f"{count} {self.value}{'' if count == 1 else 's'}"
 
 
-def held_at_load(points: IsobaricDataset) -> bool:
-    """Whether the load was held along a path, as by hanging weights: few forces, each at several pressures."""
-    loads = len(np.unique(points.force))
-    return 2 * loads <= len(points) and loads < len(points.pressures)
-
-
 def held_values(points: IsobaricDataset) -> Floats:
     """Value that was held along the path of each point, shape (points,): the load [N], or else the pressure [Pa]."""
-    return points.force if held_at_load(points) else points.levels
+    return points.force if held_at_load(points.table) else points.levels
 
 
 def group_labels(points: IsobaricDataset, grouping: Grouping) -> Ints:

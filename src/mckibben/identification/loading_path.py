@@ -9,9 +9,10 @@ import numpy as np
 import pandas as pd
 
 from mckibben.dataset import IsobaricDataset
+from mckibben.dataset.preprocessing import held_at_load
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Bools, Floats, Ints
-from mckibben.identification.grouping import held_at_load, held_values
+from mckibben.identification.grouping import held_values
 from mckibben.units import bar, show
 
 _NEAR = 0.2  # of a step: positions as close are the same, with noise of the length
@@ -306,7 +307,7 @@ def loop_half_width(means: IsobaricDataset, taut: Bools, *, level: float = 0.998
         If loading is significantly below unloading.
     """
     loading = means.table["direction"].to_numpy() == "loading"
-    middle, error, freedom = (_gap_by_regression if held_at_load(means) else _gap_of_pairs)(means, taut, loading)
+    middle, error, freedom = (_gap_by_regression if held_at_load(means.table) else _gap_of_pairs)(means, taut, loading)
     from scipy.special import stdtrit
 
     if not abs(middle) > float(stdtrit(freedom, level)) * error:
