@@ -20,6 +20,9 @@ HALF_WIDTHS = {
 }
 
 
+DAMPING = {"viscous": (5e3, 5e3), "directional": (7e3, 3e3)}  # N*s/m, while it lengthens and shortens
+
+
 def loops(kind, *, drift=0.0, noise=0.05, lowest=0.0, clipped=True):
     """Points of two repeats of loops at six pressures; drift in N/h, `lowest` tension [N] of a loop."""
     rng = np.random.default_rng(0)
@@ -34,11 +37,12 @@ def loops(kind, *, drift=0.0, noise=0.05, lowest=0.0, clipped=True):
             side = np.repeat([-1.0, 1.0], [len(stroke), len(stroke) - 1])
             tension = np.maximum(forces(LAW, contraction, pressure), 0)
             time = start + 7.0 * np.arange(len(contraction))
-            if kind == "viscous":  # the speed varies along a stroke
+            if kind in DAMPING:  # the speed varies along a stroke
                 speed = mm * (1 + 3 * np.sin(np.pi * (contraction + 0.03) / (top + 0.03)) ** 2)
                 steps = np.abs(np.diff(contraction)) * LENGTH / (0.5 * (speed[1:] + speed[:-1]))
                 time = start + np.concatenate([[0.0], np.cumsum(steps)])
-                friction = np.clip(5e3 * side * speed, -tension, tension)
+                damping = np.where(side > 0, *DAMPING[kind])
+                friction = np.clip(damping * side * speed, -tension, tension)
             else:
                 friction = side * np.minimum(HALF_WIDTHS[kind](contraction, pressure, tension), tension / 2)
             force = tension + friction + noise * rng.standard_normal(len(time)) + drift / 3600 * time
@@ -61,7 +65,7 @@ def law_error(law):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["coulomb", "pressure", "tension", "viscous"])
+@pytest.mark.parametrize("kind", ["coulomb", "pressure", "tension", *DAMPING])
 def test_the_form_is_found_by_held_out_loops(kind):
     found = identify_hysteresis(ExponentialLaw, loops(kind))
     assert found.form is FrictionForm(kind)
@@ -72,6 +76,7 @@ def test_the_form_is_found_by_held_out_loops(kind):
         "pressure": (found.friction.growth * bar, WIDTH / 3.5),
         "tension": (found.friction.tension_growth, 0.06),
         "viscous": (found.friction.viscous, 5e3),
+        "directional": (found.friction.viscous_asymmetry, 0.4),
     }[kind]
     assert expected[0] == pytest.approx(expected[1], rel=0.03)
     assert kind in found.verdict()

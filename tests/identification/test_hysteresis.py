@@ -61,7 +61,7 @@ def test_growth_and_drift_are_found_with_their_errors(drifting):
     for name, true in (("a2", LAW.a2), ("decay", LAW.decay)):
         assert abs(getattr(found.law, name) - true) < 4 * errors[name] < 0.1 * abs(true)
     assert found.warnings == () and found.rmse < 0.12
-    assert [name for name in errors if np.isnan(errors[name])] == ["tension_growth", "viscous"]
+    assert [name for name in errors if np.isnan(errors[name])] == ["tension_growth", "viscous", "viscous_asymmetry"]
 
 
 @pytest.mark.slow
@@ -164,6 +164,7 @@ def test_the_jacobian_is_that_of_small_changes(model):
         "growth": 1 / bar,
         "tension_growth": 0.01,
         "viscous": 500.0,
+        "viscous_asymmetry": 0.3,
         "log_presliding": float(np.log(1.3e-3)),
     }
     offsets = np.linspace(0.2, 0.4, model.drift.points.shape[1])

@@ -153,6 +153,13 @@ def test_damping_depends_on_pressure_and_length():
     assert friction.follows_rate and not PLAIN.follows_rate and not NoFriction().follows_rate
 
 
+def test_damping_depends_on_the_direction():
+    friction = dataclasses.replace(PLAIN, viscous=300.0, viscous_asymmetry=0.5)
+    force = np.asarray(friction.viscous_force(0.2, 1e6, 3 * bar, np.array([-0.1, 0.0, 0.1])))
+    np.testing.assert_allclose(force, [-15.0, 0.0, 45.0], rtol=1e-12)
+    assert float(friction.steepest_damping(0.2, 1e6, 3 * bar)) == pytest.approx(450.0)
+
+
 def test_the_width_of_steady_motion_grows_with_the_rate_to_a_limit():
     friction = dataclasses.replace(PLAIN, rate_growth=0.5, rate_speed=0.01)
     width = float(friction.half_width_at(1e5, 3 * bar))

@@ -55,8 +55,8 @@ class HysteresisFit(Result):
         first order in the parameters, with the drift of all loops; empty if the form was given.
     standard_errors
         By parameter, in SI, in this order: the law's parameters (unless the law was given), ``half_width``, ``growth``,
-        ``tension_growth``, ``viscous`` and ``presliding_length``; NaN if the form lacks it or the data do not
-        determine it.
+        ``tension_growth``, ``viscous``, ``viscous_asymmetry`` and ``presliding_length``; NaN if the form lacks it or
+        the data do not determine it.
     drift
         Drift of the force sensor; None if not significant (1 %).
     rmse, max_error
@@ -166,6 +166,7 @@ _SHOWN = {
     "growth": ("N/bar", ""),
     "tension_growth": ("1", "reference_tension"),
     "viscous": ("N*s/m", ""),
+    "viscous_asymmetry": ("1", ""),
     "presliding_length": ("mm", ""),
 }
 """Unit of the parameters of the friction in tables, and the quantity that they refer to."""
@@ -309,10 +310,12 @@ def _with_drift(
     free: tuple[str, ...],
     *,
     level: float = 0.01,
+    most: float = 0.01,
 ) -> tuple[PathDependentModel, PathSolution]:
     """Solution with the drift if its mean rate is significant and Schwarz's criterion lower, else without.
 
-    `level` is the probability of a false detection.
+    `level` is the probability of a false detection. Without slack points, whose force is zero, a drift of more than the
+    share `most` of the range of the force per test counts as structure that the model lacks, and is left out.
     """
     from scipy.special import stdtr
 
@@ -323,6 +326,8 @@ def _with_drift(
         drifting = trial.solve(solution.values, free)
         rate, error, freedom = _drift_rate(trial, drifting)
         significant = error > 0 and 2 * float(stdtr(freedom, -abs(rate / error))) < level
+        if not basis.has_offset:
+            significant &= bool(abs(rate) * np.ptp(basis.points) <= most * np.ptp(model.means.force[model.used]))
         gain = count * np.log(solution.minimum.cost / drifting.minimum.cost)
         if significant and gain > len(basis.slope) * np.log(count):
             return trial, drifting

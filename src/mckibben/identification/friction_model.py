@@ -37,6 +37,7 @@ class FrictionForm(enum.Enum):
     PRESSURE = "pressure"
     TENSION = "tension"
     VISCOUS = "viscous"
+    DIRECTIONAL = "directional"
 
     @property
     def free(self) -> tuple[str, ...]:
@@ -50,8 +51,9 @@ _FREE = {
     FrictionForm.PRESSURE: ("half_width", "growth", "log_presliding"),
     FrictionForm.TENSION: ("half_width", "tension_growth", "log_presliding"),
     FrictionForm.VISCOUS: ("half_width", "viscous", "log_presliding"),
+    FrictionForm.DIRECTIONAL: ("half_width", "viscous", "viscous_asymmetry", "log_presliding"),
 }
-FRICTION = ("half_width", "growth", "tension_growth", "viscous", "log_presliding")
+FRICTION = ("half_width", "growth", "tension_growth", "viscous", "viscous_asymmetry", "log_presliding")
 """Friction parameters in SI, as in `MaxwellSlip`, with the logarithm of the presliding length [m]."""
 
 _WIDEST = 1e5  # N
@@ -106,6 +108,7 @@ class PathDependentModel:
             tension_growth=values["tension_growth"] or None,
             reference_tension=self.reference_tension if values["tension_growth"] else 0.0,
             viscous=values["viscous"],
+            viscous_asymmetry=values["viscous_asymmetry"] or None,
         )
 
     @property
@@ -118,14 +121,14 @@ class PathDependentModel:
         """Data that a form needs and the points lack; empty if there are all."""
         if form is FrictionForm.PRESSURE and len(np.unique(self.means.levels[self.used])) < 3:
             return "three pressures"
-        return "times at which the speed varies" if form is FrictionForm.VISCOUS and self.rate is None else ""
+        return "times at which the speed varies" if "viscous" in form.free and self.rate is None else ""
 
     def start(self, values: Mapping[str, float], form: FrictionForm) -> dict[str, float]:
         """Start of a fit of a form: parameters that it does not estimate are zero, or reverse friction in one step."""
         start = {**values, **dict.fromkeys(set(FRICTION) - {"half_width", "log_presliding"}, 0.0)}
         if "log_presliding" not in form.free:
             start["log_presliding"] = self.shortest
-        if form is FrictionForm.VISCOUS and self.rate is not None:
+        if "viscous" in form.free and self.rate is not None:
             start["viscous"] = 0.1 * start["half_width"] / float(np.median(moving_rates(self.rate[self.used])))
         return start
 
@@ -136,6 +139,7 @@ class PathDependentModel:
             "half_width": (MIN_HALF_WIDTH, _WIDEST),
             "tension_growth": (-1.0, 1.0),
             "viscous": (0.0, np.inf),
+            "viscous_asymmetry": (-1.0, 1.0),
             "log_presliding": (self.shortest, float(np.log(_LONGEST * np.ptp(self.paths.length)))),
         }
         lower, upper = zip(*(ranges.get(name, (-np.inf, np.inf)) for name in names), strict=True)
@@ -170,10 +174,12 @@ class PathDependentModel:
         others = [name for name in names if name not in self.law_names]
         # All difference quotients of the friction in one pass along the paths.
         by_law = tension_step / np.maximum(np.abs(columns).max(axis=0, initial=0.0), 1e-300)
+        fastest = 1.0 if self.rate is None else float(np.abs(self.rate).max())
         sizes = {
             "growth": float(np.abs(self.means.pressure - self.reference_pressure).max()),
             "tension_growth": float(np.abs(tension - self.reference_tension).max()),
-            "viscous": 1.0 if self.rate is None else float(np.abs(self.rate).max()),
+            "viscous": fastest,
+            "viscous_asymmetry": fastest * values["viscous"],
         }
         steps = np.array([*by_law, *(step / max(sizes.get(name, 1.0), 1e-9) for name in others)])
         moved = [dict(values) for _ in names]
@@ -191,7 +197,7 @@ class PathDependentModel:
 
     def _friction(self, tension: Floats, sets: Sequence[Mapping[str, float]]) -> Floats:
         """Friction [N] for each column of tensions and its parameter set, shape (rows, sets)."""
-        half_width, growth, by_tension, viscous, log_presliding = (
+        half_width, growth, by_tension, viscous, asymmetry, log_presliding = (
             np.array([values[name] for values in sets]) for name in FRICTION
         )
         above = (self.means.pressure - self.reference_pressure)[:, None]
@@ -206,7 +212,8 @@ class PathDependentModel:
         if self.rate is None or not viscous.any():
             return force
         most = np.maximum(tension - limit, 0.0)
-        return force + np.clip(viscous * self.rate[:, None], -most, most)
+        rate = self.rate[:, None]
+        return force + np.clip(viscous * (rate + asymmetry * np.abs(rate)), -most, most)
 
     def fit(self, start: Mapping[str, float], free: tuple[str, ...], *, evaluations: int = 200) -> PathSolution:
         """Bounded least squares from a start; the drift amplitudes are always free."""

@@ -123,6 +123,7 @@ class NoFriction(Friction):
 FrictionForce = Annotated[float, Quantity("N", "N", MIN_HALF_WIDTH, 1e6)]
 FrictionGrowth = Annotated[float, Quantity("N/Pa", "N/bar", -1e4, 1e4)]
 TensionGrowth = Annotated[float, Quantity("1", "1", -1, 1)]
+Asymmetry = TensionGrowth
 Presliding = Annotated[float, Quantity("m", "mm", 0, 100, open_lower=True)]
 Viscosity = Annotated[float, Quantity("N*s/m", "N*s/m", 0, 1e6)]
 ViscousGrowth = Annotated[float, Quantity("N*s/m/Pa", "N*s/m/bar", -1e6, 1e6)]
@@ -146,7 +147,7 @@ class MaxwellSlip(Friction):
 
     .. math::
 
-        v = c\,\dot l + w A \tanh(\dot l/v_0), \qquad c = c_0 + c_1 (p - p_0) + c_2 (l - l_r) \ge 0,
+        v = c\,(\dot l + a\,|\dot l|) + w A \tanh(\dot l/v_0), \qquad c = c_0 + c_1 (p - p_0) + c_2 (l - l_r) \ge 0,
         \qquad |v| \le T - A,
 
     where the bound is that the muscle never pushes: it acts only where the band and v together reach the tension.
@@ -167,6 +168,8 @@ class MaxwellSlip(Friction):
         c0 [N*s/m] at the reference pressure and length.
     viscous_growth, viscous_length_growth, reference_length
         c1 [N*s/(m*Pa)] and c2 [N*s/m^2], None: no dependence; and l_r [m].
+    viscous_asymmetry
+        a [-]: the damping is c (1 + a) while the muscle lengthens, c (1 - a) while it shortens; None: the same.
     rate_growth, rate_speed
         w [-], at least 0, and v0 [m/s]; None: the half width does not depend on the rate.
     elements
@@ -208,6 +211,7 @@ class MaxwellSlip(Friction):
     viscous_growth: ViscousGrowth | None = eqx.field(default=None, kw_only=True)
     viscous_length_growth: ViscousLengthGrowth | None = eqx.field(default=None, kw_only=True)
     reference_length: Length | None = eqx.field(default=None, kw_only=True)
+    viscous_asymmetry: Asymmetry | None = eqx.field(default=None, kw_only=True)
     rate_growth: RateGrowth | None = eqx.field(default=None, kw_only=True)
     rate_speed: Speed | None = eqx.field(default=None, kw_only=True)
     elements: Elements = eqx.field(default=6, kw_only=True, static=True)
@@ -241,7 +245,8 @@ class MaxwellSlip(Friction):
         self, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike, rate: ArrayLike
     ) -> Float[Array, "..."]:
         rate, half_width = jnp.asarray(rate), self.half_width_at(tension, pressure)
-        force = self._damping(jnp.asarray(length), jnp.asarray(pressure), jnp) * rate
+        directed = rate if self.viscous_asymmetry is None else rate + self.viscous_asymmetry * jnp.abs(rate)
+        force = self._damping(jnp.asarray(length), jnp.asarray(pressure), jnp) * directed
         if self.rate_growth is not None and self.rate_speed is not None:
             force = force + self.rate_growth * half_width * jnp.tanh(rate / self.rate_speed)
         limit = jnp.maximum(jnp.asarray(tension) - half_width, 0.0)
@@ -257,7 +262,7 @@ class MaxwellSlip(Friction):
     def steepest_damping(self, length: ArrayLike, tension: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
         """Return the largest slope [N*s/m] of `viscous_force` over the rate, in NumPy."""
         length, tension, pressure = (np.asarray(column, np.float64) for column in (length, tension, pressure))
-        damping = self._damping(length, pressure, np)
+        damping = self._damping(length, pressure, np) * (1 + abs(self.viscous_asymmetry or 0.0))
         if self.rate_growth is not None:
             damping = damping + self.rate_growth * self._width(tension, pressure) / self.rate_speed
         return np.asarray(damping, np.float64)
