@@ -1,4 +1,4 @@
-"""Creep of a muscle, against closed forms and small steps in plain Python, and properties for any path."""
+"""Creep of a muscle, against closed forms and small steps in plain Python."""
 
 import math
 
@@ -6,8 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from mckibben.muscle import MaxwellCreep, MaxwellSlip, Muscle, MuscleState
@@ -22,17 +20,6 @@ FAR = 1e9  # N: a tension that bounds nothing
 def constant(_):
     """Tension over the pressure; without a share of the pressure nothing asks for it."""
     raise AssertionError
-
-
-@st.composite
-def courses(draw):
-    """Lengths [m] and the times of moves and rests [s]."""
-    count = draw(st.integers(2, 12))
-
-    def column(low, high):
-        return np.array(draw(st.lists(st.floats(low, high), min_size=count, max_size=count)))
-
-    return 0.2 + 1e-3 * column(-20, 20), column(0.01, 20), column(0, 20)
 
 
 def test_a_step_relaxes_as_an_exponential():
@@ -52,24 +39,6 @@ def test_a_ramp_comes_to_stiffness_times_speed_times_time_constant():
     ]
     assert long == pytest.approx(800 * speed * 4, rel=1e-9)
     assert retained_fraction(1e-9, 4.0) == pytest.approx(1.0) and retained_fraction(0.0, 4.0) == 1.0
-
-
-@given(courses())
-def test_moves_may_be_cut_in_two(course):
-    length, moving, resting = course
-    whole = CREEP.path_response(length, FAR, move_time=moving, hold_time=resting, sample_times=[0.0])[1:, 0]
-    middles = (length[:-1] + length[1:]) / 2
-    finer = np.stack([middles, length[1:]], axis=1).ravel()
-    halves = np.repeat(moving[1:] / 2, 2)
-    rests = np.stack([np.zeros(len(middles)), resting[1:]], axis=1).ravel()
-    cut = CREEP.path_response(
-        np.append(length[0], finer),
-        FAR,
-        move_time=np.append(moving[0], halves),
-        hold_time=np.append(resting[0], rests),
-        sample_times=[0.0],
-    )
-    np.testing.assert_allclose(cut[2::2, 0], whole, rtol=1e-9, atol=1e-9)
 
 
 def test_the_rate_in_small_steps_is_the_response_of_a_path():

@@ -108,10 +108,10 @@ def test_the_slope_is_that_of_finite_differences(law):
 
 @pytest.mark.parametrize("name", [name for name, law in OWN.items() if issubclass(law, PressureAffineLaw)])
 def test_an_affine_law_has_an_offset_and_a_gain(name):
-    law = EXAMPLES[name]()
-    offset, gain = jax.jit(type(law).pressure_terms)(law, contractions(law))
-    assert offset.shape == gain.shape == contractions(law).shape
-    np.testing.assert_allclose(offset + gain * pressures(law), answers(law)[0], rtol=1e-12, atol=1e-12)
+    for law in (EXAMPLES[name](), adjusted_law(EXAMPLES[name](), strength=1.07)):
+        offset, gain = jax.jit(type(law).pressure_terms)(law, contractions(law))
+        assert offset.shape == gain.shape == contractions(law).shape
+        np.testing.assert_allclose(offset + gain * pressures(law), answers(law)[0], rtol=1e-12, atol=1e-12)
 
 
 def test_shape_parameters_have_a_finite_range_that_holds_the_example(law):

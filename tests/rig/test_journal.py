@@ -1,8 +1,6 @@
 """Journals: appended records survive a kill, a torn end and damage in the middle."""
 
-import errno
 import json
-import os
 import re
 from pathlib import Path
 
@@ -89,24 +87,6 @@ def test_a_window_without_a_record_is_searched_in_parts(tmp_path, monkeypatch):
         content[2 * HEADER_SIZE : 2 * HEADER_SIZE + 8] = b"damaged!"
         path.write_bytes(content)
         assert numbers(path) == [5]
-
-
-def test_a_failed_append_leaves_nothing(tmp_path, monkeypatch):
-    path, write = tmp_path / "a", module._write_at
-
-    def full(file, position, content):
-        write(file, position, content[:20])
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    with Journal.create(path, ABOUT) as journal:
-        size = path.stat().st_size
-        with monkeypatch.context() as patch:
-            patch.setattr(module, "_write_at", full)
-            with pytest.raises(OSError, match="No space left"):
-                journal.append(JournalRecord(ITEM, 0, content_of(0)))
-        assert path.stat().st_size == size
-        journal.append(JournalRecord(ITEM, 0, content_of(0)))
-    assert numbers(path) == [0]
 
 
 def test_a_closed_journal_is_closed_once(filled):

@@ -164,18 +164,6 @@ def test_an_interrupted_test_says_so_and_goes_on_at_the_next_point(tmp_path):
     assert partly >= 2  # were stopped in the midst of a plateau, which is then done again
 
 
-def test_it_goes_on_from_where_the_motor_stands(tmp_path):
-    """Of a rig that was not opened where the muscle was mounted."""
-    twin = SimulatedRig(MUSCLE, seed=3, mounted_at=4 * percent, regulator=EXACT)
-    bench = Bench(of=MUSCLE, drive=twin.drive, calibrations=twin.calibrations, limits=LIMITS, steady=0.3)
-    with Recorder.create(tmp_path, {}, columns_of(["force", "pressure"])) as recorder:
-        steps = [Pressurise(pressure=2 * bar), Move(to=3 * percent, speed=4 * mm), Acquire(samples=100, duration=0.1)]
-        Runner(RigSession(twin, bench, recorder, origin=bench.pulses_at(4 * percent))).run(steps)
-    data = assemble(tmp_path, bench)
-    assert data.contraction == pytest.approx(0.03)
-    assert data.force == pytest.approx(forces(MUSCLE, 0.03, data.pressure), abs=0.5)
-
-
 def test_a_fault_of_ours_vents_and_is_told(tmp_path):
     def report(progress):
         if progress.points:
