@@ -13,7 +13,7 @@ SMALL = IsobaricProtocol(pressures=[0.0, 2 * bar, 6 * bar], repeats=2, samples=5
 
 @pytest.fixture(scope="module")
 def measured():
-    return SimulatedIsobaricTest(MUSCLE).run(IsobaricProtocol(), seed=3)
+    return SimulatedIsobaricTest(MUSCLE).run(IsobaricProtocol(samples=100), seed=3)
 
 
 def test_the_same_seed_gives_the_same_data():
@@ -54,7 +54,7 @@ def test_an_offset_is_seen_by_muscle_and_sensor_alike():
 
 def test_the_full_protocol_gives_the_data_of_figure_3(measured):
     rows = IsobaricProtocol().plateaus(MUSCLE)
-    assert len(measured) == len(rows.time) and measured.table.sizes["sample"] == 1000
+    assert len(measured) == len(rows.time) and measured.table.sizes["sample"] == 100
     assert len(measured.pressures) == 13 and list(measured.repeats) == [0, 1, 2, 3, 4]
     assert list(measured.directions) == ["loading", "unloading"]
     np.testing.assert_array_equal(measured.table["time"], rows.time)
@@ -65,14 +65,15 @@ def test_the_full_protocol_gives_the_data_of_figure_3(measured):
     np.testing.assert_array_equal(means.pressure, measured.pressure)
 
 
-def test_the_sensors_noise_is_as_given(measured):
+def test_the_sensors_noise_is_as_given():
+    measured = SimulatedIsobaricTest(MUSCLE).run(IsobaricProtocol(pressures=[2 * bar, 4 * bar], repeats=2), seed=3)
     for name, sigma in (("force_samples", 0.5), ("pressure_samples", 500.0)):
         samples = measured.table[name].to_numpy().astype(np.float64)
         noise = samples - samples.mean(axis=1, keepdims=True)
-        assert noise.std() == pytest.approx(sigma, rel=2e-3)
+        assert noise.std() == pytest.approx(sigma, rel=4e-3)
         white = np.mean(noise[:, 1:] * noise[:, :-1]) / sigma**2
-        assert abs(white) < 3e-3
-        assert np.mean(noise**4) / sigma**4 == pytest.approx(3, rel=1e-2)
+        assert abs(white) < 6e-3
+        assert np.mean(noise**4) / sigma**4 == pytest.approx(3, rel=2e-2)
 
 
 def test_a_loop_closes_at_the_turns():
@@ -104,7 +105,7 @@ def test_slack_is_known(measured):
     clear = np.abs(np.asarray(MUSCLE.law.force(measured.contraction, measured.levels))) > 3  # beyond the offsets
     assert slack[clear].sum() > 200
     np.testing.assert_array_equal(measured.slack[clear], slack[clear])
-    assert measured.table.attrs["slack_force"] == pytest.approx(5 * 0.5 / np.sqrt(1000))
+    assert measured.table.attrs["slack_force"] == pytest.approx(5 * 0.5 / np.sqrt(100))
 
 
 def test_a_muscle_brings_its_own_friction():
