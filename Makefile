@@ -78,7 +78,6 @@ lock: $(VENV)/.installed-dev
 
 #   make bench       ratios against plain C and others, measured in one run, to build/benchmarks.md
 bench: $(VENV)/.installed-dev $(VENV)/.installed-bench
-	@mkdir -p build
 	$(BIN)/python benchmarks/run.py --markdown build/benchmarks.md
 
 #   make docs        the documentation as a site with executed examples, to build/docs/index.html

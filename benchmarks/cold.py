@@ -1,7 +1,4 @@
-"""A command in a new process: its processor time against that of `import jax`, in the same run.
-
-`python benchmarks/cold.py` prints this table alone.
-"""
+"""A command in a new process: its processor time against that of `import jax`, in the same run."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from rows import Row, Table
-from tables import as_markdown
 
 ROOT = Path(__file__).parents[1]
 PID, BP = "examples/pre-contracted-step-pid.yaml", "examples/pre-contracted-step-backprop.yaml"
@@ -92,8 +88,3 @@ def cold(folder: Path, *, quick: bool) -> Table:
     rows = tuple(command.row(imported.seconds) for command in (imported, *commands, *first))
     notes = ("Processor time of the process and its children, in turns; programs and bytecode are cached.",)
     return Table("A command in a new process", "command", "time", "", rows, notes)
-
-
-if __name__ == "__main__":
-    with tempfile.TemporaryDirectory() as place:
-        print(as_markdown(cold(Path(place), quick="--quick" in sys.argv)))

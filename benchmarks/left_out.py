@@ -1,8 +1,8 @@
 """Errors at left-out pressures and contractions, and coverage of prediction intervals there, on measured muscles.
 
-    python benchmarks/left_out.py [FILE ...] [--laws Exponential,Smooth]
+    python benchmarks/left_out.py
 
-The data sets of the catalog, and data files. Each pressure and each inner contraction is predicted from all others, by
+The data sets of the catalog. Each pressure and each inner contraction is predicted from all others, by
 Eq. 2, Chou's law, the laws with smooth deviations, and a plain Gaussian process: a constant mean, a squared exponential
 kernel of two lengths, and noise, by maximum likelihood. Blocks without which Eq. 2 is not determined are left out for
 all. Outliers that `mckibben.identification.find_outliers` names are left out of the data. Prints the table of
@@ -10,7 +10,6 @@ docs/laws.md: RMSE, that relative to Eq. 2, the share of left-out points inside 
 shares that are expected of as many independent points (the central 95 % of the binomial distribution).
 """
 
-import argparse
 import warnings
 
 import numpy as np
@@ -19,7 +18,7 @@ from scipy.stats import binom
 
 import mckibben as mk
 from mckibben import catalog
-from mckibben.dataset import IsobaricDataset, read_dataset
+from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, McKibbenWarning
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import contraction_blocks, pressure_blocks
@@ -95,13 +94,8 @@ def left_out(data: IsobaricDataset, laws: list[str]) -> dict[str, dict[str, tupl
 
 
 def main():
-    parser = argparse.ArgumentParser(description="Errors and coverage at left-out pressures and contractions.")
-    parser.add_argument("files", nargs="*", help="data files, in addition to the data sets of the catalog")
-    parser.add_argument("--laws", default=",".join((*COMPARED, PLAIN)), help="laws, the first is the reference")
-    options = parser.parse_args()
     warnings.simplefilter("ignore", McKibbenWarning)
-    sets = {name: catalog.dataset(name) for name in DATA} | {name: read_dataset(name) for name in options.files}
-    print_table(sets, options.laws.split(","))
+    print_table({name: catalog.dataset(name) for name in DATA}, [*COMPARED, PLAIN])
 
 
 def print_table(sets: dict[str, IsobaricDataset], laws: list[str]) -> None:

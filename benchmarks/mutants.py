@@ -2,10 +2,10 @@
 
 ``python benchmarks/mutants.py --count 100 --seed 1`` changes one comparison, operator, number, truth value or statement
 at a time in a copy of the working tree and runs tests there: a few that execute its line, all tests in the files of
-the nearest ones, then all of its package, and with ``--tests everything`` those of ``make test``. It prints each that
-survives with its file and line. Equal seeds make equal mutants. The folder ``build/mutants`` has the copy, which tests
-execute which lines (recorded once with ``coverage``) and the results; the same command continues an interrupted run
-and tries survivors again with the tests of now. After a change of the source, remove the folder.
+the nearest ones, then all of its package. It prints each that survives with its file and line. Equal seeds make equal
+mutants. The folder ``build/mutants`` has the copy, which tests execute which lines (recorded once with ``coverage``)
+and the results; the same command continues an interrupted run and tries survivors again with the tests of now. After a
+change of the source, remove the folder.
 ``make mutants`` runs some.
 """
 
@@ -179,8 +179,8 @@ def _files(names: list[str]) -> list[str]:
     return list(dict.fromkeys(name.partition("::")[0] for name in names))
 
 
-def survives(copy: Path, mutant: Mutant, names: list[str], further: list[list[str]]) -> bool:
-    """Whether neither the tests that execute it nor further ones notice a mutant; the copy is as before afterwards.
+def survives(copy: Path, mutant: Mutant, names: list[str], folders: list[str]) -> bool:
+    """Whether neither the tests that execute it nor those of folders notice a mutant; the copy is as before afterwards.
 
     Complete files, too: a compiled function is traced by the first test that calls it, and others reuse it.
     """
@@ -189,7 +189,7 @@ def survives(copy: Path, mutant: Mutant, names: list[str], further: list[list[st
     runs = [(_files(names[:FIRST]), names[:FIRST]), (_files(names)[:FILES], None)] if names else []
     try:
         target.write_bytes(source[: mutant.span[0]] + mutant.after.encode() + source[mutant.span[1] :])
-        return all(passes(copy, *run) for run in [*runs, *((tests, None) for tests in further)])
+        return all(passes(copy, *run) for run in [*runs, (folders, None)])
     finally:
         target.write_bytes(source)
 
@@ -200,8 +200,6 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=30)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--packages", default=PACKAGES, help="names between spaces")
-    more = ["executing", "package", "everything"]
-    parser.add_argument("--tests", choices=more, default="package", help="up to all of make test (default: package)")
     given = parser.parse_args()
     chance, packages = random.Random(given.seed), given.packages.split()
     copy, results = FOLDER / "copy", FOLDER / "results.txt"
@@ -220,8 +218,7 @@ def main() -> None:
     for number, mutant in enumerate(chosen):
         name = f"{mutant.path}:{mutant.line} {mutant.span[0]}: {mutant.before!r} -> {mutant.after!r}"
         if known.get(name) != "noticed":
-            further = [tests_of(mutant.path.parts[2]), ["-n", "2", "--dist", "loadfile"]][: more.index(given.tests)]
-            alive = survives(copy, mutant, executing(data, copy, mutant), further)
+            alive = survives(copy, mutant, executing(data, copy, mutant), tests_of(mutant.path.parts[2]))
             known[name] = "SURVIVES" if alive else "noticed"
             with results.open("a") as file:
                 file.write(f"{known[name]} {name}\n")

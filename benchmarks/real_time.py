@@ -1,15 +1,14 @@
-"""Control in real time: the table of docs/joint-rig.md.
+"""Control in real time: missed periods and latencies on this machine, see docs/joint-rig.md.
 
     python benchmarks/real_time.py [--duration 60] [--period 1] [--ordinary]
 
 The knee of examples/, simulated in real time, under PID and under decoupling control, recorded to disk as `mckibben rig
-control` does. It prints how many deadlines were missed, how late samples were taken and commands given, and beside it
-what the machine itself does to a loop of the same period that only sleeps: a deadline that this one misses, no program
-could have met. The machine's load is printed with it.
+control` does. It prints how many deadlines were missed, how late samples were taken and commands given, and what the
+machine itself does to a loop of the same period that only sleeps: a deadline that this one misses, no program could
+have met.
 """
 
 import argparse
-import os
 import tempfile
 import threading
 import time
@@ -48,31 +47,6 @@ def asleep(duration, period):
     return int((late > period).sum()), Percentiles.of(late)
 
 
-class Load:
-    """What else the machine did meanwhile: the processor time of others, in cores."""
-
-    def __enter__(self):
-        self.begun = time.perf_counter(), self._busy(), time.process_time()
-        return self
-
-    def __exit__(self, *_):
-        wall, busy, ours = (
-            now - then
-            for now, then in zip((time.perf_counter(), self._busy(), time.process_time()), self.begun, strict=True)
-        )
-        self.others, self.ours = max(busy - ours, 0.0) / wall, ours / wall
-
-    @staticmethod
-    def _busy():
-        """Of all cores, in seconds: all but idle and waiting; with it what a hypervisor took."""
-        try:
-            fields = Path("/proc/stat").read_text(encoding="utf-8").splitlines()[0].split()[1:9]
-        except OSError:
-            return float("nan")
-        ticks = [int(field) for field in fields]
-        return (sum(ticks) - ticks[3] - ticks[4]) / os.sysconf("SC_CLK_TCK")
-
-
 def spread(times):
     return " / ".join(f"{time * 1e6:.0f}" for time in times)
 
@@ -92,11 +66,11 @@ def main():
 
 def print_runs(duration, period):
     """The table of runs."""
-    print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] | others, ours [cores] |")
-    print("|---|---|---|---|---|---|---|", flush=True)
+    print("| | missed | skipped | sample to loop [us] | loop to valves [us] | jitter [us] |")
+    print("|---|---|---|---|---|---|", flush=True)
     for name, file in SCENARIOS.items():
         session = prepare(scenario(file, duration, period), JointRig.parse("rig: simulated"))
-        with tempfile.TemporaryDirectory() as folder, Load() as load:
+        with tempfile.TemporaryDirectory() as folder:
             ran = session.run(folder)
         timing = ran.timing
         assert ran.outcome.completed, ran.outcome.text
@@ -107,13 +81,11 @@ def print_runs(duration, period):
             spread(timing.lateness),
             spread(timing.work),
             spread(timing.jitter),
-            f"{load.others:.2f}, {load.ours:.2f}",
         )
         print("| " + " | ".join(cells) + " |", flush=True)
-    with Load() as load:
-        missed, late = asleep(duration, period)
+    missed, late = asleep(duration, period)
     count = round(duration / period)
-    cells = ("sleep alone", f"{missed} of {count}", "", spread(late), "", "", f"{load.others:.2f}, {load.ours:.2f}")
+    cells = ("sleep alone", f"{missed} of {count}", "", spread(late), "", "")
     print("| " + " | ".join(cells) + " |\n")
     print(f"Times are median / 95 % / 99.9 % / worst. {threading.active_count()} threads at the end.")
 

@@ -47,7 +47,9 @@ def main() -> int:
     seconds = time.perf_counter() - begin
     print(f"{seconds:.0f} s in all, load {os.getloadavg()[0]:.1f} at the end")
     if options.markdown:
-        options.markdown.write_text(document(described, tables, quick=options.quick), encoding="utf-8")
+        options.markdown.parent.mkdir(parents=True, exist_ok=True)
+        text = "\n".join([f"# Benchmarks\n\n{described}\n", *map(as_markdown, tables)])
+        options.markdown.write_text(text, encoding="utf-8")
     return int(any(row.note.startswith("failed:") for table in tables for row in table.rows))
 
 
@@ -83,18 +85,6 @@ def sections(folder: Path, *, quick: bool) -> dict[str, Callable[[], Table]]:
         "identification": lambda: identification(folder, quick=quick),
         "leg": lambda: leg(folder, quick=quick),
     }
-
-
-def document(described: str, tables: list[Table], *, quick: bool) -> str:
-    """The page of the documentation."""
-    how = "make bench" + (" (quick: fewer and shorter runs)" if quick else "")
-    head = (
-        "# Benchmarks\n\n"
-        f"Written by `{how}`; do not edit. Ratios were measured side by side in one run, after a check that all "
-        "engines compute the same; they hold for this machine, and times vary from hour to hour.\n\n"
-        f"{described}\n"
-    )
-    return "\n".join([head, *(as_markdown(table) for table in tables)])
 
 
 if __name__ == "__main__":

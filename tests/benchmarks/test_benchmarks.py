@@ -101,6 +101,6 @@ def test_a_mutant_changes_one_part_and_afterwards_the_file_is_as_before(monkeypa
     }  # fmt: skip
     assert {one.line for one in found} == {1, 2, 3, 4}
     monkeypatch.setattr(tool, "passes", lambda *_: seen.append(file.read_text(encoding="utf-8")))
-    assert not any(tool.survives(tmp_path, one, [], [["tests"]]) for one in found)
+    assert not any(tool.survives(tmp_path, one, [], ["tests"]) for one in found)
     assert len(set(seen)) == len(seen) == len(found) and text not in seen
     assert file.read_text(encoding="utf-8") == text
