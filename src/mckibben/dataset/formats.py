@@ -72,8 +72,6 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
     del data
     if path.suffix.lower() in (".yaml", ".yml"):
         raise DatasetError(str(path), [Problem("is YAML", remedy="give a file of measurements")])
-    if text.startswith("LabVIEW Measurement"):
-        return _read_lvm(text, path, mapping, decimal)
     return read_text(text, path, mapping, decimal)
 
 
@@ -339,40 +337,3 @@ def _is_understood(column: RawColumn, mapping: Mapping[str, str]) -> bool:
     if column.name in mapping:
         return mapping[column.name].lower() not in ("ignore", "ignored")
     return bool(parse_header(column.label or column.name, column.unit).quantity)
-
-
-def _read_lvm(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
-    """Columns of a LabVIEW measurement of one segment, with units from ``Y_Unit_Label``."""
-    end = "***End_of_Header***"
-    parts = text.split(end)
-    if len(parts) != 3:
-        problem = Problem(f"has {max(len(parts) - 2, 0)} segments", remedy="write one segment to a file, or give TDMS")
-        raise DatasetError(str(path), [problem])
-    separator = "," if "Separator,Comma" in parts[0] else "\t"
-    fields = [line.rstrip().split(separator) for line in parts[1].splitlines() if line.strip()]
-    said = {cells[0]: cells[1:] for cells in fields}
-    body = parts[2].partition("\n")[2]
-    header, _, rows = body.partition("\n")
-    names = header.rstrip("\r\n").split(separator)
-    units = dict(zip(names[1:], said.get("Y_Unit_Label", []), strict=False))
-    if said.get("X_Dimension", ["Time"])[:1] == ["Time"]:
-        units["X_Value"] = "s"
-    header = separator.join(
-        f"{name} [{units[name]}]" if units.get(name) else name for name in names if name != "Comment"
-    )
-    blank = "\n" * text[: text.rindex(end)].count("\n")
-    comments = [
-        line.split(separator, len(names) - 1)[-1].strip()
-        for line in rows.splitlines()
-        if line.count(separator) >= len(names) - 1
-    ]
-    if names[-1] == "Comment":
-        rows = "\n".join(separator.join(line.split(separator)[: len(names) - 1]) for line in rows.splitlines())
-    table = read_text(f"{blank}\n{header}\n{rows}", path, mapping, decimal)
-    table.words += [(None, comment) for comment in comments if comment and names[-1] == "Comment"]
-    table.words += [
-        (None, " ".join(cells))
-        for cells in fields
-        if cells[0] in ("Notes", "Description", "UserName", "Y_Dimension_Label")
-    ]
-    return table

@@ -1,4 +1,4 @@
-"""Tables of rows and cells: texts with any declared separator, and sheets of a workbook."""
+"""Tables of lines: texts with any separator, LabVIEW measurements, and sheets of workbooks as lines."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,42 +17,43 @@ from mckibben.errors import DatasetError, Problem
 
 _MARKS = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe\0\0", "utf-32"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 _SEPARATORS = ("\t", ";", ",", "|", " ")
-_COMMENT = ("#", "%", "//", "'", "!", "*")
+_COMMENT = ("#", "%", "//", "!")
 _SEARCHED = 300  # lines in which a header is looked for
-_SAMPLED = 20_000  # cells of a column that may determine the decimal sign
+_SAMPLED = 5000  # rows that may determine the decimal sign
 _LISTED = 1000  # corrupt rows that are named
 _LONGEST = 2**16  # characters of a line
-_STAMP = re.compile(r"(\d\d:\d\d:\d\d\.\d{3}) -> ")
+_STAMP = " -> "  # after the time that the monitor of the Arduino IDE puts before each line
 _SPACED = re.compile(r'"[^"]*"|[^\s\[(]+(?:[ \t]*[\[(][^\])]{0,99}[\])])?|\S+')
-_TYPOGRAPHY = str.maketrans("\u2212\uff0d\uff0e\uff0c" + "".join(map(chr, range(0xFF10, 0xFF1A))), "--.,0123456789")
-_DASH = re.compile(r"(?<![^\s;,|\"])(?:\u2013|([+-])[ \t]+)(?=[0-9.,])")
-NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eEdD][+-]?\d+)?")
-_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:([.,])\d+)?")
+_TYPOGRAPHY = str.maketrans({"\u2212": "-", "\u2013": "-", "\ufeff": None})
+NUMBER = re.compile(r"[+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][+-]?\d+)?")
+_BEGINS = re.compile(r"[+-]?[.,]?\d")
+_GROUPED = re.compile(r"[+-]?\d{1,3}(?:([.,'’\s])\d{3})(?:\1\d{3})*(?:[.,]\d+)?")
 _WITH_UNIT = re.compile(r"([+-]?[\d.,]+(?:[eE][+-]?\d+)?)\s*([^\d\s.,;:-][^\s]*)")
-_PROCESSED = frozenset(("", "smp", "avg", "ts", "rn", "sample", "mean", "no.", "no"))
-_PLAIN = re.compile(r"[0-9+\-.eE\n]*")
+_LAST_DECIMALS = re.compile(r'(?:[.,](\d*))?"?\s*$')
 KEYS = ("specimen", "source", "initial_length", "slack_force", "preprocessing", "repairs")
 
 
 class Layout(NamedTuple):
-    """Place of the header, and how its cells are separated."""
+    """Row of the header (from 0), separator of its cells, and the cells."""
 
     row: int
     separator: str
-    header: list[str]
-    score: float
+    names: list[str]
 
 
 def decode(data: bytes, path: Path) -> str:
-    """Text by its byte order mark, else UTF-16 by its zeros, else UTF-8, else Windows-1252."""
+    r"""Text by its byte order mark, else UTF-8, else Windows-1252.
+
+    Raises a `DatasetError` for text that its mark contradicts, and for binary content.
+
+    >>> decode("Länge [mm]".encode("cp1252"), Path("rig.csv"))
+    'Länge [mm]'
+    """
     encoding = next((name for mark, name in _MARKS if data.startswith(mark)), "")
-    if not encoding:
-        data = data if b"\0" in data[:2] else data.rstrip(b"\0")
-        probe = data[:4096]
-        if len(probe) > 1 and probe[1::2].count(0) > 0.9 * len(probe[1::2]):
-            encoding = "utf-16-le"
-        elif probe.count(0) > 0.01 * len(probe):
-            raise DatasetError(str(path), [Problem("is a binary file", remedy="give text, .xlsx, .h5, .mat or .tdms")])
+    data = data if encoding else data.rstrip(b"\0")
+    if not encoding and b"\0" in data:
+        remedy = "give text in UTF-8, .xlsx, .h5, .mat or .tdms"
+        raise DatasetError(str(path), [Problem("is a binary file, or UTF-16 without a mark", remedy=remedy)])
     try:
         return data.decode(encoding or "utf-8")
     except UnicodeDecodeError as error:
@@ -64,75 +63,102 @@ def decode(data: bytes, path: Path) -> str:
 
 
 def read_text(text: str, path: Path, mapping: Mapping[str, str], decimal: str) -> RawTable:
-    """Columns of a text: words, a header, at most three rows of units, then one line per row."""
+    """Columns of a text: words, a header, perhaps rows of units, then one line per row; see `read_lines`."""
+    Budget(path).spend(rows=max(text.count("\n"), text.count("\r")))
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").translate(_TYPOGRAPHY).split("\n")
+    if lines[0].startswith("LabVIEW Measurement"):
+        lines = _of_labview(lines, path)
+    return read_lines(lines, path, mapping, decimal)
+
+
+def read_lines(
+    lines: Sequence[str], path: Path, mapping: Mapping[str, str], decimal: str = "", settled: str = ""
+) -> RawTable:
+    """Columns of the table in the lines of a text or sheet.
+
+    Parameters
+    ----------
+    lines
+        Lines without their ends; an empty last one shows that the text was not cut off.
+    mapping
+        Headers of the recipe with their names, which are understood in any case.
+    decimal, settled
+        Decimal sign of the recipe, and that of the sheet's numbers.
+
+    Raises
+    ------
+    DatasetError
+        If there is no header, no row, or more of either than may be read.
+    """
     budget, table = Budget(path), RawTable(place="line")
-    text = text.replace("\r\n", "\n").replace("\r", "\n").replace("\ufeff", "").translate(_TYPOGRAPHY)
-    text = _DASH.sub(lambda match: match[1] or "-", text)
-    lines, stamps = _without_stamps(text.split("\n"))
     budget.spend(rows=len(lines))
     if max(map(len, lines)) > _LONGEST:
         raise DatasetError(str(path), [Problem(f"has a line of more than {_LONGEST} characters", remedy="save rows")])
-    layout = _find_layout(lines, mapping)
+    layout = find_layout(lines, mapping)
     if layout is None:
         raise DatasetError(str(path), [_no_header(lines)])
-    _take_words(table, enumerate(lines[: layout.row], 1))
-    header, first = _with_units(layout, lines)
-    rows = _body(table, lines, first, layout, len(header))
-    rows, header = _aligned(table, rows, header, lines, layout.separator)
+    separator, names = layout.separator, layout.names
+    if _STAMP in names[0]:
+        lines, names = [line.replace(_STAMP, separator, 1) for line in lines], names[0].split(_STAMP) + names[1:]
+        names[0] = "time"
+    _take_words(table, enumerate(lines[: max(layout.row, 0)], 1))
+    units, first = _units_below(table, lines, layout.row + 1, separator, len(names))
+    if first < len(lines) and len(wide := _split(lines[first], separator)) == len(names) + 1:
+        if not wide[-1]:
+            names, units = [*names, ""], [*units, ""]
+        elif separator != "," or "." in lines[first]:  # decimal commas would look like row numbers
+            names, units = ["", *names], ["", *units]
+    rows = _rows(table, lines, first, separator, names)
     if not rows:
         none = Problem("has a header, and no rows of numbers", line=layout.row + 1)
         raise DatasetError(str(path), table.corrupt or [none])
-    budget.spend(rows=len(rows), columns=len(header), size=8 * len(rows) * len(header))
+    budget.spend(rows=len(rows), columns=len(names), size=8 * len(rows) * len(names))
     table.lines = [number for number, _ in rows]
-    _parse_cells(table, [line for _, line in rows], _distinct(header, layout.header), layout.separator, decimal)
-    last, *others = [_split(line, layout.separator) for _, line in rows[: -50 - 1 : -1]]
-    if not text.endswith("\n") and _is_cut(last, others):
+    bodies = [line for _, line in rows]
+    if decimal or settled:
+        table.decimal = decimal or settled
+    else:
+        sample = bodies[:: 1 + len(bodies) // _SAMPLED]
+        table.decimal, table.ambiguous = decimal_sign(
+            [cell for line in sample for cell in _split(line, separator)], separator
+        )
+    cells = _cells(bodies, separator, table.decimal, len(names), path)
+    for at, (name, unit, column) in enumerate(zip(names, units, cells, strict=True)):
+        repeats = f" ({at + 1})" if name and name in names[:at] else ""
+        column, beside = _as_numbers(column, table.decimal, certain=bool(decimal))
+        full = f"{name}{repeats}" if name else f"column {at + 1}"
+        table.columns.append(RawColumn(full, column, label=name, unit=unit or beside))
+    *others, last = [len(_LAST_DECIMALS.search(line)[1] or "") for line in bodies[-50:]]  # type: ignore[index]
+    if rows[-1][0] == len(lines) and len(others) > 3 and len({*others}) == 1 and last < others[0]:
         text = "its last number has fewer digits than all others: was the file truncated?"
         table.corrupt.append(Problem(text, line=rows[-1][0]))
-    if stamps:
-        table.columns.append(RawColumn("time stamp", [stamps[number - 1] for number in table.lines]))
     return table
 
 
-def _without_stamps(lines: list[str]) -> tuple[list[str], list[str]]:
-    """Lines without the times that the monitor of the Arduino IDE puts before each, and these times."""
-    matches = [_STAMP.match(line) for line in lines]
-    if 2 * sum(map(bool, matches)) <= sum(bool(line.strip()) for line in lines):
-        return lines, []
-    return [_STAMP.sub("", line, count=1) for line in lines], [match[1] if match else "" for match in matches]
+def find_layout(lines: Sequence[str], mapping: Mapping[str, str]) -> Layout | None:
+    """Row and separator with most headers that are understood; by position where the mapping has numbers.
+
+    >>> find_layout(["Rig 3", "p [bar];F [N]", "2;150"], {})
+    Layout(row=1, separator=';', names=['p [bar]', 'F [N]'])
+    """
+    by_position = bool(mapping) and all(key.isdigit() for key in mapping)
+    best, most = None, 0.5
+    for row, line in enumerate(lines[:_SEARCHED]):
+        commented = line.lstrip().startswith(_COMMENT)
+        for separator in _SEPARATORS:
+            cells = _split(line.lstrip("#%/! \t") if commented else line, separator)
+            numbers = sum(NUMBER.fullmatch(cell) is not None for cell in cells)
+            if by_position and numbers == len(cells) >= max(map(int, mapping)):
+                return Layout(row - 1, separator, [str(at + 1) for at in range(len(cells))])
+            if numbers or by_position or len(cells) < 2:
+                continue
+            cells = _named_channels(cells, lines[:row], separator)
+            if (score := _score(cells, mapping) - 0.25 * commented) > most:
+                best, most = Layout(row, separator, cells), score
+    return best
 
 
-def _with_units(layout: Layout, lines: Sequence[str]) -> tuple[list[str], int]:
-    """Header with the units in the rows below it, and the first line after them."""
-    header, first = [*layout.header], layout.row + 1
-    for row in range(first, min(first + 4, len(lines))):
-        if not lines[row].strip():
-            continue
-        if not (units := _units_row(_split(lines[row], layout.separator), len(header))):
-            break
-        header = [f"{name} [{unit}]" if unit else name for name, unit in zip(header, units, strict=True)]
-        first = row + 1
-    return header, first
-
-
-def _is_cut(last: Sequence[str], others: Sequence[Sequence[str]]) -> bool:
-    """Whether the last cell of a file has fewer decimals than all others of its column, which have the same number."""
-    decimals = {
-        len(re.split("[.,]", cells[-1])[-1]) if re.search("[.,]", cells[-1]) else 0 for cells in others if cells
-    }
-    own = len(re.split("[.,]", last[-1])[-1]) if re.search("[.,]", last[-1]) else 0
-    return len(others) > 3 and len(decimals) == 1 and own < decimals.pop()
-
-
-def _split(line: str, separator: str) -> list[str]:
-    if separator == " ":
-        return [cell.strip('"') for cell in _SPACED.findall(line)]
-    if '"' in line:
-        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
-    return [cell.strip() for cell in line.split(separator)]
-
-
-def score_of(cells: Sequence[str], mapping: Mapping[str, str]) -> float:
+def _score(cells: Sequence[str], mapping: Mapping[str, str]) -> float:
     """Sum over the cells of a row of 1 for a header that is understood, and 1/2 for a name without a unit."""
     total, quantities = 0.0, set()
     for cell in cells[:200]:
@@ -145,47 +171,21 @@ def score_of(cells: Sequence[str], mapping: Mapping[str, str]) -> float:
     return total if len(quantities) > 1 or total > 1 else 0.0
 
 
-def _find_layout(lines: Sequence[str], mapping: Mapping[str, str]) -> Layout | None:
-    """Layout by the row with most headers that are understood; by positions where the mapping has numbers."""
-    if mapping and all(key.isdigit() for key in mapping):
-        return _layout_by_position(lines, max(map(int, mapping)))
-    best: Layout | None = None
-    for row, line in enumerate(lines[:_SEARCHED]):
-        bare = line.lstrip("#%/ \t") if line.lstrip().startswith(_COMMENT[:3]) else line
-        for separator in _SEPARATORS:
-            cells = _header_cells(bare, separator, mapping)
-            if len(cells) < 2 or any(map(NUMBER.fullmatch, cells)):
-                continue
-            cells = _named_channels(cells, lines[:row], separator)
-            score = score_of(cells, mapping)
-            comment = bare is not line and not _precedes_rows(lines, row, separator, len(cells))
-            if score > (best.score if best else 0.5) and not comment:
-                best = Layout(row, separator, cells, score)
-    return best
+def _split(line: str, separator: str) -> list[str]:
+    if separator == " ":
+        return [cell.strip('"') for cell in _SPACED.findall(line)]
+    if '"' in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=separator), [])]
+    return [cell.strip() for cell in line.split(separator)]
 
 
-def _layout_by_position(lines: Sequence[str], count: int) -> Layout | None:
-    """Layout of rows without a header, by the first that has as many numbers."""
-    for row, line in enumerate(lines[:_SEARCHED]):
-        for separator in _SEPARATORS:
-            cells = _split(line, separator)
-            if len(cells) >= count and all(map(NUMBER.fullmatch, filter(None, cells))):
-                return Layout(row - 1, separator, [str(at + 1) for at in range(len(cells))], 1.0)
-    return None
-
-
-def _header_cells(line: str, separator: str, mapping: Mapping[str, str]) -> list[str]:
-    """Cells of a line that may be a header; names between two or more blanks may have single ones."""
-    if separator != " ":
-        return _split(line, separator) if separator in line.strip() else []
-    cells, wide = _split(line, " "), re.split(r"\s{2,}", line.strip())
-    return wide if "  " in line.strip() and score_of(wide, mapping) >= score_of(cells, mapping) else cells
-
-
-def _precedes_rows(lines: Sequence[str], row: int, separator: str, count: int) -> bool:
-    following = next((line for line in lines[row + 1 :] if line.strip()), "")
-    cells = following.split() if separator == " " else _split(following, separator)
-    return len(cells) == count and any(NUMBER.fullmatch(cell) for cell in cells)
+def _named_channels(cells: list[str], preamble: Sequence[str], separator: str) -> list[str]:
+    """Header with the names that a block above the table gives to its channels (CH1, Force)."""
+    if not any(re.fullmatch(r"CH ?\d+", cell) for cell in cells):
+        return cells
+    rows = [_split(line, separator) for line in preamble]
+    named = {row[0]: row[1] for row in rows if len(row) > 2 and parse_header(row[1]).quantity}
+    return [named.get(cell, cell) for cell in cells]
 
 
 def _no_header(lines: Sequence[str]) -> Problem:
@@ -199,28 +199,6 @@ def _no_header(lines: Sequence[str]) -> Problem:
     return Problem(f"has no header that is understood; it begins with {shown[:80]!r}", remedy=remedy)
 
 
-def _units_row(cells: Sequence[str], count: int) -> list[str]:
-    """Units in a row below the header; empty texts for a row of words that say nothing; [] for any other row."""
-    if len(cells) > count or not cells:
-        return []
-    bare = [cell.strip("[]() \"'") for cell in cells] + [""] * (count - len(cells))
-    if any(NUMBER.fullmatch(cell) for cell in bare if cell != "1"):
-        return []
-    units = [cell if dimension_of(cell) or cell in ("-", "1") else "" for cell in bare]
-    if any(unit not in ("", "-", "1") for unit in units):
-        return units
-    return [""] * count if all(cell.lower() in _PROCESSED for cell in bare) and any(bare) else []
-
-
-def _named_channels(cells: Sequence[str], preamble: Sequence[str], separator: str) -> list[str]:
-    """Header with the names that a block above the table gives to its channels (CH1, Force)."""
-    if not any(re.fullmatch(r"CH ?\d+", cell) for cell in cells):
-        return [*cells]
-    rows = [_split(line, separator) for line in preamble]
-    named = {row[0]: row[1] for row in rows if len(row) > 2 and parse_header(row[1]).quantity}
-    return [named.get(cell, cell) for cell in cells]
-
-
 def _take_words(table: RawTable, lines: Iterable[tuple[int, str]]) -> None:
     """Keep the words beside the table; keys that this program writes are comments."""
     for number, line in lines:
@@ -232,158 +210,118 @@ def _take_words(table: RawTable, lines: Iterable[tuple[int, str]]) -> None:
             table.words.append((number, bare))
 
 
-def _body(table: RawTable, lines: Sequence[str], first: int, layout: Layout, count: int) -> list[tuple[int, str]]:
-    """Rows with their line numbers; comments and lines of words are kept as words."""
-    rows, words = [], []
-    repeated = layout.header
+def _units_below(
+    table: RawTable, lines: Sequence[str], first: int, separator: str, count: int
+) -> tuple[list[str], int]:
+    """Units in rows between header and numbers, and the first row of numbers; other rows there are words."""
+    units = [""] * count
+    for row in range(first, min(first + 5, len(lines))):
+        cells = [cell.strip("[]() ") for cell in _split(lines[row], separator)]
+        numbers = [cell for cell in cells if _BEGINS.match(cell)]
+        if any(map(dimension_of, cells)) and {*numbers} <= {"1"} and len(cells) <= count:
+            named = [cell if dimension_of(cell) or cell in ("-", "1") else "" for cell in cells]
+            units = [*named, *units[len(named) :]]
+        elif numbers:
+            return units, row
+        else:
+            _take_words(table, [(row + 1, lines[row])])
+    return units, min(first + 5, len(lines))
+
+
+def _rows(
+    table: RawTable, lines: Sequence[str], first: int, separator: str, names: Sequence[str]
+) -> list[tuple[int, str]]:
+    """Rows with their line numbers; comments and lines without numbers are words, others of another width corrupt."""
+    rows: list[tuple[int, str]] = []
     for number, line in enumerate(lines[first:], first + 1):
-        if not line.strip(" \t;,|\0"):
+        if not line.strip(f"{separator} \t"):
             continue
-        if line.lstrip().startswith(_COMMENT) and not NUMBER.fullmatch(line.lstrip()[:1]):
-            words.append((number, line))
-        elif any(character.isdigit() for character in line) and (
-            line[0].isdigit() or any(NUMBER.fullmatch(cell) for cell in _split(line, layout.separator))
-        ):
-            rows.append((number, line))
-        elif _split(line, layout.separator) != repeated and not _units_row(_split(line, layout.separator), count):
-            (rows if len(_split(line, layout.separator)) == count > 1 else words).append((number, line))
-    _take_words(table, words)
+        quoted = '"' in line or separator == " "
+        count = len(_split(line, separator)) if quoted else line.count(separator) + 1
+        if line.lstrip().startswith(_COMMENT):
+            _take_words(table, [(number, line)])
+        elif count == len(names):
+            if line[0].isdigit() or _split(line, separator) != names:
+                rows.append((number, line))
+        elif not any(map(_BEGINS.match, _split(line, separator))):
+            _take_words(table, [(number, line)])
+        elif len(table.corrupt) < _LISTED:
+            text = f"has {count} cell{'s' if count != 1 else ''}, the header {len(names)}"
+            table.corrupt.append(Problem(text, line=number))
     return rows
 
 
-def _aligned(
-    table: RawTable, rows: list[tuple[int, str]], header: list[str], lines: Sequence[str], separator: str
-) -> tuple[list[tuple[int, str]], list[str]]:
-    """Rows with as many cells as the header; a column of row numbers without a name gets one; others are corrupt."""
-    counts = np.array([_count(line, separator) for _, line in rows])
-    if len(counts) and counts.min() > len(header):
-        begin = [_split(line, separator) for _, line in rows[:1000]]
-        if all(not any(cells[len(header) :]) for cells in begin):
-            rows = [(number, separator.join(_split(line, separator)[: len(header)])) for number, line in rows]
-            counts[:] = len(header)
-        elif (counts == len(header) + 1).all() and _are_numbered(begin):
-            certain = separator != "," or any("." in line for _, line in rows)  # decimal commas look like row numbers
-            header = ["row number", *header] if certain else header
-    for at in np.flatnonzero(counts != len(header))[:_LISTED].tolist():
-        text = f"has {counts[at]} cell{'s' if counts[at] != 1 else ''}, the header {len(header)}"
-        if rows[at][0] == len(lines):
-            text += ", and no line end: the file was truncated here"
-        table.corrupt.append(Problem(text, line=rows[at][0]))
-    return [row for row, count in zip(rows, counts, strict=True) if count == len(header)], header
-
-
-def _are_numbered(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether the first cells count the rows from 0 or 1."""
-    return [cells[0] for cells in rows] in ([str(at + first) for at in range(len(rows))] for first in (0, 1))
-
-
-def _count(line: str, separator: str) -> int:
-    """Number of the cells of a row."""
-    if separator == " ":
-        return len(line.split())
-    return len(_split(line, separator)) if '"' in line else line.count(separator) + 1
-
-
-def _distinct(header: Sequence[str], original: Sequence[str]) -> list[RawColumn]:
-    """Columns without cells: names as in the file, labels with their units; a repeated name is numbered."""
-    offset = len(header) - len(original)
-    columns: list[RawColumn] = []
-    for at, label in enumerate(header):
-        name = original[at - offset] if at >= offset else label
-        repeats = sum(column.name.partition(" (")[0] == name for column in columns) if name else 0
-        unit = label[len(name) :].strip(" []") if label.startswith(name) else ""
-        columns.append(
-            RawColumn(
-                f"{name} ({at + 1})" if repeats else name or f"column {at + 1}",
-                (),
-                label=name if unit else label,
-                unit=unit,
-            )
-        )
-    return columns
-
-
-def _parse_numbers(
-    table: RawTable, rows: Sequence[str], columns: Sequence[RawColumn], separator: str, decimal: str
-) -> bool:
-    """Add the cells of a large table if all are numbers with one plain decimal sign; whether they are."""
+def _cells(rows: Sequence[str], separator: str, decimal: str, count: int, path: Path) -> list[Floats | list[str]]:
+    """Cells of each column: numbers where pandas reads all as such, else texts."""
     import pandas as pd
 
-    sample = [_split(row, separator) for row in rows[:: len(rows) // 1000]]
-    sign, ambiguous = (decimal, "") if decimal else decimal_sign(list(zip(*sample, strict=False)), separator)
-    if ambiguous:
-        return False
     try:
         read = pd.read_csv(
             io.StringIO("\n".join(rows)),
             sep=r"\s+" if separator == " " else separator,
             header=None,
             index_col=False,
-            names=range(len(columns)),
-            dtype=np.float64,
-            decimal=sign,
+            names=range(count),
+            decimal=decimal,
             na_filter=False,
+            skipinitialspace=True,
+            low_memory=False,
+            quoting=csv.QUOTE_MINIMAL if all(row.count('"') % 2 == 0 for row in rows) else csv.QUOTE_NONE,
         )
-    except ValueError:
-        return False
-    table.decimal = sign
-    table.columns += [replace(column, cells=read[at].to_numpy()) for at, column in enumerate(columns)]
-    return True
+    except ValueError as error:
+        raise DatasetError(str(path), [Problem(f"cannot be split into cells: {error}")]) from None
+    if len(read) != len(rows):
+        raise DatasetError(str(path), [Problem("has quotation marks across lines", remedy="remove them")])
+    return [
+        read[at].to_numpy(np.float64) if read[at].dtype.kind in "iuf" else [str(cell).strip() for cell in read[at]]
+        for at in range(count)
+    ]
 
 
-def _parse_cells(table: RawTable, rows: Sequence[str], columns: list[RawColumn], separator: str, decimal: str) -> None:
-    """Add the cells of all columns, as numbers where all are."""
+def _as_numbers(cells: Floats | list[str], decimal: str, *, certain: bool) -> tuple[Floats | list[str], str]:
+    """Cells as numbers where all are, and the unit that stands behind each of them."""
+    if not isinstance(cells, list):
+        return cells, ""
+    matches = [_WITH_UNIT.fullmatch(cell) for cell in cells]
+    units = {match[2] if match else "" for match in matches}
+    unit = units.pop() if len(units) == 1 else ""
+    bare = [match[1] for match in matches if match] if dimension_of(unit) else cells
+    numbers = to_numbers(bare, decimal, certain=certain)
+    return bare if np.isnan(numbers).any() else numbers, unit if bare is not cells else ""
+
+
+def to_numbers(cells: Sequence[str], decimal: str, *, certain: bool = False) -> Floats:
+    """Numbers of texts, NaN where a cell is none.
+
+    Groups of thousands are read where their sign cannot be the decimal one: `certain`, or another cell has both.
+
+    >>> to_numbers(["1.234,5", "2.000", "3 000", "x"], ",").tolist()
+    [1234.5, 2000.0, 3000.0, nan]
+    """
     import pandas as pd
 
-    if len(rows) > _SAMPLED and _parse_numbers(table, rows, columns, separator, decimal):
-        return
-    read = pd.read_csv(
-        io.StringIO("\n".join(rows)),
-        sep=r"\s+" if separator == " " else separator,
-        header=None,
-        index_col=False,
-        names=range(len(columns)),
-        dtype=str,
-        na_filter=False,
-        skipinitialspace=True,
-        quoting=csv.QUOTE_MINIMAL if all(row.count('"') % 2 == 0 for row in rows) else csv.QUOTE_NONE,
-        engine="c",
-    )
-    texts = [[cell.strip() for cell in read[at].tolist()] for at in range(len(columns))]
-    bare = [_common_unit(cells) for cells in texts]
-    measured = [
-        cells
-        for column, (_, cells) in zip(columns, bare, strict=True)
-        if parse_header(column.label, column.unit).quantity != "time"
-    ]
-    table.decimal, table.ambiguous = (decimal, "") if decimal else decimal_sign(measured, separator)
-    for column, (unit, cells) in zip(columns, bare, strict=True):
-        numbers = to_numbers(cells, table.decimal, certain=bool(decimal))
-        table.columns.append(
-            replace(column, cells=cells if np.isnan(numbers).any() else numbers, unit=column.unit or unit)
-        )
+    other = {".": ",", ",": "."}[decimal]
+    texts = pd.Series([*cells], dtype=object)
+    plain = texts.str.fullmatch(rf"[+-]?(?:\d+[{decimal}]?\d*|[{decimal}]\d+)(?:[eE][+-]?\d+)?")
+    grouped = texts.str.fullmatch(rf"[+-]?\d{{1,3}}(?:[{other}'’\s]\d{{3}})+(?:[{decimal}]\d+)?")
+    if not (certain or (grouped & texts.str.contains(decimal, regex=False)).any()):
+        grouped &= ~texts.str.contains(other, regex=False)
+    bare = texts.where(plain | grouped, "").str.replace(rf"[{other}'’\s]", "", regex=True)
+    return pd.to_numeric(bare.str.replace(decimal, "."), errors="coerce").to_numpy(np.float64)
 
 
-def _common_unit(cells: Sequence[str]) -> tuple[str, Sequence[str]]:
-    """The unit that stands behind each number of a column, and the numbers alone."""
-    first = _WITH_UNIT.fullmatch(cells[0]) if cells else None
-    if first is None or not dimension_of(first[2]):
-        return "", cells
-    matches = [_WITH_UNIT.fullmatch(cell) for cell in cells]
-    if any(match is None or match[2] != first[2] for match in matches):
-        return "", cells
-    return first[2], [match[1] for match in matches if match]
+def decimal_sign(cells: Iterable[str], separator: str) -> tuple[str, str]:
+    """Decimal sign of the numbers of a text, and a number that may be read with either sign, if no other settles it.
 
-
-def decimal_sign(columns: Sequence[Sequence[str]], separator: str) -> tuple[str, str]:
-    """Decimal sign of the numbers of a text, and a number that may be read with either sign, if no other settles it."""
+    >>> decimal_sign(["1,234", "0,5"], ";"), decimal_sign(["1,234", "2"], ";")
+    ((',', ''), ('.', '1,234'))
+    """
     settled, ambiguous = set(), ""
-    for cells in columns:
-        for cell in cells if len(cells) <= _SAMPLED else cells[:: len(cells) // _SAMPLED]:
-            if ("." in cell or "," in cell) and (NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell)):
-                sign = _sign_of(cell)
-                settled |= {sign} - {""}
-                ambiguous = ambiguous or ("" if sign else cell)
+    for cell in cells:
+        if ("." in cell or "," in cell) and (NUMBER.fullmatch(cell) or _GROUPED.fullmatch(cell)):
+            sign = _sign_of(cell)
+            settled |= {sign} - {""}
+            ambiguous = ambiguous or ("" if sign else cell)
     if len(settled) > 1:
         return ".", ambiguous or "numbers with decimal points and with commas"
     sign = next(iter(settled), ".")
@@ -395,30 +333,20 @@ def decimal_sign(columns: Sequence[Sequence[str]], separator: str) -> tuple[str,
 def _sign_of(cell: str) -> str:
     """Decimal sign of a number; empty for one such as 1.234, in which it may separate thousands."""
     signs = re.findall("[.,]", cell)
-    if len(set(signs)) == 2:
-        return signs[-1]
     if len(signs) > 1:
-        return "," if signs[0] == "." else "."
+        return signs[-1] if signs[0] != signs[-1] else ",."[signs[0] == ","]
     return "" if re.fullmatch(r"[+-]?[1-9]\d{0,2}[.,]\d{3}", cell) else signs[0]
 
 
-def to_numbers(cells: Sequence[str], decimal: str, *, certain: bool = False) -> Floats:
-    """Numbers of texts, NaN where a cell is none; groups of thousands where their sign cannot be the decimal one."""
-    joined = "\n".join(cells)
-    plain = joined if decimal == "." else joined.replace(",", ".") if "." not in joined else "?"
-    if cells and _PLAIN.fullmatch(plain) and "" not in cells:
-        with suppress(ValueError):
-            return np.array(plain.split("\n"), dtype=np.float64)
-    grouped = certain or any(match and match[2] == decimal for match in map(_GROUPED.fullmatch, cells[:100_000]))
-    return np.array([_number(cell, decimal, grouped) for cell in cells], np.float64)
-
-
-def _number(cell: str, decimal: str, grouped: bool) -> float:
-    """Number of a cell, NaN if it is none."""
-    other = {".": ",", ",": "."}[decimal]
-    if NUMBER.fullmatch(cell) is None or other in cell:
-        match = _GROUPED.fullmatch(cell)
-        if match is None or match[1] == decimal or (match[1] == other and not grouped):
-            return np.nan
-        cell = cell.replace(match[1], "")
-    return float(cell.replace(",", ".").replace("D", "e").replace("d", "e"))
+def _of_labview(lines: list[str], path: Path) -> list[str]:
+    """Lines of a LabVIEW measurement of one segment as those of a table with a row of units."""
+    ends = [row for row, line in enumerate(lines) if line.startswith("***End_of_Header***")]
+    if len(ends) != 2:
+        problem = Problem(f"has {max(len(ends) - 1, 0)} segments", remedy="write one segment to a file, or give TDMS")
+        raise DatasetError(str(path), [problem])
+    before, header, rows = lines[: ends[1]], *lines[ends[1] + 1 : ends[1] + 2], lines[ends[1] + 2 :]
+    separator = "," if any(line.startswith("Separator,") for line in before) else "\t"
+    units = next((line for line in before if line.startswith("Y_Unit_Label")), "").split(separator)[1:]
+    said = [line if line.startswith(("Notes", "Description", "Y_Dimension_Label")) else "" for line in before]
+    rows = [f"{line}{separator * (header.count(separator) - line.count(separator))}" for line in rows]  # no comment
+    return [*said, header, separator.join(["s", *units[: header.count(separator)]]), *rows]
