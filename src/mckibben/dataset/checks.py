@@ -92,7 +92,6 @@ def questions_of_points(points: Points, specimen: Specimen | None = None, *, mos
         _copies,
         _saturated,
         _counted,
-        _repeats,
         _surface,
         _exchanged,
         _offsets,
@@ -149,36 +148,26 @@ def _copies(points: Points) -> Iterator[Question]:
         yield points.ask("rows", "all numbers of a row are 0: a restart?", int(zeros[0]))
     if np.allclose(rows[0], (1, 2, 3)):
         yield points.ask("rows", "looks like numbers of channels:", 0)
-    jumps = np.abs(np.diff(rows[:, :2], axis=0, prepend=rows[:1, :2])) > (0.03, 0.5) * np.ptp(rows[:, :2], axis=0)
-    block = begin = 0
-    tolerance = 0.6 * np.array([_resolution(column) for column in rows.T])
-    for row in range(len(rows)):
-        block, begin = (begin, row) if jumps[row].any() else (block, begin)
-        parts = [rows[start:row] for start in {0, block, begin} if row - start > 2]
-        parts += [rows[row + 1 :]] * (row < 2 and len(rows) > 4)
-        values = [statistic(part, axis=0) for part in parts for statistic in (np.mean, np.median) if np.ptp(part[:, 2])]
-        if points.taut[row] and any(np.all(np.abs(value - rows[row]) <= tolerance) for value in values):
-            yield points.ask("rows", "equals the mean or median of other rows:", row)
-            return
+    level = pressure_levels(points.pressure)
+    parts = [np.arange(len(rows)), *(np.flatnonzero(level == pressure) for pressure in np.unique(level))]
+    tolerance = [0.6 * _resolution(column) for column in rows.T]
+    for part in parts:
+        for row, others in ((part[-1], rows[part[:-1]]), (part[0], rows[part[1:]])) if len(part) > 3 else ():
+            means = [mean(others, axis=0) for mean in (np.mean, np.median)]
+            equal = any(np.all(np.abs(mean - rows[row]) <= tolerance) for mean in means)
+            if equal and points.taut[row] and np.ptp(others[:, 2]):
+                yield points.ask("rows", "equals the mean or median of other rows:", int(row))
+                return
 
 
 def _resolution(values: Floats) -> float:
-    """Largest power of ten of which all values are multiples."""
-    steps = 10.0 ** np.arange(np.floor(np.log10(max(np.abs(values).max(), 1e-300))), -9, -1)
-    rounded = (step for step in steps if np.allclose(values, step * np.round(values / step), rtol=0, atol=1e-6 * step))
-    return float(next(rounded, 1e-9))
+    """Power of ten of the last decimal of numbers."""
+    steps = (10.0**-digits for digits in range(-3, 9))
+    return next((step for step in steps if np.allclose(values, step * np.round(values / step), 0, 1e-6 * step)), 1e-9)
 
 
 def _saturated(points: Points) -> Iterator[Question]:
     """Largest values that repeat more than others do, and forces near the largest under very different conditions."""
-    for name in ("force", "contraction"):
-        values = getattr(points, name)
-        levels, counts = np.unique(values, return_counts=True)
-        others = counts[:-1][levels[:-1] > 0.1 * levels[-1]].max(initial=1)
-        if len(levels) > 2 and counts[-1] > max(2 * others, 2):
-            at = int(np.argmax(values))
-            yield points.ask("saturation", f"the largest {name} repeats: is the sensor saturated, first", at, name)
-            return
     level = pressure_levels(points.pressure)
     parts = [points.pressure[level == value] for value in np.unique(level[np.isfinite(level)])]
     *others, last = [0.0, 0.0, *(np.mean(part == part.max()) for part in parts if len(part) > 3)]
@@ -190,12 +179,12 @@ def _saturated(points: Points) -> Iterator[Question]:
     shorter = points.contraction[top, None] - points.contraction[top]
     apart = (pressure > 1.15 * pressure[:, None]) & (shorter > 0.1 * stroke)
     apart |= (1.05 * pressure > pressure[:, None]) & (shorter > max(0.25 * stroke, 2.5 * percent))
-    if len(top) < len(points.force) and apart.any():
-        at, text = (
-            int(top[np.argwhere(apart)[0][0]]),
-            "forces of very different points are within 3 % of the largest, one",
-        )
-        yield points.ask("saturation", text, at, "force")
+    counts = np.unique(points.force[points.taut], return_counts=True)[1]
+    if len(top) < len(points.force) and (
+        apart.any() or (len(counts) > 2 and counts[-1] > max(2, 2 * max(counts[:-1])))
+    ):
+        text = "forces of very different points are within 3 % of the largest: is the sensor saturated, first"
+        yield points.ask("saturation", text, int(top[np.argmax(apart.any(axis=1))]), "force")
 
 
 def _counted(points: Points) -> Iterator[Question]:
@@ -205,21 +194,6 @@ def _counted(points: Points) -> Iterator[Question]:
     equal = len(steps) > 3 and steps.any() and np.allclose(steps, steps[0], rtol=1e-6, atol=0)
     if equal and np.count_nonzero(np.diff(np.sign(large))) > 1:
         yield points.ask("rows", "the pressure rises by one step from row to row: was it counted up?", field="pressure")
-
-
-def _repeats(points: Points) -> Iterator[Question]:
-    """Forces at the same pressure and contraction that differ by more than friction and creep."""
-    steps = 0.01 * points.table[:, 0].max(), 0.1
-    _, place = np.unique(np.round(points.table[:, :2] / steps), axis=0, return_inverse=True)
-    place = place.ravel()
-    high, low = np.full(place.max() + 1, -np.inf), np.full(place.max() + 1, np.inf)
-    np.maximum.at(high, place, points.force)
-    np.minimum.at(low, place, points.force)
-    several = (np.bincount(place) > 1) & (high > 0.15 * points.force.max())
-    apart = several & (high - low > np.maximum(0.3 * high, 0.15 * points.force.max()))
-    if apart.sum() > 2 and 2 * apart.sum() >= several.sum():
-        at = int(np.argmax(apart[place]))
-        yield points.ask("order", "forces at one pressure and contraction differ by more than friction, such as", at)
 
 
 def _surface(points: Points) -> Iterator[Question]:
@@ -260,8 +234,6 @@ def _surface(points: Points) -> Iterator[Question]:
     if far.any():
         worst = int(np.argmax(np.where(far, share, 0)))
         yield points.ask("order", f"{np.count_nonzero(far)} points are off the surface through the others, most", worst)
-    elif usual > 0.25:
-        yield points.ask("order", f"forces scatter by {100 * usual:.0f} %: are they of one muscle?", field="force")
 
 
 def _exchanged(points: Points) -> Iterator[Question]:

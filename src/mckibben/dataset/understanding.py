@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -17,7 +18,6 @@ from mckibben.dataset.text import NUMBER, to_numbers
 from mckibben.dataset.vocabulary import (
     QUANTITIES,
     Header,
-    canonical_unit,
     dimension_of,
     is_harmless,
     parse_header,
@@ -50,15 +50,13 @@ _WORDS: Mapping[str, Mapping[str, str]] = {
         **dict.fromkeys(("unknown", "unbekannt"), ""),
     },
 }
-_MARKS = np.array([9999.0, 99999.0, 999999.0, 999.9, 999.99, 999.0, 9999.9, 32767.0, 32768.0, 65535.0, 1e29])
-_ENDS = (127.0, 255.0, 511.0, 1023.0, 2047.0, 4095.0, 8191.0, 16383.0)
-_ROUNDING = 0.5e-3, 0.002  # m and relative: precision of lengths
+_MARKS = 999.9, 999.99, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0  # of missing values
+_ROUNDING = 0.5e-3  # m: precision of lengths
 _LISTED = 1000  # corrupt cells of a column that are named
+_WORDS_LISTED = 20  # unknown words of a column that are named
 _LONGEST = 20.0  # m
 _WITH_UNIT = re.compile(r"(.+?)\s*[\[(]([^\[\]()]+)[\])]\s*")
 _UNNAMED = re.compile(r"column \d+")
-_MEASURED = re.compile("force|kraft|press|druck|length|länge|contract|kontrak", re.IGNORECASE)
-_ELECTRICAL = frozenset(("v", "mv", "a", "ma", "mv/v", "counts", "digits", "raw", "lsb", "adc"))
 
 
 def understand(path: Path, raw: RawTable, recipe: Recipe, needed: Sequence[str]) -> Table:
@@ -143,20 +141,16 @@ class _Reader:
     def _attributes(self) -> None:
         """Specimen, source, initial length and slack force, of the recipe or of the file."""
         said, recipe, table = self.raw.comments, self.recipe, self.table
-        numbers: dict[str, float | None] = {}
         for key, unit in (("initial_length", "m"), ("slack_force", "N")):
-            stated = None
+            stated, chosen = None, getattr(recipe, key)
             try:
                 stated = quantity(said[key], unit) if said.get(key) else None
             except UnitError as error:
                 self.ask(error.message, field=key, remedy=error.remedy)
-            given = getattr(recipe, key)
-            numbers[key] = stated if given is None else given
-            apart = given is not None and stated is not None and abs(given - stated) > _ROUNDING[0]
-            if key == "initial_length" and given and stated and apart:
-                text = f"{show(given, 'mm', 5)} is given, but the file states {show(stated, 'mm', 5)}"
+            if key == "initial_length" and chosen and stated and abs(chosen - stated) > _ROUNDING:
+                text = f"{show(chosen, 'mm', 5)} is given, but the file states {show(stated, 'mm', 5)}"
                 self.asked.append(question("words", text, field=key))
-        table.initial_length, table.slack_force = numbers["initial_length"], numbers["slack_force"]
+            setattr(table, key, stated if chosen is None else chosen)
         table.preprocessing = unquote(said.get("preprocessing", "none"))
         table.repairs += unquote(said.get("repairs", "")).splitlines()
         table.specimen = recipe.specimen or unquote(said.get("specimen", ""))
@@ -165,11 +159,10 @@ class _Reader:
     def _headers(self) -> list[_Entry]:
         """Columns that are understood, with sign and origin; questions about the others."""
         understood = []
-        self._units_beside()
         for column in self.raw.columns:
             label = column.label or column.name
             name = self.mapping.get(column.name, self.mapping.get(label, ""))
-            if name.lower() in ("ignore", "ignored"):
+            if name == "ignore":
                 self.table.ignored.append(column.name)
                 continue
             header = parse_header(name.lstrip("-")) if name else parse_header(label, column.unit)
@@ -180,73 +173,40 @@ class _Reader:
                 remedy = f"name quantity and unit, such as {closest(name, known) or 'force_N'}"
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
             elif header.quantity:
-                self._compare_units(column, label, header, bool(name))
                 source = "columns" if name else "file" if column.unit and not parse_header(label).unit else "header"
                 understood.append(_Entry(column, header, -1 if name.startswith("-") else 1, source))
             else:
-                self._unread(column, label)
+                self._unread(column, label, dimension_of(header.unit), other_unit=bool(header.unit))
         return understood
 
-    def _compare_units(self, column: RawColumn, label: str, header: Header, named: bool) -> None:
-        """Ask about a unit of the recipe that is not the one in the file."""
-        match = re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", label)
-        stated = column.unit or (match[1] if match else "")
-        is_unit = dimension_of(stated) or stated.lower() in _ELECTRICAL
-        if named and is_unit and header.unit and canonical_unit(stated, header.quantity) != header.unit:
-            text = f"is in {stated!r} by the file, and in {header.unit!r} by columns"
-            self.asked.append(question("columns", text, field=column.name, remedy="name the unit of the file"))
-
-    def _units_beside(self) -> None:
-        """Take the unit of a column from a column of units behind it."""
-        columns = self.raw.columns
-        for at, column in enumerate(columns[1:], 1):
-            if "unit" not in column.name.lower() and "einheit" not in column.name.lower():
-                continue
-            units = {str(cell) for cell in column.cells}
-            before = columns[at - 1]
-            header = parse_header(before.label or before.name, before.unit)
-            unit = units.pop() if len(units) == 1 else ""
-            if header.quantity and (known := canonical_unit(unit, header.quantity)) and header.unit in ("", known):
-                columns[at - 1] = RawColumn(before.name, before.cells, before.label, before.unit or unit)
-                columns[at] = RawColumn("unit", (), "index")
-
-    def _unread(self, column: RawColumn, label: str) -> None:
+    def _unread(self, column: RawColumn, label: str, dimension: str, *, other_unit: bool) -> None:
         """Ask about a column that is not understood, unless its name or its content says that it is not needed."""
         self.table.ignored.append(column.name)
-        unit = column.unit or (label.rpartition("[")[2] or label.rpartition("(")[2]).rstrip("])")
-        unit = unit if unit != label else label.rpartition("_")[2] if dimension_of(label.rpartition("_")[2]) else ""
-        dimension = dimension_of(unit)
-        if dimension in ("", "time") and _is_needless(column, label, other_unit=bool(unit)):
+        if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
+            self.raw.words += [(line, cell) for line, cell in zip(self.raw.lines, column.cells, strict=True) if cell]
+            return
+        if dimension in ("", "time") and _is_needless(column, label, other_unit=other_unit):
             return
         remedy = _NEEDLESS.format(column.name)
         if dimension and dimension != "time":
-            meant = f"{dimension}_{canonical_unit(unit, dimension) or QUANTITIES[dimension][0]}"
+            meant = f"{dimension}_{parse_header(label, column.unit).unit}"
             remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}; {remedy}"
         self.asked.append(question("columns", "is not understood", field=column.name, remedy=remedy))
 
     def _choose(self, understood: Sequence[_Entry]) -> list[_Entry]:
-        """One column for each quantity: the one that the recipe names, or the only one."""
+        """One column for each quantity, lengths and displacements together: the one of the recipe, or the only one."""
         chosen: dict[str, _Entry] = {}
-        for entry in understood:
-            name = entry.header.quantity
-            other = chosen.setdefault(name, entry)
+        for entry in sorted(understood, key=lambda entry: (entry.source != "columns", not entry.header.unit)):
+            kind = "length" if entry.header.quantity in MOTIONS else entry.header.quantity
+            other = chosen.setdefault(kind, entry)
             if other is entry:
                 continue
-            named = [candidate for candidate in (other, entry) if candidate.source == "columns"]
-            if len(named) == 1:
-                best = named[0]
-            elif name == "time":
-                best = entry if entry.header.unit and not other.header.unit else other
-            elif _agree(entry, other):
-                best = min(other, entry, key=lambda candidate: QUANTITIES[name].index(candidate.header.unit))
-            else:
-                self.asked_about.add(name)
-                meant = _COLUMN_REMEDY.format(entry.column.name, f"{name}_{entry.header.unit}")
-                text = f"and {other.column.name!r} are both a {name.replace('_', ' ')}"
+            self.table.ignored.append(entry.column.name)
+            if kind != "time" and (other.source == "columns") == (entry.source == "columns"):
+                self.asked_about.add(kind)
+                meant = _COLUMN_REMEDY.format(entry.column.name, f"{entry.header.quantity}_{entry.header.unit}")
+                text = f"and {other.column.name!r} are both a {kind.replace('_', ' ')}"
                 self.ask(text, field=entry.column.name, remedy=f"name the one that is meant: {meant}")
-                continue
-            chosen[name] = best
-            self.table.ignored.append((other if best is entry else entry).column.name)
         return list(chosen.values())
 
     def _check_mapping(self) -> None:
@@ -317,15 +277,13 @@ class _Reader:
             self.asked.append(question("corrupt", text, line=line, field=column.name, remedy="correct it"))
             self.table.repairs.append(f"{self.table.place} {line}, {column.name}: {text}")
         self.bad |= wrong
-        if (row := missing_mark(values)) is not None:
+        marks = np.isin(np.abs(values), _MARKS)
+        if 0 < np.count_nonzero(marks) < len(values) / 2:
+            row = int(np.argmax(marks))
             text, line = f"{values[row]:g} may mark a missing value", int(self.table.lines[row])
-            remedy = "leave these rows out of the file"
-            self.asked.append(question("rows", text, line=line, field=column.name, remedy=remedy))
-        highest = float(np.max(values[~wrong], initial=0.0))
-        if name == "force" and highest in _ENDS and np.count_nonzero(values == highest) > 1:
-            text = f"the largest value, {highest:g}, is the end of a converter's range"
-            remedy = f"leave these rows out: in a recipe largest_force: {highest:g} N"
-            self.asked.append(question("saturation", text, field=column.name, remedy=remedy))
+            self.asked.append(
+                question("rows", text, line=line, field=column.name, remedy="leave these rows out of the file")
+            )
         return values
 
     def _meaning(self, name: str, column: RawColumn) -> np.ndarray:
@@ -333,7 +291,7 @@ class _Reader:
         said = {**_WORDS[name], **{key.lower(): word for key, word in self.mapping.items() if word in _WORDS[name]}}
         cells = [str(cell).strip().lower() for cell in column.cells]
         first, second = list(dict.fromkeys(filter(None, _WORDS[name].values())))
-        for cell in [cell for cell in dict.fromkeys(cells) if cell not in said]:
+        for cell in [cell for cell in dict.fromkeys(cells) if cell not in said][:_WORDS_LISTED]:
             at = cells.index(cell)
             shown = str(column.cells[at])[:40]
             meant = f"columns={{{shown!r}: {first!r}}} (command line: --column '{shown}={first}')"
@@ -343,58 +301,41 @@ class _Reader:
         return np.array([said.get(cell, "") for cell in cells], "<U9")
 
     def _lengths(self) -> None:
-        """Contractions from lengths or displacements; a question where both are given and differ."""
+        """Add the contraction that follows from a length or displacement."""
         table, recipe, initial = self.table, self.recipe, self.table.initial_length
         if recipe.initial_length and recipe.initial_length > _LONGEST:
             text = f"{recipe.initial_length:g} m is longer than any muscle"
             self.ask(text, field="initial_length", remedy=f"{_LENGTH_REMEDY}, in Python in m")
-        zero = recipe.zero_length if recipe.zero_length is not None else initial
-        lengths: dict[str, Floats] = {}
-        for name in [name for name in MOTIONS if name in table.columns]:
-            values = table.columns[name].values
-            way = (recipe.displacement or "") if name == "displacement" else name
-            if name == "length":
-                lengths[name] = values
-            elif zero is not None:
-                lengths[name] = zero + (values if way == "lengthening" else -values)
+        column = next((table.columns[name] for name in MOTIONS if name in table.columns), None)
+        if column is None:
+            return
         if "contraction" in table.columns:
-            self._compare(lengths)
-        elif initial is None and any(name in table.columns for name in MOTIONS):
+            self._compare(column)
+            return
+        if initial is None:
             self.asked_about.add("contraction")
             self.ask("is needed for lengths and displacements", field="initial_length", remedy=_LENGTH_REMEDY)
-        elif initial is not None and lengths:
-            self._contract(lengths, initial)
-
-    def _contract(self, lengths: Mapping[str, Floats], initial: float) -> None:
-        """Add the contraction of lengths."""
-        name, length = next(iter(lengths.items()))
-        if any(not np.allclose(length, other, atol=_ROUNDING[0], equal_nan=True) for other in lengths.values()):
-            self.ask("differs from the lengths of another column", field=name, remedy="ignore one of the two columns")
+            return
+        length, way = column.values, recipe.displacement if column.quantity == "displacement" else column.quantity
+        if way != "length":
+            zero = recipe.zero_length if recipe.zero_length is not None else initial
+            length = zero + (length if way == "lengthening" else -length)
         shortest, longest = float(np.nanmin(length, initial=np.inf)), float(np.nanmax(length, initial=0.0))
         if shortest <= 0 or longest > 2 * initial:
             span = f"{show(shortest, 'mm', 4)} to {show(longest, 'mm', 4)}"
             text = f"lengths of {span} do not fit the initial length, {show(initial, 'mm', 5)}"
-            self.ask(text, field=name, remedy="check its unit and initial_length (command line: --initial-length)")
-        column = self.table.columns[name]
-        contraction = Column(column.header, "contraction", "", 1 - length / initial, source=column.source)
-        self.table.columns["contraction"] = contraction
+            remedy = "check its unit and initial_length (command line: --initial-length)"
+            self.ask(text, field=column.quantity, remedy=remedy)
+        table.columns["contraction"] = replace(column, quantity="contraction", unit="", values=1 - length / initial)
 
-    def _compare(self, lengths: Mapping[str, Floats]) -> None:
-        """Compare contractions with lengths, which give the initial length."""
-        contraction = self.table.columns["contraction"].values
-        for name, length in lengths.items():
-            with np.errstate(divide="ignore", invalid="ignore"):
-                implied = length / (1 - contraction)
-            agreed = float(np.nanmedian(implied))
-            if self.table.initial_length is None and name == "length":
-                self.table.initial_length = round(agreed, 9)
-            expected = (self.table.initial_length or agreed) * (1 - contraction)
-            off = np.abs(length - expected) > max(_ROUNDING[0], _ROUNDING[1] * agreed)
-            if off.any():
-                row = int(np.argmax(off))
-                text = f"{show(float(length[row]), 'mm', 5)} contradicts the contraction, {contraction[row]:.4g}"
-                remedy = f"ignore one of the two: {_NEEDLESS.format(self.table.columns[name].header)}"
-                self.ask(text, field=name, line=int(self.table.lines[row]), remedy=remedy)
+    def _compare(self, column: Column) -> None:
+        """Ask about a length that is not the initial one, less the contraction of another column."""
+        if column.quantity == "length":
+            shape = 1 - self.table.columns["contraction"].values
+            implied = float(np.nanmedian(column.values / shape))
+            self.table.initial_length = self.table.initial_length or round(implied, 9)
+            if np.any(np.abs(column.values - self.table.initial_length * shape) > _ROUNDING):
+                self.ask("contradicts the contraction", field=column.header, remedy=_NEEDLESS.format(column.header))
 
     def _leave_out(self) -> None:
         """Leave out corrupt rows, if that is accepted, and rows of a saturated sensor."""
@@ -413,10 +354,7 @@ class _Reader:
         elif bad.any():
             table.lines = table.lines[~bad]
             table.columns = {
-                name: Column(
-                    column.header, name, column.unit, column.values[~bad], column.sign, column.reference, column.source
-                )
-                for name, column in table.columns.items()
+                name: replace(column, values=column.values[~bad]) for name, column in table.columns.items()
             }
 
 
@@ -426,35 +364,10 @@ def _is_needless(column: RawColumn, label: str, *, other_unit: bool) -> bool:
     if isinstance(cells, np.ndarray):
         if _UNNAMED.fullmatch(column.name):
             return bool(np.all(np.diff(cells) == 1))
-        return other_unit or (is_harmless(label) and not _MEASURED.search(label))
+        return other_unit or is_harmless(label)
     texts = {str(cell).strip() for cell in cells} - {""}
     numbers = sum(bool(NUMBER.fullmatch(text)) for text in texts)
-    if 0 < numbers < len(texts) or (_MEASURED.search(label) and texts):
+    if 0 < numbers < len(texts):
         return False
-    return is_harmless(label) or not texts or (len(texts) == 1 and not any(map(str.isdigit, texts)))
-
-
-def _agree(entry: _Entry, other: _Entry) -> bool:
-    """Whether two columns have the same values, perhaps in different units."""
-    first, second = entry.column.cells, other.column.cells
-    if not (isinstance(first, np.ndarray) and isinstance(second, np.ndarray)):
-        return False
-    first, second = first * si_factor(entry.header), second * si_factor(other.header)
-    alike = np.allclose(first, second, rtol=2e-3, atol=1e-3 * float(np.abs(second).max(initial=0.0)))
-    return alike and entry.header.absolute == other.header.absolute
-
-
-def missing_mark(values: Floats) -> int | None:
-    """First row of a number such as -9999 that marks missing values, far from the others or from its neighbours."""
-    size = np.abs(values)
-    if not size.max(initial=0.0) > 990:
-        return None
-    marks = np.isin(size, _MARKS) | (size >= 1e29)
-    others = values[~marks & np.isfinite(values)]
-    if not (marks.any() and 2 * np.count_nonzero(marks) < len(values) and len(others)):
-        return None
-    rows = np.flatnonzero(marks)
-    beside = values[np.clip(rows - 1, 0, None)], values[np.clip(rows + 1, None, len(values) - 1)]
-    apart = np.min([np.abs(neighbour - values[rows]) for neighbour in beside], axis=0) > 0.02 * size[rows]
-    far = values[rows].max() > 2 * np.abs(others).max() or values[rows].min() < 0 <= others.min()
-    return int(rows[0]) if far or apart.any() else None
+    constant = len(texts) == 1 and not any(dimension_of(text) or set("0123456789") & {*text} for text in texts)
+    return not texts or constant or is_harmless(label)

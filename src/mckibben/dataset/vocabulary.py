@@ -70,6 +70,7 @@ AMBIGUOUS = re.compile(
     re.IGNORECASE | re.VERBOSE,
 )
 """Words in a name after which a column is not what the rest of its name says."""
+_MEASURED = re.compile("force|kraft|press|druck|length|länge|contract|kontrak")
 _SPELLED: Mapping[str, str] = {
     **dict.fromkeys(("%", "pct", "per cent", "prozent", "percentage"), "percent"),
     **dict.fromkeys(("-", "1", "mm/mm", "m/m", "[-]"), "ratio"),
@@ -140,46 +141,42 @@ def parse_header(text: str, unit: str = "") -> Header:
     """
     text = " ".join(unicodedata.normalize("NFKC", text[:_LONGEST]).split()).lstrip("#%").strip()
     text = re.sub(r":\d+$", "", text)  # of Simulink
-    if parsed := _read_whole(text, unit):
-        return parsed
-    parts = [part for part in re.split(r"[/\\.]", text) if part.strip()]
-    known = [header for part in parts if (header := _read_whole(part.strip(), unit))]
-    known = [header for header in known if header.unit] or known
-    if len(parts) > 1 and len(known) == 1:
-        return known[0]
-    return Header("", "", _plain(text))
+    whole = _read_whole(text, unit)
+    if not whole.quantity and len(parts := [part for part in re.split(r"[/\\.]", text) if part.strip()]) > 1:
+        headers = [header for part in parts if (header := _read_whole(part.strip(), unit)).quantity]
+        headers = [header for header in headers if header.unit] or headers
+        return headers[0] if len(headers) == 1 else whole
+    return whole
 
 
-def _read_whole(text: str, unit: str) -> Header | None:
-    """Header of a text without a path; None if its name is unknown."""
+def _read_whole(text: str, unit: str) -> Header:
+    """Header of a text without a path; of an unknown name it has no quantity."""
     name, spelled = text, unit
     if match := _BRACKETS.fullmatch(text):
         name, spelled = match[1], next(filter(None, match.groups()[1:]), "") or unit
-    elif (match := _TAIL.fullmatch(text)) and dimension_of(match[2]) and _named(match[1]):
+    elif (match := _TAIL.fullmatch(text)) and dimension_of(match[2]) and ("_" in text or _named(match[1])):
         name, spelled = match[1], match[2]
     elif (match := _TAIL.fullmatch(text.rpartition("_")[0])) and ABSOLUTE.fullmatch(text.rpartition("_")[2]):
         name, spelled = match[1], f"{match[2]} abs"
-    plain = _plain(_CATMAN.sub("", name))
-    quantity = _named(name)
-    if not quantity:
-        return None
+    plain, quantity = _plain(_CATMAN.sub("", name)), _named(name)
     absolute = bool(ABSOLUTE.search(spelled) or ABSOLUTE.search(name)) and quantity.endswith("pressure")
     bare = _GAUGE.sub("", ABSOLUTE.sub("", spelled)).strip(" ()") if quantity.endswith("pressure") else spelled.strip()
+    if not quantity or (quantity == "pressure" and AMBIGUOUS.search(name)):
+        dimension = dimension_of(bare)
+        return Header("", canonical_unit(bare, dimension) if dimension else bare, plain)
     known = canonical_unit(bare, quantity) if bare else _TIME_UNITS.get(plain, "") if quantity == "time" else ""
     if bare and not known:
         return _in_other_unit(quantity, bare, plain)
-    if quantity == "pressure" and AMBIGUOUS.search(name):
-        return None
     return Header(quantity, known, plain, absolute)
 
 
-def _in_other_unit(quantity: str, unit: str, name: str) -> Header | None:
+def _in_other_unit(quantity: str, unit: str, name: str) -> Header:
     """Header of a name with the unit of another quantity: a contraction in a length is a displacement."""
     if quantity == "contraction" and (length := canonical_unit(unit, "length")):
         return Header("shortening", length, name)
     if quantity == "shortening" and (ratio := canonical_unit(unit, "contraction")):
         return Header("contraction", ratio, name)
-    return None
+    return Header("", unit, name)
 
 
 def _named(name: str) -> str:
@@ -203,8 +200,8 @@ def _plain(text: str) -> str:
 
 def is_harmless(text: str) -> bool:
     """Whether a column that is not read says by its name that no force, pressure or length is in it."""
-    name = _BRACKETS.sub(r"\1", text)
-    return bool(_HARMLESS.match(_plain(re.split(r"[/\\.]", name)[-1])))
+    name = _plain(re.split(r"[/\\.]", _BRACKETS.sub(r"\1", text))[-1])
+    return bool(_HARMLESS.match(name)) and not _MEASURED.search(_plain(text))
 
 
 def si_factor(header: Header) -> float:
