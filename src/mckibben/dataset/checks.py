@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.dataset.raw import Floats
@@ -78,6 +78,13 @@ class Points:
         return question(topic, f"{text}{place}", line=line, field=field, remedy=_REMEDIES[topic])
 
 
+def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen | None = None) -> list[Question]:
+    """Questions that the numbers and labels of a dataset raise; `lines` are those of its points in their file."""
+    slack = dataset.table.attrs["slack_force"]
+    points = Points(dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines), slack)
+    return [*questions_of_points(points, specimen), *_labels(dataset)]
+
+
 def questions_of_points(points: Points, specimen: Specimen | None = None, *, most: int = 3000) -> list[Question]:
     """Questions that the numbers raise; only those of sign and ranges where there are any.
 
@@ -100,14 +107,18 @@ def questions_of_points(points: Points, specimen: Specimen | None = None, *, mos
 
 
 def _sign(points: Points) -> Iterator[Question]:
-    """Forces that are negative: an offset, or if most are, a wrong sign."""
-    force = points.force
+    """Forces that are negative: an offset, or if most are and do not rise with the pressure, a wrong sign."""
+    force, rise = points.force, (points.pressure - points.pressure.mean()) @ points.force
     limit = 0.05 * np.abs(force).max()
     negative, positive = np.count_nonzero(force < -limit), np.count_nonzero(force > limit)
     if negative:
         text = f"{negative} of {len(force)} forces are negative, down to {force.min():.4g} N, but a muscle only pulls"
         asked = points.ask("sign", text, field="force")
-        yield asked if negative <= positive else Question(Problem(text, field="force", remedy=_REMEDIES["sign"]))
+        yield (
+            asked
+            if negative <= positive or rise > 0
+            else Question(Problem(text, field="force", remedy=_REMEDIES["sign"]))
+        )
 
 
 def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
@@ -277,7 +288,7 @@ def _offsets(points: Points) -> Iterator[Question]:
         yield points.ask("zero", text, field="force")
 
 
-def questions_of_labels(dataset: IsobaricDataset) -> Iterator[Question]:
+def _labels(dataset: IsobaricDataset) -> Iterator[Question]:
     """Set pressures far from the measured ones, and directions that are the reverse of the motion."""
     table, level = dataset.table, dataset.levels
     if np.any(apart := np.abs(level - dataset.pressure) > 0.2 * dataset.pressure.max(initial=0.0)):

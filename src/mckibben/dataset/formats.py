@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mckibben.dataset.matlab import MatlabReader, Opaque, Value
-from mckibben.dataset.raw import Budget, RawColumn, RawTable, read_bytes, several, unreadable
+from mckibben.dataset.raw import Budget, RawColumn, RawTable, hdf5_nodes, read_bytes, several, unreadable
 from mckibben.dataset.text import decode, read_text
 from mckibben.dataset.vocabulary import parse_header
 from mckibben.dataset.workbook import read_workbook
@@ -84,7 +84,9 @@ def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             table.words += _attributes(file)
-            for name, node in _nodes(file, "." if matlab else "/", budget):
+            for name, node in hdf5_nodes(file, budget, "." if matlab else "/"):
+                if node is None:
+                    continue
                 table.words += [(None, f"{name}: {text}") for _, text in _attributes(node)]
                 if isinstance(node, h5py.Dataset):
                     _add_node(table, name, node, matlab, budget)
@@ -93,29 +95,6 @@ def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
     except Exception as error:  # h5py raises nearly any exception on a damaged file
         raise unreadable(path, "an HDF5 file", error) from error
     return _one_group(path, table, part, mapping)
-
-
-def _nodes(file: h5py.Group, separator: str, budget: Budget) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
-    """Groups and datasets, each once; links to other files are not followed."""
-    import h5py
-
-    visited: set[object] = set()
-    waiting: list[tuple[str, h5py.Group]] = [("", file)]
-    while waiting:
-        prefix, group = waiting.pop(0)
-        for key in group:
-            budget.spend(columns=len(visited))
-            if key.startswith("#") or not isinstance(group.get(key, getlink=True), h5py.HardLink):
-                continue
-            node = group[key]
-            address = h5py.h5o.get_info(node.id).addr
-            if address in visited:
-                continue
-            visited.add(address)
-            name = f"{prefix}{separator}{key}" if prefix else key
-            yield name, node
-            if isinstance(node, h5py.Group):
-                waiting.append((name, node))
 
 
 def _attributes(node: h5py.Group | h5py.Dataset) -> list[tuple[None, str]]:
@@ -145,7 +124,7 @@ def _decoded(value: object) -> str:
 
 def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budget: Budget) -> None:
     """Add the columns of a dataset, or its single number or text as words."""
-    if node.shape is None or node.is_virtual or node.external or node.ndim > 2:
+    if node.shape is None or node.ndim > 2:
         return
     budget.spend(size=node.nbytes)
     kind = _decoded(_attribute(node, "MATLAB_class")) if "MATLAB_class" in node.attrs else ""

@@ -29,35 +29,19 @@ if TYPE_CHECKING:
 _LOWEST = 0.08 * bar  # highest pressure of a muscle test
 
 
-def at_levels(levels: NDArray[np.float64], pressures: ArrayLike, tolerance: float = 1e3) -> NDArray[np.bool_]:
-    """Mask of the points with a level within `tolerance` of a pressure [Pa]; each pressure must match a point."""
-    wanted = np.atleast_1d(np.asarray(pressures, dtype=np.float64)).ravel()
-    close = np.abs(levels[:, None] - wanted) <= tolerance
-    if len(missing := wanted[~np.any(close, axis=0)]):
-        raise RangeError(
-            f"there is no point at {format_list(missing / bar)} bar",
-            value=float(missing[0]),
-            unit="Pa",
-            remedy=f"the pressures are {format_list(np.unique(levels) / bar)} bar" if len(levels) else "",
-        )
+def matching(column: np.ndarray, values: ArrayLike, name: str, tolerance: float = 0.0) -> NDArray[np.bool_]:
+    """Mask of the points whose entry in a column is one of the values, each of which must match a point.
+
+    Numbers match within `tolerance`; a `RangeError` names the missing values and those that there are.
+    """
+    wanted, present = np.atleast_1d(np.asarray(values)).ravel(), np.unique(column)
+    close = np.abs(column[:, None] - wanted) <= tolerance if tolerance else column[:, None] == wanted
+    missing = wanted[~np.any(close, axis=0)]
+    if len(missing) or not len(wanted):
+        text = f"there is no point of {name} {format_list(missing)}" if len(missing) else f"no {name} is given"
+        there = f"there are {format_list(present)}" if len(present) else f"no {name} is recorded"
+        raise RangeError(text, value=missing[0].item() if len(missing) else None, remedy=there)
     return np.asarray(np.any(close, axis=1))
-
-
-def equal_to(column: np.ndarray, values: ArrayLike, name: str) -> NDArray[np.bool_]:
-    """Mask of the points whose entry in a column is one of the values; each value must match a point."""
-    wanted = np.atleast_1d(np.asarray(values)).ravel()
-    present = np.unique(column)
-    if missing := sorted(set(wanted.tolist()) - set(present.tolist())):
-        raise RangeError(
-            f"there is no point of {name} {', '.join(map(str, missing))}",
-            value=missing[0],
-            remedy=f"the {name}s are {format_list(present)}" if len(present) else f"no {name} is recorded",
-        )
-    if not len(wanted):
-        raise RangeError(
-            f"no {name} is given", remedy=f"the {name}s are {format_list(present)}" if len(present) else ""
-        )
-    return np.asarray(np.isin(column, wanted))
 
 
 def format_list(values: np.ndarray, most: int = 24) -> str:
@@ -251,7 +235,7 @@ class IsobaricDataset(MeasuredTable):
 
         Raises a `RangeError` that names the available pressures if there is no point at one of them.
         """
-        return self.select(at_levels(self.levels, pressures, tolerance))
+        return self.select(matching(self.levels / bar, np.asarray(pressures) / bar, "pressure [bar]", tolerance / bar))
 
     def split(
         self,
@@ -269,11 +253,11 @@ class IsobaricDataset(MeasuredTable):
         """
         held_out = np.zeros(len(self), bool)
         if pressures is not None:
-            held_out |= at_levels(self.levels, pressures)
+            held_out |= matching(self.levels / bar, np.asarray(pressures) / bar, "pressure [bar]", 0.01)
         if repeats is not None:
-            held_out |= equal_to(self._column("repeat"), repeats, "repeat")
+            held_out |= matching(self._column("repeat"), repeats, "repeat")
         if directions is not None:
-            held_out |= equal_to(self._column("direction"), directions, "direction")
+            held_out |= matching(self._column("direction"), directions, "direction")
         if held_out.all() or not held_out.any():
             side = "train on" if held_out.any() else "hold out"
             raise RangeError(

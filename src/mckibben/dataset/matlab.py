@@ -14,20 +14,7 @@ import numpy as np
 
 from mckibben.dataset.raw import Budget
 
-_TYPES = {
-    1: "i1",
-    2: "u1",
-    3: "i2",
-    4: "u2",
-    5: "i4",
-    6: "u4",
-    7: "f4",
-    9: "f8",
-    12: "i8",
-    13: "u8",
-    16: "u1",
-    17: "u2",
-}
+_TYPES = dict(zip((1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 16, 17), "i1 u1 i2 u2 i4 u4 f4 f8 i8 u8 u1 u2".split(), strict=True))
 _MATRIX, _COMPRESSED = 14, 15
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _NUMBERS = 1, 2, 3, 4, 5, range(6, 16)
 _DEEPEST, _FIELDS = 8, 1000

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.checks import Points, questions_of_labels, questions_of_points
+from mckibben.dataset.checks import questions_of
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import OF_FILE
-from mckibben.errors import DatasetError, Problem, RangeError
+from mckibben.errors import DatasetError, RangeError
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.units import show
 
@@ -21,9 +21,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from mckibben.dataset.recipe import Recipe
-    from mckibben.dataset.table import Question
 
-_SMALL = 0.05  # of the largest force: smaller ones may be noise
 _LEAST = 10  # samples in a row
 _LONGER = 10  # times the usual value in the channel
 _JITTER = 0.25  # share of second differences that change sign: 0.73 in white noise
@@ -33,6 +31,8 @@ _SHARE = 0.2  # of the samples of a stretch, at a detected end
 
 def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
     """Masks (n,) "floor" and "ceiling" of a noisy channel: runs of at least 10 extremes, 10 times the usual length."""
+    from scipy.ndimage import uniform_filter1d  # 50 ms, of recordings alone
+
     count = len(values)
     if count < _LEAST:
         return {}
@@ -46,11 +46,13 @@ def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_
     inside = (heights != low) & (heights != high)
     if not _noisy(heights, inside):
         return {}
-    usual = _usual(lengths[inside])
+    usual = np.median(np.repeat(lengths[inside], lengths[inside]))  # of the samples
     for end, value in (("floor", low), ("ceiling", high)):
         longest = int(lengths[heights == value].max())
         if longest >= max(_LEAST, _LONGER * usual):
-            masks[end] = _stretches(values == value)
+            masks[end] = at_end = values == value
+            share = uniform_filter1d(at_end.astype(np.float64), 2 * _LEAST + 1, mode="constant")
+            masks[end] = at_end | (share >= _SHARE)
     return masks
 
 
@@ -62,25 +64,6 @@ def _noisy(heights: NDArray[np.float64], inside: NDArray[np.bool_]) -> bool:
     if not within.any():
         return False
     return bool(np.mean((bend[:-1] * bend[1:] < 0)[within]) > _JITTER)
-
-
-def _usual(lengths: NDArray[np.int64]) -> int:
-    """Run length of the median sample."""
-    counts = np.bincount(lengths)
-    samples = np.cumsum(counts * np.arange(len(counts)))
-    return int(np.searchsorted(samples, samples[-1] / 2))
-
-
-def _stretches(at_end: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Saturated samples, and samples with at least a fifth of their neighbours saturated."""
-    window = 2 * _LEAST + 1
-    if len(at_end) < window:
-        return at_end
-    total = np.concatenate([[0], np.cumsum(at_end, dtype=np.int32)])
-    share = (total[window:] - total[:-window]) / window
-    dense = np.zeros(len(at_end), bool)
-    dense[_LEAST : _LEAST + len(share)] = share >= _SHARE
-    return at_end | dense
 
 
 _GAP = 10  # usual intervals
@@ -166,8 +149,10 @@ def extracted_points(
         points, more = without_offset(points)
         points, notes = with_notes(points, more), notes + more
     dataset = IsobaricDataset(points)
-    _check_sign(dataset)
-    notes += [question.problem.message for question in _questions(dataset)]
+    asked = questions_of(dataset, np.arange(1, len(dataset) + 1))
+    if wrong := [question.problem for question in asked if not question.topic and len(dataset)]:
+        raise DatasetError(dataset.table.attrs["source"] or "recording", wrong)
+    notes += [question.problem.message for question in asked]
     words = [
         points[name].to_numpy() if name in points else np.full(len(dataset), "") for name in ("direction", "phase")
     ]
@@ -183,26 +168,6 @@ def extracted_points(
         account.counts(rest),
         tuple(notes),
     )
-
-
-def _check_sign(dataset: IsobaricDataset) -> None:
-    """Raise a `DatasetError` if most forces are negative, and do not rise with the pressure."""
-    pressure, force = dataset.pressure, dataset.force
-    limit = _SMALL * np.abs(force).max(initial=0.0)
-    falls = (pressure - pressure.mean()) @ force <= 0  # otherwise it is a pull with an offset
-    if falls and np.count_nonzero(force < -limit) > np.count_nonzero(force > limit):
-        text = f"most forces are negative, down to {force.min():.4g} N, but a muscle only pulls"
-        remedy = "turn the sign: force_sign=-1 (command line: --column 'HEADER=-force_N')"
-        source = dataset.table.attrs["source"] or "recording"
-        raise DatasetError(source, [Problem(text, field="force", remedy=remedy)])
-
-
-def _questions(dataset: IsobaricDataset) -> list[Question]:
-    """Questions that the numbers of points raise."""
-    force, rows = dataset.force, np.arange(1, len(dataset) + 1)
-    slack = dataset.table.attrs["slack_force"]
-    points = Points(dataset.pressure, dataset.contraction, force, rows, slack)
-    return [*questions_of_points(points), *questions_of_labels(dataset)]
 
 
 class SampleAccount:

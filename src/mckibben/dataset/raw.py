@@ -5,15 +5,19 @@ from __future__ import annotations
 import os
 import stat
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mckibben.errors import DatasetError, Problem
 from mckibben.storage.files import similar_file
+
+if TYPE_CHECKING:
+    import h5py
 
 Floats = NDArray[np.float64]
 
@@ -135,3 +139,30 @@ def several(what: str, names: Sequence[str]) -> Problem:
     """Question of which of several parts of a file is to be read."""
     remedy = f"choose one: part={names[0]!r} in Python or in a recipe (command line: --read FILE.yaml)"
     return Problem(f"has several {what} of measurements: {', '.join(names[:20])}", remedy=remedy)
+
+
+def hdf5_nodes(
+    file: h5py.Group, budget: Budget, separator: str = "/"
+) -> Iterator[tuple[str, h5py.Group | h5py.Dataset | None]]:
+    """Name and node of each group and dataset, each once; None in place of a link, which is not followed.
+
+    Datasets whose values are in other files are links too.
+    """
+    import h5py
+
+    visited: set[object] = set()
+    waiting: list[tuple[str, h5py.Group]] = [("", file)]
+    for prefix, group in waiting:
+        for key in group:
+            budget.spend(columns=len(visited))
+            name = f"{prefix}{separator}{key}" if prefix else key
+            node = group[key] if isinstance(group.get(key, getlink=True), h5py.HardLink) else None
+            address = None if node is None else h5py.h5o.get_info(node.id).addr
+            if address in visited or key.startswith("#"):
+                continue
+            if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external):
+                node = None
+            visited |= {address} - {None}
+            yield name, node
+            if isinstance(node, h5py.Group):
+                waiting.append((name, node))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from mckibben.dataset.checks import Points, questions_of_labels, questions_of_points
+from mckibben.dataset.checks import questions_of
 from mckibben.dataset.file_names import add_from_name
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
@@ -125,8 +125,7 @@ def check_points(
         if dataset.lines
         else np.arange(1, len(dataset) + 1)
     )
-    points = Points(dataset.pressure, dataset.contraction, dataset.force, lines, dataset.table.attrs["slack_force"])
-    asked = [*questions_of_points(points, specimen), *questions_of_labels(dataset)]
+    asked = questions_of(dataset, lines, specimen)
     if problems := [question.problem for question in asked if question.topic not in accept or not question.topic]:
         raise DatasetError(source, [_with_header(problem, dataset) for problem in problems])
 
@@ -166,36 +165,18 @@ def _understood(path: Path, recipe: Recipe, needed: Sequence[str]) -> tuple[Tabl
         raise DatasetError(str(path), [Problem("needs more memory than there is", remedy=LIMIT_REMEDY)]) from None
 
 
-def _attributes(table: Table) -> dict[str, str | float | None]:
-    return {
-        "specimen": table.specimen,
-        "source": table.source,
-        "initial_length": table.initial_length,
-        "slack_force": table.slack_force or 0.0,
-    }
-
-
-def _attributes_of_reading(table: Table) -> dict[str, str]:
-    """Attributes that say how a file was read."""
-    texts = {
-        "columns_read": str(table),
-        "ignored_columns": ", ".join(table.ignored),
-        "repairs": "\n".join(table.repairs),
-    }
-    return {name: text for name, text in texts.items() if text}
-
-
 def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, own: bool = False) -> Kind:
     """Dataset or recording of the columns of a file; errors name it."""
     try:
-        made = kind.of(**values, **_attributes(table))  # type: ignore[arg-type]
+        attrs = {name: getattr(table, name) for name in ("specimen", "source", "initial_length")}
+        made = kind.of(**values, **attrs, slack_force=table.slack_force or 0.0)  # type: ignore[arg-type]
     except DatasetError as error:
         raise DatasetError(str(table.path), error.problems) from None
     units = {name: column.unit for name, column in table.columns.items()}
-    attrs = _attributes_of_reading(table)
-    if own:
-        attrs = {name: text for name, text in attrs.items() if name == "repairs"}
-        attrs |= {"preprocessing": table.preprocessing} if table.preprocessing != "none" else {}
+    attrs = {"columns_read": str(table), "ignored_columns": ", ".join(table.ignored)} if not own else {}
+    attrs |= {"repairs": "\n".join(table.repairs)}
+    attrs |= {"preprocessing": table.preprocessing} if own and table.preprocessing != "none" else {}
+    attrs = {name: text for name, text in attrs.items() if text}
     headers = {name: column.header for name, column in table.columns.items()}
     lines = FileLines(table.place, table.lines.tolist(), units, headers=headers, columns=() if own else table.rows())
     return replace(kind(made.table.assign_attrs(attrs)), lines=(lines,))
@@ -233,38 +214,28 @@ def _read_samples(path: Path, recipe: Recipe) -> Recording:
         step = 1 / rate if rate else table.interval
         if step is None:
             near = f"; {table.clock!r} is not understood as a clock" if table.clock else ""
-            table.questions.append(_no_clock(near))
+            missing = Problem(f"no column for the time, and no sample rate{near}", field="time", remedy=_RATE)
+            table.questions.append(Question(missing))
         values["time"] = (table.lines - (table.lines[0] if len(table.lines) else 0)) * (step or 1.0)
     elif recipe.sample_rate:
-        table.questions.append(_no_clock("sample_rate is given, but the file has times"))
+        text, remedy = "sample_rate is given, but the file has times", "leave sample_rate out"
+        table.questions.append(Question(Problem(text, field="sample_rate", remedy=remedy)))
     if motion:
         values["contraction"] = np.full(len(values["time"]), recipe.contraction)
     table.ask(recipe.accept)
     return _made(Recording, table, values)
 
 
-def _no_clock(text: str) -> Question:
-    if text.startswith("sample_rate"):
-        return Question(Problem(text, field="sample_rate", remedy="leave sample_rate out"))
-    return Question(Problem(f"no column for the time, and no sample rate{text}", field="time", remedy=_RATE))
-
-
 def _own(kind: type[Kind], path: Path, recipe: Recipe) -> Kind:
     """Dataset or recording of a file that this program wrote, with the options that apply."""
-    if recipe.columns or recipe.from_name:
-        problem = Problem(
-            "was written by this program: its columns cannot be renamed", remedy="leave columns and from_name out"
-        )
-        raise DatasetError(str(path), [problem])
+    others = ("columns", "from_name", "force_sign", "largest_force")
+    if any(getattr(recipe, name) is not None for name in others):
+        remedy = f"leave out {', '.join(others)}"
+        raise DatasetError(str(path), [Problem("was written by this program: it is read as it is", remedy=remedy)])
     data = load_validated(path, lambda table: kind(_samples_as_points(table) if kind is IsobaricDataset else table))
     options = {name: getattr(recipe, name) for name in ("initial_length", "specimen", "slack_force")}
     changes = {name: value for name, value in options.items() if value not in (None, "")}
-    table = data.table.assign(force=(recipe.force_sign or 1) * data.table["force"])
-    if recipe.largest_force is not None:
-        table = table.isel({table["force"].dims[0]: (table["force"] < recipe.largest_force).to_numpy()})
-    return (
-        kind(table.assign_attrs(changes)) if changes or recipe.force_sign or recipe.largest_force is not None else data
-    )
+    return kind(data.table.assign_attrs(changes)) if changes else data
 
 
 def _samples_as_points(table: xr.Dataset) -> xr.Dataset:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Self, Typ
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.raw import Budget, check_regular, unreadable
+from mckibben.dataset.raw import Budget, check_regular, hdf5_nodes, unreadable
 from mckibben.errors import DatasetError, FileError, Problem, Suggesting
 from mckibben.storage.files import atomic_write
 
@@ -88,17 +88,17 @@ def _normalize_attributes(attrs: Mapping[Hashable, Any]) -> tuple[dict[Hashable,
     for name in ("specimen", "source"):
         attrs[name] = str(attrs.get(name, ""))
     for name, default in (("slack_force", 0.0), ("initial_length", None)):
-        value = attrs.get(name, default)
-        if value is None:
-            attrs.pop(name, None)
+        value = attrs.pop(name, None)
+        if (value := default if value is None else value) is None:
             continue
-        number = None if isinstance(value, bool | np.bool_) else _finite(value)
-        if number is None:
+        try:
+            attrs[name] = number = math.nan if isinstance(value, bool | np.bool_) else float(value)
+        except (TypeError, ValueError, OverflowError):
+            number = math.nan
+        if not math.isfinite(number):
             problems.append(Problem(f"{value!r} is not a finite number", field=name))
         elif name == "initial_length" and number <= 0:
             problems.append(Problem(f"{number:g} m is not above 0", field=name))
-        else:
-            attrs[name] = number
     return attrs, problems
 
 
@@ -162,25 +162,13 @@ def _settled(name: str, values: np.ndarray, dims: tuple[str, ...]) -> np.ndarray
         single = len(dims) > 1 and values.dtype == np.float32
         as_column = values.view() if single else np.asarray(values, np.float64).view()
     elif name in WORDS:
-        as_column = _owned(values, "<U9" if _words(name, values) else "U")
+        as_column = np.array(values, "<U9")
     elif name == "repeat" and np.all(np.isfinite(values) & (values == np.round(values))):
-        as_column = _owned(values, np.int64)
+        as_column = np.array(values, np.int64)
     else:
-        as_column = _owned(values, np.float64)
+        as_column = np.array(values, np.float64)
     as_column.setflags(write=False)
     return as_column
-
-
-def _owned(values: np.ndarray, dtype: Any) -> np.ndarray:
-    """Copy of an array, or the array itself if nothing can change it, as those of a table that was normalised."""
-    owner = values if values.base is None else values.base
-    frozen = isinstance(owner, np.ndarray) and owner.flags.owndata and not owner.flags.writeable
-    unchanging = frozen and not values.flags.writeable
-    return np.array(values, dtype, copy=None if unchanging else True)
-
-
-def _words(name: str, values: np.ndarray) -> bool:
-    return bool(np.isin(values.astype(str, copy=False), [*WORDS[name], ""]).all())
 
 
 def _value_problems(name: str, values: np.ndarray, place: str) -> Iterator[Problem]:
@@ -210,14 +198,6 @@ def _first(bad: np.ndarray, values: np.ndarray, name: str, what: str, remedy: st
     value = values[at].item()
     shown = f"{value:g}" if isinstance(value, float) else repr(value)
     return Problem(f"{shown} at {place} {at[0]} {what}{more}", field=name, remedy=remedy)
-
-
-def _finite(value: object) -> float | None:
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
-        return None
-    return number if math.isfinite(number) else None
 
 
 def format_range(values: np.ndarray) -> str:
@@ -264,25 +244,11 @@ def _check_netcdf(path: Path, size: int) -> None:
 
     budget = Budget(path, most=max(2**28, 4 * size))
     with h5py.File(path, "r") as file:
-        visited: set[object] = set()
-        waiting: list[tuple[str, h5py.Group]] = [("", file)]
-        while waiting:
-            prefix, group = waiting.pop()
-            for key in group:
-                budget.spend()
-                if not isinstance(group.get(key, getlink=True), h5py.HardLink):
-                    raise DatasetError(str(path), [Problem("is a link", field=f"{prefix}/{key}")])
-                node = group[key]
-                if isinstance(node, h5py.Group):
-                    address = h5py.h5o.get_info(node.id).addr
-                    if address in visited:
-                        raise DatasetError(str(path), [Problem("is a group in itself", field=f"{prefix}/{key}")])
-                    visited.add(address)
-                    waiting.append((f"{prefix}/{key}", node))
-                elif isinstance(node, h5py.Dataset) and node.shape is not None:
-                    if node.external or node.is_virtual:
-                        raise DatasetError(str(path), [Problem("refers to other files", field=f"{prefix}/{key}")])
-                    budget.spend(size=node.nbytes)
+        for name, node in hdf5_nodes(file, budget):
+            if node is None:
+                raise DatasetError(str(path), [Problem("refers to other data", field=name)])
+            if isinstance(node, h5py.Dataset) and node.shape is not None:
+                budget.spend(size=node.nbytes)
 
 
 def holds_own_table(path: Path) -> bool:

@@ -29,8 +29,6 @@ def steady_segments(
     """Segments of at least `dwell` samples in which the means of each signal stay within its tolerance."""
     count = len(broken)
     none = np.empty(0, np.int64)
-    if count < dwell:
-        return Segments(none, none, np.zeros(count, bool), 0)
     size = max(1, dwell // _PARTS)
     window = -(-dwell // size)
     edges = np.arange(0, count - size + 1, size)  # the last block takes the remainder

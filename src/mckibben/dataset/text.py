@@ -97,42 +97,38 @@ def read_lines(
     layout = find_layout(lines, mapping)
     if layout is None:
         raise DatasetError(str(path), [_no_header(lines)])
-    separator, names = layout.separator, layout.names
-    if _STAMP in names[0]:
-        lines, names = [line.replace(_STAMP, separator, 1) for line in lines], names[0].split(_STAMP) + names[1:]
-        names[0] = "time"
+    separator = layout.separator
+    if _STAMP in layout.names[0]:
+        lines = [line.replace(_STAMP, separator, 1) for line in lines]
+        layout = layout._replace(names=["time", layout.names[0].partition(_STAMP)[2], *layout.names[1:]])
     _take_words(table, enumerate(lines[: max(layout.row, 0)], 1))
-    units, first = _units_below(table, lines, layout.row + 1, separator, len(names))
-    if first < len(lines) and len(wide := _split(lines[first], separator)) == len(names) + 1:
-        if not wide[-1]:
-            names, units = [*names, ""], [*units, ""]
-        elif separator != "," or "." in lines[first]:  # decimal commas would look like row numbers
-            names, units = ["", *names], ["", *units]
+    names, units, first = _header(table, lines, layout)
     rows = _rows(table, lines, first, separator, names)
     if not rows:
         none = Problem("has a header, and no rows of numbers", line=layout.row + 1)
         raise DatasetError(str(path), table.corrupt or [none])
     budget.spend(rows=len(rows), columns=len(names), size=8 * len(rows) * len(names))
-    table.lines = [number for number, _ in rows]
-    bodies = [line for _, line in rows]
-    if decimal or settled:
-        table.decimal = decimal or settled
-    else:
+    bodies, table.lines = [line for _, line in rows], [number for number, _ in rows]
+    table.decimal = decimal or settled
+    if not table.decimal:
         sample = bodies[:: 1 + len(bodies) // _SAMPLED]
-        table.decimal, table.ambiguous = decimal_sign(
-            [cell for line in sample for cell in _split(line, separator)], separator
-        )
-    cells = _cells(bodies, separator, table.decimal, len(names), path)
-    for at, (name, unit, column) in enumerate(zip(names, units, cells, strict=True)):
-        repeats = f" ({at + 1})" if name and name in names[:at] else ""
-        column, beside = _as_numbers(column, table.decimal, certain=bool(decimal))
-        full = f"{name}{repeats}" if name else f"column {at + 1}"
-        table.columns.append(RawColumn(full, column, label=name, unit=unit or beside))
-    *others, last = [len(_LAST_DECIMALS.search(line)[1] or "") for line in bodies[-50:]]  # type: ignore[index]
-    if rows[-1][0] == len(lines) and len(others) > 3 and len({*others}) == 1 and last < others[0]:
+        cells = [cell for line in sample for cell in _split(line, separator)]
+        table.decimal, table.ambiguous = decimal_sign(cells, separator)
+    for at, column in enumerate(_cells(bodies, separator, table.decimal, len(names), path)):
+        repeats = f" ({at + 1})" if names[at] in names[:at] else ""
+        numbers, beside = _as_numbers(column, table.decimal, certain=bool(decimal))
+        name = f"{names[at]}{repeats}" if names[at] else f"column {at + 1}"
+        table.columns.append(RawColumn(name, numbers, label=names[at], unit=units[at] or beside))
+    if rows[-1][0] == len(lines) and _is_cut(bodies[-50:]):
         text = "its last number has fewer digits than all others: was the file truncated?"
         table.corrupt.append(Problem(text, line=rows[-1][0]))
     return table
+
+
+def _is_cut(rows: Sequence[str]) -> bool:
+    """Whether the last number of the last row has fewer decimals than those of all others, which have equally many."""
+    *others, last = (len(match[1] or "") for row in rows if (match := _LAST_DECIMALS.search(row)))
+    return len(others) > 3 and len({*others}) == 1 and last < others[0]
 
 
 def find_layout(lines: Sequence[str], mapping: Mapping[str, str]) -> Layout | None:
@@ -210,22 +206,25 @@ def _take_words(table: RawTable, lines: Iterable[tuple[int, str]]) -> None:
             table.words.append((number, bare))
 
 
-def _units_below(
-    table: RawTable, lines: Sequence[str], first: int, separator: str, count: int
-) -> tuple[list[str], int]:
-    """Units in rows between header and numbers, and the first row of numbers; other rows there are words."""
-    units = [""] * count
-    for row in range(first, min(first + 5, len(lines))):
-        cells = [cell.strip("[]() ") for cell in _split(lines[row], separator)]
+def _header(table: RawTable, lines: Sequence[str], layout: Layout) -> tuple[list[str], list[str], int]:
+    """Names and units of the columns, and the first row of numbers; rows between that are no units are words."""
+    names, units, first = layout.names, [""] * len(layout.names), layout.row + 1
+    for first in range(layout.row + 1, min(layout.row + 6, len(lines))):
+        cells = [cell.strip("[]() ") for cell in _split(lines[first], layout.separator)]
         numbers = [cell for cell in cells if _BEGINS.match(cell)]
-        if any(map(dimension_of, cells)) and {*numbers} <= {"1"} and len(cells) <= count:
+        if any(map(dimension_of, cells)) and {*numbers} <= {"1"} and len(cells) <= len(names):
             named = [cell if dimension_of(cell) or cell in ("-", "1") else "" for cell in cells]
             units = [*named, *units[len(named) :]]
         elif numbers:
-            return units, row
+            break
         else:
-            _take_words(table, [(row + 1, lines[row])])
-    return units, min(first + 5, len(lines))
+            _take_words(table, [(first + 1, lines[first])])
+    if first < len(lines) and len(wide := _split(lines[first], layout.separator)) == len(names) + 1:
+        if not wide[-1]:
+            return [*names, ""], [*units, ""], first
+        if layout.separator != "," or "." in lines[first]:  # decimal commas would look like row numbers
+            return ["", *names], ["", *units], first
+    return names, units, first
 
 
 def _rows(

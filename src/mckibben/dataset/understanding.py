@@ -207,7 +207,7 @@ class _Reader:
                 meant = _COLUMN_REMEDY.format(entry.column.name, f"{entry.header.quantity}_{entry.header.unit}")
                 text = f"and {other.column.name!r} are both a {kind.replace('_', ' ')}"
                 self.ask(text, field=entry.column.name, remedy=f"name the one that is meant: {meant}")
-        return list(chosen.values())
+        return sorted(chosen.values(), key=understood.index)
 
     def _check_mapping(self) -> None:
         """Questions about headers of the recipe that the file does not have."""

@@ -28,9 +28,9 @@ _QUANTITY = re.compile(
     r"kontraktion|verk[uü]rzung|l[äa]ngen?|weg|einheiten?|muskel[n]?|[Fp](?=_| ?[=\[(]))(?![a-z])",
     re.IGNORECASE,
 )
-_OF_UNIT = re.compile(r"(?<![a-z])(?:units?|einheit(?:en)?)\b[\s:;,=]*(.+)", re.IGNORECASE)
+_AFTER_UNIT = re.compile(r"(?:units?|einheit(?:en)?)[\s:;,=]*$", re.IGNORECASE)
 _UNIT = re.compile(r"(?<![\w.])([A-Za-z%][A-Za-z0-9/^²%]{0,8})(?![\w])")
-_NUMBER_BEFORE = re.compile(r"\d\s*$")
+_WORDS = ("p", "P", "m", "g", "in", "at")  # which are units too
 _LONGEST = 400  # characters
 
 
@@ -51,41 +51,16 @@ def doubtful_words(words: Sequence[tuple[int | None, str]], units: Collection[st
     """
     for line, text in words:
         short = text[:_LONGEST]
-        said = _OF_UNIT.search(short)
-        changes = _CHANGES.search(short) and not _dated(short)
-        other = (said and _contradicts(said[1], units)) or any(
-            _is_other_unit(short, match, units) for match in _UNIT.finditer(short)
-        )
-        if changes or other:
+        dated = re.match(r"(?:last )?(?:calib|kalib)\w* ?(?:date|datum|due)", short, re.IGNORECASE)
+        if (_CHANGES.search(short) and not dated) or any(_other_units(short, units)):
             yield line, short
 
 
-def _contradicts(text: str, units: Collection[str]) -> bool:
-    """Whether a text names units, none of which is that of a column."""
-    named = [canonical_unit(word, dimension_of(word)) for word in re.split(r"[\s,;]+", text) if dimension_of(word)]
-    return bool(named) and not any(unit in units for unit in named)
-
-
-def _dated(text: str) -> bool:
-    """Whether a text is only the date of a calibration or correction."""
-    return bool(re.match(r"(?:last )?(?:calib|kalib)\w* ?(?:date|datum|due)", text, re.IGNORECASE))
-
-
-def _is_other_unit(text: str, match: re.Match[str], units: Collection[str]) -> bool:
-    """Whether a word is a unit of pressure, force or length, has no number before it, and is of no column."""
-    word = match[1]
-    quantity = dimension_of(word)
-    if quantity not in ("pressure", "force", "length", "contraction") or word in (
-        "p",
-        "P",
-        "m",
-        "g",
-        "in",
-        "at",
-        "1",
-        "-",
-    ):
-        return False
-    if _NUMBER_BEFORE.search(text[: match.start()]) and not _QUANTITY.search(text):
-        return False
-    return canonical_unit(word, quantity) not in units
+def _other_units(text: str, units: Collection[str]) -> Iterator[bool]:
+    """Whether each unit of pressure, force, length or contraction that is not that of a number is of no column."""
+    for match in _UNIT.finditer(text):
+        before, quantity = text[: match.start()], dimension_of(match[1])
+        if quantity in ("", "time") or (match[1] in _WORDS and not _AFTER_UNIT.search(before)):
+            continue
+        if not re.search(r"\d\s*$", before) or _QUANTITY.search(text):
+            yield canonical_unit(match[1], quantity) not in units
