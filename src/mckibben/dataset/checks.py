@@ -75,11 +75,19 @@ class Points:
         """A question, about a row."""
         place = "" if row is None else " at {:.3g} bar, {:.3g} %, {:.4g} N".format(*self.table[row])
         line = None if row is None else int(self.lines[row])
-        return question(topic, f"{text}{place}", line=line, field=field, remedy=_REMEDIES[topic])
+        return question(f"{text}{place}", topic, line=line, field=field, remedy=_REMEDIES[topic])
 
 
 def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen | None = None) -> list[Question]:
-    """Questions that the numbers and labels of a dataset raise; `lines` are those of its points in their file."""
+    """Questions that the numbers and labels of a dataset raise.
+
+    Parameters
+    ----------
+    lines
+        Shape (points,): line of each point in its file.
+    specimen
+        Muscle whose diameter the largest force has to fit; default: any muscle.
+    """
     slack = dataset.table.attrs["slack_force"]
     points = Points(dataset.pressure, dataset.contraction, dataset.force, np.asarray(lines), slack)
     return [*questions_of_points(points, specimen), *_labels(dataset)]
@@ -88,7 +96,24 @@ def questions_of(dataset: IsobaricDataset, lines: ArrayLike, specimen: Specimen 
 def questions_of_points(points: Points, specimen: Specimen | None = None, *, most: int = 3000) -> list[Question]:
     """Questions that the numbers raise; only those of sign and ranges where there are any.
 
-    Of more than `most` points, every second, third ... is compared with the others.
+    Parameters
+    ----------
+    points
+        Points in the order of their rows.
+    specimen
+        As for `questions_of`.
+    most
+        Number of points that are compared with each other; of more, every second, third ... is taken.
+
+    Examples
+    --------
+    >>> pressure, contraction = (grid.ravel() for grid in np.meshgrid([1e5, 2e5, 3e5], np.linspace(0.0, 0.15, 6)))
+    >>> force = 2.6e-3 * pressure * (1 - contraction / 0.26) ** 2
+    >>> rows = np.arange(1, 19)
+    >>> questions_of_points(Points(pressure, contraction, force, rows))
+    []
+    >>> [question.topic for question in questions_of_points(Points(pressure, contraction, force + 200, rows))]
+    ['zero']
     """
     if not len(points.force):
         return [Question(Problem("has no rows of numbers"))]
@@ -146,7 +171,11 @@ def _ranges(points: Points, specimen: Specimen | None) -> Iterator[Question]:
 
 
 def _copies(points: Points) -> Iterator[Question]:
-    """Rows that are no measurements: copies, zeros of all columns, numbers of channels, and means of other rows."""
+    """Rows that are no measurements of their own.
+
+    Blocks of rows that repeat others, zeros of all columns, numbers of channels in the first row, and a first or last
+    row, of the table or of a pressure, that equals the mean or median of the others to the last decimal.
+    """
     rows = points.table
     _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
     earlier = first[inverse.ravel()]
@@ -172,13 +201,21 @@ def _copies(points: Points) -> Iterator[Question]:
 
 
 def _resolution(values: Floats) -> float:
-    """Power of ten of the last decimal of numbers."""
+    """Power of ten of the last decimal of numbers.
+
+    >>> _resolution(np.array([1.25, 3.0])), _resolution(np.array([120.0, 50.0]))
+    (0.01, 10.0)
+    """
     steps = (10.0**-digits for digits in range(-3, 9))
     return next((step for step in steps if np.allclose(values, step * np.round(values / step), 0, 1e-6 * step)), 1e-9)
 
 
 def _saturated(points: Points) -> Iterator[Question]:
-    """Largest values that repeat more than others do, and forces near the largest under very different conditions."""
+    """Readings at the end of a sensor's range.
+
+    The largest force repeats, or forces within 3 % of it belong to points of which one has 15 % more pressure and is
+    shorter, or is shorter by a quarter of the stroke; or pressures of the highest level alone do not scatter.
+    """
     level = pressure_levels(points.pressure)
     parts = [points.pressure[level == value] for value in np.unique(level[np.isfinite(level)])]
     *others, last = [0.0, 0.0, *(np.mean(part == part.max()) for part in parts if len(part) > 3)]
@@ -208,7 +245,12 @@ def _counted(points: Points) -> Iterator[Question]:
 
 
 def _surface(points: Points) -> Iterator[Question]:
-    """Slopes and residuals of ``F = p (a + b x + c x^2) + d + e x + f exp(-6 x)`` of the taut points, x up to 1."""
+    """Slopes and residuals of ``F = p (a + b x + c x^2) + d + e x + f exp(-6 x)`` of the taut points, x up to 1.
+
+    The force has to rise with the pressure and to fall with the contraction, as a plane through the points shows. A
+    point is off the surface if it differs by a quarter of its force, and by four times as much as 80 % of the points
+    do. Slack points count only if another one, at no more pressure and no longer, pulls.
+    """
     rows, taut, largest = points.table, np.flatnonzero(points.taut), points.force.max()
     if 6 * len(taut) < len(rows):
         yield points.ask("order", "nearly all forces are below 5 % of the largest,", int(np.argmax(points.force)))
@@ -293,7 +335,7 @@ def _labels(dataset: IsobaricDataset) -> Iterator[Question]:
     table, level = dataset.table, dataset.levels
     if np.any(apart := np.abs(level - dataset.pressure) > 0.2 * dataset.pressure.max(initial=0.0)):
         text = f"{np.count_nonzero(apart)} set pressures are far from the measured ones"
-        yield question("order", text, field="set_pressure", remedy="check its unit, or ignore the column")
+        yield question(text, "order", field="set_pressure", remedy="check its unit, or ignore the column")
     if "direction" in table:
         label = table["direction"].to_numpy()
         steps = np.where(np.diff(level) == 0, np.diff(dataset.contraction), 0.0)
@@ -301,4 +343,4 @@ def _labels(dataset: IsobaricDataset) -> Iterator[Question]:
         signs = [sign * steps[used & (label[1:] == word)] > 0 for word, sign in (("loading", 1), ("unloading", -1))]
         if all(len(wrong) > 2 and wrong.mean() > 0.9 for wrong in signs):  # of one direction they may be sorted
             text = "the contraction grows in loading and falls in unloading, but loading is being stretched"
-            yield question("order", text, field="direction", remedy="exchange the words")
+            yield question(text, "order", field="direction", remedy="exchange the words")

@@ -32,6 +32,22 @@ def seconds_of(header: Header, cells: Floats | Sequence[str]) -> Floats | None:
         Header of the column, with its unit if it states one.
     cells
         Shape (samples,): numbers, or texts such as ``2024-03-12T14:02:00.5Z`` or ``12.03.2024 14:02:00,5``.
+
+    Returns
+    -------
+    ndarray or None
+        Shape (samples,). A number with a unit is the time since a start of its own; one of the size of an epoch counts
+        from 1970 in s, ms, us or ns. A time of day passes midnight where it falls by more than half a day. A date is
+        understood if both orders of day and month give the same times, or only one of them is possible.
+
+    Examples
+    --------
+    >>> seconds_of(Header("time", ""), ["31.01.2024 23:59:59", "01.02.2024 00:00:01"]).tolist()
+    [0.0, 2.0]
+    >>> seconds_of(Header("time", ""), ["01.02.2024 23:59:59", "02.02.2024 00:00:01"]) is None
+    True
+    >>> seconds_of(Header("time", ""), np.array([1710252120500.0, 1710252121000.0])).tolist()
+    [0.0, 0.5]
     """
     if isinstance(cells, np.ndarray):
         if not len(cells) or not np.isfinite(cells).all():

@@ -16,14 +16,26 @@ _NUMBER = r"([-+]?\d+(?:[.,]\d+)?)"
 
 
 def pattern_problem(pattern: str) -> str:
-    """Why a pattern has no quantity with a unit in braces; empty if it is right."""
+    """Why a pattern has no quantity with a unit in braces; empty if it is right.
+
+    >>> pattern_problem("L{length_mm}mm"), pattern_problem("L{length}")
+    ('', "'L{length}' has no quantity and unit in braces")
+    """
     headers = [parse_header(name) for name in _FIELD.findall(pattern)]
     right = headers and all(header.quantity and header.unit for header in headers)
     return "" if right else f"{pattern!r:.60} has no quantity and unit in braces"
 
 
 def add_from_name(table: RawTable, path: Path, pattern: str) -> None:
-    """Add a constant column for each number that a pattern finds in the name of a file."""
+    """Add a constant column for each number that a pattern finds in the name of a file.
+
+    Raises a `DatasetError` if the pattern matches nowhere in the name, or with different numbers.
+
+    >>> table = RawTable(lines=range(3))
+    >>> add_from_name(table, Path("Muscle_L190mm.csv"), "L{length_mm}mm")
+    >>> table.columns[0].label, table.columns[0].cells.tolist()
+    ('length_mm', [190.0, 190.0, 190.0])
+    """
     literal = _FIELD.split(pattern)[::2]
     text = _NUMBER.join(map(re.escape, literal))
     if not literal[0]:

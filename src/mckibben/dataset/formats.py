@@ -48,12 +48,21 @@ _SAYS_NOTHING = re.compile(
 
 
 def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: str = "") -> RawTable:
-    """Raw columns of a file of any format; `part` names a sheet, group or struct of several.
+    """Raw columns of a file of any format, which its first bytes tell.
+
+    Parameters
+    ----------
+    mapping
+        Headers of the recipe with their names, which are understood in any case.
+    decimal
+        Decimal sign of a text, if the recipe has one.
+    part
+        Sheet, group or struct, of several.
 
     Raises
     ------
     DatasetError
-        For a file that is missing, damaged, too large, or of a format that is not read.
+        For a file that is missing, damaged, too large, or of a format that is not read; a known one has a remedy.
     """
     data = read_bytes(path)
     head, budget = data[:64].lstrip().lower(), Budget(path)
@@ -222,7 +231,10 @@ def _add_variable(table: RawTable, name: str, value: Value, unit: str = "") -> N
 
 
 def _add_struct(table: RawTable, name: str, value: dict[str, Value]) -> None:
-    """Add the fields of a struct, of Simulink (label, values) or of dSPACE (Name, Data, Unit) too."""
+    """Add the fields of a struct.
+
+    Those of Simulink have a time and signals with label and values, those of dSPACE Name, Data and Unit.
+    """
     texts = {key.lower(): text for key, text in value.items() if isinstance(text, str)}
     label = texts.get("label", texts.get("name", ""))
     content = next((value[key] for key in ("values", "Data") if isinstance(value.get(key), np.ndarray)), None)
@@ -300,7 +312,10 @@ def _one_group(path: Path, table: RawTable, part: str, mapping: Mapping[str, str
 
 
 def _common_length(path: Path, columns: Sequence[RawColumn], mapping: Mapping[str, str]) -> int:
-    """Length of all columns that are understood, or of the longest one if there are none."""
+    """Length of all columns that are understood, or of the longest one if there are none.
+
+    Raises a `DatasetError` if they differ: a question for the group of columns that is meant, if there are several.
+    """
     read = [column for column in columns if _is_understood(column, mapping)]
     lengths = {len(column.cells) for column in read} or {max(len(column.cells) for column in columns)}
     if len(lengths) > 1:

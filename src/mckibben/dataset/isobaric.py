@@ -32,7 +32,24 @@ _LOWEST = 0.08 * bar  # highest pressure of a muscle test
 def matching(column: np.ndarray, values: ArrayLike, name: str, tolerance: float = 0.0) -> NDArray[np.bool_]:
     """Mask of the points whose entry in a column is one of the values, each of which must match a point.
 
-    Numbers match within `tolerance`; a `RangeError` names the missing values and those that there are.
+    Parameters
+    ----------
+    column
+        Shape (points,).
+    values
+        A value, or several.
+    tolerance
+        Within which numbers match.
+
+    Raises
+    ------
+    RangeError
+        With the values that no point has, and those that there are.
+
+    Examples
+    --------
+    >>> matching(np.array([1.0, 2.0, 2.001]), 2.0, "pressure [bar]", 0.01).tolist()
+    [False, True, True]
     """
     wanted, present = np.atleast_1d(np.asarray(values)).ravel(), np.unique(column)
     close = np.abs(column[:, None] - wanted) <= tolerance if tolerance else column[:, None] == wanted
@@ -45,7 +62,11 @@ def matching(column: np.ndarray, values: ArrayLike, name: str, tolerance: float 
 
 
 def format_list(values: np.ndarray, most: int = 24) -> str:
-    """Numbers or words as text, abbreviated if there are many."""
+    """Numbers or words as text, abbreviated if there are many.
+
+    >>> format_list(np.arange(5.0), most=3)
+    '0, 1, 2, ... (5 in all)'
+    """
     shown = [value if isinstance(value, str) else f"{value:g}" for value in values[:most].tolist()]
     return ", ".join(shown) + (f", ... ({len(values)} in all)" if len(values) > most else "")
 

@@ -34,7 +34,20 @@ class _Element(NamedTuple):
 
 
 class MatlabReader:
-    """Variables of a file; raises `ValueError` or `struct.error` if it is damaged."""
+    """Variables of a file.
+
+    Parameters
+    ----------
+    data
+        Content of the file.
+    budget
+        Limits of bytes and time: a small file may claim or hold more.
+
+    Raises
+    ------
+    ValueError, struct.error
+        If the file is damaged, also while variables are read.
+    """
 
     def __init__(self, data: bytes, budget: Budget) -> None:
         self.data, self.budget = memoryview(data), budget
@@ -43,7 +56,10 @@ class MatlabReader:
             raise ValueError("the header does not state the order of bytes")
 
     def variables(self) -> Iterator[tuple[str, Value]]:
-        """Name and value of each variable."""
+        """Name and value of each variable.
+
+        Numbers are arrays of float64 of the shape in MATLAB; a struct is a mapping of its fields, or a list of several.
+        """
         at = 128
         while at + 8 <= len(self.data):
             element = self._element(self.data, at)

@@ -30,7 +30,26 @@ _SHARE = 0.2  # of the samples of a stretch, at a detected end
 
 
 def saturated_samples(values: NDArray[np.float64]) -> dict[str, NDArray[np.bool_]]:
-    """Masks (n,) "floor" and "ceiling" of a noisy channel: runs of at least 10 extremes, 10 times the usual length."""
+    """Samples at the ends of a channel's range.
+
+    Parameters
+    ----------
+    values
+        Shape (samples,). Only a noisy channel has ends: a simulated one may stand still.
+
+    Returns
+    -------
+    dict
+        Masks of shape (samples,), "floor" and "ceiling": runs of at least ten extremes, ten times the usual length,
+        and samples with a fifth of such neighbours.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).normal(size=400)
+    >>> masks = saturated_samples(np.append(noise, np.full(50, 4.0)))
+    >>> [(end, bool(mask[400:].all())) for end, mask in masks.items()]
+    [('ceiling', True)]
+    """
     from scipy.ndimage import uniform_filter1d  # 50 ms, of recordings alone
 
     count = len(values)
@@ -135,10 +154,23 @@ class ExtractedPoints(Result):
 def extracted_points(
     table: xr.Dataset, account: SampleAccount, rest: str, samples: NDArray[np.int64], **columns: ArrayLike | None
 ) -> ExtractedPoints:
-    """Points of a recording's table; `columns` are the dataset columns and ``force_spread``.
+    """Points of a recording's table.
 
-    The offset of the load cell is subtracted, unless the slack force is known. Raises a `DatasetError` if most forces
-    are negative, and do not rise with the pressure.
+    The offset of the load cell is subtracted, unless the slack force is known.
+
+    Parameters
+    ----------
+    rest
+        Reason of the samples that have none.
+    samples
+        Shape (points,): number of samples of each point.
+    columns
+        Columns of the dataset and ``force_spread``, each of shape (points,).
+
+    Raises
+    ------
+    DatasetError
+        If most forces are negative, and do not rise with the pressure.
     """
     spread = np.asarray(columns.pop("force_spread"), np.float64)
     attrs = {name: value for name, value in table.attrs.items() if name not in OF_FILE}
@@ -171,7 +203,21 @@ def extracted_points(
 
 
 class SampleAccount:
-    """Use of each sample, or reason for its exclusion; the first reason counts."""
+    """Use of each sample, or reason for its exclusion; the first reason counts.
+
+    Gaps and steps back of the clock, and samples at the ends of the pressure's and force's ranges, are found at once.
+
+    Attributes
+    ----------
+    of
+        Shape (samples,): index in `reasons`, or -1.
+    broken
+        Shape (samples,): samples after a gap.
+    interval
+        Usual sampling interval [s].
+    notes
+        Findings, as text.
+    """
 
     def __init__(self, table: xr.Dataset, gap: float | None) -> None:
         self.table = table

@@ -30,7 +30,12 @@ _NOISE = 4.0  # standard deviations of the noise that count as slack
 def preprocess(table: xr.Dataset, *, slack_known: bool, files: Ints | None = None) -> xr.Dataset:
     """Table with unknown levels, directions, repeats and slack force estimated; `preprocessing` lists the estimates.
 
-    `files` numbers the file of each point, shape (points,); no stroke extends across two.
+    Parameters
+    ----------
+    slack_known
+        Whether the table's slack force holds; otherwise it and the offset of the load cell are estimated.
+    files
+        Shape (points,): number of the file of each point; no stroke extends across two.
     """
     table, notes = _with_set_pressures(table)
     table, more = _with_passes(table, files)
@@ -117,7 +122,29 @@ def _levels(table: xr.Dataset) -> Floats:
 
 
 def passes(groups: Ints, contraction: Floats, files: Ints | None = None) -> tuple[NDArray[np.str_], Ints] | None:
-    """Direction and repeat of each point from reversals of the contraction per group; None without reversals."""
+    """Direction and repeat of each point from reversals of the contraction per group; None without reversals.
+
+    Parameters
+    ----------
+    groups
+        Shape (points,): number of the pressure of each point.
+    contraction
+        Shape (points,): [-], in the order of the test.
+    files
+        Shape (points,): number of the file of each point.
+
+    Returns
+    -------
+    tuple or None
+        Direction, "loading" or "unloading", and repeat from 0, of shape (points,). None if most groups have one way
+        only, or less than three points per way.
+
+    Examples
+    --------
+    >>> direction, repeat = passes(np.zeros(8, int), np.array([0.0, 0.1, 0.2, 0.3, 0.25, 0.2, 0.1, 0.0]))
+    >>> direction[[0, 3, 4, 7]].tolist()
+    ['unloading', 'unloading', 'loading', 'loading']
+    """
     direction, repeat = np.zeros(len(groups), "<U9"), np.zeros(len(groups), int)
     reversing = count = 0
     order = np.argsort(groups, kind="stable")
@@ -162,7 +189,10 @@ def one_way_parts(values: Floats, reversal: float = 0.1) -> list[tuple[slice, st
 
 
 def without_offset(table: xr.Dataset) -> tuple[xr.Dataset, list[str]]:
-    """Table with the slack muscle's force subtracted, and a note; unchanged, with a note, if it is not detected."""
+    """Table with the slack muscle's force subtracted, and notes.
+
+    Without a slack muscle, the table is unchanged, and if no force is 0, a note says that the zero is not known.
+    """
     if (slack := _slack_of(table)) is None:
         unknown = "no slack muscle is recognised: the zero of the load cell is not estimated"
         return table, [unknown] if table["force"].min() > 0 else []
@@ -280,7 +310,14 @@ def _beyond(marked: NDArray[np.bool_], contraction: Floats, strokes: Ints) -> ND
 
 
 def half_sample_mode(values: Floats) -> float:
-    """Mode of sorted values by repeated halving (Robertson and Cryer, J. American Statistical Ass. 69 (1974) 1012)."""
+    """Mode of sorted values by repeated halving.
+
+    The densest half of the values is kept until three are left (Robertson and Cryer, J. American Statistical Ass. 69
+    (1974) 1012).
+
+    >>> half_sample_mode(np.array([0.0, 0.1, 5.0, 5.4, 5.8]))
+    5.4
+    """
     while len(values) > 3:
         half = (len(values) + 1) // 2
         start = int(np.argmin(values[half - 1 :] - values[: len(values) - half + 1]))

@@ -83,13 +83,31 @@ class RawTable:
 
 
 class Budget:
-    """Limits of rows, columns, bytes and time while a file is read; passing one raises a `DatasetError`."""
+    """Limits of rows, columns, bytes and time while a file is read.
+
+    Parameters
+    ----------
+    path
+        File that errors name.
+    most
+        Bytes of numbers that may be in memory together.
+
+    Examples
+    --------
+    >>> budget = Budget(Path("rig.csv"), most=1000)
+    >>> budget.spend(size=600, rows=25)
+    >>> budget.bytes
+    600
+    """
 
     def __init__(self, path: Path, most: int = LARGEST) -> None:
         self.path, self.most, self.begin, self.bytes = path, most, time.process_time(), 0
 
     def spend(self, *, size: int = 0, rows: int = 0, columns: int = 0) -> None:
-        """Account for bytes that will be in memory; check rows, columns and the processor time."""
+        """Account for bytes that will be in memory; check rows, columns and the processor time.
+
+        Raises a `DatasetError` that names the limit that is passed.
+        """
         self.bytes += size
         for amount, most, what in (
             (self.bytes, self.most, "bytes"),
@@ -103,7 +121,10 @@ class Budget:
 
 
 def check_regular(path: Path) -> int:
-    """Size of a regular file; raises a `DatasetError` for any other."""
+    """Size of a regular file [bytes].
+
+    Raises a `DatasetError` if there is none, with the most similar name, and for a directory, a pipe or a device.
+    """
     try:
         status = path.stat()
     except FileNotFoundError:
@@ -129,14 +150,26 @@ def read_bytes(path: Path) -> bytes:
 
 
 def unreadable(path: Path, what: str, error: Exception) -> DatasetError:
-    """Error for a file that a library cannot read."""
+    """Error for a file that a library cannot read.
+
+    Parameters
+    ----------
+    what
+        Kind of file, with its article.
+    error
+        Exception of the library, of which the first line is quoted.
+    """
     lines = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()
     text = f"cannot be read as {what}: {lines[0][:500]}"
     return DatasetError(str(path), [Problem(text, remedy="save it again, or export it as CSV")])
 
 
 def several(what: str, names: Sequence[str]) -> Problem:
-    """Question of which of several parts of a file is to be read."""
+    """Question of which of several parts of a file is to be read.
+
+    >>> several("sheets", ["Test", "Retest"]).message
+    'has several sheets of measurements: Test, Retest'
+    """
     remedy = f"choose one: part={names[0]!r} in Python or in a recipe (command line: --read FILE.yaml)"
     return Problem(f"has several {what} of measurements: {', '.join(names[:20])}", remedy=remedy)
 
@@ -146,7 +179,19 @@ def hdf5_nodes(
 ) -> Iterator[tuple[str, h5py.Group | h5py.Dataset | None]]:
     """Name and node of each group and dataset, each once; None in place of a link, which is not followed.
 
-    Datasets whose values are in other files are links too.
+    Parameters
+    ----------
+    file
+        Open file, or group, of which all below is visited, nearest first.
+    budget
+        Limits the number of nodes.
+    separator
+        Text between the names of a group and of its members.
+
+    Yields
+    ------
+    tuple
+        Name and node. Datasets whose values are in other files are links too.
     """
     import h5py
 

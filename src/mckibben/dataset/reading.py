@@ -20,7 +20,7 @@ from mckibben.dataset.raw import LIMIT_REMEDY
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, FileLines, holds_own_table, load_validated
-from mckibben.dataset.table import Question, Table
+from mckibben.dataset.table import Table, question
 from mckibben.dataset.understanding import understand
 from mckibben.errors import DatasetError, Problem, RangeError, described
 from mckibben.units import show
@@ -109,7 +109,10 @@ def read_recording(path: FilePaths, recipe: Recipe | None = None, **options: obj
 
 
 def read_columns(path: str | os.PathLike[str], recipe: Recipe | None = None, **options: object) -> Table:
-    """Show what is understood of a file: its columns, where quantity and unit are from, and open questions."""
+    """Show what is understood of a file: its columns, where quantity and unit are from, and open questions.
+
+    Parameters as for `read_dataset`. Raises a `DatasetError` if the file cannot be read, but not for questions.
+    """
     return _understood(Path(path), (recipe or Recipe()).with_options(options), _POINTS)[0]
 
 
@@ -119,14 +122,29 @@ def check_points(
     accept: Sequence[str],
     specimen: Specimen | None = None,
 ) -> None:
-    """Raise a `DatasetError` with the questions that the points raise and `accept` does not answer."""
+    """Check the points of a dataset by what holds for any muscle, or for one of the catalog.
+
+    Parameters
+    ----------
+    source
+        Name of the data in the error.
+    accept
+        Topics of questions that are answered with yes.
+    specimen
+        Muscle whose diameter the forces have to fit.
+
+    Raises
+    ------
+    DatasetError
+        With the questions that remain, each with the column of the file in its remedy.
+    """
     lines = (
         np.concatenate([np.asarray(part.numbers) for part in dataset.lines])
         if dataset.lines
         else np.arange(1, len(dataset) + 1)
     )
-    asked = questions_of(dataset, lines, specimen)
-    if problems := [question.problem for question in asked if question.topic not in accept or not question.topic]:
+    questions = questions_of(dataset, lines, specimen)
+    if problems := [asked.problem for asked in questions if asked.topic not in accept or not asked.topic]:
         raise DatasetError(source, [_with_header(problem, dataset) for problem in problems])
 
 
@@ -203,25 +221,18 @@ def _read_samples(path: Path, recipe: Recipe) -> Recording:
             return recording
         return Recording(recording.table.assign(contraction=("sample", np.full(len(recording), recipe.contraction))))
     table, _ = _understood(path, recipe, ("pressure", "force"))
-    motion = recipe.contraction is not None and "contraction" not in table.columns
-    if motion:
-        table.questions = [
-            asked for asked in table.questions if asked.problem.field not in ("initial_length", "displacement")
-        ]
     values = {name: table.columns[name].values for name in _SAMPLES if name in table.columns}
     if "time" not in values:
         rate = recipe.sample_rate
         step = 1 / rate if rate else table.interval
         if step is None:
             near = f"; {table.clock!r} is not understood as a clock" if table.clock else ""
-            missing = Problem(f"no column for the time, and no sample rate{near}", field="time", remedy=_RATE)
-            table.questions.append(Question(missing))
+            missing = question(f"no column for the time, and no sample rate{near}", field="time", remedy=_RATE)
+            table.questions.append(missing)
         values["time"] = (table.lines - (table.lines[0] if len(table.lines) else 0)) * (step or 1.0)
     elif recipe.sample_rate:
         text, remedy = "sample_rate is given, but the file has times", "leave sample_rate out"
-        table.questions.append(Question(Problem(text, field="sample_rate", remedy=remedy)))
-    if motion:
-        values["contraction"] = np.full(len(values["time"]), recipe.contraction)
+        table.questions.append(question(text, field="sample_rate", remedy=remedy))
     table.ask(recipe.accept)
     return _made(Recording, table, values)
 

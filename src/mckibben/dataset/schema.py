@@ -64,7 +64,15 @@ RECORDED: Mapping[str, Variable] = {
 
 
 def normalize(table: xr.Dataset, schema: Mapping[str, Variable]) -> tuple[xr.Dataset, list[Problem]]:
-    """Normalised read-only table, and all problems found; samples are not copied."""
+    """Normalised read-only table, and all problems found; samples are not copied.
+
+    Parameters
+    ----------
+    table
+        Variables of the schema; others are kept as they are.
+    schema
+        `VARIABLES` of points, or `RECORDED` samples.
+    """
     problems = list(_structure(table, schema))
     if problems:
         return table, problems
@@ -105,7 +113,12 @@ def _normalize_attributes(attrs: Mapping[Hashable, Any]) -> tuple[dict[Hashable,
 def assemble(
     variables: Mapping[str, ArrayLike | None], schema: Mapping[str, Variable]
 ) -> tuple[xr.Dataset, list[Problem]]:
-    """Table of the array-likes that are not None, empty if shapes do not match, and the problems."""
+    """Table of the array-likes that are not None, empty if shapes do not match, and the problems.
+
+    >>> table, problems = assemble({"pressure": [1e5, 2e5], "force": [3.0]}, VARIABLES)
+    >>> print(problems[0])
+    force: has 1 values for 2 points
+    """
     arrays: dict[str, np.ndarray] = {}
     problems: list[Problem] = []
     for name, values in variables.items():
@@ -201,13 +214,20 @@ def _first(bad: np.ndarray, values: np.ndarray, name: str, what: str, remedy: st
 
 
 def format_range(values: np.ndarray) -> str:
-    """Range of values as text: 1..2.5."""
+    """Range of values as text.
+
+    >>> format_range(np.array([2.5, 1.0]))
+    '1..2.5'
+    """
     low, high = f"{values.min():.4g}", f"{values.max():.4g}"
     return low if low == high else f"{low}..{high}"
 
 
 def write_netcdf(table: xr.Dataset, path: Path) -> None:
-    """Write a table atomically; encoded in memory, as HDF5 crashes on a full disk."""
+    """Write a table atomically, with a checksum at its end.
+
+    It is encoded in memory, as HDF5 crashes on a full disk. Raises an `OSError` if it cannot be written.
+    """
     encoding = {str(name): {"_FillValue": None} for name, values in table.variables.items() if values.dtype.kind == "f"}
     content = table.to_netcdf(engine="h5netcdf", encoding=encoding)
     with atomic_write(path, overwrite=True) as sibling:
@@ -268,7 +288,10 @@ Held = TypeVar("Held")
 
 
 def load_validated(path: Path, make: Callable[[xr.Dataset], Held]) -> Held:
-    """Object made from the table of a NetCDF file; errors name the file."""
+    """Object made from the table of a NetCDF file.
+
+    Raises a `DatasetError` that names the file, also for problems that `make` finds, and for variables without units.
+    """
     table = load_netcdf(path)
     known = {name: variable.unit for name, variable in {**VARIABLES, **RECORDED}.items() if variable.unit != "1"}
     missing = [name for name in known if name in table and "units" not in table[name].attrs]
@@ -380,7 +403,10 @@ CSV_COLUMNS = {
 
 
 def write_csv(table: xr.Dataset, path: Path) -> None:
-    """Write plateau means as CSV: comments, header, and a row per point at full precision."""
+    """Write plateau means as CSV: comments, header, and a row per point at full precision.
+
+    Raises an `OSError` if the file cannot be written; an earlier one then stays.
+    """
     attrs = table.attrs
     comments = [f"# specimen: {quote(attrs['specimen'])}", f"# source: {quote(attrs['source'])}"]
     if "initial_length" in attrs:
@@ -402,7 +428,11 @@ OF_FILE = ("repairs", "ignored_columns", "columns_read")
 
 
 def quote(text: str) -> str:
-    """Text for the rest of a line, as JSON if it would not be read back unchanged."""
+    """Text for the rest of a line, as JSON if it would not be read back unchanged.
+
+    >>> quote("DMSP-10"), quote(" x")
+    ('DMSP-10', '" x"')
+    """
     return text if text.isprintable() and text == text.strip() and not text.startswith('"') else json.dumps(text)
 
 

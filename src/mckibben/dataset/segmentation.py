@@ -26,7 +26,26 @@ class Segments(NamedTuple):
 def steady_segments(
     signals: Sequence[tuple[NDArray[np.float64], float]], broken: NDArray[np.bool_], dwell: int
 ) -> Segments:
-    """Segments of at least `dwell` samples in which the means of each signal stay within its tolerance."""
+    """Segments of at least `dwell` samples in which the means of each signal stay within its tolerance.
+
+    Means over a twentieth of the dwell are compared, so that noise does not count.
+
+    Parameters
+    ----------
+    signals
+        Values, shape (samples,), and tolerance of each signal, in one unit.
+    broken
+        Shape (samples,): samples at which a segment ends.
+    dwell
+        Number of samples.
+
+    Examples
+    --------
+    >>> pressure = np.repeat([2.0, 2.5, 3.0], [60, 10, 60])
+    >>> segments = steady_segments([(pressure, 0.1)], np.zeros(130, bool), 40)
+    >>> segments.first.tolist(), segments.last.tolist()
+    ([0, 70], [60, 130])
+    """
     count = len(broken)
     none = np.empty(0, np.int64)
     size = max(1, dwell // _PARTS)
@@ -133,6 +152,22 @@ def approaches(
 
     The direction is that of the last motion. The phase follows from the step from the level before, or from the start
     of the recording, which exceeds any overshoot; without a step, from the last motion.
+
+    Parameters
+    ----------
+    table
+        Recording, along ``sample``.
+    broken
+        Shape (samples,): samples after a gap.
+    first, last
+        Shape (plateaus,): first and one past the last sample.
+    levels
+        Means, shape (plateaus,), and tolerance of contraction [-] and pressure [Pa].
+
+    Returns
+    -------
+    tuple
+        "loading", "unloading" or "", and "filling", "venting" or "", each of shape (plateaus,).
     """
     before = np.concatenate([[0], last[:-1]])
     breaks = np.append(0, np.flatnonzero(broken))

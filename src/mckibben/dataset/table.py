@@ -39,12 +39,16 @@ class Question(NamedTuple):
     topic: str = ""
 
 
-def question(topic: str, text: str, *, line: int | None = None, field: str = "", remedy: str = "") -> Question:
-    """A question that `accept` answers too."""
-    accepted = f"accept=[{topic!r}] (command line: --read accept={topic}) if {TOPICS[topic]}"
-    return Question(
-        Problem(text, line=line, field=field, remedy=f"{remedy}, or {accepted}" if remedy else accepted), topic
-    )
+def question(text: str, topic: str = "", *, line: int | None = None, field: str = "", remedy: str = "") -> Question:
+    """A question that is answered by its remedy, and by `accept` if it has a topic of `TOPICS`.
+
+    >>> question("a sensor at its end?", "saturation", line=7, remedy="leave it out").problem.line
+    7
+    """
+    if topic:
+        accepted = f"accept=[{topic!r}] (command line: --read accept={topic}) if {TOPICS[topic]}"
+        remedy = f"{remedy}, or {accepted}" if remedy else accepted
+    return Question(Problem(text, line=line, field=field, remedy=remedy), topic)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,15 +86,29 @@ class Table:
 
     Attributes
     ----------
+    path
+        File.
     columns
         By quantity: pressure, force, contraction (converted from lengths) and, where the file has them, direction,
         phase, repeat, time and set_pressure.
     ignored
         Headers of the columns that are not read.
     lines
-        Line of each row, or its number in a file of rows (`place`).
+        Shape (rows,): line of each row, or its number in a file of rows (`place`).
     questions
         What is not plain, with the option that answers it.
+    repairs
+        Rows that are left out, with the reasons.
+    preprocessing
+        Estimates in a file that this program wrote, "none" in any other.
+    specimen, source
+        Name of the muscle, and of the file or its source.
+    initial_length, slack_force
+        Length of the deflated muscle [m], and force up to which it counts as slack [N], if they are known.
+    interval
+        Sampling interval [s] that the file states.
+    clock
+        Header of a clock that is not understood.
     """
 
     path: Path

@@ -330,7 +330,11 @@ def decimal_sign(cells: Iterable[str], separator: str) -> tuple[str, str]:
 
 
 def _sign_of(cell: str) -> str:
-    """Decimal sign of a number; empty for one such as 1.234, in which it may separate thousands."""
+    """Decimal sign of a number; empty for one such as 1.234, in which it may separate thousands.
+
+    >>> [_sign_of(cell) for cell in ("0.5", "1,234.5", "1.234.567", "1.234")]
+    ['.', '.', ',', '']
+    """
     signs = re.findall("[.,]", cell)
     if len(signs) > 1:
         return signs[-1] if signs[0] != signs[-1] else ",."[signs[0] == ","]
@@ -338,7 +342,11 @@ def _sign_of(cell: str) -> str:
 
 
 def _of_labview(lines: list[str], path: Path) -> list[str]:
-    """Lines of a LabVIEW measurement of one segment as those of a table with a row of units."""
+    """Lines of a LabVIEW measurement of one segment as those of a table with a row of units.
+
+    Its units stand in the second header as ``Y_Unit_Label``, and rows without a comment are one cell shorter. Raises a
+    `DatasetError` if there are several segments.
+    """
     ends = [row for row, line in enumerate(lines) if line.startswith("***End_of_Header***")]
     if len(ends) != 2:
         problem = Problem(f"has {max(len(ends) - 1, 0)} segments", remedy="write one segment to a file, or give TDMS")

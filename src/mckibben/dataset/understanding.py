@@ -39,17 +39,21 @@ _SIGN_REMEDY = (
     "(command line: --column '{0}=shortening_{1}'); zero_length of a recipe is the length at 0, if not the initial one"
 )
 _WORDS: Mapping[str, Mapping[str, str]] = {
-    "direction": {
-        **dict.fromkeys(("loading", "stretching", "belasten", "belastung", "dehnen"), "loading"),
-        **dict.fromkeys(("unloading", "shortening", "entlasten", "entlastung", "verkürzen"), "unloading"),
-        **dict.fromkeys(("unknown", "unbekannt"), ""),
-    },
-    "phase": {
-        **dict.fromkeys(("filling", "inflating", "befüllen"), "filling"),
-        **dict.fromkeys(("venting", "deflating", "entlüften"), "venting"),
-        **dict.fromkeys(("unknown", "unbekannt"), ""),
-    },
+    quantity: {word: meaning for meaning, words in meanings.items() for word in (*words.split(), meaning)}
+    for quantity, meanings in {
+        "direction": {
+            "loading": "stretching belasten belastung dehnen",
+            "unloading": "shortening entlasten entlastung verkürzen",
+            "": "unknown unbekannt",
+        },
+        "phase": {
+            "filling": "inflating befüllen",
+            "venting": "deflating entlüften",
+            "": "unknown unbekannt",
+        },
+    }.items()
 }
+"""Meanings of the words of a direction and of a phase; of none and of unknown ones it is empty."""
 _MARKS = 999.9, 999.99, 9999.0, 9999.9, 99999.0, 999999.0, 32767.0, 32768.0, 65535.0  # of missing values
 _ROUNDING = 0.5e-3  # m: precision of lengths
 _LISTED = 1000  # corrupt cells of a column that are named
@@ -105,7 +109,7 @@ class _Reader:
         for entry in chosen:
             self._convert(entry)
         for problem in raw.corrupt:
-            self.asked.append(question("corrupt", problem.message, line=problem.line))
+            self.ask(problem.message, "corrupt", line=problem.line)
             table.repairs.append(str(problem))
         self._lengths()
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
@@ -115,13 +119,11 @@ class _Reader:
             self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"{remedy} (in Python columns={{...}})")
         units = {column.unit for column in table.columns.values()}
         for line, text in doubtful_words(raw.words, units):
-            self.asked.append(
-                question(
-                    "words",
-                    f"beside the table stands {text[:200]!r}",
-                    line=line,
-                    remedy="apply it to the numbers in the file",
-                )
+            self.ask(
+                f"beside the table stands {text[:200]!r}",
+                "words",
+                line=line,
+                remedy="apply it to the numbers in the file",
             )
         self._leave_out()
         return table
@@ -135,8 +137,8 @@ class _Reader:
                 return f"--column '{column.name}={quantity}_{unit}'"
         return f"--column 'HEADER={quantity}_{QUANTITIES[quantity][0]}'"
 
-    def ask(self, text: str, *, field: str = "", line: int | None = None, remedy: str = "") -> None:
-        self.asked.append(Question(Problem(text, field=field, line=line, remedy=remedy)))
+    def ask(self, text: str, topic: str = "", *, field: str = "", line: int | None = None, remedy: str = "") -> None:
+        self.asked.append(question(text, topic, line=line, field=field, remedy=remedy))
 
     def _attributes(self) -> None:
         """Specimen, source, initial length and slack force, of the recipe or of the file."""
@@ -149,7 +151,7 @@ class _Reader:
                 self.ask(error.message, field=key, remedy=error.remedy)
             if key == "initial_length" and chosen and stated and abs(chosen - stated) > _ROUNDING:
                 text = f"{show(chosen, 'mm', 5)} is given, but the file states {show(stated, 'mm', 5)}"
-                self.asked.append(question("words", text, field=key))
+                self.ask(text, "words", field=key)
             setattr(table, key, stated if chosen is None else chosen)
         table.preprocessing = unquote(said.get("preprocessing", "none"))
         table.repairs += unquote(said.get("repairs", "")).splitlines()
@@ -191,7 +193,7 @@ class _Reader:
         if dimension and dimension != "time":
             meant = f"{dimension}_{parse_header(label, column.unit).unit}"
             remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}; {remedy}"
-        self.asked.append(question("columns", "is not understood", field=column.name, remedy=remedy))
+        self.ask("is not understood", "columns", field=column.name, remedy=remedy)
 
     def _choose(self, understood: Sequence[_Entry]) -> list[_Entry]:
         """One column for each quantity, lengths and displacements together: the one of the recipe, or the only one."""
@@ -274,16 +276,14 @@ class _Reader:
             wrong &= filled
         for row in np.flatnonzero(wrong)[:_LISTED].tolist():
             text, line = f"{str(cells[row])[:40]!r} is not a number", int(self.table.lines[row])
-            self.asked.append(question("corrupt", text, line=line, field=column.name, remedy="correct it"))
+            self.ask(text, "corrupt", line=line, field=column.name, remedy="correct it")
             self.table.repairs.append(f"{self.table.place} {line}, {column.name}: {text}")
         self.bad |= wrong
         marks = np.isin(np.abs(values), _MARKS)
         if 0 < np.count_nonzero(marks) < len(values) / 2:
             row = int(np.argmax(marks))
             text, line = f"{values[row]:g} may mark a missing value", int(self.table.lines[row])
-            self.asked.append(
-                question("rows", text, line=line, field=column.name, remedy="leave these rows out of the file")
-            )
+            self.ask(text, "rows", line=line, field=column.name, remedy="leave these rows out of the file")
         return values
 
     def _meaning(self, name: str, column: RawColumn) -> np.ndarray:
@@ -306,6 +306,10 @@ class _Reader:
         if recipe.initial_length and recipe.initial_length > _LONGEST:
             text = f"{recipe.initial_length:g} m is longer than any muscle"
             self.ask(text, field="initial_length", remedy=f"{_LENGTH_REMEDY}, in Python in m")
+        if recipe.contraction is not None and "contraction" not in table.columns:
+            values = np.full(len(table.lines), recipe.contraction)
+            table.columns["contraction"] = Column("contraction", "contraction", "", values, source="recipe")
+            return
         column = next((table.columns[name] for name in MOTIONS if name in table.columns), None)
         if column is None:
             return

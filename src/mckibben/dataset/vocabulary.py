@@ -102,7 +102,19 @@ _LONGEST = 300  # characters of a header
 
 
 class Header(NamedTuple):
-    """Quantity and unit of a header, empty if unknown, its bare name, and whether a pressure is absolute."""
+    """Meaning of the header of a column.
+
+    Attributes
+    ----------
+    quantity
+        Of `QUANTITIES`; empty if the name is unknown.
+    unit
+        Of the quantity's units, as this program writes it; empty if there is none. Of an unknown quantity, any text.
+    name
+        Name in small letters, without its unit.
+    absolute
+        Whether a pressure is measured from vacuum.
+    """
 
     quantity: str
     unit: str
@@ -125,7 +137,11 @@ def canonical_unit(text: str, quantity: str) -> str:
 
 
 def dimension_of(text: str) -> str:
-    """Quantity (pressure, force, length, contraction or time) that a unit measures; empty if it is unknown."""
+    """Quantity (pressure, force, length, contraction or time) that a unit measures; empty if it is unknown.
+
+    >>> dimension_of("bar abs"), dimension_of("kp"), dimension_of("V")
+    ('pressure', 'force', '')
+    """
     bare = _GAUGE.sub("", ABSOLUTE.sub("", text)).strip()
     return next((name for name in UNITS if bare and canonical_unit(bare, name)), "")
 
@@ -199,11 +215,19 @@ def _plain(text: str) -> str:
 
 
 def is_harmless(text: str) -> bool:
-    """Whether a column that is not read says by its name that no force, pressure or length is in it."""
+    """Whether a column that is not read says by its name that no force, pressure or length is in it.
+
+    >>> is_harmless("Temperature [°C]"), is_harmless("Force sample"), is_harmless("valid")
+    (True, False, False)
+    """
     name = _plain(re.split(r"[/\\.]", _BRACKETS.sub(r"\1", text))[-1])
     return bool(_HARMLESS.match(name)) and not _MEASURED.search(_plain(text))
 
 
 def si_factor(header: Header) -> float:
-    """Factor from the unit of a header to SI; 1 without a unit."""
+    """Factor from the unit of a header to SI; 1 without a unit.
+
+    >>> si_factor(parse_header("Druck [bar]"))
+    100000.0
+    """
     return factor(header.unit) if header.unit else 1.0

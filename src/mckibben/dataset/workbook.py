@@ -83,7 +83,10 @@ def _text_of(cell: object) -> str:
 
 
 def _hidden(sheet: Worksheet, first: int) -> list[str]:
-    """What a sheet shows of its numbers beside them: hidden and merged areas, and cells with a mark."""
+    """What a sheet shows of its numbers beside them: hidden and merged areas, and cells with a mark.
+
+    A mark on all cells is a style, one on some of them says something of these.
+    """
     rows = [str(row) for row, shape in sheet.row_dimensions.items() if shape.hidden and row >= first]
     columns = [letter for letter, shape in sheet.column_dimensions.items() if shape.hidden]
     hidden = [*rows, *columns, *["the sheet"] * (sheet.sheet_state != "visible")]
