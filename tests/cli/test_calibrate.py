@@ -43,6 +43,7 @@ def calibrated(tmp_path_factory):
 def test_the_calibrated_model_is_nearer_to_the_muscles(calibrated):
     before, after = Scenario.read(EXAMPLE), Scenario.read(calibrated / "scenario.yaml")
     true, believed, found = before.joint, before.controller.model, after.controller.model
+    assert after.joint == found and after.load == after.controller.load
     angle, pressures = np.linspace(-0.12, 0.12, 7), (4.8e5, 4.5e5)
     wanted = np.asarray(true.evaluate(angle, pressures)[1])
     errors = [np.abs(np.asarray(one.evaluate(angle, pressures)[1]) - wanted).max() for one in (believed, found)]
@@ -201,9 +202,11 @@ def test_valves_are_calibrated_and_their_recordings_give_the_same(cli, calibrate
         assert abs(lag["estimate"] - 20) < 4 * lag["deviation"]
     after = Scenario.read(tmp_path / "valves" / "scenario.yaml")
     assert after.controller.valve.time_constant == pytest.approx(0.02, rel=0.05)
-    assert after.controller.model == before.controller.model
-    assert after.valve.time_constant == 0.02
+    assert after.valve == after.controller.valve != before.valve
+    assert after.controller.model == before.controller.model == after.joint
     assert after.command_delay == pytest.approx(0.0, abs=1e-3)
+    loop = next(table["columns"] for table in json.loads(done.out)["tables"] if "loop" in table["title"])
+    assert loop["plant"]["values"][0] == "calibrated" and len(set(loop["disk margin"]["values"])) > 1
     assert (tmp_path / "valves" / "valve_calibration.png").stat().st_size > 10_000
     valve = read_component(Actuator, tmp_path / "valves" / "valve.yaml")  # as `valve: valve.yaml` does
     assert valve == after.controller.valve

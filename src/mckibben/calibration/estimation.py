@@ -37,6 +37,7 @@ from mckibben.calibration.fitting import (
     Calibration,
     JointEstimate,
     correlation_time,
+    draws,
     remembered,
     variance_of,
 )
@@ -103,6 +104,14 @@ class CalibratedJoint(Calibration):
             for stiffness in (self.prior_stiffness, self.stiffness)
         )
         return before, after
+
+    def drawn(self, count: int) -> dict[str, Any]:
+        """Return joint and load of plants, with an array of shape (count,) for each number.
+
+        The first plant has the estimates, the others are drawn from their distribution, always the same ones.
+        """
+        models = _models(self._problem, draws(self._estimate, self._covariance, count))
+        return {"joint": models.joint, "load": models.load}
 
     def verdict(self) -> str:
         """Deviations of the stiffness along the recordings before and after, and the determined quantities."""
@@ -232,6 +241,7 @@ def number(leaf: Any) -> Any:
 
 
 _model = jit(corrected)
+_models = jit(jax.vmap(corrected, (None, 0)))
 
 
 def _deviation(slope: Floats, covariance: Floats) -> Floats:

@@ -17,9 +17,10 @@ from jaxtyping import Array, ArrayLike
 
 from mckibben.calibration.equations import JointPrior, JointRecording, Samples, sliding_from
 from mckibben.calibration.estimation import CalibratedJoint, JointCalibration, calibrate_joint
+from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates, with_fields
 from mckibben.calibration.output_error import CommandedCalibration, calibrate_from_commands
-from mckibben.component.schema import independent, inherited_fields, replaced, write_text
-from mckibben.control import Controller, Multisine, Reference, Sine
+from mckibben.component.schema import independent, replaced, write_text
+from mckibben.control import Multisine, Reference, Sine
 from mckibben.errors import ParameterError, StoppedError
 from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.joint.attainable import stiffness_range
@@ -162,30 +163,6 @@ def part_of(scenario: Scenario, title: str, angle: float, **changes: object) -> 
     return scenario.model_copy(update=start | changes)
 
 
-def field_of(controller: Controller, name: str) -> Any:
-    """Field of a controller, or of the one that it wraps; None without."""
-    own = getattr(controller, name, None)
-    return own if own is not None else next((field_of(inner, name) for inner in _inner(controller).values()), None)
-
-
-def holds(controller: Controller, name: str) -> bool:
-    """Whether a controller, or one that it wraps, has a field that is not inherited from the plant."""
-    own = name not in inherited_fields(controller) and vars(controller).get(name) is not None
-    return own or any(holds(inner, name) for inner in _inner(controller).values())
-
-
-def with_fields(controller: Controller, fields: dict[str, Any]) -> Any:
-    """Controller with other values of the fields that it, or one that it wraps, has and does not inherit."""
-    inherited = inherited_fields(controller)
-    stated = {name for name, value in vars(controller).items() if value is not None} - inherited
-    own = {name: value for name, value in fields.items() if name in stated}
-    return replaced(controller, own | {name: with_fields(inner, fields) for name, inner in _inner(controller).items()})
-
-
-def _inner(controller: Controller) -> dict[str, Controller]:
-    return {name: field for name, field in vars(controller).items() if isinstance(field, Controller)}
-
-
 def model_of(scenario: Scenario) -> AntagonisticJoint:
     """Return the controller's model of the joint, or the joint of the scenario."""
     return field_of(scenario.control(), "model") or scenario.joint
@@ -309,7 +286,7 @@ def calibrate_scenario(
     after = calibrated_scenario(scenario, fit)
     write_model = partial(write_section, calibrated_model(scenario, fit), _HEAD)
     writers = {"model.yaml": write_model, "scenario.yaml": after.to_yaml}
-    return replace(fit, writers=writers)
+    return replace(fit, writers=writers, disk_margins=loop_margins(after, **fit.drawn(PLANTS)))
 
 
 def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJoint:
@@ -324,21 +301,14 @@ def calibrated_model(scenario: Scenario, fit: CalibratedJoint) -> AntagonisticJo
 
 
 def calibrated_scenario(scenario: Scenario, fit: CalibratedJoint) -> Scenario:
-    """Return the scenario with the estimates as its controller's model of joint and load.
-
-    Estimates from commands become its plant, too.
-    """
-    control, model = scenario.control(), calibrated_model(scenario, fit)
+    """Return the scenario with the estimates as its plant, and as its controller's model."""
+    parts: dict[str, Any] = {"joint": calibrated_model(scenario, fit), "load": fit.load}
     if isinstance(fit, CommandedCalibration):
         valve = replaced(scenario.valve, {name: getattr(fit.valve, name) for name in ("time_constant", "rate")})
-        update: dict[str, Any] = {"joint": model, "load": fit.load, "valve": valve, "command_delay": fit.delay}
-        update["controller"] = with_fields(scenario.controller, {"load": fit.load, "model": model})
-        return scenario.model_copy(update=update)
-    mass, load = fit.load.adapted_mass, field_of(control, "load")
-    fields: dict[str, Any] = {"model": model}
-    if mass and load is not None:
-        fields["load"] = replaced(load, {mass: getattr(fit.load, mass)})
-    return scenario.model_copy(update={"controller": with_fields(independent(control), fields)})
+        parts |= {"valve": valve, "command_delay": fit.delay}
+    elif mass := fit.load.adapted_mass:
+        parts["load"] = replaced(load_of(scenario), {mass: getattr(fit.load, mass)})
+    return with_estimates(scenario, **parts)
 
 
 def write_section(part: eqx.Module, comment: str, path: Path, *, base: type | None = None) -> None:

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from mckibben.calibration.loop import loop_remarks
 from mckibben.errors import IdentificationError
 from mckibben.identification.estimator import Minimum, least_squares
 from mckibben.result import Column, Listing, Remark, Result
@@ -84,6 +86,8 @@ class Calibration(Result):
     quantities: dict[str, JointEstimate]
     writers: Mapping[str, Callable[[Path], None]] = field(default_factory=dict, kw_only=True)
     """Functions that write documents with the estimates, by file name."""
+    disk_margins: Floats | None = field(default=None, kw_only=True)
+    """Least disk margins of the scenario's loop on the calibrated plant, and on plants drawn from the estimates."""
 
     files = ("model.yaml", "valve.yaml", "scenario.yaml")
 
@@ -98,8 +102,9 @@ class Calibration(Result):
         return f"determined: {', '.join(determined) or 'nothing'}"
 
     def remarks(self) -> list[Remark]:
-        """Quantities that are more than 2.5 prior standard deviations from the first model."""
-        return [
+        """A loop with too small margins, and quantities that are far from the first model."""
+        loop = [] if self.disk_margins is None else loop_remarks(self.disk_margins)
+        return loop + [
             Remark.warning(
                 name,
                 f"{name} is {estimate.distance:.1f} prior standard deviations from the model: {estimate}",
@@ -110,8 +115,13 @@ class Calibration(Result):
         ]
 
     def listings(self) -> list[Listing]:
-        """Declared numbers, and estimates with deviations in the unit of their row."""
-        return [*super().listings(), estimates_listing(self.quantities)]
+        """Declared numbers, estimates with deviations in the unit of their row, and margins of the loop."""
+        listings = [*super().listings(), estimates_listing(self.quantities)]
+        if self.disk_margins is not None:
+            plants = ["calibrated", *(f"drawn {i}" for i in range(1, len(self.disk_margins)))]
+            columns = {"plant": (Column(), plants), "disk margin": (Column(digits=2), self.disk_margins)}
+            listings.append(Listing("loop with the gains of the file", columns))
+        return listings
 
 
 def estimates_listing(quantities: Mapping[str, JointEstimate]) -> Listing:
@@ -156,6 +166,12 @@ class UncertainParameter(NamedTuple):
         prior = abs(value) * self.deviation if self.logarithmic else self.deviation
         expected = self.median if self.logarithmic else None
         return JointEstimate(value, prior * deviation, prior, self.unit, self.logarithmic, expected)
+
+
+def draws(estimate: Floats, covariance: Floats, count: int) -> Array:
+    """Return the estimates, then parameters drawn from their normal distribution, shape (count, parameters)."""
+    drawn = np.random.default_rng(0).multivariate_normal(estimate, covariance, count)
+    return jnp.asarray(drawn).at[0].set(estimate)
 
 
 def remembered(function: Callable[[Floats], Answer]) -> Callable[[Floats], Answer]:

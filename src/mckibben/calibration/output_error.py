@@ -30,7 +30,14 @@ from mckibben.calibration.equations import (
     problem_of,
 )
 from mckibben.calibration.estimation import STARTS, CalibratedJoint, number, quantities_of, start
-from mckibben.calibration.fitting import OutputErrorFit, Scatter, UncertainParameter, fit_output_error, scatter_between
+from mckibben.calibration.fitting import (
+    OutputErrorFit,
+    Scatter,
+    UncertainParameter,
+    draws,
+    fit_output_error,
+    scatter_between,
+)
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
@@ -122,6 +129,9 @@ class CommandedCalibration(CalibratedJoint):
     delay: float
     friction: JointFriction | None
     _before: _Simulated
+    _whole: _Problem
+    _values: Floats  # in prior standard deviations, and their covariance
+    _spread: Floats
     _scatter: dict[str, float]  # factors by which deviations are multiplied
     held_out: tuple[JointRecording, ...] = ()
 
@@ -149,6 +159,12 @@ class CommandedCalibration(CalibratedJoint):
             *super().listings(),
             Listing("root mean square error of the angle simulated from the commands", columns),
         ]
+
+    def drawn(self, count: int) -> dict[str, Any]:
+        """Return joint, load, valve and delay of plants, as `CalibratedJoint.drawn`."""
+        models = _models(self._whole, draws(self._values, self._spread, count))
+        plant = models.plant
+        return {"joint": plant.joint, "load": plant.load, "valve": plant.valve, "command_delay": models.delay}
 
     @property
     def plant(self) -> JointPlant:
@@ -254,6 +270,9 @@ def calibrate_from_commands(
         delay=model.delay,
         friction=plant.friction,
         _before=_Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
+        _whole=problem,
+        _values=fit.z,
+        _spread=covariance,
         _scatter=_differing(own, scatter),
     )
 
@@ -349,6 +368,7 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
 
 
 _model = jit(_simulated_by)
+_models = jit(jax.vmap(_simulated_by, (None, 0)))
 
 
 def _differing(own: Sequence[UncertainParameter], scatter: Scatter) -> dict[str, float]:

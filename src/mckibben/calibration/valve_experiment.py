@@ -14,16 +14,8 @@ import numpy as np
 
 from mckibben.actuator import Actuator
 from mckibben.calibration.equations import Floats, JointPrior, JointRecording
-from mckibben.calibration.experiment import (
-    field_of,
-    holds,
-    load_of,
-    model_of,
-    part_of,
-    recording_of,
-    with_fields,
-    write_section,
-)
+from mckibben.calibration.experiment import load_of, model_of, part_of, recording_of, write_section
+from mckibben.calibration.loop import PLANTS, field_of, loop_margins, with_estimates
 from mckibben.calibration.valves import ValveCalibration, calibrate_valves
 from mckibben.control import Multisine, OpenLoopControl, RandomSteps, Reference, Sum
 from mckibben.errors import McKibbenWarning, ParameterError
@@ -183,20 +175,17 @@ def calibrate_scenario_valves(
     valve = field_of(scenario.control(), "valve") or scenario.valve
     fit = calibrate_valves(model_of(scenario), valve, recordings, prior, delay=delay)
     write_valve = partial(write_section, valve_for(scenario, fit), _HEAD, base=Actuator)
-    writers = {"valve.yaml": write_valve, "scenario.yaml": scenario_with_valves(scenario, fit).to_yaml}
-    return dataclasses.replace(fit, writers=writers)
+    after = scenario_with_valves(scenario, fit)
+    writers = {"valve.yaml": write_valve, "scenario.yaml": after.to_yaml}
+    return dataclasses.replace(fit, writers=writers, disk_margins=loop_margins(after, **fit.drawn(PLANTS)))
 
 
 def scenario_with_valves(scenario: Scenario, fit: ValveCalibration) -> Scenario:
-    """Return the scenario with the estimates as the controller's own model of valve and delay.
+    """Return the scenario with the estimates as its plant's valve and delay, and as its controller's model of them.
 
-    Where the controller has none, or takes it from the plant, they become the plant's. A controller that adapts its
-    model of first-order valves gets the mean of both valves.
+    A controller that adapts its model of first-order valves gets the mean of both valves.
     """
-    control, fields = scenario.controller, {"valve": valve_for(scenario, fit), "command_delay": fit.delay}
-    own = {name: value for name, value in fields.items() if holds(control, name)}
-    others = {name: value for name, value in fields.items() if name not in own}
-    return scenario.model_copy(update={**others, "controller": with_fields(control, own)})
+    return with_estimates(scenario, valve=valve_for(scenario, fit), command_delay=fit.delay)
 
 
 def valve_for(scenario: Scenario, fit: ValveCalibration) -> Actuator:

@@ -30,6 +30,7 @@ from mckibben.calibration.fitting import (
     Calibration,
     OutputErrorFit,
     UncertainParameter,
+    draws,
     fit_output_error,
     misfit_remarks,
     noise_of,
@@ -149,6 +150,21 @@ class ValveCalibration(Calibration):
     def delay(self) -> float:
         """Mean delay of the commands [s]."""
         return float(np.mean(self.delays))
+
+    def drawn(self, count: int) -> dict[str, Any]:
+        """Return valve and delay of plants, with an array of shape (count,) for each number, as `CalibratedJoint`."""
+        valves, delays = [], []
+        for problem, z, deviations in zip(self._problems.values(), self._estimates, self._deviations, strict=True):
+            own = len(problem.parameters)
+            rows = draws(z[:own], np.diag(deviations[:own] ** 2), count)
+            lacking = np.array([not parameter.logarithmic for parameter in problem.parameters])
+            valve, delay = _valves(_traced(problem), jnp.where(lacking, jnp.maximum(rows, 0.0), rows))
+            valves.append(valve)
+            delays.append(np.asarray(delay))
+        return {
+            "valve": UnequalValves(*valves) if len(valves) > 1 else valves[0],
+            "command_delay": np.mean(delays, axis=0),
+        }
 
     def simulate(self, recording: JointRecording) -> Floats:
         """Return the pressures [Pa] simulated from the commands and angles of a recording, shape (samples, valves)."""
@@ -366,12 +382,20 @@ def _valve_of(problem: _Problem, z: Floats, deviations: Floats) -> Actuator:
     return _with(problem.valve, own)
 
 
+def _valve_by(problem: _Problem, z: Array) -> tuple[Any, Array]:
+    """Valve, and delay of its commands [s], for parameters in prior standard deviations."""
+    *own, delay = (parameter.at(z[number]) for number, parameter in enumerate(problem.parameters))
+    fields = {parameter.name: value for parameter, value in zip(problem.parameters[:-1], own, strict=True)}
+    return _with(problem.valve, fields), delay
+
+
+_valves = jit_arrays(jax.vmap(_valve_by, (None, 0)))
+
+
 def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, substeps: int) -> Array:
     """Pressure [Pa] of a muscle at the samples, for parameters in prior standard deviations."""
     values = [parameter.at(z[number]) for number, parameter in enumerate(problem.uncertain)]
-    count = len(problem.parameters) - 1
-    fields = {parameter.name: value for parameter, value in zip(problem.parameters[:-1], values, strict=False)}
-    valve, delay, offset = _with(problem.valve, fields), values[count], values[count + 1]
+    (valve, delay), (offset, *others) = _valve_by(problem, z), values[len(problem.parameters) :]
     steps = jnp.arange(record.angle.shape[0])
     late = steps - delay / record.period  # between two samples a valve gets their mean over the period
     commands = jnp.interp(late, steps, jnp.asarray(record.commands[muscle]))
@@ -386,7 +410,7 @@ def _simulated(problem: _Problem, z: Array, record: _Record, muscle: int, subste
 
         return lax.scan(follow, (pressure, valve.init_states((pressure,))), commands)[1]
 
-    zero, arms, volume = values[count + 2 :]
+    zero, arms, volume = others
     joint = dataclasses.replace(problem.joint, geometry=ScaledArms(problem.joint.geometry, arms))
     pressures = tuple(map(jnp.asarray, record.pressures))
     air = air_volumes(joint, record.angle - zero, 0.0, pressures)[muscle]  # type: ignore[arg-type]

@@ -1,0 +1,78 @@
+"""Loop of a scenario on the calibrated plant, and on plants drawn from the estimates."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mckibben.component.schema import inherited_fields, replaced
+from mckibben.control import Controller
+from mckibben.errors import SimulationError
+from mckibben.result import Remark
+from mckibben.scenario import Scenario, initial_state
+from mckibben.simulation import disk_margins
+
+PLANTS = 8
+"""Plants of which the loop is checked: the calibrated one, and others drawn from the estimates."""
+FLOOR = 0.2
+"""Disk margin that a loop should have on all of them."""
+_MODELS = {"joint": "model"}  # parts of a plant that have another name in a controller
+
+
+def field_of(controller: Controller, name: str) -> Any:
+    """Return the field of a controller, or of the one that it wraps; None without."""
+    own = getattr(controller, name, None)
+    return own if own is not None else next((field_of(inner, name) for inner in _inner(controller).values()), None)
+
+
+def with_fields(controller: Controller, fields: Mapping[str, Any]) -> Any:
+    """Return a controller with other values of the fields that it, or one that it wraps, has and does not inherit."""
+    stated = {name for name, value in vars(controller).items() if value is not None} - inherited_fields(controller)
+    own = {name: value for name, value in fields.items() if name in stated}
+    return replaced(controller, own | {name: with_fields(inner, fields) for name, inner in _inner(controller).items()})
+
+
+def _inner(controller: Controller) -> dict[str, Controller]:
+    return {name: field for name, field in vars(controller).items() if isinstance(field, Controller)}
+
+
+def with_estimates(scenario: Scenario, **parts: Any) -> Scenario:
+    """Return a scenario with estimates as parts of its plant, and of the model that its controller holds itself.
+
+    Parts of the model that the controller inherits follow the plant.
+    """
+    own = {_MODELS.get(name, name): value for name, value in parts.items()}
+    return scenario.model_copy(update={**parts, "controller": with_fields(scenario.controller, own)})
+
+
+def loop_margins(scenario: Scenario, **parts: Any) -> NDArray[np.float64]:
+    """Return the least disk margin of a scenario's loop on each of many plants; 0 where it is unstable or cannot run.
+
+    `parts` of the plants have arrays of shape (plants,) in place of numbers.
+    """
+    plant = dataclasses.replace(scenario.plant(), **parts)
+    run = plant, scenario.control(), scenario.reference(), initial_state(scenario)
+    try:
+        margins = disk_margins(
+            *run,
+            duration=scenario.duration,
+            control_period=scenario.control_period,
+            substeps=scenario.needed_substeps(),
+        )
+    except SimulationError:
+        return np.zeros(PLANTS)
+    return np.nan_to_num(margins)
+
+
+def loop_remarks(margins: NDArray[np.float64]) -> list[Remark]:
+    """Return the remark on a loop that has not the margin on all plants, with the command that finds other gains."""
+    own, least = float(margins[0]), float(margins.min())
+    if least >= FLOOR:
+        return []
+    text = f"the gains of the file have a disk margin of {own:.2g} on the calibrated plant, and of {least:.2g} on the "
+    text += f"worst of {len(margins) - 1} plants drawn from the estimates, below {FLOOR}"
+    return [Remark.warning("controller", text, f"mckibben tune DIR/scenario.yaml --disk-margin {FLOOR}")]

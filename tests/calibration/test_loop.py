@@ -1,0 +1,44 @@
+"""What a calibration makes of a scenario: estimates in plant and model, and the margins of its loop."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from mckibben.actuator import FirstOrderValve
+from mckibben.calibration.loop import FLOOR, loop_remarks, with_estimates
+from mckibben.result import Severity
+from mckibben.scenario import Scenario
+
+OWN = "examples/calibration/knee.yaml"  # whose controller has a model and a load of its own
+INHERITED = "examples/pre-contracted-step-pid.yaml"
+
+
+@pytest.mark.parametrize("path", [OWN, INHERITED])
+def test_estimates_are_those_of_plant_and_model(path):
+    scenario = Scenario.read(path)
+    heavier = dataclasses.replace(scenario.load, mass2=0.9)
+    after = with_estimates(scenario, load=heavier, valve=FirstOrderValve(0.03), command_delay=0.017)
+    plant, control = after.plant(), after.control()
+    assert (float(plant.load.mass2), plant.valve.time_constant, plant.command_delay) == (0.9, 0.03, 0.017)
+    assert float(getattr(control, "load", heavier).mass2) == 0.9
+    assert after.joint == scenario.joint and after.signals == scenario.signals
+
+
+def test_a_model_of_the_controller_itself_is_replaced_with_the_plant():
+    scenario = Scenario.read(OWN)
+    stronger = dataclasses.replace(scenario.joint.muscle1, strength=1.3)
+    joint = dataclasses.replace(scenario.joint, muscle1=stronger)
+    after = with_estimates(scenario, joint=joint)
+    assert scenario.controller.model != scenario.joint
+    assert after.controller.model == after.joint == joint
+
+
+@pytest.mark.parametrize(("margins", "named"), [([0.4, 0.3, 0.25], False), ([0.4, 0.1, 0.3], True), ([0, 0, 0], True)])
+def test_a_loop_below_the_floor_on_any_plant_is_remarked_with_the_next_command(margins, named):
+    remarks = loop_remarks(np.array(margins))
+    assert [remark.field for remark in remarks] == ["controller"] * named
+    for remark in remarks:
+        assert remark.severity is Severity.WARNING
+        assert f"{min(margins):.2g}" in remark.text
+        assert "mckibben tune" in remark.remedy and f"{FLOOR}" in remark.remedy
