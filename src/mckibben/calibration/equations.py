@@ -35,12 +35,12 @@ RATE = 50.0  # Hz, of the fitted samples
 _WINDOW = 0.05  # s, window of the local cubic fits used for differentiation: short, as they attenuate accelerations
 _SHORTEST, _LONGEST_PERIOD = 5.0, 0.01  # s, duration of a recording and time between its samples
 COEFFICIENTS = 3  # of each polynomial of a correction
-OF_MUSCLE = 2 * COEFFICIENTS + 2  # parameters: these, friction and presliding
+OF_MUSCLE = 2 * COEFFICIENTS + 3  # parameters: these, friction, presliding and growth of the friction
 _BEYOND = 1.2  # half width of the corrections relative to the measured contractions
 _SLIDING = 6.0  # presliding lengths of travel after which the initial friction state is forgotten
 _BAND, _PRESLIDING = 0.02, 2e-3  # friction if the model has none, relative to highest force and initial length
 CREEP_TIMES = np.array([1.0, 3.0, 10.0])  # s, of the Maxwell arms of each muscle
-_SHARED = 6  # parameters: the load's mass, the weight, zero, arms, and both load cells
+_SHARED = 7  # parameters: the load's mass, the weight, zero, arms, both load cells, and the apparent inertia
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +81,19 @@ class JointPrior(Checked):
     ----------
     strength, offset
         Pressure-proportional and constant part of a muscle's force, relative to the law's force at its highest pressure
-        and the middle contraction; halved for each further power of contraction.
+        and the middle contraction; halved for each further power of contraction. Default of the offset: half of the
+        strength.
     friction, presliding
-        Logarithms of the half width of the friction band, and of the presliding length.
+        Logarithms of the half width of the friction band at the mean pressure, and of the presliding length.
+    friction_growth
+        Growth of the half width with pressure, relative to half width and mean pressure.
     creep
         Stiffness of creep relative to the slope of the law: total of three Maxwell arms of 1, 3 and 10 s.
     mass
         Load mass (`Load.adapted_mass`), relative.
+    inertia
+        Apparent inertia in excess of that of the mass, relative to that of the model: in fast motion an error of the
+        friction resembles inertia, from which neither mass nor stiffness should be inferred.
     added_mass, load_cell
         Added weight and load cell gains, relative.
     zero
@@ -105,11 +111,13 @@ class JointPrior(Checked):
     """
 
     strength: Strength = 0.1
-    offset: Strength = 0.05
+    offset: Strength | None = None
     friction: Strength = 0.6
     presliding: Strength = 0.5
+    friction_growth: Strength = 0.3
     creep: Strength = 0.05
     mass: Strength = 0.3
+    inertia: Strength = 0.5
     added_mass: Strength = 0.01
     load_cell: Strength = 0.01
     zero: PositiveAngle = 0.5 * deg
@@ -168,6 +176,7 @@ class _Corrected(NamedTuple):
     added_mass: Number  # relative to its stated value
     zero: Number  # [rad]
     load_cells: tuple[Number, Number]  # gains
+    inertia: Number  # apparent, relative to that of the load
 
 
 def sampling_period(recording: JointRecording) -> float:
@@ -258,7 +267,8 @@ def problem_of(
             muscle = dataclasses.replace(muscle, friction=band)
         muscles.append(muscle)
     joint = dataclasses.replace(joint, muscle1=muscles[0], muscle2=muscles[1])
-    return CalibrationProblem(joint, load, *zip(*scales, strict=True), prior=dataclasses.asdict(prior))
+    widths = {"offset": prior.strength / 2, **{name: width for name, width in vars(prior).items() if width is not None}}
+    return CalibrationProblem(joint, load, *zip(*scales, strict=True), prior=widths)
 
 
 def path_lengths(joint: AntagonisticJoint, angle: Samples) -> list[Floats]:
@@ -294,7 +304,7 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
     prior, joint, load = problem.prior, problem.joint, problem.load
     muscles, shrink, n = [], 0.5 ** np.arange(COEFFICIENTS), COEFFICIENTS
     own = iter(z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE))
-    for i, muscle in enumerate((joint.muscle1, joint.muscle2)):
+    for i, muscle in enumerate[Any]((joint.muscle1, joint.muscle2)):
         if joint.springs[i]:
             muscles.append(muscle)
             continue
@@ -305,16 +315,19 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
             problem.centre[i],
             problem.half_width[i],
         )
-        friction: Any = muscle.friction
+        friction, mean = muscle.friction, problem.pressure[i]
+        width = friction.half_width + friction.growth * (mean - friction.reference_pressure)
         friction = dataclasses.replace(
             friction,
-            half_width=friction.half_width * jnp.exp(prior["friction"] * values[2 * n]),
+            half_width=width * jnp.exp(prior["friction"] * values[2 * n]),
             presliding_length=friction.presliding_length * jnp.exp(prior["presliding"] * values[2 * n + 1]),
+            growth=friction.growth + prior["friction_growth"] * values[2 * n + 2] * width / mean,
+            reference_pressure=mean,
         )
         muscles.append(
             dataclasses.replace(muscle, law=adjusted_law(muscle.law, correction=correction), friction=friction)
         )
-    mass, added, zero, arms, cell1, cell2 = z[muscle_parameters(problem) : creep_begin(problem)]
+    mass, added, zero, arms, cell1, cell2, inertia = z[muscle_parameters(problem) : creep_begin(problem)]
     if load.adapted_mass:
         more = getattr(load, load.adapted_mass) * (1 + prior["mass"] * mass)
         load = dataclasses.replace(load, **{load.adapted_mass: more})
@@ -325,6 +338,7 @@ def corrected(problem: CalibrationProblem, z: Array) -> _Corrected:
         1 + prior["added_mass"] * added,
         prior["zero"] * zero,
         (1 + prior["load_cell"] * cell1, 1 + prior["load_cell"] * cell2),
+        1 + prior["inertia"] * inertia,
     )
 
 
@@ -339,7 +353,7 @@ def creep_stiffness(problem: CalibrationProblem, z: Array) -> Array:
 
 def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Array:
     """Errors of the equation of motion [N*m] and of the load cells [N], shape (samples, 1 or 3)."""
-    joint, load, added, zero, cells = corrected(problem, z)
+    joint, load, added, zero, cells, inertia = corrected(problem, z)
     loaded = load.with_weight(added * samples.added_mass, samples.distance)
     stiffness, decay = creep_stiffness(problem, z), np.exp(-1 / (RATE * CREEP_TIMES))
 
@@ -358,6 +372,7 @@ def _errors(problem: CalibrationProblem, z: Array, samples: JointSamples) -> Arr
         path = jnp.stack(paths)
         creep = decay * creep + np.sqrt(decay) * stiffness * (path - before)[:, None]  # Maxwell arms, along the path
         more, required = creep.sum(axis=1), loaded.required_torque(angle, velocity, acceleration)
+        required = required + (inertia - 1) * problem.load.total_inertia * acceleration
         if not tensions:
             errors = [required - (modelled.torque + arm2 * more[1] - arm1 * more[0])]
         else:

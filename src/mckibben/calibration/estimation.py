@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import abc
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import field
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -36,17 +39,17 @@ from mckibben.calibration.fitting import (
     UNEXPLAINED,
     Calibration,
     JointEstimate,
+    LocalMinimum,
     correlation_time,
     draws,
     remembered,
-    variance_of,
 )
 from mckibben.errors import IdentificationError, RangeError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.joint.geometry import Pressures
 from mckibben.numerics.batching import recheck
 from mckibben.numerics.compiled import jit
-from mckibben.result import Remark, column
+from mckibben.result import Column, Listing, Remark, column
 
 _FILTER = 0.1  # s, standard deviation of the filter of the equations
 _START_VARIANCE = 1e-3  # of the torque [N^2*m^2], until residuals are available
@@ -56,6 +59,10 @@ _CONTRADICTION = 1e-6  # prior probability of estimates as far from the model
 _CHECK = "check units and signs of the columns, and which is muscle 1 (it lengthens as the angle grows)"
 _APART = 100  # samples, of the stiffness along recordings
 _EXPECTED = {"added_mass": 1.0, "zero": 0.0, "arm_scale": 1.0}
+_LOGARITHMIC = ("friction", "presliding")  # quantities of which the logarithm is estimated
+_SAMPLES = ((0, 1), (0, 1))  # axes of a sum over samples and groups
+_TAKES_PART = 0.3  # least share of a quantity that is named in a combination
+_NEVER = 1e-3  # weight relative to the best minimum of one that is left out
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, -4.0)  # prior standard deviations of the muscles' strength
 _EXCHANGES = (0.35, -0.35)  # of the friction of muscle 1; the opposite of muscle 2, and of the presliding lengths
 _FIRST, _STAGES, _ITERATIONS = 8, 3, 25
@@ -71,29 +78,34 @@ class CalibratedJoint(Calibration):
     ----------
     joint, load
         The model with the estimates.
-    recordings
-        Those that were fitted.
+    recordings, held_out
+        Those that were fitted, and those that were not.
     """
 
     joint: AntagonisticJoint
     load: Load
     recordings: tuple[JointRecording, ...]
+    held_out: tuple[JointRecording, ...] = field(default=(), kw_only=True)
     _problem: CalibrationProblem
-    _estimate: Floats
-    _covariance: Floats
+    _minima: tuple[LocalMinimum, ...]  # the best one first
 
     figures = ("calibration",)
+    _error: ClassVar[Column]  # of a recording, as `errors`
 
     def stiffness(self, angle: ArrayLike, pressures: Pressures) -> tuple[Floats, Floats]:
         """Return stiffness [N*m/rad] and its standard deviation at angles [rad] and gauge pressures [Pa]."""
-        value, slope = _stiffness(self._problem, jnp.asarray(self._estimate), jnp.asarray(angle, float), pressures)
-        return np.asarray(value), _deviation(np.asarray(slope), self._covariance)
+        return self._stiffness(self._minima, angle, pressures)
 
     def prior_stiffness(self, angle: ArrayLike, pressures: Pressures) -> tuple[Floats, Floats]:
         """Return `stiffness` before the calibration."""
-        start = jnp.zeros(self._estimate.size)
-        value, slope = _stiffness(self._problem, start, jnp.asarray(angle, float), pressures)
-        return np.asarray(value), _deviation(np.asarray(slope), np.eye(self._estimate.size))
+        count = self._minima[0].z.size
+        return self._stiffness([LocalMinimum(np.zeros(count), np.eye(count))], angle, pressures)
+
+    def _stiffness(
+        self, minima: Sequence[LocalMinimum], angle: ArrayLike, pressures: Pressures
+    ) -> tuple[Floats, Floats]:
+        at = jnp.asarray(angle, float)
+        return _spread([_stiffness(self._problem, jnp.asarray(minimum.z), at, pressures) for minimum in minima], minima)
 
     def stiffness_deviations(self) -> tuple[float, float]:
         """Return the root mean square deviation of the stiffness [N*m/rad] along the recordings, before and after."""
@@ -110,8 +122,62 @@ class CalibratedJoint(Calibration):
 
         The first plant has the estimates, the others are drawn from their distribution, always the same ones.
         """
-        models = _models(self._problem, draws(self._estimate, self._covariance, count))
+        models = _models(self._problem, draws(self._minima, count))
         return {"joint": models.joint, "load": models.load}
+
+    @abc.abstractmethod
+    def errors(self, recording: JointRecording) -> tuple[float, float]:
+        """Return the root mean square errors of a recording by the model before and after the calibration."""
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the recordings that were held out, if any, are described better than by the model before."""
+        before, after = np.sum([np.square(self.errors(recording)) for recording in self.held_out], axis=0)
+        return bool(after < before)
+
+    def combinations(self) -> dict[str, float]:
+        """Return combinations of the quantities that the recordings do not determine one by one.
+
+        The deviation of each relative to that before: below 1/2 the recordings determine the combination, near 1 they
+        trade its quantities for each other. Quantities count in units of their deviations before, of their logarithms
+        for friction and presliding.
+        """
+        evaluations = [_quantities(self._problem, jnp.asarray(minimum.z)) for minimum in self._minima]
+        names = [name for name, estimate in self.quantities.items() if not estimate.determined]
+        names = [name for name in names if name in evaluations[0][0] and name != "friction"]
+        wide = {name: np.linalg.norm(evaluations[0][1][name]) for name in names}
+        values, slopes = (
+            np.array([[np.asarray(of[i][name]) / wide[name] for name in names] for of in evaluations]) for i in (0, 1)
+        )
+        spread: Any = 0.0
+        for value, slope, minimum in zip(values - values[0], slopes, self._minima, strict=True):
+            spread = spread + minimum.weight * (slope @ minimum.covariance @ slope.T + np.outer(value, value))
+        rows = {}
+        for variance, direction in zip(*np.linalg.eigh(spread), strict=True) if names else ():
+            parts = [f"{x:+.2g} {name}" for x, name in zip(direction, names, strict=True) if abs(x) > _TAKES_PART]
+            if len(parts) > 1:
+                rows[" ".join(parts)] = math.sqrt(variance)
+        return rows
+
+    def listings(self) -> list[Listing]:
+        """Estimates, combinations of those that are not determined, and errors of each recording."""
+        recordings, rows = (*self.recordings, *self.held_out), self.combinations()
+        before, after = zip(*(self.errors(recording) for recording in recordings), strict=True)
+        columns: dict[str, tuple[Column, Any]] = {
+            "recording": (Column(), [str(i + 1) for i in range(len(recordings))]),
+            "used as": (Column(), ["fitted"] * len(self.recordings) + ["held out"] * len(self.held_out)),
+            "model before": (self._error, before),
+            "calibrated": (self._error, after),
+        }
+        listings = [*super().listings(), Listing("root mean square error", columns)]
+        if rows:
+            columns = {
+                "combination": (Column(), list(rows)),
+                "deviation relative to before": (Column(digits=2), list(rows.values())),
+                "determined": (Column(), [ratio < 0.5 for ratio in rows.values()]),
+            }
+            listings.insert(-1, Listing("combinations of what is not determined", columns))
+        return listings
 
     def verdict(self) -> str:
         """Deviations of the stiffness along the recordings before and after, and the determined quantities."""
@@ -120,10 +186,17 @@ class CalibratedJoint(Calibration):
 
     def remarks(self) -> list[Remark]:
         """Contradictions of model and recordings, and quantities that are far from the model."""
-        remarks, distance = [], float(self._estimate @ self._estimate)
-        if distance > chdtri(self._estimate.size, _CONTRADICTION):
+        z = self._minima[0].z
+        remarks, distance = [], float(z @ z)
+        if distance > chdtri(z.size, _CONTRADICTION):
             text = f"the recordings contradict the model: it is too far from the estimates (chi-squared {distance:.3g})"
             remarks.append(Remark.warning("quantities", text, _CHECK))
+        if self.held_out and not self.predicts:
+            text = "the model before predicts the recordings that were held out better, and is kept in the files"
+            remarks.append(Remark.warning("held_out", text, _CHECK))
+        if len(self._minima) > 1:
+            text = f"{len(self._minima)} minima describe the recordings; deviations contain the distances between them"
+            remarks.append(Remark.note("quantities", text))
         return remarks + super().remarks()
 
 
@@ -142,21 +215,36 @@ class JointCalibration(CalibratedJoint):
     noise
         Root mean square of its sensor noise [N*m], the part not shared by even and odd samples.
     misfit
-        Ratio of residual to noise if the model does not describe the recordings, else 1; deviations contain it.
+        Root mean square of the error of the model [N*m]: the residual without its noise. Deviations contain it.
+    described
+        Whether the residual is within twice its noise, or below a thousandth of the highest torque.
     """
+
+    _error = Column("N*m", digits=3)
 
     residual: float = column("N*m", "residual torque", digits=2)
     noise: float = column("N*m", "noise of the torque", digits=2)
-    misfit: float = 1.0
+    misfit: float = column("N*m", "error of the model", digits=2)
+    described: bool = True
+
+    def errors(self, recording: JointRecording) -> tuple[float, float]:
+        """Return the root mean square errors of the torque [N*m] by the model before and after the calibration."""
+        halves, z = halves_of(recording), self._minima[0].z
+        edge = sliding_from(self._problem.joint, halves[0].angle) + int(4 * _FILTER * RATE)
+        before, after = (
+            np.mean([_filtered(linearised(self._problem, at, half)[0], edge) for half in halves], axis=0)[:, 0]
+            for at in (np.zeros(z.size), z)
+        )
+        return float(np.sqrt(np.mean(before**2))), float(np.sqrt(np.mean(after**2)))
 
     def remarks(self) -> list[Remark]:
         """Whether the model describes the recordings, and remarks on the quantities."""
-        if self.misfit == 1:
+        if self.described:
             return super().remarks()
         text = (
             f"the residual torque of {self.residual:.2g} N*m is far above its noise, {self.noise:.2g} N*m: the model "
         )
-        text += f"does not describe the recordings, and deviations are multiplied by {self.misfit:.2g}"
+        text += "does not describe the recordings, and deviations contain its error"
         remedy = "check which recordings had the weight, the units, and the encoder's zero"
         return [Remark.warning("residual", text, remedy), *super().remarks()]
 
@@ -193,46 +281,52 @@ def calibrate_joint(
         If a recording is too short, too slowly sampled or at rest, contains non-finite numbers, or does not give the
         load a positive mass.
 
-    If the residual is above twice its noise and a thousandth of the highest torque, the model does not describe the
-    recordings: deviations are multiplied by their ratio (Birge), and a remark says so.
-
     References
     ----------
-    L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (instrumental variables); W. K. Newey and K. D.
-    West, Econometrica 55 (1987), 703-708 (covariance); the procedure is this project's.
+    L. Ljung, System Identification, 2nd ed., Prentice Hall 1999, ch. 7 (instrumental variables); the procedure is this
+    project's.
     """
     prior = prior or JointPrior()
     halves = [halves_of(recording) for recording in recordings]
     if not halves:
         raise IdentificationError("there is no recording", remedy="give at least one")
     problem = problem_of(joint, load, halves, prior)
-    estimate, covariance, residual, noise = _solve(problem, halves)
+    minima, residual, noise = _solve(problem, halves)
     arms = np.abs(joint.geometry.moment_arms(halves[0][0].angle))
     relevant = max(UNEXPLAINED * noise, _NEGLIGIBLE * float(np.max(problem.force)) * float(np.max(arms)))
-    misfit = residual / noise if residual > relevant else 1.0
-    covariance = covariance * misfit**2
-    model = jax.tree.map(number, _model(problem, jnp.asarray(estimate)))
+    model = jax.tree.map(number, _model(problem, jnp.asarray(minima[0].z)))
     try:
         recheck(model)
     except RangeError as error:
         raise IdentificationError(f"the recordings contradict the model: {error.message}", remedy=_CHECK) from None
-    quantities = quantities_of(problem, estimate, covariance)
-    parts = model.joint, model.load, tuple(recordings), problem, estimate, covariance
-    return JointCalibration(quantities, *parts, residual, noise, misfit)
+    parts = model.joint, model.load, tuple(recordings), problem, minima
+    misfit = math.sqrt(max(residual**2 - noise**2, 0.0))
+    return JointCalibration(quantities_of(problem, minima), *parts, residual, noise, misfit, residual <= relevant)
 
 
-def quantities_of(problem: CalibrationProblem, estimate: Floats, covariance: Floats) -> dict[str, JointEstimate]:
-    """Estimates by name, from estimates and covariance of the parameters."""
-    value, slope = _quantities(problem, estimate)
-    before = _quantities(problem, np.zeros(estimate.size))[1]
+def quantities_of(problem: CalibrationProblem, minima: Sequence[LocalMinimum]) -> dict[str, JointEstimate]:
+    """Return estimates by name, with the deviations of all minima about the first one."""
+    evaluations = [_quantities(problem, minimum.z) for minimum in minima]
+    prior = _quantities(problem, np.zeros(minima[0].z.size))[1]
     estimates = {}
-    for name in value:
-        deviation = _deviation(np.asarray(slope[name]), covariance)
-        wide = _deviation(np.asarray(before[name]), np.eye(estimate.size))
-        unit = _UNITS.get(name.rpartition(".")[2], "1")
-        numbers = float(value[name]), float(deviation), float(wide)
-        estimates[name] = JointEstimate(*numbers, unit, expected=_EXPECTED.get(name))
+    for name in evaluations[0][0]:
+        value, deviation = _spread([(values[name], slopes[name]) for values, slopes in evaluations], minima)
+        wide = float(np.linalg.norm(prior[name]))
+        unit, logarithmic = _UNITS.get(name.rpartition(".")[2], "1"), name.endswith(_LOGARITHMIC)
+        number = math.exp(value) if logarithmic else float(value)
+        scale = number if logarithmic else 1.0
+        expected = _EXPECTED.get(name)
+        estimates[name] = JointEstimate(number, float(deviation) * scale, wide * scale, unit, logarithmic, expected)
     return estimates
+
+
+def _spread(evaluations: Sequence[tuple[Any, Any]], minima: Sequence[LocalMinimum]) -> tuple[Floats, Floats]:
+    """Value of a function at the best minimum, and its standard deviation about it, from value and slope at each."""
+    (best, _), total = evaluations[0], 0.0
+    for (value, slope), minimum in zip(evaluations, minima, strict=True):
+        variance = np.einsum("...i,ij,...j->...", slope, minimum.covariance, slope)
+        total = total + minimum.weight * (variance + np.square(np.asarray(value) - best))
+    return np.asarray(best), np.sqrt(total)
 
 
 def number(leaf: Any) -> Any:
@@ -242,10 +336,6 @@ def number(leaf: Any) -> Any:
 
 _model = jit(corrected)
 _models = jit(jax.vmap(corrected, (None, 0)))
-
-
-def _deviation(slope: Floats, covariance: Floats) -> Floats:
-    return np.sqrt(np.einsum("...i,ij,...j->...", slope, covariance, slope))
 
 
 @jit
@@ -261,7 +351,7 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
     """Quantities by name and their derivatives; other dictionaries would come back sorted."""
 
     def values(z: Array) -> OrderedDict[str, Array]:
-        joint, load, added, zero, _ = corrected(problem, z)
+        joint, load, added, zero, _, inertia = corrected(problem, z)
         geometry: Any = joint.geometry
         quantities: Any = OrderedDict()
         bands = []
@@ -273,80 +363,92 @@ def _quantities(problem: CalibrationProblem, z: Any) -> tuple[OrderedDict[str, A
             point, name, friction = (problem.centre[i], problem.pressure[i]), f"muscle{i + 1}", muscle.friction
             bands.append(friction.half_width)  # type: ignore[attr-defined]
             quantities[f"{name}.force"] = muscle.law.force(*point) / before.law.force(*point)
-            quantities[f"{name}.friction"] = bands[-1]
-            quantities[f"{name}.presliding"] = friction.presliding_length  # type: ignore[attr-defined]
+            quantities[f"{name}.friction"] = jnp.log(bands[-1])
+            quantities[f"{name}.presliding"] = jnp.log(friction.presliding_length)  # type: ignore[attr-defined]
             if creep is not None:
                 quantities[f"{name}.creep"] = creep[i]
-        quantities["friction"] = sum(bands)
+        quantities["friction"] = jnp.log(jnp.stack(bands).sum())
         if load.adapted_mass:
             quantities["load.mass"] = getattr(load, load.adapted_mass)
         quantities |= {"added_mass": added, "zero": zero, "arm_scale": geometry.scale}
+        if creep is not None:
+            quantities["inertia"] = inertia
         return quantities
 
     return values(z), jax.jacfwd(values)(z)
 
 
-def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[Floats, Floats, float, float]:
-    """Estimates and covariance of the parameters, the residual torque [N*m], and its noise."""
-    count, edge, stride = parameters(problem), int(4 * _FILTER * RATE), int(_FILTER * RATE / 2)
-    starts = [sliding_from(problem.joint, half.angle) + edge for half, _ in recordings]
+def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[tuple[LocalMinimum, ...], float, float]:
+    """Minima of all starts, the best one first, the residual torque [N*m], and its noise."""
+    count, edge = parameters(problem), int(4 * _FILTER * RATE)
+    begins = [sliding_from(problem.joint, half.angle) + edge for half, _ in recordings]
     groups = 1 + len(recordings[0][0].tensions)
     highest = np.asarray(problem.force).max()
     variances = np.full(groups, _START_VARIANCE) * np.array([1.0, highest**2, highest**2])[:groups]
 
-    def filtered(column: Floats, start: int) -> Floats:
-        return gaussian_filter1d(column, _FILTER * RATE, axis=0)[start:-edge:stride]
-
     def raw(z: Floats) -> list[list[tuple[Floats, Floats]]]:
-        """Errors, shape (samples, groups), and their Jacobians, of each recording, for both halves."""
-        halves = [[linearised(problem, z, recording[half]) for recording in recordings] for half in (0, 1)]
-        return [[(filtered(r, n), filtered(j, n)) for (r, j), n in zip(half, starts, strict=True)] for half in halves]
-
-    def data(z: Floats) -> tuple[float, list[Floats], Floats]:
-        """Objective without the prior, its gradients at each sample, and its Gauss-Newton Hessian."""
-        scale = 1 / np.sqrt(variances)
-        objective, gradients, curvature = 0.0, [], np.zeros((count, count))
-        for (r0, J0), (r1, J1) in zip(*raw(z), strict=True):
-            r0, r1, J0, J1 = r0 * scale, r1 * scale, J0 * scale[:, None], J1 * scale[:, None]
-            cross = np.tensordot(J0, J1, ((0, 1), (0, 1)))
-            objective, curvature = objective + float(np.vdot(r0, r1)) / 2, curvature + (cross + cross.T) / 2
-            gradients.append((np.einsum("tgi,tg->ti", J0, r1) + np.einsum("tgi,tg->ti", J1, r0)) / 2)
-        return objective, gradients, curvature
+        """Errors, shape (samples, groups), and their Jacobians, of both halves of each recording."""
+        pairs = [[linearised(problem, z, half) for half in recording] for recording in recordings]
+        return [[(_filtered(r, n), _filtered(j, n)) for r, j in pair] for pair, n in zip(pairs, begins, strict=True)]
 
     def terms(z: Floats) -> tuple[float, Floats, Floats]:
-        """The same with the prior."""
-        objective, gradients, curvature = data(z)
-        return objective + float(z @ z) / 2, np.concatenate(gradients).sum(axis=0) + z, curvature + np.eye(count)
+        """Objective with the prior, its gradient, and its Gauss-Newton Hessian."""
+        scale = 1 / np.sqrt(variances)
+        objective, gradient, curvature = float(z @ z) / 2, z.copy(), np.eye(count)
+        for (r0, J0), (r1, J1) in raw(z):
+            r0, r1, J0, J1 = r0 * scale, r1 * scale, J0 * scale[:, None], J1 * scale[:, None]
+            cross = np.tensordot(J0, J1, _SAMPLES)
+            objective, curvature = objective + float(np.vdot(r0, r1)) / 2, curvature + (cross + cross.T) / 2
+            gradient += (np.tensordot(J0, r1, _SAMPLES) + np.tensordot(J1, r0, _SAMPLES)) / 2
+        return objective, gradient, curvature
 
-    means: list[Floats] = []
-    apart: list[Floats] = []  # half the difference between the halves
-    starts_of_search = [start(problem, strength) for strength in STARTS]
-    starts_of_search += [start(problem, exchange=exchange) for exchange in _EXCHANGES]
-    z = min((_minimised(terms, first, _FIRST) for first in starts_of_search), key=lambda fit: fit[1])[0]
+    def errors(z: Floats) -> tuple[list[Floats], list[Floats]]:
+        """Means of the halves of each recording, and half of their difference, which is noise."""
+        pairs = [(r0, r1) for (r0, _), (r1, _) in raw(z)]
+        return [(r0 + r1) / 2 for r0, r1 in pairs], [(r0 - r1) / 2 for r0, r1 in pairs]
+
+    search = [start(problem, strength) for strength in STARTS]
+    search += [start(problem, exchange=exchange) for exchange in _EXCHANGES]
+    minima = sorted((_minimised(terms, z, _FIRST) for z in search), key=lambda fit: fit[1])
+    z = minima[0][0]
     for _ in range(_STAGES):
         z, _ = _minimised(terms, z)
-        even, odd = raw(z)
-        means, apart = ([(a + sign * b) / 2 for (a, _), (b, _) in zip(even, odd, strict=True)] for sign in (1, -1))
-        variances = np.array([max(variance_of([mean[:, i] for mean in means]), _LEAST_VARIANCE) for i in range(groups)])
-    residual, noise = (float(np.sqrt(np.mean(np.concatenate(errors)[:, 0] ** 2))) for errors in (means, apart))
-    _, gradients, curvature = data(z)
-    inverse = np.asarray(np.linalg.inv(curvature + np.eye(count)), float)
-    time = float(np.mean([correlation_time(errors[:, i]) for errors in means for i in range(groups)]))
-    covariance = inverse @ (_long_run(gradients, time) + np.eye(count)) @ inverse
-    return z, covariance, residual, noise
+        determined = count - float(np.trace(np.linalg.inv(terms(z)[2])))
+        variances = np.maximum(_variances(*errors(z), determined), _LEAST_VARIANCE)
+    others = _distinct([z, *(z for z, _ in minima)])
+    minima = sorted((_minimised(terms, z) for z in others), key=lambda fit: fit[1])
+    weights = np.exp([minima[0][1] - objective for _, objective in minima])
+    best = [
+        LocalMinimum(z, np.asarray(np.linalg.inv(terms(z)[2]), float), float(weight))
+        for (z, _), weight in zip(minima, weights / weights.sum(), strict=True)
+        if weight > _NEVER
+    ]
+    residual, noise = (float(np.sqrt(np.mean(np.concatenate(r)[:, 0] ** 2))) for r in errors(best[0].z))
+    return tuple(best), residual, noise
 
 
-def _long_run(gradients: list[Floats], correlation_time: float) -> Floats:
-    """Covariance of the sum of correlated gradients (Newey and West 1987; bandwidth: Andrews 1991, Eqs. 6.2, 6.4)."""
-    total = np.zeros((gradients[0].shape[1],) * 2)
-    rho = (correlation_time - 1) / (correlation_time + 1)
-    for gradient in gradients:
-        bandwidth = 1.1447 * (4 * rho**2 / (1 - rho**2) ** 2 * len(gradient)) ** (1 / 3)
-        total += gradient.T @ gradient
-        for lag in range(1, min(int(bandwidth) + 1, len(gradient))):
-            cross = (1 - lag / (int(bandwidth) + 1)) * gradient[lag:].T @ gradient[:-lag]
-            total += cross + cross.T
-    return total
+def _filtered(column: Floats, begin: int) -> Floats:
+    """Low-pass filtered rows of samples from the first one of interest on, without the edge of the filter."""
+    return gaussian_filter1d(column, _FILTER * RATE, axis=0)[begin : -int(4 * _FILTER * RATE) : int(_FILTER * RATE / 2)]
+
+
+def _distinct(points: Sequence[Floats]) -> list[Floats]:
+    """Points that are farther than a prior standard deviation from all before."""
+    chosen: list[Floats] = []
+    for z in points:
+        if all(np.linalg.norm(z - other) > 1.0 for other in chosen):
+            chosen.append(z)
+    return chosen
+
+
+def _variances(errors: list[Floats], noise: list[Floats], determined: float) -> Floats:
+    """Variance of a sample of each group, for the information of independent samples.
+
+    The noise is correlated over some samples. The error of the model counts as in `variance_of`.
+    """
+    times = np.mean([[correlation_time(column) for column in half.T] for half in noise], axis=0)
+    whole, white = (np.mean(np.concatenate(parts) ** 2, axis=0) for parts in (errors, noise))
+    return white * times + np.maximum(whole - white, 0.0) * sum(map(len, errors)) / determined
 
 
 def start(problem: CalibrationProblem, strength: float = 0.0, exchange: float = 0.0) -> Floats:
@@ -354,7 +456,7 @@ def start(problem: CalibrationProblem, strength: float = 0.0, exchange: float = 
     z = np.zeros(parameters(problem))
     muscles = z[: muscle_parameters(problem)].reshape(-1, OF_MUSCLE)
     muscles[:, COEFFICIENTS] = strength
-    muscles[:, -2:] = np.outer((exchange, -exchange), (1.0, -1.0))[: len(muscles)]  # friction and presliding
+    muscles[:, -3:-1] = np.outer((exchange, -exchange), (1.0, -1.0))[: len(muscles)]  # friction and presliding
     return z
 
 

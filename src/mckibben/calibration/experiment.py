@@ -264,12 +264,12 @@ def calibrate_scenario(
 ) -> JointCalibration | CommandedCalibration:
     """Identify the controller's model of a scenario from recordings of measured or commanded pressures.
 
-    Recordings of commands that are `held_out` are simulated, but not fitted.
+    Recordings that are `held_out` are not fitted; where the model before predicts them better, the files keep it.
     """
     joint, load = first_model_of(scenario), load_of(scenario)
     kinds = {recording.commanded for recording in (*recordings, *held_out)}
-    if len(kinds) > 1 or (held_out and kinds == {False}):
-        remedy = "give recordings of one kind; only commands (columns command1_bar,command2_bar) can be held out"
+    if len(kinds) > 1:
+        remedy = "give recordings of one kind"
         raise ParameterError("recordings of commands and of measured pressures", remedy=remedy)
     fit: JointCalibration | CommandedCalibration
     if kinds == {True}:
@@ -279,12 +279,17 @@ def calibrate_scenario(
             message = "recordings of commands need a valve with a first-order lag"
             raise ParameterError(message, field="valve", remedy=remedy)
         options: Any = {"friction": scenario.friction, "delay": scenario.command_delay}
-        commanded = calibrate_from_commands(joint, load, valve, recordings, prior, **options)
-        fit = replace(commanded, held_out=tuple(held_out))
+        fit = calibrate_from_commands(joint, load, valve, recordings, prior, **options)
     else:
         fit = calibrate_joint(joint, load, recordings, prior)
-    after = calibrated_scenario(scenario, fit)
-    write_model = partial(write_section, calibrated_model(scenario, fit), _HEAD)
+    fit = replace(fit, held_out=tuple(held_out))
+    if held_out and not fit.predicts:
+        write_model = partial(write_section, joint, _HEAD)
+        return replace(fit, writers={"model.yaml": write_model, "scenario.yaml": scenario.to_yaml})
+    after, write_model = (
+        calibrated_scenario(scenario, fit),
+        partial(write_section, calibrated_model(scenario, fit), _HEAD),
+    )
     writers = {"model.yaml": write_model, "scenario.yaml": after.to_yaml}
     return replace(fit, writers=writers, disk_margins=loop_margins(after, **fit.drawn(PLANTS)))
 

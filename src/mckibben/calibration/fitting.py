@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
-from scipy.special import chdtrc
 
 from mckibben.calibration.loop import loop_remarks
 from mckibben.errors import IdentificationError
@@ -30,7 +29,7 @@ SHOWN = {"m": "mm", "rad": "deg", "s": "ms", "Pa/s": "bar/s", "Pa": "kPa", "m^3"
 """Units of quantities in texts that differ from SI."""
 _NEGLIGIBLE = 2e-3  # ratio of residual to the highest pressure up to which a misfit is irrelevant
 _INTERVAL = 1.96  # standard deviations to the bounds of a 95 % interval
-_LEAST_RECORDINGS = 3  # for their scatter
+_SIGNIFICANT = 2.0  # standard deviations of the variance of noise by which a residual exceeds it
 _STAGES, _BRIEF, _EVALUATIONS = 3, 10, 60  # re-estimations of the variance; evaluations of a start and of a stage
 _TOLERANCE = 1e-7  # relative, of cost and parameters
 
@@ -168,10 +167,20 @@ class UncertainParameter(NamedTuple):
         return JointEstimate(value, prior * deviation, prior, self.unit, self.logarithmic, expected)
 
 
-def draws(estimate: Floats, covariance: Floats, count: int) -> Array:
-    """Return the estimates, then parameters drawn from their normal distribution, shape (count, parameters)."""
-    drawn = np.random.default_rng(0).multivariate_normal(estimate, covariance, count)
-    return jnp.asarray(drawn).at[0].set(estimate)
+class LocalMinimum(NamedTuple):
+    """Parameters at a minimum of an objective, their covariance there, and the weight of the minimum among others."""
+
+    z: Floats
+    covariance: Floats
+    weight: float = 1.0
+
+
+def draws(minima: Sequence[LocalMinimum], count: int) -> Array:
+    """Return the parameters at the first minimum, then drawn ones, shape (count, parameters)."""
+    random = np.random.default_rng(0)
+    chosen = random.choice(len(minima), count - 1, p=[minimum.weight for minimum in minima])
+    drawn = [random.multivariate_normal(minima[i].z, minima[i].covariance) for i in chosen]
+    return jnp.asarray([minima[0].z, *drawn])
 
 
 def remembered(function: Callable[[Floats], Answer]) -> Callable[[Floats], Answer]:
@@ -216,8 +225,7 @@ def fit_output_error(
 
     .. math:: \frac{1}{\sigma^2} \sum_k e_k(z)^2 + \sum_i w_i z_i^2
 
-    by `least_squares` of `mckibben.identification.estimator`, with sigma^2 the variance of the residuals times their
-    correlation time, re-estimated three times.
+    by `least_squares` of `mckibben.identification.estimator`, with sigma^2 of `variance_of`, re-estimated three times.
 
     Parameters
     ----------
@@ -268,15 +276,24 @@ def fit_output_error(
     for _ in range(_STAGES):
         z = search(z, variance, _EVALUATIONS).values
         error, slope = linearised(z)
-        variance = max(variance_of(np.split(error, edges)), least)
+        information = slope.T @ slope / variance
+        determined = float(np.trace(np.linalg.solve(information + np.diag(weights**2), information)))
+        variance = max(variance_of(np.split(error, edges), determined), least)
     hessian = slope.T @ slope / variance + np.diag(weights**2)
     return OutputErrorFit(z, hessian, np.split(error, edges), np.split(slope, edges), variance)
 
 
-def variance_of(parts: Sequence[Floats]) -> float:
-    """Variance of residuals times the number of samples equivalent to one independent sample."""
-    times = [correlation_time(part) for part in parts]
-    return float(sum(part @ part for part in parts) / sum(part.size for part in parts) * np.mean(times))
+def variance_of(parts: Sequence[Floats], determined: float) -> float:
+    """Variance of a sample of white noise and of the error of a model, for the information of independent samples.
+
+    The noise follows from successive differences. The error of the model, if the residual is significantly above the
+    noise, repeats with the motion: all samples together count as as many independent ones as there are effective
+    parameters, which the recordings determine (ours).
+    """
+    residual, noise = np.concatenate(parts), noise_of(parts) ** 2
+    significant = noise * (1 + _SIGNIFICANT * math.sqrt(2 / residual.size))
+    misfit = max(float(np.mean(residual**2)) - significant, 0.0)
+    return noise + misfit * residual.size / determined
 
 
 def correlation_time(residuals: Floats) -> float:
@@ -300,30 +317,5 @@ def misfit_remarks(residual: float, noise: float, highest: float, remedy: str) -
     text = (
         f"the residual of {show(residual, 'kPa', 2)} is far above the noise, {show(noise, 'kPa', 2)}: the model does "
     )
-    text += "not describe the recordings, and the intervals are too narrow"
+    text += "not describe the recordings, and deviations contain its error"
     return [Remark.warning("residual", text, f"check {remedy}")]
-
-
-class Scatter(NamedTuple):
-    """Variance of the influence of each recording on each parameter relative to the expected one, and its p-value."""
-
-    ratio: Floats
-    p_value: Floats
-
-
-def scatter_between(covariance: Floats, parts: Sequence[tuple[Floats, Floats]]) -> Scatter:
-    """Scatter of the estimates between recordings, from gradient and Hessian of each; 1 for less than three.
-
-    The sum of squares of the influences C g_r is compared with the expected one, by H_r - H_r C H_r (Birge ratio), as
-    a chi-squared variable with Satterthwaite's degrees of freedom.
-    """
-    if len(parts) < _LEAST_RECORDINGS:
-        return Scatter(*np.ones((2, len(covariance))))
-    influence = np.array([covariance @ gradient for gradient, _ in parts])
-    expected = np.array(
-        [np.diag(covariance @ (hessian - hessian @ covariance @ hessian) @ covariance) for _, hessian in parts]
-    )
-    total = np.maximum(expected.sum(axis=0), 1e-300)
-    freedom = np.maximum(total**2 / np.maximum((expected**2).sum(axis=0), 1e-300) - 1, 1)
-    ratio = (influence**2).sum(axis=0) / total
-    return Scatter(ratio, chdtrc(freedom, ratio * freedom))

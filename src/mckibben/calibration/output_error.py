@@ -31,19 +31,18 @@ from mckibben.calibration.equations import (
 )
 from mckibben.calibration.estimation import STARTS, CalibratedJoint, number, quantities_of, start
 from mckibben.calibration.fitting import (
+    LocalMinimum,
     OutputErrorFit,
-    Scatter,
     UncertainParameter,
     draws,
     fit_output_error,
-    scatter_between,
 )
 from mckibben.errors import IdentificationError
 from mckibben.joint import AntagonisticJoint, Load
 from mckibben.numerics.batching import batched_program
 from mckibben.numerics.compiled import jit
 from mckibben.plant import JointFriction, JointPlant
-from mckibben.result import Column, Listing, Remark, column
+from mckibben.result import Column, column
 from mckibben.units import ms
 
 _REST = 3.0  # s after the last change of the commands; later samples, up to the next change, are left out
@@ -56,7 +55,6 @@ _DIFFERENCE = 1e-4  # prior standard deviations, of the difference quotients
 _DELAY = 20 * ms  # prior median
 _DAMPING_TIME = 1.0  # s, ratio of inertia to damping of a load without damping in the model
 _FIRST_VARIANCE, _LEAST_VARIANCE = 0.1**2, 1e-8  # rad^2
-_DIFFERS = 1e-3  # probability of a larger scatter between recordings
 _RATE_START = -1.5  # prior standard deviations: a limit that acts on large steps; else its derivative is zero
 _STRENGTHS = 3  # starts
 _SHARED = 3  # parameters other than the muscles' shared with `corrected`: weight, zero and scale of the arms
@@ -120,9 +118,9 @@ class CommandedCalibration(CalibratedJoint):
         The valve with the estimates, and the delay [s] of its commands.
     friction
         Friction of the joint itself, which is not estimated; None if it has none.
-    held_out
-        Recordings that were not fitted, which `listings` simulates, too.
     """
+
+    _error = Column("rad", shown="deg", digits=3)
 
     residual: float = column("rad", "residual angle", shown="deg", digits=3)
     valve: FirstOrderValve
@@ -130,39 +128,15 @@ class CommandedCalibration(CalibratedJoint):
     friction: JointFriction | None
     _before: _Simulated
     _whole: _Problem
-    _values: Floats  # in prior standard deviations, and their covariance
-    _spread: Floats
-    _scatter: dict[str, float]  # factors by which deviations are multiplied
-    held_out: tuple[JointRecording, ...] = ()
+    _all: LocalMinimum
 
-    def remarks(self) -> list[Remark]:
-        """Quantities about which the recordings disagree, and remarks on the others."""
-        names = ", ".join(f"{name} ({ratio:.2g})" for name, ratio in self._scatter.items())
-        text = f"the model is wrong: the recordings disagree by more than the noise allows about {names}; standard "
-        text += "deviations are multiplied by the factors in parentheses"
-        remarks = [Remark.warning("quantities", text)] if names else []
-        return remarks + super().remarks()
-
-    def listings(self) -> list[Listing]:
-        """Estimates, and the error of the simulated angle for each recording, before and after calibration."""
-        recordings = (*self.recordings, *self.held_out)
-        before, after = zip(*(self.simulate(recording).errors for recording in recordings), strict=True)
-        angle = Column("rad", shown="deg", digits=3)
-        used = ["fitted"] * len(self.recordings) + ["held out"] * len(self.held_out)
-        columns: dict[str, tuple[Column, Any]] = {
-            "recording": (Column(), [str(i + 1) for i in range(len(recordings))]),
-            "used as": (Column(), used),
-            "model before": (angle, before),
-            "calibrated": (angle, after),
-        }
-        return [
-            *super().listings(),
-            Listing("root mean square error of the angle simulated from the commands", columns),
-        ]
+    def errors(self, recording: JointRecording) -> tuple[float, float]:
+        """Return the root mean square errors of the simulated angle [rad] before and after the calibration."""
+        return self.simulate(recording).errors
 
     def drawn(self, count: int) -> dict[str, Any]:
         """Return joint, load, valve and delay of plants, as `CalibratedJoint.drawn`."""
-        models = _models(self._whole, draws(self._values, self._spread, count))
+        models = _models(self._whole, draws([self._all], count))
         plant = models.plant
         return {"joint": plant.joint, "load": plant.load, "valve": plant.valve, "command_delay": models.delay}
 
@@ -200,7 +174,7 @@ def calibrate_from_commands(
 
     .. math:: \sum_k \frac{(\theta_k - \hat\theta_k(z))^2}{\sigma^2} + z^T z
 
-    with the variance sigma^2 of the residuals times their correlation time. Samples more than 3 s after the last change
+    with the variance sigma^2 of `variance_of`. Samples more than 3 s after the last change
     of the commands are left out.
 
     Parameters
@@ -245,12 +219,14 @@ def calibrate_from_commands(
         UncertainParameter("load.gravity_torque", "N*m", rigid.greatest_gravity_torque, prior.mass),
     )
     problem = _Problem(base, valve, friction, own)
-    fit, covariance, scatter = _solve(problem, motions)
+    fit = _solve(problem, motions)
+    covariance = np.asarray(np.linalg.inv(fit.hessian), float)
     places = _places(base)
     full, wide = np.zeros(creep_begin(base)), np.eye(creep_begin(base))  # the prior of what is not estimated
     full[places], wide[np.ix_(places, places)] = fit.z[: -len(own)], covariance[: -len(own), : -len(own)]
     model = jax.tree.map(number, _model(problem, jnp.asarray(fit.z)))
-    plant, quantities = model.plant, quantities_of(base, full, wide)
+    minima = (LocalMinimum(full, wide),)
+    plant, quantities = model.plant, quantities_of(base, minima)
     deviations = np.sqrt(np.diag(covariance))[-len(own) :]
     quantities |= {
         parameter.name: parameter.estimate(float(z), float(deviation))
@@ -263,17 +239,14 @@ def calibrate_from_commands(
         load=plant.load,
         recordings=tuple(recordings),
         _problem=base,
-        _estimate=full,
-        _covariance=wide,
+        _minima=minima,
         residual=fit.residual,
         valve=plant.valve,
         delay=model.delay,
         friction=plant.friction,
         _before=_Simulated(JointPlant(joint, rigid, valve, friction=friction), delay or 0.0, 0.0, 1.0),
         _whole=problem,
-        _values=fit.z,
-        _spread=covariance,
-        _scatter=_differing(own, scatter),
+        _all=LocalMinimum(fit.z, covariance),
     )
 
 
@@ -359,7 +332,7 @@ def _simulated_by(problem: _Problem, z: Array) -> _Simulated:
     """The model by parameters in prior standard deviations from their prior mean."""
     base, load = problem.base, problem.base.load
     own = len(problem.parameters)
-    joint, _, added, zero, _ = corrected(base, jnp.zeros(creep_begin(base)).at[_places(base)].set(z[:-own]))
+    joint, _, added, zero, *_ = corrected(base, jnp.zeros(creep_begin(base)).at[_places(base)].set(z[:-own]))
     values = [parameter.at(at) for parameter, at in zip(problem.parameters, z[-own:], strict=True)]
     lag, rate, delay, damping, inertia, gravity = values
     load = dataclasses.replace(load, inertia=inertia, greatest_gravity_torque=gravity, damping=damping)  # pyrefly: ignore[unexpected-keyword]
@@ -371,14 +344,8 @@ _model = jit(_simulated_by)
 _models = jit(jax.vmap(_simulated_by, (None, 0)))
 
 
-def _differing(own: Sequence[UncertainParameter], scatter: Scatter) -> dict[str, float]:
-    """Valve, delay and load that differ between the recordings by more than their intervals allow, and factors."""
-    rows = zip(own, scatter.ratio[-len(own) :], scatter.p_value[-len(own) :], strict=True)
-    return {parameter.name: math.sqrt(ratio) for parameter, ratio, p_value in rows if p_value < _DIFFERS}
-
-
-def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[OutputErrorFit, Floats, Scatter]:
-    """The fit, its covariance widened by the scatter between recordings, and this scatter."""
+def _solve(problem: _Problem, motions: Sequence[_Motion]) -> OutputErrorFit:
+    """The fit of the angles of all motions."""
     muscles, own = muscle_parameters(problem.base), len(problem.parameters)
     count, substeps = muscles + _SHARED + own, _substeps(motions)
     padded, sizes = list(map(_padded, motions)), [motion.angle.size for motion in motions]
@@ -397,11 +364,4 @@ def _solve(problem: _Problem, motions: Sequence[_Motion]) -> tuple[OutputErrorFi
         z[muscles + _SHARED + 1] = _RATE_START
         return z
 
-    fit = fit_output_error(linearised, [begin(s) for s in STARTS[:_STRENGTHS]], sizes, _FIRST_VARIANCE, _LEAST_VARIANCE)
-    covariance = np.asarray(np.linalg.inv(fit.hessian), float)
-    parts = zip(fit.errors, fit.slopes, strict=True)
-    scatter = scatter_between(
-        covariance, [(slope.T @ error / fit.variance, slope.T @ slope / fit.variance) for error, slope in parts]
-    )
-    wider = np.sqrt(np.maximum(scatter.ratio, 1.0))
-    return fit, covariance * np.outer(wider, wider), scatter
+    return fit_output_error(linearised, list(map(begin, STARTS[:_STRENGTHS])), sizes, _FIRST_VARIANCE, _LEAST_VARIANCE)

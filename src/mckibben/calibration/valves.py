@@ -28,6 +28,7 @@ from mckibben.calibration.equations import (
 )
 from mckibben.calibration.fitting import (
     Calibration,
+    LocalMinimum,
     OutputErrorFit,
     UncertainParameter,
     draws,
@@ -156,7 +157,7 @@ class ValveCalibration(Calibration):
         valves, delays = [], []
         for problem, z, deviations in zip(self._problems.values(), self._estimates, self._deviations, strict=True):
             own = len(problem.parameters)
-            rows = draws(z[:own], np.diag(deviations[:own] ** 2), count)
+            rows = draws([LocalMinimum(z[:own], np.diag(deviations[:own] ** 2))], count)
             lacking = np.array([not parameter.logarithmic for parameter in problem.parameters])
             valve, delay = _valves(_traced(problem), jnp.where(lacking, jnp.maximum(rows, 0.0), rows))
             valves.append(valve)
@@ -207,7 +208,7 @@ def calibrate_valves(
 
     .. math:: \sum_k \frac{(p_k - \hat p_k(z))^2}{\sigma^2} + z^T z
 
-    with the variance sigma^2 of the residuals times their correlation time. The first second is not fitted;
+    with the variance sigma^2 of `variance_of`. The first second is not fitted;
     docs/calibrate.md has the priors.
 
     Parameters
@@ -229,11 +230,6 @@ def calibrate_valves(
     IdentificationError
         If there is no recording, or one without commands, too short, with gaps, or with constant commands; for valves
         that take openings, or share a reservoir.
-
-    Warns
-    -----
-    McKibbenWarning
-        If the residual is above twice the noise and 0.2 % of the highest pressure: the intervals are too narrow.
 
     References
     ----------
