@@ -155,7 +155,12 @@ Halves = tuple[JointSamples, JointSamples]
 
 
 class CalibrationProblem(NamedTuple):
-    """The model, and the scales of each muscle's correction."""
+    """The model, and the scales of each muscle's correction.
+
+    Parameters z are in prior standard deviations from the model: of each muscle (but not of a return spring) the
+    coefficients of the constant and of the pressure-proportional correction, friction, presliding and growth of the
+    friction; then mass, weight, zero, arms, load cells and apparent inertia; then creep stiffnesses of each muscle.
+    """
 
     joint: AntagonisticJoint
     load: Load
@@ -216,7 +221,15 @@ def local_cubic(values: Floats, width: int, derivative: int = 0, period: float =
 
 
 def halves_of(recording: JointRecording) -> Halves:
-    """Even and odd samples, with independent noise, smoothed at the same times."""
+    """Return even and odd samples of a recording, with independent noise, smoothed at the same times at 50 Hz.
+
+    Angle, velocity and acceleration are those of cubic fits to 50 ms of the samples.
+
+    Raises
+    ------
+    IdentificationError
+        If the pressures are commands, numbers are not finite, or the samples are too few, too sparse or uneven.
+    """
     if recording.commanded:
         raise IdentificationError(
             "a recording has commanded pressures", remedy="use calibrate_from_commands, or give measured pressures"
@@ -248,7 +261,13 @@ def halves_of(recording: JointRecording) -> Halves:
 def problem_of(
     joint: AntagonisticJoint, load: Load, recordings: Sequence[Halves], prior: JointPrior
 ) -> CalibrationProblem:
-    """The model, with friction added if it has none, and the scales of its corrections."""
+    """Return the model, with friction added if it has none, and the scales of its corrections.
+
+    Raises
+    ------
+    IdentificationError
+        If the muscles do not change their length in the recordings.
+    """
     muscles, scales = [], []
     angle = np.concatenate([half.angle for half, _ in recordings])
     for muscle, spring, path in zip(

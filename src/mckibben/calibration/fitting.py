@@ -44,6 +44,14 @@ class JointEstimate:
 
     With `logarithmic` its logarithm is estimated, and the deviations are those of the logarithm times the value.
     `expected` is its value in the first model, if the estimate is compared with it.
+
+    Examples
+    --------
+    A logarithm that is known to 0.1, of 0.7 before:
+
+    >>> estimate = JointEstimate(0.02, 0.002, 0.014, "s", logarithmic=True, expected=0.04)
+    >>> estimate.determined, [round(bound, 4) for bound in estimate.interval], round(estimate.distance, 2)
+    (True, [0.0164, 0.0243], 0.99)
     """
 
     value: float
@@ -147,7 +155,14 @@ def estimates_listing(quantities: Mapping[str, JointEstimate]) -> Listing:
 
 
 class UncertainParameter(NamedTuple):
-    """Uncertain quantity: its prior median, and the standard deviation of its logarithm, or of itself."""
+    """Uncertain quantity: its prior median, and the standard deviation of its logarithm, or of itself.
+
+    Examples
+    --------
+    >>> lag = UncertainParameter("valve.time_constant", "s", 0.02, 0.7)
+    >>> round(float(lag.at(1.0)), 5), round(lag.estimate(0.0, 0.1).deviation, 5)
+    (0.04028, 0.0014)
+    """
 
     name: str
     unit: str
@@ -168,7 +183,15 @@ class UncertainParameter(NamedTuple):
 
 
 class LocalMinimum(NamedTuple):
-    """Parameters at a minimum of an objective, their covariance there, and the weight of the minimum among others."""
+    """A minimum of an objective.
+
+    Attributes
+    ----------
+    z, covariance
+        Parameters in prior standard deviations, shape (parameters,), and their covariance at the minimum.
+    weight
+        Probability among all minima of the objective.
+    """
 
     z: Floats
     covariance: Floats
@@ -197,7 +220,18 @@ def remembered(function: Callable[[Floats], Answer]) -> Callable[[Floats], Answe
 
 
 class OutputErrorFit(NamedTuple):
-    """Parameters, Gauss-Newton Hessian with the prior, errors and slopes by recording, and variance of a sample."""
+    """Result of `fit_output_error`.
+
+    Attributes
+    ----------
+    z, hessian
+        Parameters in prior standard deviations, and the Gauss-Newton Hessian with the prior, whose inverse is their
+        covariance; shape (parameters,) and (parameters, parameters).
+    errors, slopes
+        Errors of each recording, shape (samples,), and their derivatives, (samples, parameters).
+    variance
+        Variance of a sample, by `variance_of`.
+    """
 
     z: Floats
     hessian: Floats
@@ -289,6 +323,23 @@ def variance_of(parts: Sequence[Floats], determined: float) -> float:
     The noise follows from successive differences. The error of the model, if the residual is significantly above the
     noise, repeats with the motion: all samples together count as as many independent ones as there are effective
     parameters, which the recordings determine (ours).
+
+    Parameters
+    ----------
+    parts
+        Residuals of each recording, shape (samples,) each.
+    determined
+        Number of effective parameters.
+
+    Examples
+    --------
+    Noise of 1, then with a wave of a root mean square of 1, which counts as 10 samples of 1,000:
+
+    >>> noise, time = np.random.default_rng(0).standard_normal(1000), np.arange(1000) * 0.01
+    >>> round(variance_of([noise], 10.0), 2)
+    0.95
+    >>> 85 < variance_of([noise + np.sqrt(2) * np.sin(time)], 10.0) < 115
+    True
     """
     residual, noise = np.concatenate(parts), noise_of(parts) ** 2
     significant = noise * (1 + _SIGNIFICANT * math.sqrt(2 / residual.size))
@@ -297,7 +348,13 @@ def variance_of(parts: Sequence[Floats], determined: float) -> float:
 
 
 def correlation_time(residuals: Floats) -> float:
-    """Number of residual samples equivalent to one independent sample."""
+    """Return the number of residual samples equivalent to one independent sample.
+
+    1 for white noise: the sum of the autocorrelation over all lags up to the first negative one.
+
+    >>> round(correlation_time(np.random.default_rng(0).standard_normal(1000).repeat(5)))
+    5
+    """
     spectrum = np.abs(np.fft.rfft(residuals, 2 * residuals.size)) ** 2
     correlation = np.fft.irfft(spectrum)[: residuals.size]
     correlation /= max(correlation[0], 1e-300)
@@ -306,7 +363,12 @@ def correlation_time(residuals: Floats) -> float:
 
 
 def noise_of(errors: Sequence[Floats]) -> float:
-    """Root mean square of the white noise in errors, from differences of successive samples."""
+    """Return the root mean square of the white noise in errors, from differences of successive samples.
+
+    >>> smooth = np.sin(np.linspace(0, 6, 1000))
+    >>> noise_of([smooth]) < 0.01, round(noise_of([smooth + 0.5 * (-1.0) ** np.arange(1000)]), 2)
+    (True, 0.71)
+    """
     return float(np.sqrt(np.mean(np.concatenate([np.diff(part) for part in errors]) ** 2) / 2))
 
 

@@ -67,7 +67,7 @@ def calibrate(
     weighted : FILE
         A recording with the weight clipped on; repeatable.
     held_out : FILE
-        A recording of commands to simulate, not used for the estimate; repeatable.
+        A recording that is not fitted; if the model before predicts it better, the files keep it; repeatable.
     prior : PRIOR.yaml
         Standard deviations before, such as `mass: 5 %`.
     """

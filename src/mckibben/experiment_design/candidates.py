@@ -49,7 +49,13 @@ class StateGrid:
 
     @classmethod
     def of(cls, law: ForceLaw, region: DesignRegion, *, most: int = 40_000) -> StateGrid:
-        """Grid of a region; raises `RangeError` if no state can be measured or there are more than the most."""
+        """Return the grid of a region.
+
+        Raises
+        ------
+        RangeError
+            If no state can be measured, or there are more states than `most`.
+        """
         domain = region.domain
         contractions = _grid_axis(domain.contraction_min, domain.contraction_max, region.contraction_step)
         pressures = _grid_axis(domain.pressure_min, domain.pressure_max, region.pressure_step)
@@ -88,7 +94,17 @@ def design_region(
     contraction_step: float | None,
     pressure_step: float,
 ) -> tuple[DesignRegion, list[str]]:
-    """The design region and notes on it; arguments as for `mckibben.experiment_design.plan`."""
+    """Return the design region, and notes on it.
+
+    States are within the limits, the range of the specimen and the range of the data, in this order; forces from three
+    standard deviations above the slack force to 95 % of the rated force, or to the highest force of the data. Other
+    arguments as for `mckibben.experiment_design.plan`.
+
+    Raises
+    ------
+    RangeError
+        If no point is taut and the rated force is unknown, or a step is not positive.
+    """
     data, attrs = prior.measured, prior.measured.table.attrs
     notes: list[str] = []
     if specimen is None and attrs["specimen"] in catalog.names("specimens"):

@@ -1,4 +1,8 @@
-"""Information matrix, design criterion and exchange algorithm of an optimal experiment design."""
+"""Information matrix, design criterion and exchange algorithm of an optimal experiment design.
+
+Rows of a design matrix are derivatives of forces [N] by parameters, each in its SI unit, or by coordinates of the
+`IdentifiableSubspace`, in which a unit is one newton. Points of one stroke of the rig share an error.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +22,19 @@ RANK_TOLERANCE = 1e-10
 
 @dataclass(frozen=True, eq=False)
 class IdentifiableSubspace:
-    """Combinations of parameters that affect the measurable forces."""
+    """Combinations of parameters that affect the measurable forces.
+
+    Examples
+    --------
+    Only the sum of the first two of three parameters changes a force:
+
+    >>> rows = np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 2.0], [2.0, 2.0, 1.0]])
+    >>> subspace = IdentifiableSubspace.of(rows)
+    >>> subspace.basis.shape, np.abs(subspace.null_space[:, 0]).round(3)
+    ((3, 2), array([0.707, 0.707, 0.   ]))
+    >>> subspace.unidentifiable_part(np.eye(3)).round(3)
+    array([0.707, 0.707, 0.   ])
+    """
 
     basis: Floats = field(repr=False)  # (parameters, coordinates): from rows of a design matrix
     scale: Floats = field(repr=False)  # (parameters,): root mean square of each column
@@ -56,7 +72,25 @@ class NoiseModel:
 
 
 def information_matrix(rows: Floats, strokes: Indices, noise: NoiseModel) -> Floats:
-    """Fisher information of points: rows of shape (points, coordinates), with the stroke index of each."""
+    r"""Return the Fisher information of points, shape (coordinates, coordinates).
+
+    .. math:: \sum_s J_s^T (\sigma^2 I + \tau^2 1 1^T)^{-1} J_s
+
+    with the rows J_s of stroke s, in the closed form of the inverse (Sherman and Morrison).
+
+    Parameters
+    ----------
+    rows, strokes
+        Shape (points, coordinates), and the index of the stroke of each, (points,).
+
+    Examples
+    --------
+    Two points of a stroke whose shared error is as large as that of each point:
+
+    >>> information_matrix(np.eye(2), np.array([0, 0]), NoiseModel(1.0, stroke=1.0)).round(3)
+    array([[ 0.667, -0.333],
+           [-0.333,  0.667]])
+    """
     if not len(rows):
         return np.zeros((rows.shape[1],) * 2)
     sums, counts = _stroke_sums(rows, strokes, int(strokes.max()) + 1)
@@ -71,18 +105,35 @@ def _stroke_sums(rows: Floats, strokes: Indices, count: int) -> tuple[Floats, In
 
 
 def condensed(gradients: Floats) -> Floats:
-    """Gradients with the same mean variance, of no more values than coordinates; shape (values, coordinates)."""
+    """Return gradients with the same mean variance for any information, of no more values than coordinates.
+
+    Shape (values, coordinates), by the triangular factor of a QR decomposition.
+    """
     count, width = gradients.shape
     return gradients if count <= width else np.linalg.qr(gradients, mode="r") * np.sqrt(width / count)
 
 
 def mean_variance(gradients: Floats, information: Floats) -> float:
-    """Mean variance of values (c-optimality of one, A- or V-optimality of several)."""
+    """Return the mean variance of values (c-optimality of one, A- or V-optimality of several).
+
+    Parameters
+    ----------
+    gradients, information
+        Derivatives of the values, shape (values, coordinates), and an invertible matrix (coordinates, coordinates).
+
+    Examples
+    --------
+    >>> mean_variance(np.eye(2), np.diag([4.0, 1.0]))
+    0.625
+    """
     return float(np.trace(gradients @ np.linalg.solve(information, gradients.T))) / len(gradients)
 
 
 def mean_variances_with(gradients: Floats, information: Floats, rows: Floats) -> Floats:
-    """Mean variance after adding a point of unit variance, per row (rank-one update); shape (rows,)."""
+    """Return the mean variance after adding each row as a point of unit variance, shape (rows,).
+
+    By a rank-one update of the inverse, so that all candidates cost one inversion.
+    """
     inverse = np.linalg.inv(information)
     seen = rows @ inverse
     leverage = 1 + np.einsum("ni,ni->n", seen, rows)
@@ -92,7 +143,24 @@ def mean_variances_with(gradients: Floats, information: Floats, rows: Floats) ->
 
 
 def estimate_noise(rows: Floats, residuals: Floats, strokes: Indices | None) -> NoiseModel:
-    """Unbiased variance components from residuals of a fit; stroke indices, or None for independent points."""
+    """Return unbiased variance components of points and strokes from residuals of a fit.
+
+    Without strokes, or if they cannot be told from the points, or a component is negative, points are independent.
+
+    Parameters
+    ----------
+    rows, residuals
+        Design matrix, shape (points, parameters), and residuals [N], (points,).
+    strokes
+        Index of the stroke of each point; None for independent points.
+
+    Examples
+    --------
+    Four residuals about a mean have three degrees of freedom:
+
+    >>> round(estimate_noise(np.ones((4, 1)), np.array([1.0, -1.0, 1.0, -1.0]), None).point, 4)
+    1.1547
+    """
     lengths = np.linalg.norm(rows, axis=0)
     basis, singular, _ = np.linalg.svd(rows / np.where(lengths > 0, lengths, 1.0), full_matrices=False)
     basis = basis[:, singular > RANK_TOLERANCE * singular[0]]
@@ -184,9 +252,25 @@ class ExchangeProblem:
 
 
 def exchange(problem: ExchangeProblem, count: int, *, passes: int = 50, gain: float = 1e-9) -> list[int]:
-    """Greedy selection followed by exchanges until none improves (Fedorov); candidates in order of gain.
+    """Return the indices of selected candidates in order of gain: greedy selection, then exchanges (Fedorov).
 
-    Exchanges end after some passes over all points, or when one pass gains less of the logarithm of the variance.
+    Parameters
+    ----------
+    problem
+        Candidates, of which there are at least `count`.
+    count
+        Number of points.
+    passes, gain
+        Exchanges end after so many passes over all points, or when one gains less of the logarithm of the variance.
+
+    Examples
+    --------
+    The longest rows tell most about the only parameter:
+
+    >>> rows, strokes = np.array([[1.0], [3.0], [2.0]]), np.arange(3)
+    >>> problem = ExchangeProblem(rows, strokes, np.eye(1), NoiseModel(1.0), gradients=np.eye(1))
+    >>> exchange(problem, 2)
+    [1, 2]
     """
     chosen: list[int] = []
     for _ in range(count):

@@ -48,7 +48,15 @@ class PriorData:
     def of(
         cls, data: IsobaricDataset | Fit, law_type: type[ForceLaw] | None, noise: float | None, guess: ForceLaw | None
     ) -> PriorData:
-        """Prior data from points or a fit; arguments as for `mckibben.experiment_design.plan`."""
+        """Return prior data from points or a fit; arguments as for `mckibben.experiment_design.plan`.
+
+        Raises
+        ------
+        IdentificationError
+            If the points do not determine the law and `guess` or `noise` is missing, or residuals are zero.
+        ParameterError
+            If the kind of law is missing, is not that of the guess, or has parameters with a prior.
+        """
         fit = data if isinstance(data, Fit) else _fit(data, law_type, noise, guess)
         measured = data.plateau_means() if isinstance(data, IsobaricDataset) else data.require_regression().points
         points = measured.taut

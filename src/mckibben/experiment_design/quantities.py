@@ -75,7 +75,10 @@ class Coefficient(QuantityOfInterest):
 
 @dataclass(frozen=True)
 class Force(QuantityOfInterest):
-    """Mean force of the law over the taut part of a region (V-optimal); default: all measurable states."""
+    """Mean force of the law over the taut part of a region (V-optimal); default: all measurable states.
+
+    Linearisation raises `RangeError` if the law has no force anywhere in the region.
+    """
 
     region: Domain | None = None
 
@@ -114,7 +117,11 @@ class Force(QuantityOfInterest):
 
 @dataclass(frozen=True)
 class _JointQuantity(QuantityOfInterest):
-    """Torque or stiffness of a joint."""
+    """Torque or stiffness of a joint.
+
+    Linearisation raises `RangeError` for an angle or a pressure outside the range of a muscle; a slack muscle is a
+    warning.
+    """
 
     joint: AntagonisticJoint
     angle: float | Sequence[float] = 0.0
