@@ -16,44 +16,7 @@ pytest.importorskip("grpc", reason="needs the extra daq")
 
 device = importlib.import_module("device_server")
 
-SENSORS = {"Dev1/ai0": 0, "Dev1/ai1": 1, "Dev1/ai2": 2}
-VALVES = ["Dev1/ao0", "Dev1/ao1"]
-
-
-class JointCard(device.Card):
-    """Three inputs, two outputs."""
-
-    def __init__(self, joint):
-        super().__init__(joint)
-        self.valves = [0.0, 0.0]
-
-    def CreateAIVoltageChan(self, request, context):  # noqa: N802
-        self._add(request, "ai", request.physical_channel, SENSORS)
-        return device.messages.CreateAIVoltageChanResponse()
-
-    def CreateAOVoltageChan(self, request, context):  # noqa: N802
-        self._add(request, "ao", request.physical_channel, VALVES)
-        return device.messages.CreateAOVoltageChanResponse()
-
-    def ReadAnalogF64(self, request, context):  # noqa: N802
-        task, count = self._task(request), request.num_samps_per_chan
-        try:
-            block = self.twin.read(count, timeout=request.timeout - count / self.twin.rate)
-        except device.SilentError as error:
-            raise device.RefusedError(device.TIMEOUT, "Some samples have not yet been acquired.") from error
-        columns = [block.volts[:, SENSORS[channel]] for channel in task.channels]
-        return device.messages.ReadAnalogF64Response(read_array=np.concatenate(columns), samps_per_chan_read=count)
-
-    def WriteAnalogF64(self, request, context):  # noqa: N802
-        self.valves = list(request.write_array)
-        self._wired()
-        return device.messages.WriteAnalogF64Response(samps_per_chan_written=1)
-
-    def _wired(self):
-        if self.lines[device.HOLD] and self.twin.is_open:
-            self.twin.set_valves(self.valves)
-        else:
-            self.twin.vent()
+SENSORS, VALVES = ["Dev1/ai0", "Dev1/ai1", "Dev1/ai2"], ["Dev1/ao0", "Dev1/ao1"]
 
 
 @pytest.fixture
@@ -61,11 +24,11 @@ def on_card():
     servers = []
 
     def make(joint):
-        server, address = device.serve(JointCard(joint))
+        server, address = device.serve(device.Card(joint, SENSORS, VALVES))
         servers.append(server)
         terminals = Terminals(
-            inputs={"angle": "Dev1/ai0", "pressure1": "Dev1/ai1", "pressure2": "Dev1/ai2"},
-            outputs={"valve1": "Dev1/ao0", "valve2": "Dev1/ao1"},
+            inputs=dict(zip(("angle", "pressure1", "pressure2"), SENSORS, strict=True)),
+            outputs=dict(zip(("valve1", "valve2"), VALVES, strict=True)),
             counter="",
         )
         given = {"rate": 1 / PERIOD, "patience": 5.0, "server": address}

@@ -9,6 +9,7 @@ a call that is not here fails as unimplemented.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent import futures
 from dataclasses import dataclass, field
 from typing import Any
@@ -17,14 +18,12 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RigError, SilentError
-from mckibben.rig.simulated import SimulatedRig
 
 grpc = pytest.importorskip("grpc", reason="needs the extra daq")
 messages = pytest.importorskip("nidaqmx._stubs.nidaqmx_pb2", reason="needs the extra daq")
 service = pytest.importorskip("nidaqmx._stubs.nidaqmx_pb2_grpc", reason="needs the extra daq")
 
-INPUTS = {"Dev1/ai0": "force", "Dev1/ai1": "pressure"}
-OUTPUT, COUNTER = "Dev1/ao0", "Dev1/ctr0"
+INPUTS, OUTPUTS, COUNTER = ("Dev1/ai0", "Dev1/ai1"), ("Dev1/ao0",), "Dev1/ctr0"
 LINES = [f"Dev1/port0/line{k}" for k in range(8)]
 HEARTBEAT, HOLD, DIRECTION = LINES[:3]
 FINITE, CONTINUOUS = 10178, 10123
@@ -48,13 +47,14 @@ class RefusedError(Exception):
 
 
 class Card(service.NiDAQmxServicer):
-    """A PCI-6281 with a `SimulatedRig` at its terminals, and the relay that watches its heartbeat."""
+    """A PCI-6281 with a simulated rig at its terminals, and the relay that watches its heartbeat."""
 
-    def __init__(self, twin: SimulatedRig) -> None:
+    def __init__(self, twin: Any, inputs: Sequence[str] = INPUTS, outputs: Sequence[str] = OUTPUTS) -> None:
         self.twin = twin
+        self.inputs, self.outputs = list(inputs), list(outputs)
         self.tasks: dict[str, Task] = {}
         self.lines = dict.fromkeys(LINES, False)
-        self.valve = 0.0
+        self.valves = [0.0] * len(self.outputs)
         self.beats = 0
         self.reads = 0
         self.unplugged = False
@@ -126,7 +126,7 @@ class Card(service.NiDAQmxServicer):
             self._halt(task)
             task.kind = "cleared"
         self.lines = dict.fromkeys(LINES, False)
-        self.valve = 0.0
+        self.valves = [0.0] * len(self.outputs)
         self.twin.vent()
         return messages.ResetDeviceResponse()
 
@@ -145,11 +145,11 @@ class Card(service.NiDAQmxServicer):
         task.channels.append(channel)
 
     def CreateAIVoltageChan(self, request: Any, context: Any) -> Any:
-        self._add(request, "ai", request.physical_channel, INPUTS)
+        self._add(request, "ai", request.physical_channel, self.inputs)
         return messages.CreateAIVoltageChanResponse()
 
     def CreateAOVoltageChan(self, request: Any, context: Any) -> Any:
-        self._add(request, "ao", request.physical_channel, [OUTPUT])
+        self._add(request, "ao", request.physical_channel, self.outputs)
         return messages.CreateAOVoltageChanResponse()
 
     def CreateDOChan(self, request: Any, context: Any) -> Any:
@@ -187,13 +187,12 @@ class Card(service.NiDAQmxServicer):
             raise RefusedError(TIMEOUT, "Some or all of the samples requested have not yet been acquired.") from error
         except RigError as error:
             raise RefusedError(OVERWRITTEN, "The application is not able to keep up with the hardware.") from error
-        names = list(INPUTS.values())
-        columns = [block.volts[:, names.index(INPUTS[channel])] for channel in task.channels]
+        columns = [block.volts[:, self.inputs.index(channel)] for channel in task.channels]
         return messages.ReadAnalogF64Response(read_array=np.concatenate(columns), samps_per_chan_read=count)
 
     def WriteAnalogF64(self, request: Any, context: Any) -> Any:
         assert self._task(request).kind == "ao" and request.auto_start
-        self.valve = request.write_array[0]
+        self.valves = list(request.write_array)
         self._wired()
         return messages.WriteAnalogF64Response(samps_per_chan_written=1)
 
@@ -214,7 +213,7 @@ class Card(service.NiDAQmxServicer):
             self.twin.vent()
         elif self.twin.is_open:
             try:
-                self.twin.set_valves([self.valve])
+                self.twin.set_valves(self.valves)
             except RigError:  # the relay has let go
                 self.twin.vent()
 

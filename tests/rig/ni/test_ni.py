@@ -157,7 +157,7 @@ def test_vented_muscle_has_its_valve_without_current_and_no_signal(bench):
     read(rig, 2.0)
     assert there.card.lines[device.HOLD] and there.twin.truth.pressure > 5.5 * bar
     rig.vent()
-    assert not there.card.lines[device.HOLD] and there.card.valve == 0
+    assert not there.card.lines[device.HOLD] and there.card.valves[0] == 0
     read(rig, 1.0)
     assert there.twin.truth.pressure < SAFE
     rig.set_valves([0.0])
@@ -174,7 +174,7 @@ def test_closed_rig_is_vented_and_lets_go_of_the_card(bench):
     read(rig, 1.0)
     rig.close()
     rig.close()
-    assert there.card.valve == 0 and not any(there.card.lines.values()) and not there.twin.moving
+    assert there.card.valves[0] == 0 and not any(there.card.lines.values()) and not there.twin.moving
     there.twin.pass_time(1.0)
     assert there.twin.truth.pressure < SAFE
     assert {task.kind for task in there.card.tasks.values()} == {"cleared"}
@@ -309,4 +309,4 @@ def test_signal_that_cannot_be_given_is_refused(bench, signals):
     there = bench()
     with pytest.raises(RigError, match="cannot be given"):
         there.rig().set_valves(signals)
-    assert there.card.valve == 0
+    assert there.card.valves[0] == 0

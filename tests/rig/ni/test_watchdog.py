@@ -83,10 +83,10 @@ def dies(card, way, pid_of):
             if way.startswith("SIG"):
                 os.kill(pid, signal.Signals[way])
             begin = time.monotonic()
-            while (card.lines[device.HOLD] or card.valve) and time.monotonic() < begin + 10.0:
+            while (card.lines[device.HOLD] or card.valves[0]) and time.monotonic() < begin + 10.0:
                 time.sleep(1e-3)
             taken = time.monotonic() - begin
-            assert not card.lines[device.HOLD] and card.valve == 0.0
+            assert not card.lines[device.HOLD] and card.valves[0] == 0.0
             if pid_of == "watchdog":
                 out = process.communicate(timeout=20)[0]
             else:
@@ -188,10 +188,10 @@ def test_the_second_process_imports_nothing_from_the_current_folder(card, tmp_pa
 
 
 def test_a_test_that_ends_lets_the_second_process_end_without_a_reset(card):
-    card.valve = 3.0  # V, which a reset would take away
+    card.valves[0] = 3.0  # V, which a reset would take away
     with pytest.raises(ZeroDivisionError), host_watchdog(NiRig(server=card.address)):
         raise ZeroDivisionError
-    assert card.valve == 3.0
+    assert card.valves[0] == 3.0
 
 
 def test_a_second_process_that_does_not_start_is_told_before_anything_moves(card, monkeypatch):
