@@ -99,7 +99,8 @@ def test_creep_follows_the_lengths_of_both_muscles(knee):
     muscle = dataclasses.replace(knee.muscle1, creep=MaxwellCreep(stiffness=3000.0, time_constant=8.0))
     creeping = dataclasses.replace(knee, muscle1=muscle, muscle2=muscle)
     angle, velocity, pressures, step = 0.1, 0.7, (3e5, 4e5), 1e-6
-    states = creeping.init_state(angle, pressures)
+    relaxed = creeping.init_state(angle, pressures)
+    states = tuple(jax.tree.map(lambda x, at=at: x + at, one) for one, at in zip(relaxed, (5.0, -3.0), strict=True))
     before, after = (creeping.geometry.path_lengths(angle + velocity * side) for side in (-step, step))
     stretching = [float(b - a) / (2 * step) for a, b in zip(before, after, strict=True)]
     rates = creeping.state_rate(states, angle, velocity, pressures)
