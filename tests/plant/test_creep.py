@@ -33,8 +33,7 @@ def creep_of(state):
     return np.array([muscle.creep[0] for muscle in state.muscles])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("engine", ["native", "xla"])
+@pytest.mark.parametrize("engine", ["native", pytest.param("xla", marks=pytest.mark.slow)])
 def test_creep_after_steps_of_the_pressure_moves_as_scipy_has_it(engine, knee, load, playback, paper_precontracted):
     """Lags of the valves, delayed pressures and the equation of motion, by Eqs. 3 and 5 written out."""
     paper, share, delay, lag, steps = paper_precontracted, 0.12, 0.3, 0.02, (4.8e5, 4.6e5)
