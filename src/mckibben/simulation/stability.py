@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
@@ -39,11 +39,28 @@ from mckibben.units import deg, ms
 
 _LOWEST_FREQUENCY = 0.01  # Hz, below the crossover of the slowest valves
 _FREQUENCIES = 800  # from there to the Nyquist frequency, in equal ratios
-_FEW_FREQUENCIES = 120  # of margins of many runs
+_FEW_FREQUENCIES = 120  # at which the search for peaks of the sensitivity begins
+_REFINEMENTS = 4  # of the frequencies about each peak, each by a factor of four
 _LANES = 8  # runs of one call
 _RANGE = 1e10  # of the units of states: angles of 1e-5 rad, pressures of 1e5 Pa
 _OPEN = 2 * (1 - 1e-6)  # disk margin of an open loop, to rounding
 _COUNTER = 1e-6  # distance from 1 of the eigenvalue of a counter or of a constant state
+
+LEAST_DISK_MARGIN = 0.2
+"""Disk margin below which a loop must not be used as it is: gains off by 1.2, phases by 11 deg."""
+
+
+def margin_remarks(least: float, where: str = "") -> Iterator[Remark]:
+    """Yield the remark on a least disk margin below `LEAST_DISK_MARGIN`, which is severe in all results that have one.
+
+    >>> [remark.text for remark in margin_remarks(0.12, ", of decoupling at 2 s")]
+    ['the least disk margin is 0.12, below 0.2, of decoupling at 2 s']
+    >>> list(margin_remarks(0.4))
+    []
+    """
+    if least < LEAST_DISK_MARGIN:
+        text = f"the least disk margin is {least:.2g}, below {LEAST_DISK_MARGIN:g}{where}"
+        yield Remark.severe("disk_margin", text, "lower the gains, or let `mckibben tune` find some with this margin")
 
 
 class LinearLoop(NamedTuple):
@@ -71,6 +88,9 @@ class Margins(Result):
         Smallest factor, phase [rad] and delay [s] of both commands beyond which the loop is unstable, shape (points,).
     disk
         Disk margin, shape (points,).
+    peak, loop
+        Frequency [Hz] at which the loop comes closest to instability, and whether that is in the loop of the angle,
+        which drives the pressures apart, or of the stiffness; NaN and empty at an unstable point. Shape (points,).
     frequency
         Frequencies [Hz] of the response, shape (frequencies,).
     sensitivity
@@ -95,6 +115,8 @@ class Margins(Result):
     phase: NDArray[np.float64] = column("rad", "phase margin", "deg")
     delay: NDArray[np.float64] = column("s", "delay margin", "ms")
     disk: NDArray[np.float64] = column("1", "disk margin")
+    peak: NDArray[np.float64] = column("Hz", "at frequency")
+    loop: NDArray[np.str_] = column(title="in loop")
     frequency: NDArray[np.float64] = column("Hz", "frequency", dims=("frequency",))
     sensitivity: NDArray[np.float64] = column("1", "sensitivity", dims=("point", "frequency"))
     loci: NDArray[np.complex128] = column("1", "open loop", dims=("point", "frequency", "command"))
@@ -110,6 +132,12 @@ class Margins(Result):
         """Return the least margins by name, with the unit in which results show them."""
         margins = {"gain": self.gain, "phase_deg": self.phase / deg, "delay_ms": self.delay / ms, "disk": self.disk}
         return {name: float(values.min()) for name, values in margins.items()}
+
+    def limit(self) -> str:
+        """Return the operating point of the least disk margin, and the loop and frequency of its peak."""
+        worst = int(self.disk.argmin())
+        peak = f" in the loop of the {self.loop[worst]} at {self.peak[worst]:.3g} Hz" if self.loop[worst] else ""
+        return f"at {self.time[worst]:.3g} s{peak}"
 
     def verdict(self) -> str:
         """Whether the loop is stable at all points, and the least margins."""
@@ -128,6 +156,7 @@ class Margins(Result):
             yield Remark.severe("controller", "the margins are of points along the limit cycle", "lower the gains")
         elif not self.stable:
             yield Remark.severe("controller", "the loop is unstable", "lower the gains, or tune with a gain margin")
+        yield from margin_remarks(float(self.disk.min()), f", {self.limit()}")
         if self.friction and not self.stable:
             text = (
                 "where friction sticks it counts as a spring: oscillations grow there after a small disturbance, until "
@@ -168,10 +197,10 @@ def margins(
         plant, controller, reference, initial, times, control_period, chosen, substeps
     )
     rows = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
-    radius, gain, phase, delay, disk, sensitivity, loci = (np.array(values) for values in zip(*rows, strict=True))
+    names = "radius", "gain", "phase", "delay", "disk", "peak", "loop", "sensitivity", "loci"
+    columns: dict[str, Any] = {name: np.array(values) for name, *values in zip(names, *rows, strict=True)}
     friction, frequency = plant.friction is not None or plant.joint.has_friction, _frequencies(control_period)
-    at = times[chosen]
-    return Margins(at, radius, gain, phase, delay, disk, frequency, sensitivity, loci, oscillation, friction)
+    return Margins(time=times[chosen], frequency=frequency, oscillation=oscillation, friction=friction, **columns)
 
 
 def linear_loop(
@@ -384,6 +413,17 @@ def _radius(poles: NDArray[np.complex128]) -> float:
     return float(np.abs(poles[np.abs(poles - 1) > _COUNTER]).max(initial=0.0))
 
 
+class Peak(NamedTuple):
+    """Disk margin, frequency [Hz] of the peak that limits it, and the loop in whose commands the peak is.
+
+    The loop of the angle drives the pressures apart, that of the stiffness both up and down.
+    """
+
+    disk: float
+    frequency: float
+    loop: str
+
+
 class _Triangular(NamedTuple):
     """A linear loop in the coordinates of a Schur decomposition, whose matrix is upper triangular."""
 
@@ -406,53 +446,61 @@ class _Triangular(NamedTuple):
 
     def sensitivity(self, angles: NDArray[np.float64]) -> NDArray[np.complex128]:
         """Commands over their disturbance, at angles [rad] of a control period; shape (angles, 2, 2)."""
-        from scipy.linalg import solve_triangular
+        z, states = np.exp(1j * angles), np.empty((self.poles.size, angles.size, 2), complex)
+        for k in reversed(range(self.poles.size)):  # substitution from the last state, at all angles at once
+            known = self.b[k] + np.tensordot(self.a[k, k + 1 :], states[k + 1 :], 1)
+            states[k] = known / (z - self.a[k, k])[:, None]
+        return np.eye(2) + np.moveaxis(np.tensordot(self.c, states, 1), 0, 1)
 
-        shifted = np.asfortranarray(-self.a)
-        responses = []
-        for angle in angles:
-            np.fill_diagonal(shifted, np.exp(1j * angle) - self.poles)
-            responses.append(np.eye(2) + self.c @ solve_triangular(shifted, self.b, check_finite=False))
-        return np.array(responses)
+    def peak(self, period: float) -> Peak:
+        """Largest response of S - 1/2 of a stable loop, whose inverse is the disk margin.
 
-
-def _with_resonances(angles: NDArray[np.float64], poles: NDArray[np.complex128]) -> NDArray[np.float64]:
-    """Angles [rad] of a control period, and those of the poles between them, near which narrow peaks lie."""
-    resonances = np.abs(np.angle(poles))
-    return np.concatenate([angles, resonances[(resonances > angles[0]) & (resonances < angles[-1])]])
-
-
-def _disk(sensitivity: NDArray[np.complex128]) -> float:
-    """Disk margin of a stable loop."""
-    return float(1 / np.linalg.norm(sensitivity - np.eye(2) / 2, 2, axis=(1, 2)).max())
+        From frequencies in equal ratios and the resonances of the poles with their widths, the frequencies about each
+        large local maximum are refined, so that narrow peaks are met to well below 1 %.
+        """
+        angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
+        resonance, width = np.abs(np.angle(self.poles)), 1 - np.abs(self.poles)
+        angles = np.concatenate([angles, resonance, resonance - width, resonance + width])
+        angles = np.unique(angles.clip(2 * np.pi * _LOWEST_FREQUENCY * period, np.pi))
+        responses = self.sensitivity(angles) - np.eye(2) / 2
+        for _ in range(_REFINEMENTS):
+            sizes = np.pad(np.linalg.norm(responses, 2, axis=(1, 2)), 1)
+            rising = (sizes[1:-1] >= sizes[:-2]) & (sizes[1:-1] >= sizes[2:])
+            tops = np.flatnonzero(rising & (sizes[1:-1] > sizes.max() / 2))
+            low, high = angles[np.maximum(tops - 1, 0)], angles[np.minimum(tops + 1, angles.size - 1)]
+            new = np.setdiff1d(np.linspace(low, high, 9), angles)
+            order = np.argsort(angles := np.concatenate([angles, new]), kind="stable")
+            angles = angles[order]
+            responses = np.concatenate([responses, self.sensitivity(new) - np.eye(2) / 2])[order]
+        sizes = np.linalg.norm(responses, 2, axis=(1, 2))
+        top = int(np.argmax(sizes))
+        common, difference = np.abs(np.linalg.svd(responses[top])[2][0] @ [[1, 1], [1, -1]])
+        loop = "angle" if difference > common else "stiffness"
+        return Peak(1 / float(sizes[top]), float(angles[top] / (2 * np.pi * period)), loop)
 
 
 def _least_disk_margin(loops: LinearLoop, period: float) -> float:
     """Least disk margin of the loops at several points; 0 if one is unstable."""
-    angles = 2 * np.pi * _frequencies(period, _FEW_FREQUENCIES) * period
     if not all(np.isfinite(leaf).all() for leaf in loops):
         return 0.0
     several = [_Triangular.of(LinearLoop(*leaves)) for leaves in zip(*loops, strict=True)]
     if any(_radius(loop.poles) >= 1 for loop in several):
         return 0.0
-    return min(_disk(loop.sensitivity(_with_resonances(angles, loop.poles))) for loop in several)
+    return min(loop.peak(period).disk for loop in several)
 
 
-def _margins_of(loop: LinearLoop, period: float) -> tuple[ArrayLike, ...]:
-    """Radius, gain, phase, delay and disk margin, sensitivity and loci of a linearised loop."""
+def _margins_of(loop: LinearLoop, period: float) -> tuple[Any, ...]:
+    """Radius, gain, phase, delay and disk margin, its frequency and loop, sensitivity and loci of a linear loop."""
     triangular = _Triangular.of(loop)
-    poles = triangular.poles
-    radius = _radius(poles)
+    radius = _radius(triangular.poles)
     angles = 2 * np.pi * _frequencies(period) * period
-    at_all = triangular.sensitivity(_with_resonances(angles, poles) if radius < 1 else angles)
-    sensitivity = at_all[: angles.size]
+    sensitivity = triangular.sensitivity(angles)
     opened = np.eye(2) - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
     loci = -np.linalg.eigvals(opened).astype(np.complex128)
     largest = np.linalg.norm(sensitivity, 2, axis=(1, 2))
     if radius >= 1:
-        return radius, 0.0, 0.0, 0.0, 0.0, largest, loci
-    gain, phase, delay = _crossings(loci, angles, period)
-    return radius, gain, phase, delay, _disk(at_all), largest, loci
+        return radius, 0.0, 0.0, 0.0, 0.0, np.nan, "", largest, loci
+    return radius, *_crossings(loci, angles, period), *triangular.peak(period), largest, loci
 
 
 def _crossings(loci: NDArray[np.complex128], angles: NDArray[np.float64], period: float) -> tuple[float, float, float]:
