@@ -94,7 +94,7 @@ def tune(
     cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
     method: str = "cma",
     margin: float = 1.5,
-    disk_margin: float | None = None,
+    disk_margin: float = 0.2,
     conditions: Texts = None,
     percentile: float | None = None,
     iterations: int = 30,
@@ -123,8 +123,8 @@ def tune(
     margin : FACTOR
         Gain margin: the cost covers gains larger by this factor.
     disk_margin : ALPHA
-        Least disk margin of the linearised loop in all scenarios and conditions, such as 0.4; 0 for none.
-        Default: that of the given gains, at most 0.2.
+        Least disk margin of the linearised loop in all scenarios and conditions (without any: for the uncertainty of
+        the plant), such as 0.4; 0 for none. If no gains have it, the exit code is 1.
     conditions : 'NAME=RANGE'
         Parameter, such as 'load.mass2=+-50 %'; 16 draws are simulated for each point; repeatable.
     percentile : PERCENT

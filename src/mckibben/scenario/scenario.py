@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import is_dataclass
 from html import escape
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 from pydantic import Field, ValidationInfo, field_validator, model_serializer, model_validator
 
@@ -26,6 +26,7 @@ from mckibben.errors import (
     FileError,
     McKibbenError,
     McKibbenWarning,
+    ParameterError,
     Problem,
     ScenarioError,
     no_attribute,
@@ -154,6 +155,8 @@ class Scenario(RunSettings):
     command_delay
         Time from a command to the valves [s], None for none; between two multiples of the control period, a valve
         receives the mean of the delayed command over each period.
+    uncertainty
+        Uncertain parameters of the plant, such as ``load.mass2=normal 3 %``, for which tuned gains keep their margin.
     controller, signals
         Controller, and reference; ``reference`` in the text and as an argument.
     start
@@ -182,6 +185,7 @@ class Scenario(RunSettings):
     disturbance: DisturbancePart = NoDisturbance()
     friction: FrictionPart | None = None
     command_delay: CommandDelay | None = None
+    uncertainty: tuple[str, ...] | None = None
     controller: ControllerPart
     signals: ReferencePart = Field(alias="reference")
     start: Start = Start()
@@ -189,6 +193,15 @@ class Scenario(RunSettings):
     control_period: PositiveTime = Field(examples=["1 ms"])
     accuracy: Accuracy = ACCURACY
     substeps: Substeps | None = None
+
+    @model_validator(mode="after")
+    def _uncertainty_fits(self) -> Self:
+        if self.uncertainty:
+            try:
+                _above("study.parameters").parse_sweeps(self.uncertainty, self)
+            except ParameterError as error:
+                fail_validation(error.message, error.remedy, field="uncertainty")
+        return self
 
     @field_validator("controller", mode="after")
     @classmethod

@@ -11,11 +11,19 @@ from mckibben.simulation.outcome import Outcome
 from mckibben.simulation.problem import AtRest, sampled, without_last_change
 from mckibben.simulation.result import RunResult, SimulationResult, compute_metrics, compute_trajectory
 from mckibben.simulation.simulate import needed_substeps, run_episode, simulate, unknown_air
-from mckibben.simulation.stability import Margins, disk_margins, linear_loop, margins
+from mckibben.simulation.stability import (
+    LEAST_DISK_MARGIN,
+    Margins,
+    disk_margins,
+    linear_loop,
+    margin_remarks,
+    margins,
+)
 from mckibben.simulation.trajectories import Trajectory, trajectory
 
 __all__ = [
     "ACCURACY",
+    "LEAST_DISK_MARGIN",
     "SETTLING_PART",
     "AtRest",
     "Batch",
@@ -39,6 +47,7 @@ __all__ = [
     "dynamic_stiffness",
     "episode",
     "linear_loop",
+    "margin_remarks",
     "margins",
     "measure",
     "needed_substeps",

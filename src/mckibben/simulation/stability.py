@@ -462,21 +462,27 @@ class _Triangular(NamedTuple):
         resonance, width = np.abs(np.angle(self.poles)), 1 - np.abs(self.poles)
         angles = np.concatenate([angles, resonance, resonance - width, resonance + width])
         angles = np.unique(angles.clip(2 * np.pi * _LOWEST_FREQUENCY * period, np.pi))
-        responses = self.sensitivity(angles) - np.eye(2) / 2
+        sizes = _largest_singular(self.sensitivity(angles) - np.eye(2) / 2)
         for _ in range(_REFINEMENTS):
-            sizes = np.pad(np.linalg.norm(responses, 2, axis=(1, 2)), 1)
-            rising = (sizes[1:-1] >= sizes[:-2]) & (sizes[1:-1] >= sizes[2:])
-            tops = np.flatnonzero(rising & (sizes[1:-1] > sizes.max() / 2))
-            low, high = angles[np.maximum(tops - 1, 0)], angles[np.minimum(tops + 1, angles.size - 1)]
-            new = np.setdiff1d(np.linspace(low, high, 9), angles)
+            padded = np.pad(sizes, 1)
+            tops = (sizes >= padded[:-2]) & (sizes >= padded[2:]) & (sizes > sizes.max() / 2)
+            neighbours = np.pad(angles, 1, mode="edge")
+            new = np.setdiff1d(np.linspace(neighbours[:-2][tops], neighbours[2:][tops], 9), angles)
             order = np.argsort(angles := np.concatenate([angles, new]), kind="stable")
-            angles = angles[order]
-            responses = np.concatenate([responses, self.sensitivity(new) - np.eye(2) / 2])[order]
-        sizes = np.linalg.norm(responses, 2, axis=(1, 2))
+            new_sizes = _largest_singular(self.sensitivity(new) - np.eye(2) / 2)
+            angles, sizes = angles[order], np.concatenate([sizes, new_sizes])[order]
         top = int(np.argmax(sizes))
-        common, difference = np.abs(np.linalg.svd(responses[top])[2][0] @ [[1, 1], [1, -1]])
+        response = self.sensitivity(angles[top : top + 1])[0] - np.eye(2) / 2
+        common, difference = np.abs(np.linalg.svd(response)[2][0] @ [[1, 1], [1, -1]])
         loop = "angle" if difference > common else "stiffness"
         return Peak(1 / float(sizes[top]), float(angles[top] / (2 * np.pi * period)), loop)
+
+
+def _largest_singular(matrices: NDArray[np.complex128]) -> NDArray[np.float64]:
+    """Largest singular value of matrices of shape (n, 2, 2), from the invariants of each times its adjoint."""
+    trace = (np.abs(matrices) ** 2).sum(axis=(1, 2))
+    determinant = np.abs(matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] * matrices[:, 1, 0])
+    return np.sqrt((trace + np.sqrt(np.maximum(trace**2 - 4 * determinant**2, 0.0))) / 2)
 
 
 def _least_disk_margin(loops: LinearLoop, period: float) -> float:
@@ -497,7 +503,7 @@ def _margins_of(loop: LinearLoop, period: float) -> tuple[Any, ...]:
     sensitivity = triangular.sensitivity(angles)
     opened = np.eye(2) - np.linalg.inv(sensitivity)  # commands over disturbed commands: minus the loop gain
     loci = -np.linalg.eigvals(opened).astype(np.complex128)
-    largest = np.linalg.norm(sensitivity, 2, axis=(1, 2))
+    largest = _largest_singular(sensitivity)
     if radius >= 1:
         return radius, 0.0, 0.0, 0.0, 0.0, np.nan, "", largest, loci
     return radius, *_crossings(loci, angles, period), *triangular.peak(period), largest, loci

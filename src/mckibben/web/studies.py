@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario, with_values
+from mckibben.simulation import LEAST_DISK_MARGIN
 from mckibben.study.compare import Suite, compare
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import parse_cost, parse_ranges, tune
-from mckibben.study.tune.result import DISK_MARGIN
 from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
 from mckibben.web.results import Presented
 from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
@@ -38,7 +38,7 @@ class TuningRequest:
     method, iterations, seed
         Search, its generations or steps, and its seed.
     disk_margin
-        Least disk margin [-] as text; that of the first gains if empty.
+        Least disk margin [-]; 0 for none.
     """
 
     cost: str = DEFAULT_COST
@@ -47,7 +47,7 @@ class TuningRequest:
     method: str = "cma"
     iterations: int = 20
     seed: int = 0
-    disk_margin: str = ""
+    disk_margin: float = LEAST_DISK_MARGIN
 
 
 @dataclass
@@ -122,15 +122,10 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
     progress("compiling", 0.0)
     scenario = parse(text, folder)
     ranges = parse_ranges(_lines(request.over), scenario)
-    try:
-        margin = float(request.disk_margin) if request.disk_margin.strip() else None
-    except ValueError:
-        message = f"disk margin: {request.disk_margin!r:.60} is not a number"
-        raise ParameterError(message, field="disk_margin", remedy=f"give one such as {DISK_MARGIN}") from None
     result = tune(
         scenario,
         ranges,
-        parse_cost(request.cost, gain_margin=request.gain_margin, disk_margin=margin),
+        parse_cost(request.cost, gain_margin=request.gain_margin, disk_margin=request.disk_margin),
         method=request.method,
         iterations=request.iterations,
         population=_POPULATION,

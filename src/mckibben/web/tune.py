@@ -82,11 +82,10 @@ class _Page(JobPage[StudyState]):
                 with ui.element("div").classes("fields"):
                     self.tuning_fields = [
                         _number("gain margin", tuning, "gain_margin", 1.0, 10.0),
+                        _number("disk margin", tuning, "disk_margin", 0.0, 1.9),
                         _number("iterations", tuning, "iterations", 1, 60),
                         _number("seed", tuning, "seed", 0, 2**31 - 1),
                     ]
-                    margin = ui.input("disk margin", placeholder="as now").props("dense stack-label").classes("w-full")
-                    margin.mark("disk_margin").bind_value(tuning, "disk_margin")
                 _lines("NAME=RANGE per line, or all gains", tuning, "over")
                 button("Tune", self.tune, "tune", main=True)
             with panel("Compare"):

@@ -33,6 +33,7 @@ from mckibben.scenario.scenario import (
 from mckibben.simulation import ACCURACY
 from mckibben.study.compare.checks import NOMINAL_JOINT, PLANT, check_differs, problems_of_suite
 from mckibben.study.parameters import SweptParameter, parse_sweeps, sweep_parameters
+from mckibben.study.parameters.uncertainty import usual_variation
 from mckibben.study.tune import Cost, gain_ranges, parse_cost, parse_ranges
 from mckibben.units import (
     Accuracy,
@@ -214,17 +215,16 @@ class Suite(RunSettings):
         """Return the suite of a scenario: its controller, named "scenario", and others by name on its reference.
 
         Default controllers: PID loops and decoupling, unless the scenario's is of that class. `settings` are other
-        attributes, such as `tuning` and `evaluation`; default `conditions`: both muscles' strengths differ by up to
-        10 %, and the masses of the load by up to 20 %. Raises `ParameterError` if all runs are identical.
+        attributes, such as `tuning` and `evaluation`; default `conditions`: the uncertainty of the scenario, or both
+        muscles' strengths by up to 10 %, and the masses of the load by up to 20 %. Raises `ParameterError` if all runs
+        are identical.
         """
         others: Mapping[str, Any] | None = controllers
         if others is None:
             own = type(scenario.controller)
             others = {name: section for name, (kind, section) in _OTHERS.items() if kind is not own}
         if "conditions" not in settings:
-            masses = [p for p in list_parameters(scenario) if p.part == "load" and p.unit == "kg"]
-            strengths = [f"joint.muscle{number}.strength=+-10 %" for number in (1, 2)]
-            settings["conditions"] = (*strengths, *(f"{mass.name}=+-20 %" for mass in masses if mass.nominal))
+            settings["conditions"] = scenario.uncertainty or sum(usual_variation(scenario), ())
         parts = {name: getattr(scenario, name) for name in (*PLANT, "name", "duration", "control_period")}
         references = {"reference": ReferenceCase(reference=scenario.signals)}
         together = {"scenario": scenario.controller, **others}

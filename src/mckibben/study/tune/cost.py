@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.columns import attributes
 from mckibben.errors import ParameterError, UnitError, suggest
-from mckibben.simulation import Metrics
+from mckibben.simulation import LEAST_DISK_MARGIN, Metrics
 from mckibben.units import quantity
 
 _PLUS = re.compile(r"(?<![0-9.][eE])\+")  # not the sign of 1e+3
@@ -63,7 +63,7 @@ class Cost:
     percentile
         Of the cost over scenarios and conditions, above 0 up to 100 (the worst). None: their mean.
     disk_margin
-        Least disk margin of the linearised loop, 0 (none) to 2. None: that of `tune`.
+        Least disk margin of the linearised loop that tuned gains keep, 0 (none) to 2.
 
     Raises
     ------
@@ -81,7 +81,7 @@ class Cost:
     terms: tuple[Term, ...]
     gain_margin: float = 1.0  # factor by which the gains may increase; 1 for no margin
     percentile: float | None = None  # of the cost over scenarios and conditions, 100 for the worst; None: their mean
-    disk_margin: float | None = 0.0  # least of the linearised loop in all of them; None for that of `tune`
+    disk_margin: float = LEAST_DISK_MARGIN
 
     def __post_init__(self) -> None:
         names = [term.metric for term in self.terms]
@@ -90,11 +90,10 @@ class Cost:
             raise ParameterError(
                 f"{twice[0]} appears twice" if twice else "the cost has no term", remedy="name each metric once"
             )
-        disk = self.disk_margin or 0.0
         percentile = 100.0 if self.percentile is None else self.percentile
         for what, value, holds, remedy in (
             ("gain margin", self.gain_margin, 1 <= self.gain_margin < np.inf, "give 1 (none) or more"),
-            ("disk margin", disk, 0 <= disk < 2, "give 0 (none) to 2, which no loop has"),
+            ("disk margin", self.disk_margin, 0 <= self.disk_margin < 2, "give 0 (none) to 2, which no loop has"),
             ("percentile", percentile, 0 < percentile <= 100, "give a number above 0, up to 100"),
         ):
             if not holds:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -23,11 +24,13 @@ from mckibben.scenario import (
     initial_state,
     run_many,
     valid_rows,
+    with_values,
 )
 from mckibben.simulation import Batch, disk_margins
 from mckibben.simulation.problem import check_frequencies
 from mckibben.storage.store import Store
 from mckibben.study.parameters import SweptParameter, Table
+from mckibben.study.parameters.uncertainty import extremes, uncertainty
 from mckibben.study.tune.cost import Cost
 from mckibben.study.tune.search import Vector
 from mckibben.study.tune.space import SearchSpace, is_gain
@@ -53,7 +56,8 @@ class TuningProblem:
     space
         Parameters and their ranges; nominal values are those of the first scenario.
     cost
-        Cost of the runs.
+        Cost of the runs. Gains keep its disk margin under the conditions or, without any, the extremes of the
+        uncertainty of the plant; it is not asked for if no gain is tuned.
     model_follows
         Plant parameters that the controllers' models follow, or "all".
     conditions
@@ -141,19 +145,39 @@ class TuningProblem:
         with ThreadPoolExecutor(cores()) as pool:
             parts = list(pool.map(lambda scenario: self._costs_of_runs(scenario, rows, workers), self.scenarios))
         costs = self._combine(np.concatenate(parts)).reshape(-1, len(values)).max(axis=0)
-        wanted = self.cost.disk_margin
+        wanted = self.disk_margin
         if not wanted:
             return costs
-        least = np.min([self._disk_margins(scenario, values) for scenario in self.scenarios], axis=0)
+        least = np.min([self._disk_margins(place, values) for place in range(len(self.scenarios))], axis=(0, 1))
         # Feasible points first, then by their violation: K. Deb, Comput. Methods Appl. Mech. Eng. 186, 2000.
         return np.where((least < wanted) & (costs < FAILED_COST), UNSTABLE_COST * (2 - least / wanted), costs)
 
-    def kept_margin(self, most: float) -> float:
-        """Disk margin that tuned gains keep: that of the nominal ones, at most `most`, and 0 if there are no gains."""
-        if not any(map(is_gain, self.space.names)):
-            return 0.0
-        margins = (float(self._disk_margins(scenario, self.space.nominal[None])[0]) for scenario in self.scenarios)
-        return min(most, *(float(f"{0.99 * margin:.3g}") for margin in margins))  # the same on all machines
+    @property
+    def disk_margin(self) -> float:
+        """Disk margin that tuned gains keep; 0 if no gain is tuned."""
+        return self.cost.disk_margin if any(map(is_gain, self.space.names)) else 0.0
+
+    @functools.cached_property
+    def _margin_draws(self) -> tuple[Table, ...]:
+        """Values [SI] of other parameters under which the gains of each scenario keep the disk margin."""
+        names = self.space.names
+        return tuple(self.conditions or extremes(uncertainty(scenario), without=names) for scenario in self.scenarios)
+
+    def margin_limit(self, values: Vector, points: int = 20) -> tuple[float, str]:
+        """Return the least disk margin of values [SI] of shape (parameters,) at points of the runs, and what limits it.
+
+        The text has the scenario, the draw of its plant, the operating point, and the loop with its frequency.
+        """
+        margins = [self._disk_margins(i, values[None], points)[:, 0] for i in range(len(self.scenarios))]
+        place = int(np.argmin([column.min() for column in margins]))
+        draw = int(np.argmin(margins[place]))
+        scenario, table = self.scenarios[place], self._margin_draws[place]
+        drawn = {name: column[draw].item() for name, column in table.items()}
+        values_of = dict(zip(self.space.names, values.tolist(), strict=True)) | drawn
+        worst = with_values(scenario, values_of, model_follows=followed_names(scenario, self.model_follows, values_of))
+        varied = [p for p in find_parameters(scenario, drawn) if drawn[p.name] != (p.nominal or 0.0)]
+        plant = ", ".join(f"{p.name} {p.show(drawn[p.name])}" for p in varied) or "the nominal plant"
+        return float(margins[place][draw]), f"{worst.margins(points).limit()} of {scenario.name}, with {plant}"
 
     def _with_margin(self, values: Vector) -> Vector:
         """Rows of values, then the rows with gains larger by the gain margin, inside the ranges of their fields."""
@@ -163,11 +187,14 @@ class TuningProblem:
         limits = np.array([(tuned.parameter.lower, tuned.parameter.upper) for tuned in self.space.swept]).T
         return np.concatenate([values, np.clip(values * factors, *limits)])
 
-    def _table(self, scenario: Scenario, values: Vector) -> tuple[NDArray[np.bool_], Table]:
+    def _table(
+        self, scenario: Scenario, values: Vector, conditions: Table | None = None
+    ) -> tuple[NDArray[np.bool_], Table]:
         """Valid rows of all values under each condition in turn; and the table, with a valid row for invalid ones."""
-        draws = len(next(iter(self.conditions.values()), "1"))
+        conditions = self.conditions if conditions is None else conditions
+        draws = len(next(iter(conditions.values()), "1"))
         table = {name: np.tile(values[:, i], draws) for i, name in enumerate(self.space.names)}
-        table |= {name: np.repeat(column, len(values)) for name, column in self.conditions.items()}
+        table |= {name: np.repeat(column, len(values)) for name, column in conditions.items()}
         good = valid_rows(scenario, table)
         return good, with_valid(table, good)
 
@@ -193,11 +220,15 @@ class TuningProblem:
             return np.sort(costs, axis=0)[math.ceil(self.cost.percentile / 100 * count) - 1]
         return np.where((costs >= FAILED_COST).any(axis=0), FAILED_COST, np.sum(costs * (1.0 / count), axis=0))
 
-    def _disk_margins(self, scenario: Scenario, values: Vector) -> Vector:
-        """Least disk margin of each row of values [SI] over the conditions; 0 if a condition is invalid."""
-        good, table = self._table(scenario, values)
+    def _disk_margins(self, place: int, values: Vector, points: int = 4) -> NDArray[np.float64]:
+        """Disk margin of each row of values [SI] under each draw, shape (draws, rows); 0 for invalid rows.
+
+        Draws that cannot start count as the best of the others, since no gains can mend them.
+        """
+        scenario, draws = self.scenarios[place], self._margin_draws[place]
+        good, table = self._table(scenario, values, draws)
         if not good.any():
-            return np.zeros(len(values))
+            return np.zeros((1, len(values)))
         many = batched(scenario, table, model_follows=followed_names(scenario, self.model_follows, table))
         margins = disk_margins(
             many.plant(),
@@ -207,8 +238,11 @@ class TuningProblem:
             duration=scenario.duration,
             control_period=scenario.control_period,
             substeps=scenario.substeps or 1,
+            points=points,
         )
-        return np.where(good, np.nan_to_num(margins), 0.0).reshape(-1, len(values)).min(axis=0)
+        margins = np.where(good, margins, 0.0).reshape(-1, len(values))
+        started = np.fmax.reduce(margins, axis=0)
+        return np.where(np.isnan(margins), np.nan_to_num(started), margins)
 
 
 def with_valid(table: Mapping[str, NDArray], good: NDArray[np.bool_]) -> Table:

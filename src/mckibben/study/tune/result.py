@@ -11,12 +11,11 @@ import numpy as np
 from mckibben.errors import McKibbenError
 from mckibben.result import Column, Listing, Remark, Result, column
 from mckibben.scenario import Scenario, find_parameter, run_scenario
+from mckibben.simulation import margin_remarks
 from mckibben.simulation.metrics import METRICS, in_shown_units
 from mckibben.study.parameters import Table
 from mckibben.study.tune.trials import Trial
 
-DISK_MARGIN = 0.4
-"""Disk margin below which a loss is reported: gains off by 1.5, phases by 23 deg."""
 _UNITS = {metric.replace("_", " "): unit for metric, unit, _ in METRICS.values()} | {
     "least gain margin": "",
     "least phase margin": "deg",
@@ -42,8 +41,12 @@ class TuneResult(Result):
     cost_before: float = column("", "cost before")
     """Cost of the first scenario's values in all scenarios; NaN if they are not valid."""
     evaluated: int = column("", "points evaluated")
-    disk_margin: float = column("", "least disk margin kept by the search", default=0.0)
-    """In all runs at four points; 0 for none."""
+    disk_margin: float = column("", "disk margin asked for", default=0.0)
+    """0 for none."""
+    least_disk: float = column("", "least disk margin", default=np.inf)
+    """Under the conditions or the uncertainty of the plant, at twenty points of each run; infinite if none is asked."""
+    limit: str = ""
+    """Operating point, loop and draw of the least disk margin."""
     at_bound: tuple[str, ...] = ()
     """Parameters within 1 % of an end of their range: a wider one may have better values."""
     trials: tuple[Trial, ...] = ()
@@ -64,18 +67,18 @@ class TuneResult(Result):
 
     def remarks(self) -> Iterator[Remark]:
         """Yield remarks on the margins, the ranges, and what to try next."""
-        for old, new in self.effects:
-            before, after = old["least disk margin"], new["least disk margin"]
-            if after == 0:
-                text = "least margins of 0: the linearised loop is unstable at some points of the run"
-                remedy = "`mckibben margins` shows where, and whether sticking friction bounds the oscillation"
-                yield Remark.warning("disk_margin", text, remedy=remedy)
-            elif after < DISK_MARGIN and (after < before or not self.disk_margin):
-                text = f"the least disk margin is {after:.2g}, and was {before:.2g}"
-                kind = Remark.warning if after < before else Remark.note
-                yield kind("disk_margin", text, remedy=f"--disk-margin {DISK_MARGIN} asks for more")
+        if self.least_disk < self.disk_margin:
+            text = f"no gains with a disk margin of {self.disk_margin:g} were found; these have {self.least_disk:.2g}"
+            remedy = "--over wider ranges or other parameters, more --iterations, or less uncertainty by calibration"
+            yield Remark.severe("disk_margin", f"{text}, {self.limit}", remedy)
+        elif self.disk_margin:
+            yield from margin_remarks(self.least_disk, f", {self.limit}")
+            yield Remark.note("limit", f"the disk margin is limited {self.limit}")
+        else:
+            for scenario, (_, after) in zip(self.scenarios, self.effects, strict=True):
+                yield from margin_remarks(after["least disk margin"], f", of {scenario.name}")
         if np.isnan(self.cost_before):
-            text = "no cost before: the values given do not keep the margins, or give no valid run"
+            text = "no cost before: the values given have no valid run"
             yield Remark.note("cost_before", text)
         if self.at_bound:
             text = f"at a bound of the range: {', '.join(self.at_bound)}"

@@ -80,10 +80,6 @@ class Trials:
         """Return the costs at points."""
         return np.array([trial.cost for trial in self.at(points)])
 
-    def cost(self, values: Vector) -> float:
-        """Return the cost of values [SI], which may lie outside their ranges."""
-        return float(self._compute(self._padded(values[None])).costs[0])
-
     def _padded(self, rows: Vector) -> Vector:
         """Rows padded with the last one, for one compiled program."""
         return np.concatenate([rows, np.repeat(rows[-1:], self._batch - len(rows), axis=0)])

@@ -1,0 +1,76 @@
+"""Uncertainty of a scenario's plant: what a calibration left, or what is usual."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mckibben.scenario import Scenario, list_parameters
+from mckibben.study.parameters.sampling import SweptParameter, Table, parse_sweeps
+
+_DELAY = 2.0  # ms about the delay of the commands
+_INSIDE = 0.95  # of a distribution, between its extremes
+
+
+def usual_variation(scenario: Scenario) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return texts of the strengths of both muscles, 10 % about nominal, and of the masses of the load, 20 %.
+
+    >>> usual_variation(Scenario.read("examples/pre-contracted-step-pid.yaml"))[1]
+    ('load.mass1=+-20 %', 'load.mass2=+-20 %')
+    """
+    masses = [p for p in list_parameters(scenario) if p.part == "load" and p.unit == "kg" and p.nominal]
+    strengths = tuple(f"joint.muscle{number}.strength=+-10 %" for number in (1, 2))
+    return strengths, tuple(f"{mass.name}=+-20 %" for mass in masses)
+
+
+def uncertainty(scenario: Scenario) -> tuple[tuple[SweptParameter, ...], ...]:
+    """Return the uncertain parameters of a scenario's plant, in groups that vary together.
+
+    Those of the scenario, each alone; without any, the strengths of the muscles by 10 %, the delay of the commands by 2
+    ms, and the masses of the load by 20 %.
+
+    Raises `ParameterError` if a text of the scenario is not a distribution of one of its parameters.
+    """
+    if scenario.uncertainty:
+        return tuple((swept,) for swept in parse_sweeps(scenario.uncertainty, scenario))
+    strengths, masses = usual_variation(scenario)
+    delay = 1e3 * (scenario.command_delay or 0.0)
+    delays = (f"command_delay={max(delay - _DELAY, 0.0)!r}..{delay + _DELAY!r} ms",)
+    return tuple(parse_sweeps(texts, scenario) for texts in (strengths, delays, masses) if texts)
+
+
+def extremes(groups: Sequence[Sequence[SweptParameter]], *, without: Sequence[str] = ()) -> Table:
+    """Return the nominal values, then extremes of groups of parameters [SI], the 2.5 and 97.5 % quantiles.
+
+    In a two-level design (R. Plackett and J. Burman, Biometrika 33 (1946) 305) of three groups, the last one is low
+    where the others are high, as for a strong muscle, a late valve and a light load.
+
+    Parameters
+    ----------
+    groups
+        Parameters that vary together.
+    without
+        Names that are left out.
+
+    Examples
+    --------
+    >>> scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    >>> table = extremes(uncertainty(scenario), without=["load.mass1"])
+    >>> print(np.column_stack([table[name] for name in ("joint.muscle1.strength", "command_delay", "load.mass2")]))
+    [[1.000e+00 0.000e+00 5.000e-01]
+     [9.050e-01 5.000e-05 4.050e-01]
+     [1.095e+00 5.000e-05 5.950e-01]
+     [9.050e-01 1.950e-03 5.950e-01]
+     [1.095e+00 1.950e-03 4.050e-01]]
+    """
+    from scipy.linalg import hadamard
+
+    signs = -hadamard(1 << len(groups).bit_length())[:, 1 : len(groups) + 1]
+    table = {}
+    for group, column in zip(groups, signs.T, strict=True):
+        for swept in group:
+            nominal = swept.distribution.ppf(0.5) if swept.parameter.nominal is None else swept.parameter.nominal
+            if swept.name not in without:
+                table[swept.name] = np.append(nominal, swept.distribution.ppf((1 + _INSIDE * column) / 2))
+    return table
