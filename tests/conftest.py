@@ -369,4 +369,5 @@ def simulating_nothing():
     """Comparisons go through `invented` in place of a simulation."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mckibben.study.compare.runs.simulate_group", invented)
+        patch.setattr("mckibben.study.compare.compare.margins_of", lambda scenario: None)
         yield

@@ -9,7 +9,8 @@ import pytest
 import scipy.stats
 import xarray as xr
 
-from mckibben.simulation import Batch, Metrics, Outcome
+from mckibben.result import Severity
+from mckibben.simulation import Batch, Margins, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.compare import CompareResult, Suite, draw
 from mckibben.study.compare.result import PooledResult
@@ -57,6 +58,15 @@ def contest(runs, columns):
     batches = {name: batch(columns[name], runs_lost) for name, runs_lost in lost.items()}
     tuned = {FIRST: {"controller.position.kp": 2e5}, SECOND: {}, THIRD: {}}
     return CompareResult(runs.suite, runs, tuned, {FIRST: (3.0, 4.0)}, {FIRST: (), SECOND: (), THIRD: ()}, batches)
+
+
+def loop(disk):
+    """Margins at one point."""
+    none = np.zeros((1, 1))
+    names = dict.fromkeys(("time", "radius", "gain", "phase", "delay", "peak"), np.array([0.5]))
+    return Margins(
+        **names, disk=np.array([disk]), loop=np.array(["angle"]), frequency=none, sensitivity=none, loci=none
+    )
 
 
 def begun(values, *without):
@@ -139,6 +149,12 @@ def test_setups_are_pooled_and_a_controller_that_one_lacks_at_equal_air_is_left_
     assert list(rows_of(as_tuned)) == list(contest.batches) and list(rows_of(at_air)) == [FIRST]
     alone, both = (rows_of(table)[SECOND] for table in (next(iter(contest.listings())), as_tuned))
     assert both[0] == alone[0] and both[-1] == "2 + 0"
+
+
+def test_a_controller_with_a_low_margin_is_a_severe_remark(contest):
+    low, high = (loop(disk) for disk in (0.12, 0.5))
+    (remark, _) = replace(contest, margins={FIRST: low, SECOND: high}).remarks()
+    assert (remark.severity, remark.field) == (Severity.SEVERE, "disk_margin") and FIRST in remark.text
 
 
 def test_a_front_has_the_trials_with_the_least_error_for_their_air():

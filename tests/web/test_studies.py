@@ -64,9 +64,6 @@ def test_a_study_that_nobody_can_wait_for_is_refused(tmp_path):
     assert found.value.upper == studies.MOST_STEPS
     with pytest.raises(ParameterError):
         studies.compared(SHORT, studies.ComparisonRequest(("two PID loops",)), tmp_path, silent)
-    with pytest.raises(ParameterError) as found:
-        studies.tuned(SHORT, studies.TuningRequest(disk_margin="some"), tmp_path, silent)
-    assert found.value.field == "disk_margin"
 
 
 def test_the_kinds_of_a_scenario_are_those_of_its_fields():

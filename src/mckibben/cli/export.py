@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from mckibben.cli.command import plain_command, present
@@ -46,11 +47,15 @@ def export(
     from mckibben.config.document import read_document
     from mckibben.config.model import read_text
     from mckibben.export import export as write
+    from mckibben.export.targets import CONTROLLERS
     from mckibben.leg import LegScenario
     from mckibben.scenario import Scenario
 
     kind = LegScenario if "leg" in (read_document(read_text(scenario)).data or ()) else Scenario
     with keeping(folder):
-        exported = write(kind.read(scenario), to, folder, name=name, single=single, overwrite=force)
+        read = kind.read(scenario)
+        exported = write(read, to, folder, name=name, single=single, overwrite=force)
+    if to in CONTROLLERS and isinstance(read, Scenario):
+        exported = replace(exported, margins=read.margins())
     present(exported, json=json)
     notify(f"wrote {', '.join(exported.contents)} to {folder}", json)

@@ -15,6 +15,7 @@ from mckibben.component.calls import checked_call
 from mckibben.errors import ExportError, ParameterError, quoted
 from mckibben.result import Column, Listing, Remark, Result
 from mckibben.scenario import Scenario
+from mckibben.simulation import Margins, margin_remarks
 from mckibben.storage.files import atomic_write, check_free, make_folder
 
 if TYPE_CHECKING:
@@ -30,15 +31,20 @@ class Exported(Result):
         Text or bytes of each file by its path.
     left_out
         The parts of the scenario that the format cannot express.
+    margins
+        Stability margins of the loop of a controller, if they were computed.
     """
 
     contents: Mapping[str, str | bytes]
     left_out: tuple[str, ...] = ()
+    margins: Margins | None = None
 
     def verdict(self) -> str:
         return f"{len(self.contents)} file{'s' * (len(self.contents) > 1)}"
 
     def remarks(self) -> Iterator[Remark]:
+        if self.margins is not None:
+            yield from margin_remarks(float(self.margins.disk.min()), f", {self.margins.limit()}")
         for part in self.left_out:
             yield Remark.warning("left_out", f"left out: {part}")
 
@@ -70,6 +76,8 @@ TARGETS = {
     "osim": ("mckibben.export.osim:osim_files", "joint", "joint and muscles for OpenSim, at constant pressures"),
 }
 """Function of each format, ``(scenario, name, folder) -> Exported``, the default name, and a description."""
+CONTROLLERS = "c", "js", "fmu-controller"
+"""Formats of a controller."""
 LEG_TARGETS = {
     "mjcf": ("mckibben.export.leg_mjcf:mjcf_files", "leg", "bodies and muscles for MuJoCo, with the C of a plugin"),
     "warp": ("mckibben.export.warp:leg_files", "leg", "bodies and muscles for MuJoCo Warp, in Python"),

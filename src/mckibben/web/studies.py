@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from mckibben.errors import ParameterError
-from mckibben.scenario import Scenario, with_values
+from mckibben.scenario import Scenario
 from mckibben.simulation import LEAST_DISK_MARGIN
 from mckibben.study.compare import Suite, compare
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
@@ -169,6 +169,5 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     _check_budget(scenario, len(suite.controllers) * (trials * _TRAINING + 2 * request.runs))
     result = compare(suite, progress=progress)
     progress("statistics", 1.0)
-    reference = next(iter(suite.references))
-    scenarios = {name: with_values(suite.scenario(name, reference), result.tuned[name]) for name in suite.controllers}
+    scenarios = {name: suite.tuned_scenario(name, result.tuned[name]) for name in suite.controllers}
     return Study(Presented.of(result), text, scenarios)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from mckibben.dataset.schema import write_netcdf
 from mckibben.result import Listing, Remark, Result
-from mckibben.scenario import Scenario, run_scenario, with_values
-from mckibben.simulation import Batch, Outcome, SimulationResult
+from mckibben.scenario import Scenario, run_scenario
+from mckibben.simulation import Batch, Margins, Outcome, SimulationResult, margin_remarks
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import make_folder
 from mckibben.study.compare.checks import filename
@@ -53,6 +53,7 @@ class CompareResult(Result):
     trials: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with medians of the training runs
     at_air: CompareResult | None = None
     finalists: dict[str, tuple[Trial, ...]] = field(default_factory=dict)  # with the medians of their further runs
+    margins: dict[str, Margins] = field(default_factory=dict)  # as tuned, on the plant of the models
 
     @functools.cached_property
     def order(self) -> list[str]:
@@ -112,7 +113,9 @@ class CompareResult(Result):
         return f"{runs}: {best} is best, with {ratio:.3g} x the angle RMSE of {first}"
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield remarks on runs that cannot start, ranges that are too narrow, and gains that take too much air."""
+        """Yield remarks on low margins, runs that cannot start, narrow ranges, and gains that take too much air."""
+        for name, margins in self.margins.items():
+            yield from margin_remarks(float(margins.disk.min()), f", of {name} {margins.limit()}")
         if count := int((~self.started).sum()):
             yield Remark.warning("runs", f"{count} runs were infeasible: no static equilibrium at their start")
         if self.at_air and (left_out := [n for n, gains in self.tuned.items() if gains and n not in self.at_air.tuned]):
@@ -153,13 +156,11 @@ class CompareResult(Result):
         """Write runs.nc, suite.yaml, and each tuned controller as a scenario with the plant of its model."""
         write_netcdf(self.to_dataset().assign_attrs(suite=self.suite.dumps(folder=folder)), folder / "runs.nc")
         self.suite.to_yaml(folder / "suite.yaml")
-        controllers, reference = make_folder(folder / "controllers"), next(iter(self.suite.references))
+        controllers = make_folder(folder / "controllers")
         at_air = self.at_air.tuned if self.at_air else {}
         for suffix, tuned in (("", self.tuned), (", at equal air", at_air)):
             for name, values in tuned.items():
-                scenario = self.suite.scenario(name, reference)
-                scenario = with_values(scenario, values) if values else scenario
-                scenario.to_yaml(controllers / f"{filename(name + suffix)}.yaml")
+                self.suite.tuned_scenario(name, values).to_yaml(controllers / f"{filename(name + suffix)}.yaml")
 
 
 class PooledResult(Result):

@@ -15,7 +15,7 @@ from mckibben.config.model import ConfigModel, fail_validation, parse_model
 from mckibben.control import Controller, DecouplingControl, PositionStiffnessControl, Reference
 from mckibben.errors import ParameterError, ScenarioError
 from mckibben.plant import NoDisturbance, PerfectSensors
-from mckibben.scenario import Scenario, list_parameters
+from mckibben.scenario import Scenario, list_parameters, with_values
 from mckibben.scenario.scenario import (
     ControllerPart,
     DisturbancePart,
@@ -306,6 +306,11 @@ class Suite(RunSettings):
             reference=signals,
             start=start_of(signals),
         )
+
+    def tuned_scenario(self, controller: str, values: Mapping[str, float]) -> Scenario:
+        """Scenario of the first reference, with the plant of the models, and tuned values [SI] of the controller."""
+        scenario = self.scenario(controller, next(iter(self.references)))
+        return with_values(scenario, values) if values else scenario
 
     def conditions_over(self) -> tuple[SweptParameter, ...]:
         """Plant parameters that vary."""

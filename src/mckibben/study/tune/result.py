@@ -43,8 +43,8 @@ class TuneResult(Result):
     evaluated: int = column("", "points evaluated")
     disk_margin: float = column("", "disk margin asked for", default=0.0)
     """0 for none."""
-    least_disk: float = column("", "least disk margin", default=np.inf)
-    """Under the conditions or the uncertainty of the plant, at twenty points of each run; infinite if none is asked."""
+    least_disk: float = column("", "least disk margin", default=np.nan)
+    """Under the conditions or the uncertainty of the plant, at twenty points of each run; NaN if none is asked for."""
     limit: str = ""
     """Operating point, loop and draw of the least disk margin."""
     at_bound: tuple[str, ...] = ()

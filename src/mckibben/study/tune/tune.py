@@ -202,7 +202,7 @@ def _with_margin(problem: TuningProblem, trials: Trials, most: int) -> tuple[Tri
     Of the `most` best trials; if none of them keeps it, the one of largest margin.
     """
     if not problem.disk_margin:
-        return trials.best, np.inf, ""
+        return trials.best, np.nan, ""
     largest: tuple[Trial, float, str] | None = None
     for trial in sorted(trials.all, key=lambda trial: trial.order)[:most]:
         margin, limit = problem.margin_limit(problem.space.values(np.array([trial.point]))[0])
