@@ -150,7 +150,7 @@ def test_a_tuned_plant_is_known_to_the_controller_if_asked_alone(cli, scenario, 
         (SMALL[:-2], "--out DIR"),
         (
             ("--over", "controller.positon.kp"),
-            "did you mean 'controller.position.kp'?",
+            "did you mean 'controller.position.kp'",
         ),  # before the missing --out
         ((*SMALL, "--method", "newton"), "method is 'newton'"),
         ((*SMALL, "--over", "start.angle"), "zero, or not given: there is no range around it"),

@@ -96,6 +96,15 @@ def test_what_is_tuned(suite):
     assert one.distribution.bounds == pytest.approx((1e5, 2e5))
 
 
+def test_a_wrapper_starts_at_the_gains_of_the_loops_within_at_any_depth():
+    rival = "PID, feedforward and delay compensated"
+    valves = Suite.read(ROOT / "examples" / "comparison" / "valves.yaml").of_setup("SMC ITV0050")
+    inside = valves.tuned_inside(rival, {"PID": {"controller.position.kp": 2e5}, "decoupling": {}})
+    assert inside == {"controller.controller.loops.position.kp": 2e5}
+    assert inside.keys() <= {swept.name for swept in valves.tuned_over(rival)}
+    assert valves.tuning.starts_of[rival] == valves.tuning.starts_of["PID"]
+
+
 KP = "{kp: 1.2 bar/rad, ki: 40 bar/(rad*s), kd: 0.2 bar*s/rad}"
 MISTAKES = {
     "condition": (

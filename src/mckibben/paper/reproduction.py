@@ -61,11 +61,12 @@ class Reproduction(Result):
         return [claim for claim in self.claims if not claim.of_paper]
 
     def verdict(self) -> str:
-        """Return how many of the paper's testable claims hold, and how many need the paper's muscle."""
+        """Return how many of the paper's testable claims hold, and how many rest on its muscle."""
         testable = [claim for claim in self.paper_claims if not claim.needs_muscle]
         hold, others = sum(claim.holds for claim in testable), len(self.paper_claims) - len(testable)
-        counted = f"{hold} of {len(testable)} that can be tested here hold"
-        return f"Of the paper's own claims, {counted}; {others} need the paper's muscle."
+        counted = "and hold" if hold == len(testable) else f"of which {hold} hold"
+        published = f"{others} rest on a muscle that was not published"
+        return f"{len(testable)} of the paper's claims can be tested here {counted}; {published}."
 
     def listings(self) -> Iterator[Listing]:
         """Yield the verdicts on the paper's claims, then those on our own questions."""

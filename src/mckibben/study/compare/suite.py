@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
@@ -78,6 +78,14 @@ def _steps(settings: Scenario | Suite) -> dict[str, Any]:
     """The integration steps of a run, or its accuracy."""
     name = "accuracy" if settings.substeps is None else "substeps"
     return {name: getattr(settings, name)}
+
+
+def _wrapped(controller: Controller, path: str = "") -> Iterator[tuple[str, Controller]]:
+    """Yield the controllers within a controller, each with its path."""
+    for name, inner in vars(controller).items():
+        if isinstance(inner, Controller):
+            yield f"{path}{name}", inner
+            yield from _wrapped(inner, f"{path}{name}.")
 
 
 class PlantCase(ConfigModel):
@@ -337,14 +345,13 @@ class Suite(RunSettings):
 
     def tuned_inside(self, controller: str, tuned: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
         """Tuned values [SI] of other controllers that a controller wraps, by their names in the wrapper."""
-        values_inside: dict[str, float] = {}
-        for part, inner in vars(self.controllers[controller]).items():
-            for other, values in tuned.items():
-                if isinstance(inner, Controller) and inner == self.controllers[other]:
-                    values_inside |= {
-                        f"controller.{part}.{name.partition('.')[2]}": value for name, value in values.items()
-                    }
-        return values_inside
+        return {
+            f"controller.{path}.{name.partition('.')[2]}": value
+            for path, inner in _wrapped(self.controllers[controller])
+            for other, values in tuned.items()
+            if inner == self.controllers[other]
+            for name, value in values.items()
+        }
 
     def example(self, reference: str | None = None, joint: str = NOMINAL_JOINT) -> Scenario:
         """A run of the first controller."""
