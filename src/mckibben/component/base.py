@@ -12,7 +12,19 @@ from dataclasses import dataclass
 from inspect import get_annotations
 from numbers import Integral, Real
 from types import NoneType, SimpleNamespace, UnionType
-from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origin, get_type_hints
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import equinox as eqx
 import numpy as np
@@ -24,6 +36,10 @@ from mckibben.errors import Problem, RangeError, Suggesting, described, printabl
 from mckibben.result import Column, Listing
 from mckibben.units import SYMBOLS, BoundedInt, Quantity, factor, show
 
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+D = TypeVar("D")
 _LONGEST = 120  # characters of a value
 
 
@@ -38,11 +54,11 @@ class Units:
 
     quantities: tuple[tuple[str, Quantity], ...]
 
-    def __init__(self, **types: Any) -> None:
-        quantities = tuple((name, kind.__metadata__[0]) for name, kind in types.items())
+    def __init__(self, **types: object) -> None:
+        quantities = tuple((name, next(marks_in(kind, Quantity))) for name, kind in types.items())
         object.__setattr__(self, "quantities", quantities)
 
-    def get(self, symbol: str, default: Any = None) -> Any:
+    def get(self, symbol: str, default: D = None) -> Quantity | D:
         """Return the quantity of a symbol; `default` without one."""
         return next((quantity for name, quantity in self.quantities if symbol == name), default)
 
@@ -78,7 +94,7 @@ class Described:
     """Groups of optional fields of which all are given or none; a study varies them where they are given."""
 
     @classmethod
-    def from_file(cls, value: Any) -> Any:
+    def from_file(cls, value: object) -> object:
         """Return a section that has a special form in the usual form; by default unchanged."""
         return value
 
@@ -127,7 +143,7 @@ class Inherited:
     find: Callable[[Mapping[str, Any]], Any]
 
 
-def check_fields(instance: Any) -> None:
+def check_fields(instance: object) -> None:
     """Check the fields of a component against their types and ranges; defaults and tracers pass.
 
     Raises
@@ -142,20 +158,20 @@ def check_fields(instance: Any) -> None:
     refuse_problems(type(instance).__name__, [_problem(instance, error) for error in errors])
 
 
-def field_problems(instance: Any) -> list[Problem]:
+def field_problems(instance: object) -> list[Problem]:
     """Problems of the fields, as by `check_fields`."""
     return [_problem(instance, error) for error in _errors(instance)]
 
 
-def _problem(instance: Any, error: RangeError) -> Problem:
+def _problem(instance: object, error: RangeError) -> Problem:
     problem, prefix = Problem.of(error, field=error.field), f"{type(instance).__name__}: {error.field} "
     return dataclasses.replace(problem, message=problem.message.removeprefix(prefix))
 
 
-def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
+def _errors(instance: object, units: Units = _NO_UNITS) -> Iterator[RangeError]:
     """Errors of the fields; `units` are those of symbolic ones, which otherwise pass."""
     kind = type(instance)
-    for field in dataclasses.fields(instance):
+    for field in dataclasses.fields(cast("DataclassInstance", instance)):
         value = getattr(instance, field.name)
         try:
             _check_field(kind, field, value, units)
@@ -171,7 +187,7 @@ def _errors(instance: Any, units: Units = _NO_UNITS) -> Iterator[RangeError]:
             yield RangeError(message, field=missing[0], remedy="give all of them, or none")
 
 
-def _check_field(kind: type, field: dataclasses.Field[Any], value: Any, units: Units) -> None:
+def _check_field(kind: type, field: dataclasses.Field[object], value: object, units: Units) -> None:
     """Raise `RangeError` for a component of another class, another word, and what `_check_numbers` refuses."""
     owner, name = kind.__name__, field.name
     classes, words = _component_classes(kind).get(name), _words(kind).get(name)
@@ -187,9 +203,9 @@ def _check_field(kind: type, field: dataclasses.Field[Any], value: Any, units: U
 
 def _check_numbers(
     owner: str,
-    field: dataclasses.Field[Any],
-    value: Any,
-    hint: Any,
+    field: dataclasses.Field[object],
+    value: object,
+    hint: object,
     mark: Quantity | BoundedInt | None,
     units: Units,
 ) -> None:
@@ -219,13 +235,13 @@ def units_of_part(hint: object) -> Units:
     return next(marks_in(hint, Units), _NO_UNITS)
 
 
-def _is_sequence(hint: Any) -> bool:
+def _is_sequence(hint: object) -> bool:
     origins = (get_origin(part) for part in (hint, *get_args(hint)))
     return any(isinstance(origin, type) and issubclass(origin, Sequence) for origin in origins)
 
 
 @functools.cache
-def field_hints(kind: type) -> dict[str, Any]:
+def field_hints(kind: type[DataclassInstance]) -> dict[str, Any]:
     """Return the types of the fields with their marks, except for those with unknown names."""
     hints = {}
     for base in reversed(kind.__mro__):
@@ -238,7 +254,7 @@ def field_hints(kind: type) -> dict[str, Any]:
 
 
 @functools.cache
-def _component_classes(kind: type) -> dict[str, Any]:
+def _component_classes(kind: type) -> dict[str, type | UnionType]:
     """Classes of the fields that are components: a class, or a union."""
     components = {}
     for name, hint in field_hints(kind).items():
@@ -250,12 +266,12 @@ def _component_classes(kind: type) -> dict[str, Any]:
     return components
 
 
-def _without_marks(hint: Any) -> Any:
+def _without_marks(hint: object) -> object:
     return get_args(hint)[0] if get_origin(hint) is Annotated else hint
 
 
 @functools.cache
-def _words(kind: type) -> dict[str, tuple[Any, ...]]:
+def _words(kind: type) -> dict[str, tuple[object, ...]]:
     """Values of the fields that take one of some words."""
     return {name: get_args(hint) for name, hint in field_hints(kind).items() if get_origin(hint) is Literal}
 
@@ -284,7 +300,7 @@ def _rows(component: Component) -> Iterator[tuple[str, str]]:
             yield field.name, printable(" ".join(repr(value).split()), _LONGEST)
 
 
-def plain(value: Any) -> Any:
+def plain(value: Any) -> object:
     """Value of a field as the model of its class has it: a word, a number or a tuple of numbers."""
     if hasattr(value, "ndim"):
         return tuple(np.asarray(value, float).tolist()) if value.ndim else value.item()

@@ -16,7 +16,7 @@ from contextlib import suppress
 from functools import wraps
 from numbers import Number
 from types import NoneType, SimpleNamespace, UnionType
-from typing import Annotated, Any, NamedTuple, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from mckibben.component.checks import as_number
 from mckibben.errors import CallError, McKibbenError, described, suggest, with_article
@@ -68,17 +68,18 @@ class CheckedCalls(ABCMeta):
             raise
 
 
-def _explain(function: Callable[..., Any], arguments: Arguments, error: Exception) -> None:
+def _explain(function: Callable[..., object], arguments: Arguments, error: Exception) -> None:
     """Raise a `CallError` if the arguments explain an error that is not one of ours."""
     if isinstance(error, McKibbenError):
         return
     signature = inspect.signature(function)
-    bound = next(iter(signature.parameters), "") in ("self", "cls")
+    parameters = list(signature.parameters.values())
+    bound = int(bool(parameters) and parameters[0].name in ("self", "cls"))
     try:
         values = dict(list(signature.bind(*arguments[0], **arguments[1]).arguments.items())[bound:])
     except TypeError as reason:
-        parameters = list(signature.parameters.values())[bound:]
-        raise _unbound(function, parameters, (arguments[0][bound:], arguments[1]), str(reason)) from None
+        given = arguments[0][bound:], arguments[1]
+        raise _unbound(function, parameters[bound:], given, str(reason)) from None
     for name, value in values.items():
         for field, item, hints in _items(name, value, list(_alternatives(_hint(function, name)))):
             kinds = _classes(hints)
@@ -89,48 +90,30 @@ def _explain(function: Callable[..., Any], arguments: Arguments, error: Exceptio
                 raise CallError(text, field=field, value=item, remedy=remedy) from error
 
 
-class _Parameters(NamedTuple):
-    """Names of the parameters of a function: all, those that may be given by position, and those without a default."""
-
-    names: list[str]
-    places: list[str]
-    needed: list[str]
-
-    @classmethod
-    def of(cls, parameters: list[inspect.Parameter]) -> _Parameters:
-        named = [parameter for parameter in parameters if parameter.kind in _BY_NAME]
-        places = [parameter.name for parameter in named if parameter.kind is _BY_POSITION]
-        needed = [parameter.name for parameter in named if parameter.default is parameter.empty]
-        return cls([parameter.name for parameter in named], places, needed)
-
-    def suggest(self, unknown: str, named: Mapping[str, object]) -> str:
-        """Return the remedy for an unknown name: the one in Python of an option, or the closest that is not given."""
-        if (option := _OPTIONS.get(unknown, "")) and option.partition("=")[0] in self.names:
-            return f"write {option}"
-        return suggest(unknown, [name for name in self.names if name not in named])
-
-    def call(self, function: str) -> str:
-        """Return the call with the arguments that it needs."""
-        shown = [name if name in self.places else f"{name}=..." for name in self.needed]
-        return f"{function}({', '.join([*shown, '...'] if len(self.names) > len(self.needed) else shown)})"
-
-
 def _unbound(
-    function: Callable[..., Any], parameters: list[inspect.Parameter], arguments: Arguments, reason: str
+    function: Callable[..., object], parameters: list[inspect.Parameter], given: Arguments, reason: str
 ) -> CallError:
     """Return the error of arguments that are unknown, too many or missing."""
-    of, (args, named), known = function.__name__, arguments, _Parameters.of(parameters)
-    write = f"write {known.call(of)}"
+    of, (args, named) = function.__name__, given
+    names = [parameter.name for parameter in parameters if parameter.kind in _BY_NAME]
+    places = [parameter.name for parameter in parameters if parameter.kind is _BY_POSITION]
+    needed = [parameter.name for parameter in parameters if parameter.default is parameter.empty]
+    needed = [name for name in needed if name in names]
+    shown = [name if name in places else f"{name}=..." for name in needed]
+    write = f"write {of}({', '.join([*shown, '...'] if len(names) > len(needed) else shown)})"
     if args and (reading := _reading(function, args[0])):
         return CallError(f"{of}: {reason}", value=args[0], remedy=f"to read a file, write {reading}")
-    if unknown := next((name for name in named if name not in known.names), ""):
-        remedy = known.suggest(unknown, named) if known.names else write
+    if unknown := next((name for name in named if name not in names), ""):
+        option, free = _OPTIONS.get(unknown, ""), [name for name in names if name not in named]
+        remedy = suggest(unknown, free) if names else write
+        if option.partition("=")[0] in names:
+            remedy = f"write {option}"
         return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=remedy)
-    if len(args) > len(known.places):
-        others = ", ".join(f"{name}=..." for name in known.names if name not in known.places)
-        text = f"{of} takes {len(known.places)} arguments by position, not {len(args)}"
+    if len(args) > len(places):
+        others = ", ".join(f"{name}=..." for name in names if name not in places)
+        text = f"{of} takes {len(places)} arguments by position, not {len(args)}"
         return CallError(text, value=args, remedy=f"give others by name: {others}" if others else write)
-    missing = [name for name in known.needed if name not in [*known.places[: len(args)], *named]]
+    missing = [name for name in needed if name not in (*places[: len(args)], *named)]
     if not args and not named and (other := getattr(function, "suggestions", {}).get("()", "")):
         write = f"{write}; {other.format(of)}"
     text = f"{of} needs {' and '.join(missing)}" if missing else f"{of}: {reason}"
@@ -160,20 +143,20 @@ def _remedy(value: object, kinds: list[type], others: list[object]) -> str:
     return f"{remedy}; are arguments swapped?" if swapped else remedy
 
 
-def _reading(kind: Any, value: object) -> str:
+def _reading(kind: Callable[..., object], value: object) -> str:
     """The call that reads an object from a file, if the value is a path; else empty."""
     reader = next((name for name in ("read", "from_yaml") if hasattr(kind, name)), "")
     is_path = isinstance(value, str | os.PathLike)
     return f"{kind.__name__}.{reader}({os.fspath(value)!r:.60})" if reader and is_path else ""
 
 
-def _hint(function: Callable[..., Any], name: str) -> Any:
-    """Type of an argument; `Any` if it is unknown, as those of a class, which checks its fields itself."""
+def _hint(function: Callable[..., object], name: str) -> object:
+    """Type of an argument; `object` if it is unknown, as those of a class, which checks its fields itself."""
     with suppress(Exception):  # a name that only type checkers import
         written = SimpleNamespace(__annotations__={name: function.__annotations__[name]})
         if not isinstance(function, type):
             return get_type_hints(written, vars(sys.modules[function.__module__]))[name]
-    return Any
+    return object
 
 
 def _alternatives(hint: object) -> Iterator[object]:
@@ -186,7 +169,7 @@ def _alternatives(hint: object) -> Iterator[object]:
         yield type if origin is type else hint
 
 
-def _classes(hints: list[Any]) -> list[type]:
+def _classes(hints: Sequence[Any]) -> list[type]:
     """Classes of alternatives, None included; empty if one of them is not a class."""
     kinds = list(dict.fromkeys(get_origin(hint) or hint for hint in hints))
     plain = (isinstance(kind, type) and kind is not Any and not getattr(kind, "_is_protocol", False) for kind in kinds)

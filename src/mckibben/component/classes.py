@@ -120,7 +120,7 @@ class Keyed:
     """Field of a section that is one value, as in ``move: 10 %``."""
 
     @classmethod
-    def from_file(cls, value: Any) -> Any:
+    def from_file(cls, value: object) -> object:
         """Return the section with its class of one below a short name."""
         if cls.short_name or not isinstance(value, dict) or len(value) != 1:
             return value
@@ -133,11 +133,11 @@ class Keyed:
         return {"class": name, **(section if isinstance(section, dict) else {getattr(kind, "shorthand", ""): section})}
 
     @classmethod
-    def to_file(cls, section: dict[str, Any]) -> Any:
+    def to_file(cls, section: dict[str, object]) -> object:
         """Return a section below the short name of its class."""
         if cls.short_name:  # a field of one class
             return section
-        name, inner = section.pop("class"), section
+        name, inner = str(section.pop("class")), section
         shorthand = getattr(find_class(cls, name), "shorthand", "")
         if not inner:
             return name

@@ -6,7 +6,7 @@ import sys
 import textwrap
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass
-from typing import Any, ClassVar, TypeVar, get_type_hints
+from typing import ClassVar, TypeVar, get_type_hints
 
 from mckibben.errors import ParameterError
 from mckibben.units import factor
@@ -85,8 +85,8 @@ class Labelled:
     telemetry_labels: ClassVar[Mapping[str, Label]] = {}
     """Unit and meaning of the columns of the telemetry."""
 
-    def __init_subclass__(cls, **options: Any) -> None:
-        super().__init_subclass__(**options)
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
         declare(_owner(cls), vars(cls).get("telemetry_labels", {}))
 
 

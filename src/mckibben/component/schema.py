@@ -19,7 +19,15 @@ from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 
-from pydantic import BeforeValidator, Field, GetCoreSchemaHandler, TypeAdapter, create_model
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    SerializationInfo,
+    TypeAdapter,
+    ValidationInfo,
+    create_model,
+)
 from pydantic_core import PydanticSerializationError, ValidationError, core_schema
 
 from mckibben.component.base import (
@@ -50,6 +58,9 @@ from mckibben.units import SYMBOLS, BoundedInt, Quantity
 
 C = TypeVar("C")
 
+Fields = dict[str, Any]
+"""Values of the keys of a section, or of the fields of a component, which are of any type."""
+
 Scope = Mapping[str, Any]
 """Fields of the sections around a component that is read, the nearest first."""
 
@@ -57,7 +68,7 @@ ENDINGS = (".yaml", ".yml")
 """Endings of files that hold a component."""
 
 
-class Section(ConfigModel):
+class ComponentSection(ConfigModel):
     """Fields of one class in a file; made by `section_of`."""
 
     class_: Annotated[Any, Field(alias="class")] = None
@@ -68,7 +79,7 @@ _NONE = BeforeValidator(lambda value: None if value == "none" else value)
 
 
 @functools.cache
-def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) -> type[Section]:  # noqa: B008
+def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) -> type[ComponentSection]:  # noqa: B008
     """Return the pydantic model of a class in files; in a `partial` one no field is required.
 
     Unit, shown unit and range of each field are those of its type in the class; `units` are those of symbolic fields.
@@ -88,7 +99,7 @@ def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) 
             fields[name] = kind | None, None
     fields |= {alias: (types[names[0]] | None, None) for alias, names in aliases.items()}
     with warnings.catch_warnings(action="ignore"):  # a field may have the name of a method of pydantic
-        return cast(Any, create_model)(f"{runtime.__name__}Section", __base__=Section, **fields)
+        return cast(Any, create_model)(f"{runtime.__name__}Section", __base__=ComponentSection, **fields)
 
 
 @functools.cache
@@ -135,7 +146,7 @@ def inherited_from(runtime: type, name: str) -> Inherited | None:
     return next(marks_in(field_hints(runtime)[name], Inherited), None)
 
 
-def _type_in_files(hint: Any, units: Units) -> Any:
+def _type_in_files(hint: object, units: Units) -> Any:
     """Annotation of a field in files; None for a field that cannot appear there."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin in (Union, UnionType):
@@ -154,7 +165,7 @@ def _type_in_files(hint: Any, units: Units) -> Any:
     return {bool: Flag, str: Title, Path: FilePath}.get(hint)
 
 
-def _annotated_type(base: Any, *marks: Any, units: Units) -> Any:
+def _annotated_type(base: Any, *marks: object, units: Units) -> Any:
     """Annotation in files of a field with unit and range, or of a component with units of its symbolic fields."""
     mark = next((mark for mark in marks if isinstance(mark, Quantity | BoundedInt)), None)
     if isinstance(mark, Quantity) and mark.unit in SYMBOLS:
@@ -177,10 +188,10 @@ class ComponentField:
             self.read, serialization=core_schema.plain_serializer_function_ser_schema(self._written, info_arg=True)
         )
 
-    def _written(self, value: Any, info: Any) -> Any:
+    def _written(self, value: object, info: SerializationInfo) -> object:
         return None if value is None else write(value, self, folder=(info.context or {}).get("folder") or Path())
 
-    def read(self, value: Any, info: Any) -> Any:
+    def read(self, value: object, info: ValidationInfo) -> Any:
         """Return the component of a section, of the name of a class or catalog entry, or of a path."""
         if value is None or isinstance(value, self.base):
             return value
@@ -202,21 +213,20 @@ class ComponentField:
         changes = default is not None and "class" not in section and set(section) <= _keys(type(default))
         kind = type(default) if changes else self.class_for(section)
         default = default if type(default) is kind else None
-        fields = self._fields(kind, section, context | {"scope": scope.maps, "changed": default}, (value, key))
-        return build(kind, fields, scope) if default is None else replaced(default, fields)
+        fields = self._fields(kind, section, context | {"scope": scope.maps, "changed": default}, value, key)
+        return _built(kind, fields, scope) if default is None else replaced(default, fields)
 
-    def _fields(
-        self, kind: type, section: dict[str, Any], context: dict[str, Any], written: tuple[Any, tuple[str, ...]]
-    ) -> dict[str, Any]:
+    def _fields(self, kind: type, section: Fields, context: Fields, written: object, key: tuple[str, ...]) -> Fields:
         """Fields of a class that a section gives, which is `written` below a key or by a shorthand."""
-        model, (value, key) = section_of(kind, self.units, partial=context["changed"] is not None), written
+        model = section_of(kind, self.units, partial=context["changed"] is not None)
         try:
             read = model.model_validate(section, context=context)
         except ValidationError as error:
-            raise located_below(error, key, shorthand=bool(key) and not isinstance(value[key[0]], dict)) from None
+            is_short = bool(key) and not isinstance(cast(Fields, written)[key[0]], dict)
+            raise located_below(error, key, shorthand=is_short) from None
         return _expanded(kind, {name: getattr(read, name) for name in read.model_fields_set - {"class_"}})
 
-    def _section(self, written: Any) -> tuple[dict[str, Any] | None, tuple[str, ...]]:
+    def _section(self, written: object) -> tuple[Fields | None, tuple[str, ...]]:
         """A value as keys and values, None of ``none``, and the key below which the fields are written, if any."""
         value = self.base.from_file(written)  # type: ignore[attr-defined]
         key = short_key(written, value)
@@ -234,7 +244,7 @@ class ComponentField:
             value = {"class": source, **{name: field for name, field in value.items() if name != "from"}}
         return dict(value), key
 
-    def _from_source(self, name: str, context: dict[str, Any], scope: Scope, info: Any) -> Any:
+    def _from_source(self, name: str, context: Fields, scope: Scope, info: ValidationInfo) -> Any:
         """Component of a catalog entry or a file."""
         catalog = catalog_of(self.base)
         if not name.endswith(ENDINGS):
@@ -259,7 +269,7 @@ class ComponentField:
             fail_validation(f"{name}: {'; '.join(map(str, error.problems[:5]))}", f"correct {name}")
         return component if isinstance(component, dict) else _marked(component, origin=str(path))
 
-    def class_for(self, section: Mapping[str, Any]) -> type:
+    def class_for(self, section: Mapping[str, object]) -> type:
         """Return the class of a section; reports a mistake where it names none."""
         if "class" not in section:
             return self._default_class(section)
@@ -274,22 +284,18 @@ class ComponentField:
             fail_validation(message, "; ".join([remedy, own, *broken]), value=named)
         return kind
 
-    def _default_class(self, section: Mapping[str, Any]) -> type:
-        """The class of a section that names none; if the base has no default, or another fits better, a mistake."""
-        known, kind = classes_of(self.base), default_class(self.base)
-        if kind is not None and set(section) <= _keys(kind):
+    def _default_class(self, section: Mapping[str, object]) -> type:
+        """The class of a section that names none: the default of the base, unless its keys are those of others."""
+        known, kind, keys = classes_of(self.base), default_class(self.base), {*section}
+        if kind is not None and (keys <= _keys(kind) or len(known) == 1):
             return kind
         if meant := next((key for key in section if find_class(self.base, key) is not None), ""):
             fail_validation("lacks the key `class`", f"write `class: {meant}`, and its fields in the same section")
-        shared = {name: len(_keys(candidate) & set(section)) for name, candidate in known.items()}
-        most = max(shared.values(), default=0)
-        if most > (0 if kind is None else len(_keys(kind) & set(section))):
-            fitting = " or ".join(name for name, count in shared.items() if count == most)
-            fail_validation("lacks the key `class`", f"write `class: {fitting}`")
-        is_foreign = section and not most and not any(closest(key, [*_keys(kind)]) for key in section if kind)
-        if kind is None or (is_foreign and len(known) > 1):
-            keys = f"; without it the keys are {', '.join(field_types(kind))}" if kind else ""
-            fail_validation("lacks the key `class`", f"give one of {', '.join(known)}{keys}")
+        if fitting := [name for name, other in known.items() if keys and keys <= _keys(other)]:
+            fail_validation("lacks the key `class`", f"write `class: {' or '.join(fitting)}`")
+        if kind is None or not any(closest(key, [*_keys(kind)]) for key in section):
+            default = f"; without it the keys are {', '.join(field_types(kind))}" if kind else ""
+            fail_validation("lacks the key `class`", f"give one of {', '.join(known)}{default}")
         return kind
 
     def section_keys(self, value: object) -> Collection[str]:
@@ -304,7 +310,7 @@ class ComponentField:
         catalog = catalog_of(self.base)
         return with_article(catalog.noun if catalog else self.base.__name__)
 
-    def _expected(self, value: Any) -> tuple[str, str]:
+    def _expected(self, value: object) -> tuple[str, str]:
         kind = default_class(self.base)
         keys = ", ".join(field_types(kind, self.units)) if kind else "`class` and the fields of the class"
         if value == "":
@@ -317,13 +323,13 @@ class ComponentField:
         )
 
 
-def _default_of(component: Any, name: str | None) -> Any:
+def _default_of(component: object, name: str | None) -> object:
     """The part of a component under a key of a file; None without one."""
     key = name or ""
     return getattr(component, getattr(component, "aliases", {}).get(key, (key,))[0], None)
 
 
-def _expanded(kind: type, fields: dict[str, Any]) -> dict[str, Any]:
+def _expanded(kind: type, fields: Fields) -> Fields:
     """Fields of a class from those of its section: one key may give several."""
     for alias, names in getattr(kind, "aliases", {}).items():
         if alias in fields:
@@ -334,7 +340,7 @@ def _expanded(kind: type, fields: dict[str, Any]) -> dict[str, Any]:
     return fields
 
 
-def build(kind: type, fields: Mapping[str, Any], scope: Scope) -> Any:
+def _built(kind: type[C], fields: Mapping[str, object], scope: Scope) -> C:
     """Return a component of a class; other fields are inherited from the scope, or have their default."""
     inherited = {}
     for name, field in declared_fields(kind).items():
@@ -349,7 +355,7 @@ def build(kind: type, fields: Mapping[str, Any], scope: Scope) -> Any:
     return _marked(kind(**fields, **inherited), inherited=frozenset(inherited))
 
 
-def _marked(component: Any, **marks: Any) -> Any:
+def _marked(component: C, **marks: object) -> C:
     """Component that knows its origin (`origin`, `inherited`): neither fields nor leaves, and lost by any change."""
     component = component if "origin" not in marks else _made(component, {})  # entries of a catalog are shared
     for name, value in marks.items():
@@ -357,29 +363,29 @@ def _marked(component: Any, **marks: Any) -> Any:
     return component
 
 
-def origin_of(component: Any) -> str:
+def origin_of(component: object) -> str:
     """Return the catalog entry or the path that a component was read from; empty if it has been changed since."""
     return getattr(component, "_origin", "")
 
 
-def inherited_fields(component: Any) -> frozenset[str]:
+def inherited_fields(component: object) -> frozenset[str]:
     """Return the names of the fields that a component inherited when it was read."""
     return getattr(component, "_inherited", frozenset())
 
 
-def replaced(component: C, fields: Mapping[str, Any]) -> C:
+def replaced(component: C, fields: Mapping[str, object]) -> C:
     """Return a component with other fields, checked again; what it inherited stays inherited."""
     if not fields:
         return component
     return _marked(_made(component, fields), inherited=inherited_fields(component) - set(fields))
 
 
-def _copy(value: Any) -> Any:
+def _copy(value: C) -> C:
     """A copy of a component: a controller's model is never the same object as that of the plant."""
     return _made(value, {}) if isinstance(value, Component) else value
 
 
-def _made(component: Any, fields: Mapping[str, Any]) -> Any:
+def _made(component: C, fields: Mapping[str, object]) -> C:
     """Component with other fields; a class with its own constructor is made from the arguments of that."""
     kind = type(component)
     return kind(**{name: getattr(component, name) for name in declared_fields(kind)} | dict(fields))
@@ -418,7 +424,7 @@ def independent(component: Any) -> Any:
     return _made(component, changed) if changed or inherited_fields(component) else component
 
 
-def write(component: Any, field: ComponentField | None = None, *, folder: Path = Path()) -> Any:
+def write(component: object, field: ComponentField | None = None, *, folder: Path = Path()) -> Any:
     """Return the section of a component in a file, as plain data with units.
 
     It holds the fields that differ from the defaults of the class. A component that is unchanged since it was read
@@ -429,7 +435,7 @@ def write(component: Any, field: ComponentField | None = None, *, folder: Path =
         return relative_path(Path(origin), folder) if origin.endswith(ENDINGS) else origin
     kind = type(component)
     field = ComponentField(kind) if field is None else field
-    values: dict[str, Any] = {}
+    values: Fields = {}
     for name in field_types(kind, field.units):
         value, default = getattr(component, name), declared_fields(kind)[name].default
         implied = name in inherited_fields(component) if inherited_from(kind, name) else same(value, default)
@@ -454,7 +460,7 @@ def write(component: Any, field: ComponentField | None = None, *, folder: Path =
     return named if list(section) == ["class"] else section
 
 
-def write_text(component: Any, *, folder: Path = Path(), base: type | None = None) -> str:
+def write_text(component: object, *, folder: Path = Path(), base: type | None = None) -> str:
     """Return the text of a file that holds a component."""
     section = write(component, None if base is None else ComponentField(base), folder=folder)
     return to_text(section if isinstance(section, dict) else {"from": section})
