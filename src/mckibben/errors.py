@@ -28,7 +28,11 @@ def printable(text: str, longest: int | None = None) -> str:
 
 
 def quoted(value: object) -> str:
-    """The `repr` of a value, at most `LONGEST_VALUE` characters long."""
+    """The `repr` of a value, at most `LONGEST_VALUE` characters long.
+
+    >>> quoted("x" * 100)[-5:]
+    "x...'"
+    """
     text = repr(value)
     return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 4]}...{text[-1]}"
 
@@ -45,7 +49,10 @@ def with_article(noun: str) -> str:
 def described(value: object, *, of_file: bool = False) -> str:
     """Describe a value in a message: numbers and texts are quoted, other objects are named by their class.
 
-    A list of a file may have become a tuple.
+    A list of a file may have become a tuple (`of_file`).
+
+        >>> described("3 bar"), described({}), described((1, 2), of_file=True)
+        ("'3 bar'", 'a mapping', 'a list')
     """
     if isinstance(value, str | Number | None):
         return quoted(value)
@@ -103,7 +110,11 @@ def _plain(name: str) -> str:
 
 
 def suggest(name: str, known: Sequence[str]) -> str:
-    """Remedy for an unknown name: the closest known one, or all."""
+    """Remedy for an unknown name: the closest known one, or all.
+
+    >>> suggest("dampnig", ["mass", "damping"]), suggest("x", ["mass", "damping"])
+    ("did you mean 'damping'?", 'known are mass, damping')
+    """
     close = closest(name, known)
     return f"did you mean {close!r}?" if close else f"known are {', '.join(known)}"
 
@@ -225,7 +236,11 @@ class SignalledError(StoppedError):
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One mistake in a file, with its location and remedy."""
+    """One mistake in a file, with its location and remedy.
+
+    >>> print(Problem("'6' has no unit", line=4, field="valve.supply", remedy="write it like '6 bar'"))
+    line 4, valve.supply: '6' has no unit; write it like '6 bar'
+    """
 
     message: str
     line: int | None = None
@@ -310,7 +325,7 @@ class ScenarioError(FileError):
 
 
 def refuse_problems(what: str, problems: Sequence[Problem]) -> None:
-    """Raise a `RangeError` that lists all problems, if any; field and value are from the first."""
+    """Raise a `RangeError` that lists all problems of `what`, if any; field, value and limits are from the first."""
     if problems:
         heading = f"{what}: {len(problems)} problem{'s' if len(problems) != 1 else ''}"
         text, first = "\n  ".join([heading, *map(str, problems)]), problems[0]

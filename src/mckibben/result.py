@@ -89,7 +89,11 @@ class Column:
         return self.shown or self.unit
 
     def cell(self, value: object) -> str:
-        """Return a value [SI] as text in the shown unit, without the unit."""
+        """Return a value [SI] as text in the shown unit, without the unit.
+
+        >>> Column("rad", shown="deg").cell(0.5), Column("N").cell(float("nan")), Column().cell(True)
+        ('28.65', '-', 'yes')
+        """
         value = value.item() if hasattr(value, "item") else value  # a NumPy scalar
         if isinstance(value, bool):
             return "yes" if value else "no"
@@ -122,7 +126,11 @@ class Severity(Enum):
 
 @dataclass(frozen=True)
 class Remark:
-    """A sentence on a result, with the field that it is about and a remedy."""
+    """A sentence on a result, with the field that it is about and a remedy.
+
+    >>> print(Remark.warning("angle", "few samples", remedy="take more"))
+    warning: few samples; take more
+    """
 
     severity: Severity
     field: str
@@ -151,12 +159,23 @@ class Remark:
 
 @dataclass(frozen=True)
 class Listing:
-    """A table of a result: columns of equal length by name; one row is shown as a list if `vertical`."""
+    """A table of a result.
+
+    Parameters
+    ----------
+    title
+        Heading; empty for the declared scalars and columns of a result.
+    columns
+        Column and values of equal length, by name; values are in SI.
+    detail
+        Whether it is shown with details only.
+    vertical
+        Whether its one row is shown as a list of titles and values.
+    """
 
     title: str
     columns: Mapping[str, tuple[Column, Values]]
     detail: bool = False
-    """Whether it is shown with details only."""
     vertical: bool = False
 
     def header(self) -> list[tuple[str, str]]:
@@ -194,7 +213,16 @@ class Listing:
         return f"<table>{caption}{head}{''.join(_html_row(row, 'td') for row in rows)}</table>"
 
     def to_text(self, width: int = 80) -> str:
-        """Return the table as text of at most `width` columns; a wider one continues below, with its first column."""
+        """Return the table as text of at most `width` characters; a wider one continues below, with its first column.
+
+        Of more than 30 rows of samples, those in the middle are left out, which is said below.
+
+            >>> print(Listing("Fits", {"law": (Column(), ["Chou"]), "rmse": (Column("N", "error"), [1.25])}).to_text())
+            Fits
+            law   error
+                    [N]
+            Chou   1.25
+        """
         lines = [self.title] if self.title else []
         rows = self.rows()
         if self.vertical:
@@ -351,7 +379,7 @@ class Result(Suggesting):
         return {name: (mark, getattr(self, name)) for name, mark in fields.items() if mark is not None}
 
     def plot(self) -> Figure:
-        """Return the first of the `figures`."""
+        """Return the first of the `figures`; `ParameterError` if there is none."""
         if not self.figures:
             raise ParameterError(f"a {type(self).__name__} has no figure", remedy="use its columns")
         return draw(self.figures[0], self)
@@ -385,7 +413,10 @@ class Result(Suggesting):
         return "\n\n".join(blocks)
 
     def to_dict(self) -> dict[str, object]:
-        """Return verdict, remarks, scalars, columns and tables as plain data in SI; NaN and infinities are None."""
+        """Return verdict, remarks, scalars, columns and tables as plain data in SI; NaN and infinities are None.
+
+        It is what `--json` prints and `results.json` holds.
+        """
         scalars, columns = {}, {}
         for name, (column, value) in self.declared().items():
             entry = {"title": column.title or name.replace("_", " "), "unit": column.unit}
@@ -408,7 +439,10 @@ class Result(Suggesting):
         }
 
     def to_dataset(self) -> xarray.Dataset:
-        """Return the declared scalars and arrays as an xarray dataset in SI, with units and titles as attributes."""
+        """Return the declared scalars and arrays as an xarray dataset in SI, with units and titles as attributes.
+
+        Arrays of one axis have the dimension "row", those of several the `dims` of their column.
+        """
         import numpy as np
         import xarray as xr
 

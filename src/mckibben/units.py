@@ -199,7 +199,11 @@ def quantity(text: object, unit: str, *, shown: str = "") -> float:
 
 
 def split_range(text: str) -> tuple[str, str]:
-    """Split ``LOW..HIGH`` into its ends as text; LOW may omit the unit."""
+    """Split ``LOW..HIGH`` into its ends as text; LOW may omit the unit.
+
+    >>> split_range("3..6 bar")
+    ('3 bar', '6 bar')
+    """
     low, _, high = (part.strip() for part in text.partition(".."))
     number = NUMBER.match(high)
     if number and NUMBER.fullmatch(low):
@@ -271,7 +275,15 @@ class Quantity:
         )
 
     def read(self, value: Any) -> float:
-        """Read text with a unit, or a number in SI, as a value in SI; raises UnitError or RangeError."""
+        """Read text with a unit, or a number in SI, as a value in SI.
+
+        Raises
+        ------
+        UnitError
+            For a text without unit, with one of other dimensions, or that is no quantity; the remedy is an example.
+        RangeError
+            For a value outside the range, whose limits are in SI.
+        """
         if isinstance(value, str) and not value.strip():
             self._fail("has no value", value, f"write it like {self.example}, or leave the key out")
         elif isinstance(value, str):
@@ -332,7 +344,11 @@ class Quantity:
 
 @dataclass(frozen=True)
 class BoundedInt:
-    """Range of an integer, as metadata of a field."""
+    """Range of an integer, as metadata of a field.
+
+    >>> BoundedInt(1, 9).read("3"), BoundedInt(1, 9).range
+    (3, '1 to 9')
+    """
 
     lower: int
     upper: int
@@ -376,7 +392,11 @@ class BoundedInt:
 
 
 class Percent(Quantity):
-    """Range of a ratio written in percent."""
+    """Range of a ratio written in percent.
+
+    >>> Percent("1", "%", -50, 80).read("10 %")
+    0.1
+    """
 
     def read(self, value: Any) -> float:
         """Check the ratio; a number without a unit is a ratio."""

@@ -72,6 +72,8 @@ _NO_UNITS = Units()
 class Described:
     """Base of classes that define their form in files.
 
+    All attributes have defaults: a class is read from and written to files by its fields alone.
+
     An object read from a file records its origin and the fields that it inherited. They are slots, so that they are
     not part of the tree, and are lost as soon as the object is changed.
     """
@@ -108,7 +110,18 @@ _ComponentMeta: Any = type("_ComponentMeta", (CheckedCalls, type(eqx.Module)), {
 
 
 class Component(Described, Suggesting, eqx.Module, metaclass=_ComponentMeta):  # pyrefly: ignore[invalid-inheritance]
-    """Module with fields of the declared types and numbers in range; the check of a subclass begins with this one."""
+    """Base of all parts of a model: a frozen `equinox.Module` whose fields have the declared types and ranges.
+
+    A subclass is a pytree, whose leaves are its parameters. Files, sweeps, tuning, export and the contract derive from
+    its annotated fields. A rule between fields stands in `__check_init__`, which is called for each class of the
+    hierarchy, beginning with this one.
+
+        >>> from mckibben.joint import PendulumLoad
+        >>> PendulumLoad(0.3, length=300.0)
+        Traceback (most recent call last):
+            ...
+        mckibben.errors.RangeError: PendulumLoad: length is 300 m, outside above 0 to 10000 mm; numbers are in SI: ...
+    """
 
     def __check_init__(self) -> None:
         check_fields(self)
@@ -120,7 +133,10 @@ class Component(Described, Suggesting, eqx.Module, metaclass=_ComponentMeta):  #
 
 
 class Checked(Described, Suggesting, metaclass=CheckedCalls):
-    """Base of dataclasses whose fields are checked as those of components."""
+    """Base of dataclasses whose fields are checked as those of components, and which are no pytrees.
+
+    For settings that are no part of a model, such as the limits of a rig.
+    """
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -128,7 +144,12 @@ class Checked(Described, Suggesting, metaclass=CheckedCalls):
 
 @functools.cache
 def field_quantities(kind: type) -> dict[str, Quantity | BoundedInt]:
-    """Unit and range of each field of a class that has them, such as ``mass: Mass`` or ``supply: Pressure | None``."""
+    """Unit and range of each field of a class that has them, such as ``mass: Mass`` or ``supply: Pressure | None``.
+
+    >>> from mckibben.joint import PendulumLoad
+    >>> field_quantities(PendulumLoad)["length"].range
+    'above 0 to 10000 mm'
+    """
     marks = {name: {*marks_in(hint, Quantity | BoundedInt)} for name, hint in field_hints(kind).items()}
     return {name: own.pop() for name, own in marks.items() if len(own) == 1}  # not a tuple of several quantities
 
@@ -145,6 +166,9 @@ class Inherited:
 
 def check_fields(instance: object) -> None:
     """Check the fields of a component against their types and ranges; defaults and tracers pass.
+
+    A number has unit and range from its type, a component its class, a word its alternatives. Parts are checked when
+    they are made, except for fields whose unit depends on where the part is.
 
     Raises
     ------
@@ -231,7 +255,12 @@ def _check_numbers(
 
 
 def units_of_part(hint: object) -> Units:
-    """Return the units of the symbolic fields of a part, from the type of the field that holds it."""
+    """Return the units of the symbolic fields of a part, from the type of the field that holds it.
+
+    >>> from mckibben.units import Angle
+    >>> units_of_part(Annotated[float, Units(signal=Angle)] | None).get("signal").shown
+    'deg'
+    """
     return next(marks_in(hint, Units), _NO_UNITS)
 
 
@@ -242,7 +271,11 @@ def _is_sequence(hint: object) -> bool:
 
 @functools.cache
 def field_hints(kind: type[DataclassInstance]) -> dict[str, Any]:
-    """Return the types of the fields with their marks, except for those with unknown names."""
+    """Return the types of the fields with their marks, except for those with unknown names.
+
+    Names are those of the module of the class that declares the field; a name that only type checkers import leaves
+    out the field, not the class.
+    """
     hints = {}
     for base in reversed(kind.__mro__):
         for name, hint in get_annotations(base).items():
@@ -301,7 +334,11 @@ def _rows(component: Component) -> Iterator[tuple[str, str]]:
 
 
 def plain(value: Any) -> object:
-    """Value of a field as the model of its class has it: a word, a number or a tuple of numbers."""
+    """Value of a field as the model of its class has it: a word, a number or a tuple of numbers.
+
+    >>> plain(np.array([1.0, 2.0])), plain(np.float64(3.0)), plain("left")
+    ((1.0, 2.0), 3.0, 'left')
+    """
     if hasattr(value, "ndim"):
         return tuple(np.asarray(value, float).tolist()) if value.ndim else value.item()
     return value

@@ -34,7 +34,19 @@ _BY_NAME = _BY_POSITION, inspect.Parameter.KEYWORD_ONLY
 
 
 def checked_call(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a call that fails because of its arguments raise a `CallError`, as does a text in place of a flag."""
+    """Let a call that fails because of its arguments raise a `CallError`; a decorator.
+
+    The call itself costs nothing more: arguments are compared with the signature and its types only after it failed
+    with a `TypeError`, `AttributeError` or `ValueError`. Only a text in place of a flag is refused before.
+
+        >>> @checked_call
+        ... def pull(muscle: str, pressure: float) -> str:
+        ...     return muscle + pressure
+        >>> pull("agonist", presure=3e5)
+        Traceback (most recent call last):
+            ...
+        mckibben.errors.CallError: pull has no argument 'presure'; did you mean 'pressure'?
+    """
 
     @wraps(function)
     def call(*args: P.args, **named: P.kwargs) -> R:

@@ -15,7 +15,15 @@ from mckibben.units import NUMBER, dimensions, factor
 
 
 def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: object) -> None:
-    """Raise `RangeError` unless all numbers are finite and above 0 (or 0, where allowed)."""
+    """Check that numbers, or arrays of any shape, are finite and above 0 (or 0, where `zero` is allowed).
+
+    Raises `RangeError` with the first other value, in the `unit` of the values; traced values pass.
+
+        >>> check_positive("Joint", "m", radius=-0.02)
+        Traceback (most recent call last):
+            ...
+        mckibben.errors.RangeError: Joint: radius is -0.02 m; give a finite number above 0
+    """
     for name, value in values.items():
         numbers = known_numbers(owner, name, value, unit)
         right = np.isfinite(numbers) & ((numbers > 0) | (zero & (numbers == 0)))
@@ -33,7 +41,11 @@ def check_positive(owner: str, unit: str = "", *, zero: bool = False, **values: 
 
 
 def whole_periods(duration: float, period: float) -> int | None:
-    """Number of periods in a duration; None if it is not a multiple (to 1e-9)."""
+    """Number of periods [s] in a duration [s]; None if it is not a multiple (to 1e-9).
+
+    >>> whole_periods(0.3, 0.1), whole_periods(0.35, 0.1)
+    (3, None)
+    """
     count = round(duration / period)
     return count if count >= 1 and abs(count * period - duration) <= 1e-9 * duration else None
 
@@ -85,7 +97,10 @@ def check_count(field: str, given: int, count: int, each: str) -> None:
 
 
 def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
-    """Raise `RangeError` unless a field is of its type, a class or a union: arguments are easily swapped."""
+    """Check that a field is of its type, a class or a union: arguments are easily swapped.
+
+    Raises `RangeError`; its remedy names a method or attribute of the value that has the type, if there is one.
+    """
     if not isinstance(value, kind):
         kinds = [option.__name__ for option in get_args(kind) or (kind,) if option is not NoneType]
         hint, made = "" if isinstance(value, str) else "; are arguments swapped?", kinds[0].lower()
@@ -98,7 +113,11 @@ def check_kind(owner: str, name: str, value: object, kind: Any) -> None:
 
 
 def as_number(value: object, unit: str = "") -> str:
-    """Remedy for a value in place of a number in a unit: the number that a text such as '250 mm' means, or another."""
+    """Remedy for a value in place of a number in a unit: the number that a text such as '250 mm' means, or another.
+
+    >>> as_number("250 mm", "m")
+    'give a number in SI units, such as 0.25 or 250 * mm with mckibben.units'
+    """
     example = f"3 * {unit}" if unit not in ("", "1") else ""
     if isinstance(value, str) and (number := NUMBER.match(value)) and (written := value[number.end() :].strip()):
         with suppress(UnitError):
@@ -110,9 +129,21 @@ def as_number(value: object, unit: str = "") -> str:
 
 
 def known_numbers(owner: str, name: str, value: object, unit: str = "") -> NDArray[np.float64]:
-    """Numbers of a value or tuple, flat, no texts or flags; none of None, a tracer or a placeholder.
+    """Numbers of a value or nested tuple, shape (numbers,); none of None, a tracer or a placeholder.
 
-    `unit` is that of the remedy.
+    Parameters
+    ----------
+    owner, name
+        Class and field, for errors.
+    value
+        Number, array of any shape, or tuple of these.
+    unit
+        Unit of the example in the remedy.
+
+    Raises
+    ------
+    RangeError
+        For a text or a flag.
     """
     if isinstance(value, str | bool | np.bool_) or (isinstance(value, np.ndarray) and value.dtype == bool):
         shown = quoted(value) if isinstance(value, str) else value

@@ -17,7 +17,19 @@ from mckibben.errors import RangeError, quoted
 
 @dataclass(frozen=True)
 class Catalog:
-    """Named components of a base, and the reader of its files where these are not sections; see `register`."""
+    """Named components of a base; see `register`.
+
+    Attributes
+    ----------
+    noun
+        What an entry is, for messages.
+    names
+        Function that returns the names of all entries.
+    entry
+        Function that returns the component of a name, or its section in a file if it lacks fields.
+    read
+        Reader of a file of the base, where that is not a section.
+    """
 
     noun: str
     names: Callable[[], Sequence[str]]
@@ -42,7 +54,12 @@ def register(base: type, catalog: Catalog) -> None:
 
 
 def concrete_subclasses(base: type) -> Iterator[type]:
-    """Yield the subclasses of a class that are not abstract, in imported modules."""
+    """Yield the subclasses of a class that are not abstract, in imported modules.
+
+    >>> from mckibben.joint import Tendon
+    >>> sorted(kind.__name__ for kind in concrete_subclasses(Tendon) if kind.__module__.startswith("mckibben."))
+    ['RigidTendon', 'SeriesSpring']
+    """
     for kind in base.__subclasses__():
         yield from concrete_subclasses(kind)
         if not inspect.isabstract(kind):
@@ -50,7 +67,11 @@ def concrete_subclasses(base: type) -> Iterator[type]:
 
 
 def classes_of(base: type) -> dict[str, type]:
-    """Return the classes of a base that a file can name, by their name in files, or in full where two share a name."""
+    """Return the classes of a base that a file can name, by their name in files, or in full where two share a name.
+
+    These are all concrete dataclasses in imported modules whose name does not begin with an underscore; a class needs
+    no registration.
+    """
     kinds = {(kind.__module__, kind.__qualname__): kind for kind in [*concrete_subclasses(base), base]}
     named = [kind for kind in kinds.values() if not (kind.__name__.startswith("_") or is_abstract(kind))]
     count = Counter(map(class_name, named))
@@ -82,7 +103,15 @@ def name_in_files(base: type, kind: type) -> str:
 
 
 def find_class(base: type, name: str) -> type | None:
-    """Return the class of a base that a file names; None if there is none, `RangeError` if there are several."""
+    """Return the class of a base that a file names, by class or short name; None if there is none.
+
+    A name may follow that of its package, module or file, as in ``acme_parts:AcmeValve``. Installed packages are
+    imported if no imported class has the name. Raises `RangeError` if there are several.
+
+        >>> from mckibben.joint import Tendon
+        >>> find_class(Tendon, "spring").__name__
+        'SeriesSpring'
+    """
     named = _named(base, name)
     if not named:
         load_installed()

@@ -48,7 +48,10 @@ _OWNERS: dict[str, str] = {}
 
 
 def declare(owner: str, labels: Mapping[str, Label]) -> None:
-    """Declare the columns that a class or module makes; `ParameterError` if another gives one a different unit."""
+    """Declare the columns that a class or module makes, so that all results give them unit and meaning.
+
+    An owner may declare its own again. Raises `ParameterError` if another owner gives a column a different unit.
+    """
     for name, label in labels.items():
         known, by = _LABELS.get(name, label), _OWNERS.get(name, owner)
         if known.unit != label.unit and by != owner:
@@ -66,7 +69,10 @@ def labels_of(kind: type) -> dict[str, Label]:
 
 
 def labelled(kind: K) -> K:
-    """Declare the columns of a class with labelled fields, and list them in its docstring; a class decorator."""
+    """Declare the columns of a class with labelled fields, and list them in its docstring; a class decorator.
+
+    Each field becomes an entry of the section Attributes: name, meaning, unit, and note.
+    """
     labels = labels_of(kind)
     declare(_owner(kind), labels)
     lines = []
@@ -95,7 +101,11 @@ def _owner(kind: type) -> str:
 
 
 def attributes(name: str) -> dict[str, str]:
-    """Return unit and meaning of a column as NetCDF attributes; of an unknown one, its name alone."""
+    """Return unit and meaning of a column as NetCDF attributes; of an unknown one, its name alone.
+
+    >>> attributes("nobody_made_it")
+    {'long_name': 'nobody made it'}
+    """
     label = _LABELS.get(name)
     if label is None:
         return {"long_name": name.replace("_", " ")}

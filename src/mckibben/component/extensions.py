@@ -24,6 +24,9 @@ _loaded: dict[str, None] = {}
 def load_extension(named: str | os.PathLike[str]) -> ModuleType:
     """Run a Python file, or import a module by its name, so that files can name its classes; return the module.
 
+    A file is run as a module of its own, also if another of that name is imported. It is run, never read from within a
+    configuration file, so that reading a file does not execute code.
+
     Raises
     ------
     ScenarioError
@@ -72,7 +75,11 @@ def load_missing(extensions: Sequence[str]) -> None:
 
 @functools.cache
 def load_installed() -> tuple[Problem, ...]:
-    """Import the modules that installed packages register; return a problem for each that cannot be imported."""
+    """Import the modules that installed packages register; return a problem for each that cannot be imported.
+
+    A package names its module in its own configuration: ``[project.entry-points."mckibben.components"]``. The import
+    takes place once, when a file names a class that is not known yet.
+    """
     problems = []
     for entry in metadata.entry_points(group=GROUP):
         try:
@@ -103,7 +110,11 @@ def package_version(module: str) -> str | None:
 
 
 def version_differences(recorded: Sequence[str]) -> list[str]:
-    """Describe the packages of a file, recorded as by `package_version`, that are missing or of another version."""
+    """Describe the packages of a file, recorded as by `package_version`, that are missing or of another version.
+
+    >>> version_differences(["acme 1.2"])
+    ['the file was written with acme 1.2, acme is not installed: its numbers may differ']
+    """
     differences = []
     for entry in recorded:
         name, _, version = entry.rpartition(" ")
@@ -124,5 +135,9 @@ def _distributions() -> dict[str, list[str]]:
 
 
 def module_origin(module: str) -> str:
-    """Return the installed package of a foreign module, or its name; that of a file named as extension is its stem."""
+    """Return the installed package of a foreign module, or its name; that of a file named as extension is its stem.
+
+    >>> module_origin("mckibben_extension_valves"), module_origin("mckibben.actuator")
+    ('valves', 'mckibben.actuator')
+    """
     return installed_package(module) or module.removeprefix(_FILE)

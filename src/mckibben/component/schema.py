@@ -80,9 +80,24 @@ _NONE = BeforeValidator(lambda value: None if value == "none" else value)
 
 @functools.cache
 def section_of(runtime: type, units: Units = Units(), *, partial: bool = False) -> type[ComponentSection]:  # noqa: B008
-    """Return the pydantic model of a class in files; in a `partial` one no field is required.
+    """Return the pydantic model of a class in files.
 
-    Unit, shown unit and range of each field are those of its type in the class; `units` are those of symbolic fields.
+    Unit, shown unit and range of each field are those of its type in the class.
+
+    Parameters
+    ----------
+    runtime
+        Class of the component.
+    units
+        Quantities of fields whose unit depends on where the component is.
+    partial
+        Whether no field is required, as for changes to a component.
+
+    Examples
+    --------
+    >>> from mckibben.actuator import FirstOrderValve
+    >>> section_of(FirstOrderValve).model_validate({"time_constant": "20 ms"}).time_constant
+    0.02
     """
     declared, types = declared_fields(runtime), field_types(runtime, units)
     aliases = getattr(runtime, "aliases", {})
@@ -178,7 +193,15 @@ def _annotated_type(base: Any, *marks: object, units: Units) -> Any:
 
 @dataclass(frozen=True)
 class ComponentField:
-    """Marks a section of a file that holds a component of a base class; `units` are those of its symbolic fields."""
+    """Marks a section of a file that holds a component of a base class.
+
+    Parameters
+    ----------
+    base
+        Class of the component, or a base of it.
+    units
+        Quantities of its symbolic fields, such as the signal of a reference.
+    """
 
     base: type
     units: Units = Units()
@@ -192,7 +215,11 @@ class ComponentField:
         return None if value is None else write(value, self, folder=(info.context or {}).get("folder") or Path())
 
     def read(self, value: object, info: ValidationInfo) -> Any:
-        """Return the component of a section, of the name of a class or catalog entry, or of a path."""
+        """Return the component of a section, of the name of a class or catalog entry, or of a path.
+
+        With a component of the same place in another object (`changed` in the context), a section that names no class
+        changes its fields. Mistakes are those of pydantic, each with its key.
+        """
         if value is None or isinstance(value, self.base):
             return value
         section, key = self._section(value)
@@ -364,7 +391,13 @@ def _marked(component: C, **marks: object) -> C:
 
 
 def origin_of(component: object) -> str:
-    """Return the catalog entry or the path that a component was read from; empty if it has been changed since."""
+    """Return the catalog entry or the path that a component was read from; empty if it has been changed since.
+
+    >>> from mckibben.joint import Load
+    >>> load = parse_component(Load, "from: knee-table-2", source="example")
+    >>> origin_of(load), origin_of(replaced(load, {"damping": 0.1}))
+    ('knee-table-2', '')
+    """
     return getattr(component, "_origin", "")
 
 
@@ -413,7 +446,7 @@ def inherit(component: Any, scope: Scope) -> Any:
 
 
 def independent(component: Any) -> Any:
-    """Return a component without inherited fields: they keep their values."""
+    """Return a component without inherited fields: they keep their values, also if a study varies the plant."""
     if isinstance(component, tuple):
         return tuple(map(independent, component))
     if not isinstance(component, Component):
@@ -426,6 +459,10 @@ def independent(component: Any) -> Any:
 
 def write(component: object, field: ComponentField | None = None, *, folder: Path = Path()) -> Any:
     """Return the section of a component in a file, as plain data with units.
+
+        >>> from mckibben.actuator import FirstOrderValve
+        >>> write(FirstOrderValve(0.02))
+        {'time_constant': '20 ms'}
 
     It holds the fields that differ from the defaults of the class. A component that is unchanged since it was read
     from a catalog or a file is its name or its path, relative to `folder`. Raises `McKibbenError` for a component that
@@ -461,7 +498,11 @@ def write(component: object, field: ComponentField | None = None, *, folder: Pat
 
 
 def write_text(component: object, *, folder: Path = Path(), base: type | None = None) -> str:
-    """Return the text of a file that holds a component."""
+    """Return the text of a file that holds a component.
+
+    Paths are relative to `folder`; with a `base` the class is named unless it is the default of the base. Errors are as
+    for `write`.
+    """
     section = write(component, None if base is None else ComponentField(base), folder=folder)
     return to_text(section if isinstance(section, dict) else {"from": section})
 
@@ -506,7 +547,12 @@ def parse_component(
     context: Mapping[str, Any] | None = None,
     units: Units = Units(),  # noqa: B008
 ) -> C:
-    """Return the component of a YAML text; as `read_component`."""
+    """Return the component of a YAML text; arguments and errors as for `read_component`.
+
+    >>> from mckibben.actuator import Actuator
+    >>> parse_component(Actuator, "{class: first_order, time_constant: 20 ms}", source="example").time_constant
+    0.02
+    """
     field, document = ComponentField(base, units), read_document(text)
     if isinstance(document.data, dict) and key in document.data:
         document = document.below(key)

@@ -17,7 +17,11 @@ from mckibben.units import NUMBER
 
 
 def read_number(value: object) -> float:
-    """A finite number, whose unit is given elsewhere."""
+    """Read a finite number, whose unit is given elsewhere.
+
+    >>> read_number("12.5")
+    12.5
+    """
     number = float(value) if isinstance(value, str) and NUMBER.fullmatch(value.strip()) else value
     if not isinstance(number, int | float) or isinstance(number, bool):
         fail_validation(f"{quoted(value)} is not a number", "write it like 12.5", value=value)
@@ -27,7 +31,7 @@ def read_number(value: object) -> float:
 
 
 def read_flag(value: object) -> bool:
-    """True or false."""
+    """Read ``true`` or ``false``; other words, such as ``yes``, are a mistake."""
     if not isinstance(value, bool) and value not in ("true", "false"):
         fail_validation(f"{quoted(value)} is neither true nor false", "write true or false")
     return value is True or value == "true"
@@ -43,14 +47,22 @@ class OneOf:
         return core_schema.no_info_before_validator_function(self.read, handler(source))
 
     def read(self, value: object) -> str:
-        """The word, checked."""
+        """Return the word; a mistake with the closest one, or all, if it is another."""
         if value not in self.words:
             fail_validation(f"{quoted(value)} is none of {', '.join(self.words)}", suggest(str(value), self.words))
         return value
 
 
 def read_path(value: object, info: ValidationInfo, ending: str) -> Path:
-    """The absolute path of a file that exists; text is relative to the folder of the configuration file."""
+    """Return the absolute path of a file that exists; text is relative to the folder of the configuration file.
+
+    Parameters
+    ----------
+    info
+        Its context has the `folder`, and may be `confined` to it, as for texts of the page.
+    ending
+        Ending of the example in the remedy.
+    """
     folder = (info.context or {}).get("folder") or Path()
     if not isinstance(value, str | Path) or not str(value):
         fail_validation(f"{quoted(value)} is not a path", f"name a file, such as 'some{ending}'")
@@ -83,7 +95,7 @@ def relative_path(path: Path, folder: Path) -> str:
 
 
 def read_title(value: object) -> str:
-    """One line of text."""
+    """Read one line of 1 to 200 printable characters, without spaces around it."""
     if not isinstance(value, str) or not value.strip():
         fail_validation(f"{quoted(value)} is not a name", "name it in a few words")
     if len(value.strip()) > 200 or not value.strip().isprintable():

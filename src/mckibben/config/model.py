@@ -36,7 +36,10 @@ from mckibben.storage.files import atomic_write, similar_file
 
 
 class ConfigModel(BaseModel):
-    """A section of a configuration file: frozen, without unknown keys."""
+    """Base of sections of configuration files: frozen, without unknown keys.
+
+    A section adds remedies to the errors of its own keys: the closest known key, an example of a missing one.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
@@ -50,7 +53,26 @@ class ConfigModel(BaseModel):
 
 
 class DocumentModel(ConfigModel):
-    """Base of files; `kind` and `examples` name them in messages."""
+    r"""Base of files, which are read with all their mistakes at once, and written back to the last bit.
+
+    Attributes
+    ----------
+    kind, examples
+        What such a file is, and the path of an example, for messages.
+
+    Examples
+    --------
+    >>> class Pulley(DocumentModel):
+    ...     kind: ClassVar[str] = "pulley"
+    ...     radius: float
+    ...     groove: float = 0.0
+    >>> Pulley.parse("radus: 1\ngrove: 2", source="pulley.yaml")
+    Traceback (most recent call last):
+        ...
+    mckibben.errors.ScenarioError: pulley.yaml: 2 problems
+      line 1, radus: is not a known key here; did you mean 'radius'?
+      line 2, grove: is not a known key here; did you mean 'groove'?
+    """
 
     kind: ClassVar[str] = "scenario"
     examples: ClassVar[str] = "examples/"
@@ -76,7 +98,13 @@ class DocumentModel(ConfigModel):
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Self:
-        """Read a file; raises ScenarioError with every problem: line, field, value, range and remedy."""
+        """Read a file.
+
+        Raises
+        ------
+        ScenarioError
+            With every problem of the file: line, field, value, range and remedy.
+        """
         text = read_text(path, f"a {cls.kind}", cls.examples)
         return cls.parse(text, source=os.fspath(path), folder=Path(path).parent)
 
@@ -93,7 +121,10 @@ class DocumentModel(ConfigModel):
             raise ParameterError(f"a {self.kind} cannot be changed", field=name, value=value, remedy=remedy) from None
 
     def replace(self, **changes: Any) -> Self:
-        """Return a copy with other values of fields, given and checked as those of the constructor."""
+        """Return a copy with other values of fields, given and checked as those of the constructor.
+
+        Raises `ScenarioError` with every problem, as the constructor does.
+        """
         fields = {field.alias or name: getattr(self, name) for name, field in type(self).model_fields.items()}
         return type(self)(**{**fields, **changes})
 
@@ -114,7 +145,7 @@ class DocumentModel(ConfigModel):
 
 
 def fields_by_key(model: type[BaseModel]) -> dict[str, str]:
-    """Names of the fields by their keys in a file."""
+    """Names of the fields by their keys in a file, which may be aliases such as ``class``."""
     return {info.alias or name: name for name, info in model.model_fields.items()}
 
 
@@ -129,10 +160,14 @@ class _ValidationError(McKibbenError, ValueError):
 def fail_validation(
     message: str, remedy: str = "", *, follows: bool = False, value: object = None, field: str | None = None
 ) -> NoReturn:
-    """Report a mistake from within a validator.
+    """Report a mistake from within a validator, which becomes a `Problem` with the line of the validated value.
 
     Parameters
     ----------
+    message, remedy
+        Predicate about the value, such as "is longer than the run", and what to do.
+    value
+        The value, unless it is that of the validator.
     follows
         Whether it follows from others, and is left out if there are others.
     field
@@ -142,7 +177,13 @@ def fail_validation(
 
 
 def with_changes(content: object, section: Mapping[str, object]) -> object:
-    """Content to which a section's ``from`` refers, with the section's other keys."""
+    """Content to which a section's ``from`` refers, with the section's other keys.
+
+    Mappings are merged key by key, lists of parts by the names of the parts.
+
+        >>> with_changes({"links": [{"name": "shank", "mass": "1 kg"}]}, {"links": {"shank": {"mass": "2 kg"}}})
+        {'links': ({'name': 'shank', 'mass': '2 kg'},)}
+    """
     return _merged(_with_tuples(content), {key: field for key, field in section.items() if key != "from"})
 
 
@@ -191,7 +232,10 @@ def read_text(path: str | os.PathLike[str], what: str = "a scenario", example: s
 
 
 def located_below(error: ValidationError, place: Place, *, shorthand: bool = False) -> ValidationError:
-    """Return the mistakes of a validation as those of a section below a place, or of a value in place of its field."""
+    """Return the mistakes of a validation as those of a section below a place.
+
+    Of a `shorthand`, one value in place of the only field of the section, the key of the field is left out.
+    """
     details: Any = [{**item, "loc": (*place, *item["loc"][shorthand:])} for item in error.errors(include_url=False)]
     return ValidationError.from_exception_data(error.title, details)
 
@@ -383,8 +427,13 @@ def _keys_of(info: FieldInfo, value: object) -> Collection[str]:
 
 
 def marks_in(hint: object, kind: type[M]) -> Iterator[M]:
-    """Yield the marks of a class in a type such as ``Annotated[float, Mark] | None``, or in its parts."""
-    for part in (*getattr(hint, "__metadata__", ()), *get_args(hint)):
+    """Yield the marks of a class in a type such as ``Annotated[float, Mark] | None``, or in its parts.
+
+    >>> from typing import Annotated
+    >>> list(marks_in(tuple[Annotated[float, "N", 3], ...] | None, str))
+    ['N']
+    """
+    for part in get_args(hint):
         if isinstance(part, kind):
             yield part
         else:

@@ -1,4 +1,16 @@
-"""Checks of the contract: units, files, determinism, batches, derivatives, C, and the identities of a base."""
+"""Checks of the contract: units, files, determinism, batches, derivatives, C, and the identities of a base.
+
+Each check has a fault that no other finds:
+
+- units: a number of a file without a unit, or with one that is not SI;
+- instance: a class that is abstract or cannot be made;
+- file: a field that a file does not hold, so that a run cannot be repeated from it;
+- batch: `if` or NumPy functions of traced numbers, or a result that depends on the other samples;
+- determinism: random numbers, a clock, or state outside the state;
+- derivatives: a `stop_gradient`, rounding, or a root at 0, with which gradients and tuning fail;
+- C: an operation that the emitted controller computes differently;
+- identities: what a base promises, such as an inverse, see `mckibben.contract.probes`.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +18,7 @@ import functools
 import inspect
 import os
 import re
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
@@ -16,7 +29,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.extend.core import jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from jax.flatten_util import ravel_pytree
 from numpy.typing import ArrayLike, NDArray
 
@@ -52,7 +65,17 @@ _COMPILER: dict[str, Any] = {"xla_backend_optimization_level": 0, "xla_llvm_disa
 
 @dataclass(frozen=True)
 class Finding:
-    """Result of one check of a class; `passed` is None if it could not be run."""
+    """Result of one check of a class.
+
+    Attributes
+    ----------
+    kind, check
+        Name of the class, and of the check.
+    passed
+        Whether the class keeps the contract; None if the check could not be run, as without a C compiler.
+    found, remedy
+        What was found, with the arguments at which, and what to do.
+    """
 
     kind: str
     check: str
@@ -89,22 +112,23 @@ class ContractReport(Result):
         yield Listing("Contract", {name: (Column(), values) for name, values in columns.items()})
 
 
-class _BrokenError(Exception):
-    """A part of the contract does not hold."""
-
-    def __init__(self, reason: str, remedy: str = "") -> None:
-        super().__init__(reason)
-        self.remedy = remedy
-
-
-class _SkippedError(Exception):
-    """A check that cannot be run here."""
-
-
 def check_extension(named: str | os.PathLike[str], fields: Mapping[str, str] | None = None) -> list[Finding]:
-    """Check the contract of every class of a Python file or module, on its module-level instances or as `check_class`.
+    """Check the contract of every class of a Python file or module.
 
-    Raises `ScenarioError` if the module cannot be run, `ParameterError` if it has no component, or none has a field.
+    Parameters
+    ----------
+    named
+        Path of a file, which is run, or name of a module.
+    fields
+        Values of fields as in a file. A class that has none of them is checked on its instances at the top level of the
+        module, if there are any.
+
+    Raises
+    ------
+    ScenarioError
+        If the module cannot be run.
+    ParameterError
+        If it does not define a component, or none has a field.
     """
     module, values = load_extension(named), dict(fields or {})
     kinds = list(_own_classes(module))
@@ -146,6 +170,17 @@ def check_class(
         plant are those of the paper's knee.
     instances
         Instances to check in place of one from `fields`.
+
+    Returns
+    -------
+    list of Finding
+        One for each check, the worst of all functions and instances.
+
+    Examples
+    --------
+    >>> from mckibben.joint import SeriesSpring
+    >>> [finding.found for finding in check_class(SeriesSpring) if not finding.passed]
+    ['stiffness: is missing; preload: is missing; travel: is missing']
     """
     findings = [_finding(kind, "units", lambda: _check_units(kind))]
     if not instances:
@@ -175,7 +210,8 @@ def _check_instance(component: Component) -> Iterator[Finding]:
         if traced.passed:
             yield (same := _finding(kind, "determinism", sampled.check_program))
             if same.passed:
-                yield _finding(kind, "batch", sampled.check_batch)
+                if probes.broadcasts:
+                    yield _finding(kind, "batch", sampled.check_broadcast)
                 yield _finding(kind, "derivatives", sampled.check_derivatives)
                 if probes.emitted:
                     yield _finding(kind, "C", sampled.check_native)
@@ -185,14 +221,12 @@ def _check_instance(component: Component) -> Iterator[Finding]:
 
 
 def _finding(kind: type, check: str, function: Callable[[], object]) -> Finding:
-    """Finding of a check, which raises where the contract does not hold."""
+    """Finding of a check, which raises where the contract does not hold: all exceptions become findings."""
     finding = Finding(kind.__name__, check, True)
     try:
         function()
-    except _SkippedError as reason:
-        return replace(finding, passed=None, found=str(reason))
-    except _BrokenError as error:
-        return replace(finding, passed=False, found=str(error), remedy=error.remedy)
+    except CompilerError as error:
+        return replace(finding, passed=None, found=error.message)
     except jax.errors.ConcretizationTypeError as error:
         remedy = "use jax.numpy: jnp.where in place of `if`, no float() or NumPy function of an argument or a field"
         text = f"uses the value of a traced number{_place(error, kind)}"
@@ -208,11 +242,11 @@ def _finding(kind: type, check: str, function: Callable[[], object]) -> Finding:
 
 def _place(error: BaseException, kind: type) -> str:
     """Line of the class's module in which an error was raised."""
-    lines, trace = [], error.__traceback__
-    while trace is not None:
-        if trace.tb_frame.f_globals.get("__name__") == kind.__module__:
-            lines.append(f" (line {trace.tb_lineno}, {trace.tb_frame.f_code.co_name})")
-        trace = trace.tb_next
+    lines = [
+        f" (line {line}, {frame.f_code.co_name})"
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if frame.f_globals.get("__name__") == kind.__module__
+    ]
     return lines[-1] if lines else ""
 
 
@@ -225,7 +259,7 @@ def _made(kind: type, fields: Mapping[str, str]) -> Component:
     """Component from a file with some of its fields."""
     if inspect.isabstract(kind):
         missing = ", ".join(sorted(getattr(kind, "__abstractmethods__", ())))
-        raise _BrokenError(f"it lacks {missing}", "implement the abstract methods and fields of the base")
+        raise ParameterError(f"it lacks {missing}", remedy="implement the abstract methods and fields of the base")
     try:
         section = {"class": name_in_files(_base_of(kind), kind), **fields}
         return _read(kind, "it:\n" + "".join(f"  {name}: {value}\n" for name, value in section.items()))
@@ -233,7 +267,7 @@ def _made(kind: type, fields: Mapping[str, str]) -> Component:
         problems = getattr(error, "problems", ())
         text = "; ".join(f"{item.field}: {item.message}".lstrip(": ") for item in problems) or error.message
         remedy = "define an instance in the module, or give fields: --with 'NAME=VALUE'"
-        raise _BrokenError(text, remedy) from error
+        raise ParameterError(text, remedy=remedy) from error
 
 
 def _read(kind: type, text: str) -> Component:
@@ -247,13 +281,14 @@ def _check_units(kind: type) -> None:
     hints, marks, symbolic = field_hints(kind), field_quantities(kind), symbolic_fields(kind)
     for name in declared_fields(kind):
         if name not in hints:
-            raise _BrokenError(f"the type of {name} is not found", "import it at the top of the module")
+            raise ParameterError(f"the type of {name} is not found", remedy="import it at the top of the module")
         mark = marks.get(name) or kind.unit_of(name)  # type: ignore[attr-defined]
         if mark is None and _has_bare_float(hints[name]):
             remedy = "use a type of mckibben.units, or Annotated[float, Quantity('N*s/m', lower=0, upper=1e3)]"
-            raise _BrokenError(f"{name} has no unit", remedy)
+            raise ParameterError(f"{name} has no unit", remedy=remedy)
         if mark is not None and name not in symbolic and not np.isclose(factor(mark.unit), 1.0, rtol=1e-12, atol=0):
-            raise _BrokenError(f"{name} is in {mark.unit}", f"fields are in SI: Quantity('SI unit', '{mark.unit}')")
+            remedy = f"fields are in SI: Quantity('SI unit', '{mark.unit}')"
+            raise ParameterError(f"{name} is in {mark.unit}", remedy=remedy)
 
 
 def _has_bare_float(hint: object) -> bool:
@@ -268,14 +303,13 @@ def _check_file(component: Component) -> None:
     kind = type(component)
     back = _read(kind, to_text({"it": write(component, ComponentField(_base_of(kind), UNITS))}))
     if type(back) is not kind:
-        raise _BrokenError(f"a file gives a {type(back).__name__}", "give the class another `short_name`")
+        raise ParameterError(f"a file gives a {type(back).__name__}", remedy="give the class another `short_name`")
     for name in declared_fields(kind):
         before, after = getattr(component, name), getattr(back, name)
         if not _is_same(before, after):
-            remedy = (
-                "its type must be one that files hold: a quantity, Flag, word, path, component, or a tuple of these"
-            )
-            raise _BrokenError(f"{name} is {_short(before)} in Python and {_short(after)} after a file", remedy)
+            text = f"{name} is {_short(before)} in Python and {_short(after)} after a file"
+            remedy = "give it a type of files: a quantity, Flag, word, path, component, or a tuple of these"
+            raise ParameterError(text, remedy=remedy)
 
 
 def _short(value: object) -> str:
@@ -296,7 +330,20 @@ def _samples(ranges: Ranges) -> NDArray[np.float64]:
 
 
 class _Sampled:
-    """A function of a component as one of a vector, of its arguments and then of its parameters, and its values."""
+    """A function of a component as one of a vector, of its arguments and then of its parameters, and its values.
+
+    One compiled program evaluates all points: the samples, `_ROWS` of them with parameters apart from each other, and
+    both sides of these along each number, for finite differences.
+
+    Attributes
+    ----------
+    names
+        Names of the numbers: arguments, then parameters.
+    points
+        Samples, shape (samples, numbers).
+    scales
+        Size of each number, by which it is varied: the range of an argument, the value of a parameter.
+    """
 
     def __init__(self, component: Component, probes: Probes, function: Callable[..., Any]) -> None:
         self.component, self.probes, self.function = component, probes, function
@@ -323,16 +370,16 @@ class _Sampled:
         results = self.function(component, *(point[i] for i in range(count)))
         return jnp.concatenate([jnp.ravel(jnp.asarray(leaf, float)) for leaf in jax.tree.leaves(results)])
 
-    def _trace(self) -> Any:
-        return jax.jit(lambda point: self(point)).trace(self.points[0])
+    def _trace(self) -> ClosedJaxpr:
+        return jax.make_jaxpr(lambda point: self(point))(self.points[0])
 
     @functools.cached_property
-    def _single(self) -> Any:
+    def _single(self) -> ClosedJaxpr:
         """The evaluation of a sample as it is traced first; batches and derivatives are made of it."""
         return self._trace()
 
     def _traced(self, point: Array) -> Array:
-        return jaxpr_as_fun(self._single.jaxpr)(point)[0]
+        return jaxpr_as_fun(self._single)(point)[0]
 
     @functools.cached_property
     def _program(self) -> Any:
@@ -351,26 +398,18 @@ class _Sampled:
     def check_program(self) -> None:
         """The same arguments give the same program and the same results."""
         same = np.array_equal(self._computed, self._program(self._points), equal_nan=True)
-        if not same or _text(self._single.jaxpr) != _text(self._trace().jaxpr):
+        if not same or _text(self._single) != _text(self._trace()):
             remedy = "use no random numbers, clock or counters outside the state: draw by a seed from the state"
-            raise _BrokenError("two evaluations with the same arguments differ", remedy)
+            raise ParameterError("two evaluations with the same arguments differ", remedy=remedy)
 
-    def check_batch(self) -> None:
-        """A batch gives the results of single evaluations, and so does an array of arguments where it broadcasts."""
-        if not self._equals_native():
-            single = self._single.lower().compile(compiler_options=_COMPILER)
-            for row in (0, -2):
-                self._compare(self.values[row], single(self.points[row]), f"in a batch at {self._where(row)}")
-        if self.probes.broadcasts:
-            leaves = jax.tree.leaves(self.function(self.component, *map(jnp.asarray, self.arguments.T)))
-            if any(np.shape(leaf) != (len(self.arguments),) for leaf in leaves):
-                raise _BrokenError("an array of arguments does not give an array of results", "use jax.numpy")
-            self._compare(self.values, np.stack(leaves, axis=1), "of an array of arguments")
-
-    def _compare(self, values: ArrayLike, single: ArrayLike, where: str) -> None:
-        if (pair := _difference(values, single, self.values)) is not None:
-            text = f"the result {where} is {pair[0]:.6g}, that of a single evaluation {pair[1]:.6g}"
-            raise _BrokenError(text, "the result must not depend on other samples or on their number")
+    def check_broadcast(self) -> None:
+        """An array of arguments gives the results of single samples."""
+        leaves = jax.tree.leaves(self.function(self.component, *map(jnp.asarray, self.arguments.T)))
+        if any(np.shape(leaf) != (len(self.arguments),) for leaf in leaves):
+            raise ParameterError("an array of arguments does not give an array of results", remedy="use jax.numpy")
+        if (pair := _difference(self.values, np.stack(leaves, axis=1), self.values)) is not None:
+            text = f"the result of an array of arguments is {pair[1]:.6g}, that of a single evaluation {pair[0]:.6g}"
+            raise ParameterError(text, remedy="the result must not depend on other samples or on their number")
 
     def _where(self, row: int) -> str:
         pairs = zip(self.ranges, np.concatenate([self.points, self._middle])[row], strict=False)
@@ -380,7 +419,8 @@ class _Sampled:
         """Derivatives are finite and agree with finite differences; at a kink they lie between those of its sides."""
         values, moving = self.values, self.moving
         for row in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
-            raise _BrokenError(f"the result is not a number at {self._where(row)}", "give a number in the whole range")
+            text = f"the result is not a number at {self._where(row)}"
+            raise ParameterError(text, remedy="give a number in the whole range")
         points = np.concatenate([self.points, self._middle])
         try:
             jacobians = self._in_reverse(points)
@@ -393,7 +433,7 @@ class _Sampled:
         for row, direction in np.argwhere(bad).tolist():
             text = f"the derivative with respect to {self.names[moving[direction]]} is not finite at {self._where(row)}"
             remedy = "keep arguments off the edge: jnp.sqrt(jnp.where(x > 0, x, 1.0)) within jnp.where(x > 0, ..., 0.0)"
-            raise _BrokenError(text, remedy)
+            raise ParameterError(text, remedy=remedy)
         slopes, here = slopes[-_ROWS:], self._computed[len(self.points) :][:_ROWS, None]
         above, below = self._computed[len(self.points) + _ROWS :].reshape(2, *slopes.shape)
         with np.errstate(invalid="ignore"):
@@ -408,7 +448,8 @@ class _Sampled:
                 f"the derivative with respect to {self.names[moving[direction]]} is {slope / scale:.4g}, "
                 f"finite differences give {difference / scale:.4g} at {self._where(row)}"
             )
-            raise _BrokenError(text, "use operations of jax.numpy that have derivatives, no stop_gradient or rounding")
+            remedy = "use operations of jax.numpy that have derivatives, no stop_gradient or rounding"
+            raise ParameterError(text, remedy=remedy)
 
     def _in_reverse(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """Jacobians by reverse mode; where C can be compiled, in a fifth of XLA's time for large programs."""
@@ -419,30 +460,17 @@ class _Sampled:
         except ExportError:
             return _compiled(jax.vmap(jax.jacrev(self._traced)), points)(points)
 
-    def _native_difference(self) -> tuple[float, float] | None:
-        """First results of emitted C, which evaluates samples one by one, and of the batch that differ."""
-        emitted = [_flat(_NATIVE((self.function, numeric(self.component), *row))) for row in self.arguments]
-        return _difference(np.array(emitted), self.values, self.values)
-
-    def _equals_native(self) -> bool:
-        try:
-            return self.probes.emitted and compiler() is not None and self._native_difference() is None
-        except ExportError:
-            return False
-
     def check_native(self) -> None:
-        """The emitted C gives the results of JAX."""
+        """The emitted C, which evaluates samples one by one, gives the results of JAX."""
         if compiler() is None:
-            raise _SkippedError("there is no C compiler")
-        try:
-            pair = self._native_difference()
-        except CompilerError as error:
-            raise _SkippedError(str(error)) from None
-        if pair is not None:
-            raise _BrokenError(f"emitted C gives {pair[0]:.6g}, JAX {pair[1]:.6g}", "report it, with the class")
+            raise CompilerError("there is no C compiler")
+        rows = [_flat(_NATIVE((self.function, numeric(self.component), *row))) for row in self.arguments]
+        if (pair := _difference(np.array(rows), self.values, self.values)) is not None:
+            text = f"emitted C gives {pair[0]:.6g}, JAX {pair[1]:.6g}"
+            raise ParameterError(text, remedy="report it, with the class")
 
 
-def _text(program: Any) -> tuple[str | bytes, ...]:
+def _text(program: ClosedJaxpr) -> tuple[str | bytes, ...]:
     """Equations of a traced function, and its constants."""
     return _ADDRESS.sub("", str(program.jaxpr)), *(np.asarray(constant).tobytes() for constant in program.consts)
 
@@ -487,7 +515,7 @@ def _check_identity(component: Component, identity: Identity, ranges: Ranges) ->
     for row, result, other in zip(rows, results, expected, strict=True):
         if (pair := _difference(result, other, expected)) is not None:
             where = ", ".join(f"{name} {value:.4g}" for name, value in zip(ranges, row, strict=True))
-            raise _BrokenError(f"{pair[0]:.6g} instead of {pair[1]:.6g} at {where}", identity.remedy)
+            raise ParameterError(f"{pair[0]:.6g} instead of {pair[1]:.6g} at {where}", remedy=identity.remedy)
 
 
 def _flat(tree: object) -> NDArray[np.float64]:

@@ -1,4 +1,9 @@
-"""Functions and identities of each base that the contract evaluates, with the ranges of their arguments."""
+"""Functions and identities of each base that the contract evaluates, with the ranges of their arguments.
+
+A base has at least one function, of a component and numbers whose names select their ranges; from its results follow
+the checks of batches, derivatives and C. An identity returns two results that must be equal for each component of the
+base: a promise on which other code relies, such as that `pressure_for` inverts `force`.
+"""
 
 from __future__ import annotations
 
@@ -140,11 +145,13 @@ def _muscle() -> Muscle:
 
 
 def _force(law: ForceLaw, contraction: Num, pressure: Num) -> Tree:
+    """Force [N], its slope [N], and the pressure [Pa] back from it."""
     force = law.force(contraction, pressure)
     return force, law.slope(contraction, pressure), law.pressure_for(force, contraction)
 
 
 def _inverted(law: ForceLaw, contraction: Num, pressure: Num) -> tuple[Tree, Tree]:
+    """F(eps, p(F, eps)) = F."""
     force = law.force(contraction, pressure)
     return law.force(contraction, law.pressure_for(force, contraction)), force
 
@@ -168,24 +175,28 @@ def _finite(low: float, high: float, least: float, most: float) -> tuple[float, 
 
 
 def _moved(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num, rate: Num) -> Tree:
+    """State after a third of a move, and forces at its end."""
     state = friction.project(friction.initial(length), length + move / 3, tension, pressure)
     viscous = friction.viscous_force(length + move, tension, pressure, rate)
     return friction.force(state, length + move, tension, pressure), viscous, friction.half_width_at(tension, pressure)
 
 
 def _moved_in_two(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num) -> tuple[Tree, Tree]:
+    """The force after two moves in one direction is that after their sum."""
     start, end = friction.initial(length), length + move
     middle = friction.project(start, length + move / 3, tension, pressure)
     return friction.force(middle, end, tension, pressure), friction.force(start, end, tension, pressure)
 
 
 def _projected(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num) -> tuple[Tree, Tree]:
+    """`project` does not change the force."""
     end, start = length + move, friction.initial(length)
     after = friction.project(start, end, tension, pressure)
     return friction.force(after, end, tension, pressure), friction.force(start, end, tension, pressure)
 
 
 def _path(friction: Friction, length: Num, move: Num, tension: Num, pressure: Num) -> tuple[Tree, Tree]:
+    """`path_response` is the force of `force` and `project` along there and back."""
     path, forces = np.array([length, length + move, length]), []
     state = friction.initial(length)
     for end in path:
@@ -200,11 +211,13 @@ _AREA = 1e-4  # N/Pa
 
 
 def _crept(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num, rate: Num) -> Tree:
+    """Force of creep [N], rates and projection of its state."""
     state, tension_at = _moved_creep(creep, length, pressure, step, tension)
     return creep.force(state, tension, tension_at), creep.rate(state, rate, pressure), creep.project(state, tension)
 
 
 def _creep_projected(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num) -> tuple[Tree, Tree]:
+    """`project` does not change the force of creep."""
     state, tension_at = _moved_creep(creep, length, pressure, step, tension)
     return creep.force(creep.project(state, tension), tension, tension_at), creep.force(state, tension, tension_at)
 
@@ -218,10 +231,12 @@ def _moved_creep(creep: Creep, length: Num, pressure: Num, step: Num, tension: N
 
 
 def _turned(friction: JointFriction, angle: Num, swing: Num) -> Tree:
+    """Resisting torque [N*m] after a swing in two parts."""
     return friction.resisting_torque(friction.project(friction.initial(angle), angle + swing / 3), angle + swing)
 
 
 def _turned_in_two(friction: JointFriction, angle: Num, swing: Num) -> tuple[Tree, Tree]:
+    """The torque after two swings in one direction is that after their sum."""
     return _turned(friction, angle, swing), friction.resisting_torque(friction.initial(angle), angle + swing)
 
 
@@ -229,12 +244,14 @@ def _turned_in_two(friction: JointFriction, angle: Num, swing: Num) -> tuple[Tre
 
 
 def _tension(tendon: Tendon, path: Num, pressure: Num, tension: Num) -> Tree:
+    """Extension [m], tension [N] of muscle and tendon, pressure [Pa] for a tension, and whether it is permitted."""
     muscle = _muscle()
     pulled = tendon.tension(muscle, path, pressure), tendon.pressure_for(muscle, path, tension)
     return tendon.extension(tension), *pulled, tendon.permitted(muscle, path)
 
 
 def _equilibrium(tendon: Tendon, path: Num, pressure: Num) -> tuple[Tree, Tree]:
+    """Muscle length and extension at the tension of both add up to the path [m]."""
     muscle = _muscle()
     contraction = tendon.contraction(muscle, path, pressure)
     length = muscle.specimen.length_at(contraction)
@@ -247,27 +264,33 @@ def _angles(part: Geometry | MusclePath) -> Ranges:
 
 
 def _arms(geometry: Geometry, angle: Num) -> Tree:
+    """Path lengths and moment arms [m]."""
     return geometry.path_lengths(angle), geometry.moment_arms(angle)
 
 
 def _virtual_work(geometry: Geometry, angle: Num) -> tuple[Tree, Tree]:
+    """Moment arms are the slopes of path lengths: dL1/dtheta = d1, dL2/dtheta = -d2."""
     slope1, slope2 = (derivative(lambda x, n=n: geometry.path_lengths(x)[n], angle) for n in (0, 1))
     return geometry.moment_arms(angle), (slope1, -slope2)
 
 
 def _lengths(path: MusclePath, angle: Num) -> Tree:
+    """Path lengths [m] of both sides."""
     return path.length(angle, 1), path.length(angle, -1)
 
 
 def _acceleration(load: Load, angle: Num, velocity: Num, torque: Num) -> Tree:
+    """Angular acceleration [rad/s^2], and stiffness of gravity [N*m/rad]."""
     return load.acceleration(angle, velocity, torque), load.gravity_stiffness(angle)
 
 
 def _required(load: Load, angle: Num, velocity: Num, torque: Num) -> tuple[Tree, Tree]:
+    """The torque for the acceleration of a torque is that torque [N*m]."""
     return load.required_torque(angle, velocity, load.acceleration(angle, velocity, torque)), torque
 
 
 def _gravity(load: Load, angle: Num) -> tuple[Tree, Tree]:
+    """Stiffness of gravity is -d(torque of gravity)/dtheta."""
     return load.gravity_stiffness(angle), -derivative(load.gravity_torque, angle)
 
 
@@ -275,6 +298,7 @@ def _gravity(load: Load, angle: Num) -> tuple[Tree, Tree]:
 
 
 def _rates(actuator: Actuator, pressure1: Num, pressure2: Num, command1: Num, command2: Num) -> Tree:
+    """Rates of pressures and states, commands after the delay, and telemetry."""
     pressures, commands = (pressure1, pressure2), (command1, command2)
     states, air = actuator.init_states(pressures), AirVolume(jnp.asarray(1e-4), jnp.asarray(1e-5))
     if actuator.holds_air and isinstance(states, AirState):
@@ -284,17 +308,20 @@ def _rates(actuator: Actuator, pressure1: Num, pressure2: Num, command1: Num, co
 
 
 def _response(valve: Valve, pressure: Num, command1: Num, command2: Num, elapsed: Num, slope: Num) -> Tree:
+    """Pressures [Pa] after two commands, and the command for a rate."""
     moving = valve.after(pressure, valve.init(pressure), command1, elapsed)
     return valve.after(*moving, command2, elapsed), valve.command_for(pressure, slope)
 
 
 def _composed(valve: Valve, pressure: Num, command1: Num, command2: Num, elapsed: Num) -> tuple[Tree, Tree]:
+    """The pressure after two intervals of one command is that after their sum."""
     moving = valve.after(pressure, valve.init(pressure), command1, elapsed)
     twice = valve.after(*valve.after(*moving, command2, elapsed), command2, 1.6 * elapsed)
     return twice, valve.after(*moving, command2, 2.6 * elapsed)
 
 
 def _rest(valve: Valve, pressure: Num, elapsed: Num) -> tuple[Tree, Tree]:
+    """`command_for(p, 0)` keeps the pressure p of a valve at rest."""
     return valve.after(pressure, valve.init(pressure), valve.command_for(pressure, 0.0), elapsed)[0], pressure
 
 
@@ -309,6 +336,7 @@ _START = "`init` is the state at a constant pressure, and `command_for(pressure,
 
 
 def _measured(sensors: Sensors, angle1: Num, pressure1: Num, pressure2: Num, angle2: Num) -> Tree:
+    """Measurements of two successive samples."""
     first, second = Measurement(angle1, (pressure1, pressure2)), Measurement(angle2, (pressure2, pressure1))
     state, before = sensors.measure(sensors.init(first), jnp.asarray(0), first)
     return before, sensors.measure(state, jnp.asarray(1), second)[1]
@@ -323,6 +351,7 @@ def _commands(
     setpoint: Num,
     stiffness: Num,
 ) -> Tree:
+    """Commands [Pa] at two successive angles, and telemetry."""
     measurements = [Measurement(angle, (pressure1, pressure2)) for angle in (angle1, angle2)]
     return _stepped(controller, Setpoint(setpoint, stiffness), measurements)
 
@@ -340,6 +369,8 @@ def _stepped(system: DiscreteTimeSystem, setpoint: Tree, measurements: Sequence[
 
 
 def _looped(loop: Loop, setpoint: Num, measured: Num, output: Num) -> Tree:
+    """Outputs of two steps with an output that is cut to 90 %."""
+
     def step(state: Tree, _: None) -> tuple[Tree, Num]:
         state, asked = loop.step(state, setpoint, measured, PERIOD)
         return loop.track(state, asked, 0.9 * asked, PERIOD), asked
@@ -349,11 +380,13 @@ def _looped(loop: Loop, setpoint: Num, measured: Num, output: Num) -> Tree:
 
 
 def _fed_back(feedback: Feedback, error: Num, turn: Num, shortfall: Num) -> Tree:
+    """Acceleration [rad/s^2] that is asked for, and the lag."""
     state = feedback.track(feedback.init(error), shortfall, PERIOD)
     return feedback.step(state, error, turn, _JERK, PERIOD)[1], feedback.lag
 
 
 def _observed(observer: Observer, angle1: Num, angle2: Num, known: Num, period: Num) -> Tree:
+    """Estimated motion after three samples, and gains."""
     motion = observer.init(angle1, known)
     for angle in (angle2, angle1):
         motion = observer.step(motion, angle, known, period)

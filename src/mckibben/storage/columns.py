@@ -19,7 +19,15 @@ if TYPE_CHECKING:
 def read_columns(
     path: Path, wanted: Callable[[list[str]], Mapping[str, str]], *, largest: float = 64 * 2**20
 ) -> tuple[NDArray[np.float64], dict[str, NDArray[np.float64]]]:
-    """Read columns titled NAME_UNIT of a CSV file with rising times.
+    r"""Read columns titled NAME_UNIT of a CSV file with rising times.
+
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "reference.csv"
+        ...     _ = path.write_text("time_ms,force_kN\n0,1\n500,2")
+        ...     times, columns = read_columns(path, lambda titles: {"force": "N"})
+        >>> times, columns["force"]
+        (array([0. , 0.5]), array([1000., 2000.]))
 
     Parameters
     ----------

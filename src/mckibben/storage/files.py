@@ -26,7 +26,17 @@ SIGNALS = tuple(getattr(signal, name) for name in _SIGNAL_NAMES if hasattr(signa
 
 @contextmanager
 def handle_signals(callback: Callable[[int], None], *, repeat: float = 1.0) -> Iterator[None]:
-    """Call a function on each of `SIGNALS` that is not already ignored; one after `repeat` [s] also interrupts."""
+    """Call a function on each of `SIGNALS` that is not already ignored; one after `repeat` [s] also interrupts.
+
+    Parameters
+    ----------
+    callback
+        Called with the number of the signal, within the signal handler; it sets a flag that the job looks at.
+    repeat
+        Time [s] after the first signal from which another raises `KeyboardInterrupt`: the job does not end by itself.
+
+    In other threads than the main one nothing is handled. The former handlers are back at the end of the block.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -131,7 +141,10 @@ def _sync(path: Path, flags: int) -> None:
 
 
 def make_folder(path: str | os.PathLike[str]) -> Path:
-    """Create a folder and its parents unless they exist, synced; `FileError` if it cannot be created."""
+    """Create a folder and its parents unless they exist, synced; return its path.
+
+    Raises `FileError` if it is a file, or cannot be created.
+    """
     path = Path(path)
     new = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
@@ -151,7 +164,11 @@ _ELSEWHERE = "choose another folder, or move the existing file"
 
 
 def similar_file(path: Path) -> str:
-    """Return the remedy for a missing file: the file of its folder whose name without suffix is close; or nothing."""
+    """Return the remedy for a missing file: the file of its folder whose name without suffix is close; or nothing.
+
+    >>> similar_file(Path("examples/pre_contracted_step_pid.yml"))
+    "did you mean 'pre-contracted-step-pid.yaml'?"
+    """
     with suppress(OSError):
         names = {file.stem: file.name for file in sorted(path.parent.iterdir()) if file.is_file()}
         if close := closest(path.stem, list(names)):
@@ -169,9 +186,19 @@ def check_free(folder: Path, names: Iterable[str], remedy: str = _ELSEWHERE) -> 
 
 @contextmanager
 def file_lock(path: Path, task: str) -> Iterator[None]:
-    """Hold a lock on a file, released at the end or if the process dies; other processes' errors name `task`.
+    """Hold a lock on a file, released at the end or if the process dies; the file is removed.
 
-    Raises `FileError` if another process holds it, or if the file cannot be written.
+    Parameters
+    ----------
+    path
+        File of the lock, which holds the number and the host of the process.
+    task
+        What is done meanwhile, for the error of another process: "another process (pid 17 on host) is ...".
+
+    Raises
+    ------
+    FileError
+        If another process holds it, or if the file cannot be written. A file system without locks is a warning.
     """
     try:
         file = _lock(path, task)
@@ -222,7 +249,7 @@ def _try_flock(file: int, path: Path, task: str) -> bool:
 
 
 def is_same_file(path: Path, file: int) -> bool:
-    """Whether a path still refers to an open file, which may have been removed or moved."""
+    """Whether a path still refers to an open file (its descriptor), which may have been removed or moved."""
     try:
         return os.path.samestat(path.stat(), os.fstat(file))
     except OSError:
@@ -230,7 +257,11 @@ def is_same_file(path: Path, file: int) -> bool:
 
 
 def json_ready(value: Any) -> Any:
-    """Convert NaN and infinities to None, and tuples to lists."""
+    """Convert NaN and infinities to None, NumPy scalars to numbers, and tuples to lists.
+
+    >>> json_ready({"error": float("nan"), "levels": (1.0, 2)})
+    {'error': None, 'levels': [1.0, 2]}
+    """
     if isinstance(value, dict):
         return {key: json_ready(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -243,12 +274,12 @@ def json_ready(value: Any) -> Any:
 
 
 def to_json(value: object) -> str:
-    """Indented JSON."""
+    """Return indented JSON; NaN and infinities are null, as JSON has neither."""
     return json.dumps(json_ready(value), indent=2, allow_nan=False)
 
 
 def write_json(path: Path, value: object) -> None:
-    """Write JSON atomically."""
+    """Write a file of JSON, complete or not at all; values as for `to_json`."""
     text = to_json(value)
     with atomic_write(path, overwrite=True) as part:
         part.write_text(text + "\n", encoding="utf-8")

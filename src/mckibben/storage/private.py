@@ -12,7 +12,10 @@ from mckibben.storage.files import atomic_write
 
 
 def write_private(path: Path, content: bytes, *, most: int = 200) -> None:
-    """Write with a checksum (damaged native code crashes the process); of all programs, the newest `most` remain."""
+    """Write a program with a checksum, as damaged native code crashes the process, readable for this user only.
+
+    Of all programs in its folder, the newest `most` remain.
+    """
     with atomic_write(path, overwrite=True) as part:
         part.touch(mode=0o600)
         part.write_bytes(_checksum(path, content) + content)
@@ -23,7 +26,10 @@ def write_private(path: Path, content: bytes, *, most: int = 200) -> None:
 
 
 def read_private(path: Path) -> bytes:
-    """Content of a private, undamaged file; OSError or ValueError otherwise."""
+    """Return the content of a file that `write_private` wrote.
+
+    Raises `PermissionError` if others may have written it, `ValueError` if it is damaged, `OSError` if there is none.
+    """
     with os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0)), "rb") as file:
         if not is_private(os.fstat(file.fileno()), stat.S_ISREG):
             raise PermissionError(f"{path} may have been written by others")
@@ -46,7 +52,10 @@ def is_private(status: os.stat_result, is_kind: Callable[[int], bool]) -> bool:
 
 
 def source_files(folder: str = str(Path(__file__).parents[1])) -> tuple[tuple[str, int, int], ...]:
-    """Path, size and time of change of our source files, of headers of C and of the catalog."""
+    """Path, size and time of change [ns] of our source files, of headers of C and of the catalog.
+
+    A cached program is valid for the files from which it was made.
+    """
     files: list[tuple[str, int, int]] = []
     with os.scandir(folder) as entries:
         for entry in sorted(entries, key=lambda entry: entry.name):

@@ -172,14 +172,17 @@ class Job:
             return run("SELECT content FROM record WHERE job = ? AND number = ?", (self._name, number)).fetchone()[0]
 
     def add(self, records: Mapping[int, bytes]) -> None:
-        """Write records, all or none; thread-safe. `FileError` if the disk is full or the file has disappeared."""
+        """Write records by number, all or none; thread-safe. They are on the disk when it returns.
+
+        Raises `FileError` if the disk is full, fails, or the file has disappeared.
+        """
         rows = [(self._name, number, content, self._checksum(number, content)) for number, content in records.items()]
         self._store._write("INSERT OR REPLACE INTO record VALUES (?, ?, ?, ?)", rows)
         self._store._count += len(records.keys() - self.numbers)
         self.numbers |= records.keys()
 
     def read_arrays(self, number: int) -> dict[str, NDArray[Any]]:
-        """Return a record of arrays by name."""
+        """Return a record of arrays by name, as `add_arrays` wrote it."""
         import numpy as np  # the command line starts without it
 
         with np.load(io.BytesIO(self.read(number)), allow_pickle=False) as file:
@@ -223,7 +226,7 @@ def open_store(path: Path | None, *, resume: bool = False, task: str = "computin
 
 
 def check_no_study(path: Path) -> None:
-    """Raise `FileError` if there is a file of a study already."""
+    """Raise `FileError` if there is a file of a study already: it is continued by `resume`, never overwritten."""
     if path.exists():
         raise FileError(str(path), [Problem("a study exists already", remedy=f"{RESUME}, or choose another folder")])
 
@@ -243,7 +246,11 @@ def read_store(path: Path) -> Iterator[Store]:
 def differences(begun: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[Problem]:
     """Return one problem per difference between the settings of a study and those of its continuation.
 
-    Settings whose name begins with "digest of " are reported if no other differs.
+    Settings whose name begins with "digest of " are reported if no other differs: they say that a file has changed, not
+    how.
+
+        >>> [problem.field for problem in differences({"seed": 3, "runs": 9}, {"seed": 4, "runs": 9})]
+        ['seed']
     """
     remedy = "give the same, or leave it out to use the original value, or choose another folder"
     problems = [
