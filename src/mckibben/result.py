@@ -88,6 +88,11 @@ class Column:
         """Unit in tables."""
         return self.shown or self.unit
 
+    @property
+    def size(self) -> float:
+        """Factor of the unit in tables to the unit of the values."""
+        return factor(self.shown_unit, self.unit) if self.shown_unit else 1.0
+
     def cell(self, value: object) -> str:
         """Return a value [SI] as text in the shown unit, without the unit.
 
@@ -98,8 +103,7 @@ class Column:
         if isinstance(value, bool):
             return "yes" if value else "no"
         if isinstance(value, float):
-            size = factor(self.shown_unit, self.unit) if self.shown_unit else 1.0
-            return "-" if math.isnan(value) else f"{value / size + 0.0:.{self.digits}g}"
+            return "-" if math.isnan(value) else f"{value / self.size + 0.0:.{self.digits}g}"
         return "-" if value is None else str(value)
 
 

@@ -47,7 +47,7 @@ def test_every_example_runs_and_its_numbers_are_those_of_the_run(cli, tmp_path, 
     for metric, value in result.metrics.items():
         _, unit, factor = next(m for m in METRICS.values() if m[0] == metric)
         shown = "-" if value != value else f"{value / factor:.4g}"
-        title = labels_of(Metrics)[metric].meaning
+        title = labels_of(Metrics)[metric].title
         assert re.search(rf"{re.escape(title)} +{re.escape(shown)} +{re.escape(unit)}", found.out), metric
     assert found.out.startswith(result.verdict()) and not result.poor_tracking
 

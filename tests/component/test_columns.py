@@ -36,6 +36,6 @@ def test_labelled_fields_are_in_the_docstring_and_have_a_size_in_tables():
         plain: int
 
     (label,) = labels_of(Kept).values()
-    assert label.displayed == ("deg", pytest.approx(0.0174533, rel=1e-5))
+    assert (label.shown_unit, label.size) == ("deg", pytest.approx(0.0174533, rel=1e-5))
     assert "swing_of_a_test\n    Swing [rad]; of the joint." in Kept.__doc__
     assert "plain" not in Kept.__doc__

@@ -9,38 +9,26 @@ from dataclasses import KW_ONLY, dataclass
 from typing import ClassVar, TypeVar, get_type_hints
 
 from mckibben.errors import ParameterError
-from mckibben.units import factor
+from mckibben.result import Column
 
 K = TypeVar("K", bound=type)
 
 
 @dataclass(frozen=True)
-class Label:
-    """Unit and meaning of a column.
+class Label(Column):
+    """Unit and meaning (`title`) of a column of trajectories, telemetry or metrics.
 
     Parameters
     ----------
-    unit, meaning
-        SI unit, "1" for none, and description.
-    shown
-        Unit in tables and files of results, by default the SI unit.
     along
         Further dimension of a column with several rows, such as "joint".
     note
         Explanation for the docstring.
     """
 
-    unit: str
-    meaning: str
     _: KW_ONLY
-    shown: str = ""
     along: str = ""
     note: str = ""
-
-    @property
-    def displayed(self) -> tuple[str, float]:
-        """Unit in tables and files of results, and its factor to SI."""
-        return (self.shown, factor(self.shown, self.unit)) if self.shown else (self.unit, 1.0)
 
 
 _LABELS: dict[str, Label] = {}
@@ -77,7 +65,7 @@ def labelled(kind: K) -> K:
     declare(_owner(kind), labels)
     lines = []
     for name, label in labels.items():
-        text = f"{label.meaning[0].upper()}{label.meaning[1:]} [{label.unit}]{label.note and f'; {label.note}'}."
+        text = f"{label.title[0].upper()}{label.title[1:]} [{label.unit}]{label.note and f'; {label.note}'}."
         lines += [name, *textwrap.wrap(text, 110, initial_indent="    ", subsequent_indent="    ")]
     kind.__doc__ = f"{kind.__doc__}\n\nAttributes\n----------\n" + "\n".join(lines) + "\n"
     return kind
@@ -109,4 +97,4 @@ def attributes(name: str) -> dict[str, str]:
     label = _LABELS.get(name)
     if label is None:
         return {"long_name": name.replace("_", " ")}
-    return {"units": label.unit, "long_name": label.meaning}
+    return {"units": label.unit, "long_name": label.title}

@@ -250,9 +250,8 @@ class Metrics(NamedTuple):
 
 _SUFFIXES = {"N*m/rad": "", "%": "_percent"}
 METRICS: dict[str, tuple[str, str, float]] = {
-    f"{name}{_SUFFIXES.get(shown, f'_{shown}')}": (name, shown, size)
+    f"{name}{_SUFFIXES.get(label.shown_unit, f'_{label.shown_unit}')}": (name, label.shown_unit, label.size)
     for name, label in metrics_of(Metrics).items()
-    for shown, size in [label.displayed]
 }
 """Field of `Metrics`, shown unit and its factor to SI, by the name in results."""
 

@@ -189,8 +189,7 @@ class RunResult(Result, abc.ABC):
 
 def metric_columns(kind: type, metrics: Mapping[str, Any]) -> dict[str, tuple[Column, Any]]:
     """Columns of metrics with their values [SI], by name; `kind` is the class that declares them."""
-    labels = {name: label for name, label in labels_of(kind).items() if name in metrics}
-    return {name: (Column(label.unit, label.meaning, label.shown), metrics[name]) for name, label in labels.items()}
+    return {name: (label, metrics[name]) for name, label in labels_of(kind).items() if name in metrics}
 
 
 class SimulationResult(RunResult):
