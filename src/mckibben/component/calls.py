@@ -107,22 +107,18 @@ def _unbound(
 ) -> CallError:
     """Return the error of arguments that are unknown, too many or missing."""
     of, (args, named) = function.__name__, given
-    names = [parameter.name for parameter in parameters if parameter.kind in _BY_NAME]
-    places = [parameter.name for parameter in parameters if parameter.kind is _BY_POSITION]
-    needed = [parameter.name for parameter in parameters if parameter.default is parameter.empty]
-    needed = [name for name in needed if name in names]
+    known = {parameter.name: parameter for parameter in parameters if parameter.kind in _BY_NAME}
+    places = [name for name, parameter in known.items() if parameter.kind is _BY_POSITION]
+    needed = [name for name, parameter in known.items() if parameter.default is parameter.empty]
     shown = [name if name in places else f"{name}=..." for name in needed]
-    write = f"write {of}({', '.join([*shown, '...'] if len(names) > len(needed) else shown)})"
+    write = f"write {of}({', '.join([*shown, '...'] if len(known) > len(needed) else shown)})"
     if args and (reading := _reading(function, args[0])):
         return CallError(f"{of}: {reason}", value=args[0], remedy=f"to read a file, write {reading}")
-    if unknown := next((name for name in named if name not in names), ""):
-        option, free = _OPTIONS.get(unknown, ""), [name for name in names if name not in named]
-        remedy = suggest(unknown, free) if names else write
-        if option.partition("=")[0] in names:
-            remedy = f"write {option}"
+    if unknown := next((name for name in named if name not in known), ""):
+        remedy = _remedy_of_name(unknown, [name for name in known if name not in named]) if known else write
         return CallError(f"{of} has no argument {unknown!r}", field=unknown, remedy=remedy)
     if len(args) > len(places):
-        others = ", ".join(f"{name}=..." for name in names if name not in places)
+        others = ", ".join(f"{name}=..." for name in known if name not in places)
         text = f"{of} takes {len(places)} arguments by position, not {len(args)}"
         return CallError(text, value=args, remedy=f"give others by name: {others}" if others else write)
     missing = [name for name in needed if name not in (*places[: len(args)], *named)]
@@ -130,6 +126,12 @@ def _unbound(
         write = f"{write}; {other.format(of)}"
     text = f"{of} needs {' and '.join(missing)}" if missing else f"{of}: {reason}"
     return CallError(text, field="".join(missing[:1]), remedy=write)
+
+
+def _remedy_of_name(unknown: str, free: list[str]) -> str:
+    """Remedy for an unknown name: the one in Python of an option, or the closest that is not given."""
+    option = _OPTIONS.get(unknown, "")
+    return f"write {option}" if option.partition("=")[0] in free else suggest(unknown, free)
 
 
 def _items(name: str, value: object, hints: list[object]) -> Iterator[tuple[str, object, list[object]]]:
