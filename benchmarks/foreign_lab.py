@@ -219,8 +219,8 @@ def suite_of(kind, folder, air):
     for old, new in lab.references.items():
         text = text.replace(old, new)
     suite = yaml.safe_load(text.replace("air/0.3 L", f"air/{air}"))
-    control = yaml.safe_load((folder / "valves" / "scenario.yaml").read_text(encoding="utf-8"))["controller"]
-    valve, delay = control["valve"], float(control["command_delay"].split()[0])
+    plant = yaml.safe_load((folder / "valves" / "scenario.yaml").read_text(encoding="utf-8"))
+    valve, delay = plant["valve"], float(plant["command_delay"].split()[0])
     margin = max(2, 0.25 * delay)
     first, second = ("valve.muscle1", "valve.muscle2") if valve["class"] == "unequal" else ("valve", "valve")
     conditions = [f"{one}.conductance=+-25 %" for one in dict.fromkeys((first, second))]
@@ -231,12 +231,12 @@ def suite_of(kind, folder, air):
     suite |= {
         "name": f"{lab.name}, {kind}",
         "joint": "joint/model.yaml",
-        "load": control["load"],
+        "load": plant["load"],
         "sensors": dict(lab.sensors),
         "setups": {
             kind: {
                 "valve": valve,
-                "command_delay": control["command_delay"],
+                "command_delay": plant["command_delay"],
                 "conditions": [*conditions, f"command_delay={max(delay - margin, 0)}..{delay + margin} ms"],
                 "substeps": known.substeps,
             }
