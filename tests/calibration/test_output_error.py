@@ -109,17 +109,6 @@ def test_a_recording_that_was_held_out_is_simulated_better(found, recordings):
     assert [row[1] for row in rows] == ["fitted", "fitted", "held out"]
 
 
-def test_rests_are_left_out(found, recordings):
-    one = recordings[2]
-    longer = dataclasses.replace(
-        one,
-        time=np.append(one.time, one.time[-1] + PERIOD * np.arange(1, 2001)),
-        angle=np.append(one.angle, np.full(2000, one.angle[-1])),
-        pressures=np.append(one.pressures, np.tile(one.pressures[-1], (2000, 1)), axis=0),
-    )
-    assert found.simulate(longer).time[-1] < one.time[-1] + 3.0
-
-
 @pytest.mark.parametrize(
     ("change", "unit"),
     [

@@ -45,9 +45,6 @@ from mckibben.plant import JointFriction, JointPlant
 from mckibben.result import Column, column
 from mckibben.units import ms
 
-_REST = 3.0  # s after the last change of the commands; later samples, up to the next change, are left out
-_BEFORE = 0.5  # s kept before a change
-_CHANGE = 1e-3  # smallest change of the commands, relative to the highest pressure
 _LONGEST_PERIOD, _LARGEST_GAP = 0.05, 10  # s; periods
 _STEP = 5e-3  # s, of the integration
 _BLOCK = 1024  # samples
@@ -61,7 +58,7 @@ _SHARED = 3  # parameters other than the muscles' shared with `corrected`: weigh
 
 
 class _Motion(NamedTuple):
-    """Equally spaced samples of a recording, without periods of rest."""
+    """Equally spaced samples of a recording."""
 
     time: Samples  # [s], shape (samples,)
     angle: Samples  # measured [rad]
@@ -146,10 +143,8 @@ class CommandedCalibration(CalibratedJoint):
         return JointPlant(self.joint, self.load, self.valve, friction=self.friction, command_delay=self.delay)
 
     def simulate(self, recording: JointRecording) -> SimulatedAngles:
-        """Return angles simulated from the first angle and the commands of a recording, without periods of rest."""
-        motion = _motion(recording, _highest(self.joint))
-        zero, added = self.quantities["zero"].value, self.quantities["added_mass"].value
-        after = _Simulated(dataclasses.replace(self.plant, command_delay=None), self.delay, zero, added)
+        """Return angles simulated from the first angle and the commands of a recording."""
+        motion, after = _motion(recording), _model(self._whole, jnp.asarray(self._all.z))
         substeps = _substeps([motion])
         angles = (np.asarray(_angle(model, _padded(motion), substeps)) for model in (self._before, after))
         return SimulatedAngles(
@@ -174,8 +169,7 @@ def calibrate_from_commands(
 
     .. math:: \sum_k \frac{(\theta_k - \hat\theta_k(z))^2}{\sigma^2} + z^T z
 
-    with the variance sigma^2 of `variance_of`. Samples more than 3 s after the last change
-    of the commands are left out.
+    with the variance sigma^2 of `variance_of`.
 
     Parameters
     ----------
@@ -203,12 +197,12 @@ def calibrate_from_commands(
     prior = prior or JointPrior()
     if not recordings:
         raise IdentificationError("there is no recording", remedy="give at least one")
-    highest = _highest(joint)
-    motions = [_motion(recording, highest) for recording in recordings]
+    motions = [_motion(recording) for recording in recordings]
     rigid = jax.tree.map(float, load.with_weight(0.0, 0.0))
     samples = [JointSamples(motion.angle, None, None, tuple(motion.commands), (), 0.0, 0.0) for motion in motions]
     base = problem_of(joint, rigid, [(half, half) for half in samples], prior)
     damping = rigid.damping or rigid.inertia / _DAMPING_TIME
+    highest = max(float(muscle.domain.pressure_max) for muscle in (joint.muscle1, joint.muscle2))  # 0 of a spring
     rate = highest / valve.time_constant if valve.rate is None else valve.rate
     own = (
         UncertainParameter("valve.time_constant", "s", float(valve.time_constant), prior.lag),
@@ -250,13 +244,8 @@ def calibrate_from_commands(
     )
 
 
-def _highest(joint: AntagonisticJoint) -> float:
-    """Highest pressure [Pa] of a muscle; 0 for a return spring."""
-    return max(float(muscle.domain.pressure_max) for muscle in (joint.muscle1, joint.muscle2))
-
-
-def _motion(recording: JointRecording, highest: float) -> _Motion:
-    """Equally spaced samples with commands constant over each period, without periods of rest."""
+def _motion(recording: JointRecording) -> _Motion:
+    """Equally spaced samples with commands constant over each period."""
     if not recording.commanded:
         raise IdentificationError(
             "a recording has measured pressures", remedy="give commands, in columns command1_bar,command2_bar"
@@ -271,16 +260,11 @@ def _motion(recording: JointRecording, highest: float) -> _Motion:
     grid = np.arange(recording.time[0], recording.time[-1], period)
     last = np.searchsorted(recording.time, grid + period / 2, side="right") - 1
     commands = recording.pressures[last].T
-    changes = np.flatnonzero(np.abs(np.diff(commands, axis=1)).max(axis=0) > _CHANGE * highest) + 1
-    if not changes.size:
+    if not np.ptp(commands, axis=1).any():
         raise IdentificationError("the commands of a recording are constant", remedy="record steps of the pressures")
-    edges = np.zeros(grid.size + 1)
-    np.add.at(edges, np.maximum(changes - round(_BEFORE / period), 0), 1)
-    np.add.at(edges, np.minimum(changes + round(_REST / period), grid.size), -1)
-    moving = np.cumsum(edges[:-1]) > 0
     angle = np.interp(grid, recording.time, recording.angle)
     weight = np.float64(recording.added_mass), np.float64(recording.distance)
-    return _Motion(grid[moving], angle[moving], commands[:, moving], np.float64(period), *weight)
+    return _Motion(grid, angle, commands, np.float64(period), *weight)
 
 
 def _padded(motion: _Motion) -> _Motion:
