@@ -97,7 +97,13 @@ def smoothed(signal: Signal, times: Values, width: float, *, order: int = 0) -> 
 
 
 def smoothed_values(values: Values, period: float, width: float, *, order: int = 0) -> Values:
-    """Smoothed samples at a period [s], or a derivative of them."""
+    """Return smoothed samples at a period [s], or a derivative of them, of the same shape (samples,).
+
+    A straight line stays as it is, up to its ends:
+
+    >>> smoothed_values(np.arange(6.0), 0.1, 0.2, order=1).round(9)
+    array([10., 10., 10., 10., 10., 10.])
+    """
     if values.size < 2:
         return values if order == 0 else np.zeros_like(values)
     window = max(math.ceil(width / (_AVERAGES * period) - 1e-9), 1)
@@ -112,7 +118,11 @@ def smoothed_values(values: Values, period: float, width: float, *, order: int =
 
 
 def breakpoints(signal: Signal, times: Values) -> Values:
-    """Jumps and corners of a signal [s] between the first and the last time; all times if unknown."""
+    """Return jumps and corners of a signal [s] between the first and the last time; all times if unknown.
+
+    >>> breakpoints(Ramp(0.0, 1.0, start=0.5, duration=1.0), np.linspace(0.0, 2.0, 5))
+    array([0.5, 1.5])
+    """
     match signal:
         case Constant() | Sine() | Multisine():
             return np.empty(0)
@@ -135,7 +145,11 @@ def _corners(times: Values, values: Values) -> Values:
 
 
 def is_near(times: Values, at: ArrayLike, tolerance: float) -> NDArray[np.bool_]:
-    """Mask of the times within a tolerance of any of the given times."""
+    """Return the mask of the times [s] within a tolerance of any of the times `at`.
+
+    >>> is_near(np.array([0.0, 0.1, 0.2]), [0.11], 0.02)
+    array([False,  True, False])
+    """
     at = np.sort(np.asarray(at, float))
     if not at.size:
         return np.zeros(times.shape, bool)
