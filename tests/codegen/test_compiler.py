@@ -1,7 +1,9 @@
 """Compilers, folders and libraries that do not work: XLA computes, and nothing broken is stored."""
 
-import os
 import pickle
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -10,7 +12,7 @@ import numpy as np
 import pytest
 
 from mckibben.codegen import native
-from mckibben.codegen.native import compiler
+from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning
 from mckibben.realtime.compiled_step import compile_flat
 from mckibben.simulation.engine import BatchFunction
@@ -25,7 +27,11 @@ def double(_, lane):
     return lane * 2.0
 
 
-double.__module__ = "mckibben.pretended"  # only functions of this package are stored
+def scaled(factor, lane):
+    return factor * lane
+
+
+double.__module__ = scaled.__module__ = "mckibben.pretended"  # only functions of this package are stored
 
 
 @pytest.fixture
@@ -35,8 +41,7 @@ def programs(tmp_path, monkeypatch):
     monkeypatch.setattr(native, "_FAILED", [])
     monkeypatch.setattr(native, "_WARNED", [])
     yield tmp_path / "programs"
-    for one in (compiler, native._compiler_state):
-        one.cache_clear()
+    native._compiler_state.cache_clear()
 
 
 @pytest.fixture
@@ -48,8 +53,7 @@ def use(tmp_path, monkeypatch, programs):
         path.write_text(f'#!/bin/sh\nOUT=library.so REAL={REAL}\necho "$$" >> {tmp_path}/started\n{script}\n')
         path.chmod(0o755)
         monkeypatch.setenv("CC", str(path))
-        for one in (compiler, native._compiler_state):
-            one.cache_clear()
+        native._compiler_state.cache_clear()
         return lambda: len((tmp_path / "started").read_text().split()) if (tmp_path / "started").exists() else 0
 
     return use
@@ -85,23 +89,77 @@ def test_a_compiler_that_does_not_work_leaves_it_to_xla_with_one_warning(use, pr
     assert list(programs.glob("*")) == []
 
 
-def test_a_compiler_that_hangs_is_ended_with_its_children_and_not_started_again(use, programs, monkeypatch, tmp_path):
+def has_ended(process):
+    """Whether a process has ended, or does within 5 s."""
+    for _ in range(100):
+        try:
+            if Path(f"/proc/{process}/stat").read_text().split()[2] == "Z":  # until it is reaped
+                return True
+        except (FileNotFoundError, ProcessLookupError):
+            return True
+        time.sleep(0.05)
+    return False
+
+
+def test_a_compiler_that_hangs_is_ended_with_its_children_and_not_started_again(
+    use, programs, monkeypatch, tmp_path, capfd
+):
     started = use(f"sleep 600 & echo $! > {tmp_path}/child; wait")
     monkeypatch.setattr(native, "_COMPILING", (0.5, 1e9))
+    monkeypatch.setattr(native, "_PATIENCE", 0.2)
     begin = time.monotonic()
     with pytest.warns(McKibbenWarning) as warned:
         answers = [BatchFunction(double)("auto", None, LANES)[1] for _ in range(3)]
     assert time.monotonic() - begin < 10
     assert (answers, len(warned), started()) == (["xla"] * 3, 1, 1)
-    child = int((tmp_path / "child").read_text())
-    with pytest.raises(ProcessLookupError):
-        for _ in range(50):  # until it is reaped
-            os.kill(child, 0)
-            if Path(f"/proc/{child}/stat").read_text().split()[2] == "Z":
-                raise ProcessLookupError
-            time.sleep(0.1)
+    assert capfd.readouterr().err.count("fakecc") == 1  # what is waited for
+    assert has_ended((tmp_path / "child").read_text().strip())
     with pytest.raises(CompilerError):
         BatchFunction(double)("native", None, LANES)
+
+
+def test_a_compiler_that_prints_without_end_is_ended_and_not_started_again(use, programs, monkeypatch):
+    script = native._WATCHED.replace(f"-f {native._MOST_BYTES // 512}", "-f 2048")
+    monkeypatch.setattr(native, "_WATCHED", script)
+    monkeypatch.setattr(native, "_MOST_BYTES", 1 << 20)
+    started = use("yes again; true")
+    with pytest.warns(McKibbenWarning, match="more than 1 MB"):
+        assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
+    assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
+    assert started() == 1
+
+
+IN_VAIN = """
+from mckibben.codegen.native import build_library
+build_library({"source.c": ""}, ["source.c"])
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_neither_compiler_nor_files_outlive_a_command_that_is_ended(use, monkeypatch, tmp_path, number):
+    use(f"trap '' TERM HUP; sleep 600 & echo $! > {tmp_path}/child; wait")
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    command = subprocess.Popen([sys.executable, "-c", IN_VAIN])
+    try:
+        while not (tmp_path / "child").exists() or not (tmp_path / "child").read_text().strip():
+            assert command.poll() is None
+            time.sleep(0.05)
+    finally:
+        command.send_signal(number)
+        command.wait()
+    assert has_ended((tmp_path / "child").read_text().strip())
+    assert [*(tmp_path / "temporary").iterdir()] == []
+
+
+def test_programs_in_a_folder_that_others_may_write_to_are_not_used_which_is_said_once(programs):
+    programs.mkdir()
+    programs.chmod(0o777)
+    with pytest.warns(McKibbenWarning, match="MCKIBBEN_PROGRAMS_DIR") as warned:
+        for factor in (2.0, 3.0):
+            NativeFunction(scaled)(np.asarray(factor), LANES)
+    assert len(warned) == 1
+    assert [*programs.iterdir()] == []
 
 
 def test_a_temporary_folder_that_forbids_execution_leaves_it_to_xla(programs, monkeypatch):
@@ -130,7 +188,6 @@ def test_a_program_that_is_too_large_is_left_to_xla(programs, monkeypatch):
 
 def test_a_compiler_of_cc_that_is_not_found_is_reported(programs, monkeypatch):
     monkeypatch.setenv("CC", "no-such-compiler -O3")
-    compiler.cache_clear()
     with pytest.warns(McKibbenWarning, match="no-such-compiler"):
         assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
 

@@ -17,7 +17,8 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,14 +43,26 @@ from mckibben.numerics.runtime import programs_folder
 
 E = TypeVar("E", bound=ExportError)
 
-_FLAGS = tuple("-march=native -fno-math-errno -fno-trapping-math -fwrapv -frename-registers -w -shared -fPIC".split())
+_FLAGS = tuple("-march=native -fno-math-errno -fno-trapping-math -fwrapv -frename-registers -w".split())
 _ALONE = ("-O2", "-fno-tree-vectorize")
 _FOR_LANES = ("-O2", *(("-mprefer-vector-width=512",) if platform.machine() in ("x86_64", "AMD64") else ()))
 _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc option that allows more spills, 5 % faster
 _FOR_LONG = ("-fdisable-rtl-combine",)  # gcc only: a pass that takes most of the time for a long program, for no speed
 _LONGEST, _LARGEST = 3_000_000, 300_000  # characters of a source, and operations, which have some 20 characters each
 _COMPILING = 360.0, 5000.0  # s for the compiler, which may share its processor, plus a second per so many characters
+_PATIENCE = 10.0  # s until a line says what is waited for
 _TRYING = 300.0  # s for a first call, in a new process
+_MOST_BYTES = 256 << 20  # of a file that a compiler writes, its messages included
+_WATCHED = f"""
+ulimit -f {_MOST_BYTES // 512} 2>/dev/null
+exec 3<&0
+"$@" 3<&- </dev/null & command=$!
+{{ read -r _ <&3; rm -rf "$0"; kill -KILL 0; }} & watcher=$!
+wait $command; status=$?
+kill -KILL $watcher
+exit $status
+"""
+"""Script that runs a command, and ends it when its input does, which it has from the process that waits for it."""
 _TRIAL = "import ctypes; ctypes.CDLL('./library.so').run(None, None, None, ctypes.c_int64(0))"  # of no runs
 _OTHER_COMPILER = "use engine='xla', or set another compiler in the environment variable CC"
 _OTHER_FOLDER = (
@@ -64,23 +77,26 @@ def compiler_words() -> list[str]:
     return shlex.split(os.environ.get("CC", "")) or ["cc"]
 
 
-@functools.cache
 def compiler() -> str | None:
     """Path of the C compiler; None, with a warning if CC names it, if it is not found."""
-    name = compiler_words()[0]
+    return _path_of(compiler_words()[0])
+
+
+@functools.cache
+def _path_of(name: str) -> str | None:
     if (path := shutil.which(name)) is None and name != "cc":
         warn_of_fallback(CompilerError(f"the compiler of the environment variable CC, {quoted(name)}, is not found"))
     return path
 
 
 def _is_gcc() -> bool:
-    """Whether the C compiler is GCC, by what it says of its version."""
-    command = [compiler() or "cc", *compiler_words()[1:], "--version"]
+    """Whether the C compiler is GCC: whether it takes one of its options."""
     try:
-        said = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, timeout=60, check=False)
-    except (OSError, subprocess.TimeoutExpired):
+        return bool(build_library({"empty.c": ""}, [*_FOR_LONG, "empty.c"]))
+    except CompilerError as error:
+        if error.field:
+            raise
         return False
-    return b"Free Software Foundation" in said.stdout
 
 
 def own_flags() -> list[str]:
@@ -410,46 +426,96 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
 
 def compile_library(source: str, flags: Sequence[str]) -> bytes:
     """Compile a source to a shared library that loads and can be called; raises `CompilerError` if that fails."""
+    seconds = _COMPILING[0] + len(source) / _COMPILING[1]
+    options = ["-std=gnu11", *_FLAGS, *flags, *own_flags(), "source.c", "-lm"]
+    return build_library({"source.c": source}, options, seconds, trial=True)
+
+
+def build_library(
+    texts: Mapping[str, str], options: Sequence[str], seconds: float = _COMPILING[0], *, trial: bool = False
+) -> bytes:
+    """Shared library of the machine's C compiler, built in a temporary folder, which is removed in any case.
+
+    Raises `CompilerError`. If it is not the source that fails, that is if the compiler takes longer than some seconds
+    or writes more than 256 MB, or if its library does not run, then nothing else is compiled in this process, and the
+    error has ``field="compiler"``.
+
+    Parameters
+    ----------
+    texts
+        Contents of the files in the folder.
+    options
+        Options of the compiler and names of sources.
+    seconds
+        Longest duration [s]. After 10 s a line on stderr tells what is waited for.
+    trial
+        Whether to call the function `run` of the library in another process, which may crash.
+    """
     if _FAILED:
         raise _without_frames(_FAILED[0])
-    name = compiler() or "cc"
-    options = [*compiler_words()[1:], "-std=gnu11", *_FLAGS, *flags, *own_flags()]
-    command = [name, *options, "source.c", "-o", "library.so", "-lm"]
-    trial = [sys.executable, "-I", "-S", "-c", _TRIAL]  # in another process, which may crash
+    name = compiler() or compiler_words()[0]
     try:
         with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:
-            Path(folder, "source.c").write_text(source, encoding="utf-8")
-            seconds = _COMPILING[0] + len(source) / _COMPILING[1]
+            for path, text in texts.items():
+                Path(folder, path).write_text(text, encoding="utf-8")
+            command = [name, *compiler_words()[1:], "-shared", "-fPIC", *options, "-o", "library.so"]
             _call(command, folder, seconds, f"{name} does not compile the program", _OTHER_COMPILER)
-            _call(trial, folder, _TRYING, f"what {name} compiled does not run", _OTHER_FOLDER)
+            if trial:
+                call = [sys.executable, "-I", "-S", "-c", _TRIAL]
+                _call(call, folder, _TRYING, f"what {name} compiled does not run", _OTHER_FOLDER)
             return Path(folder, "library.so").read_bytes()
     except OSError as error:
         raise CompilerError(f"no program can be compiled: {error}", remedy=_OTHER_FOLDER) from error
 
 
 def _call(command: Sequence[str], folder: str, seconds: float, failure: str, remedy: str) -> None:
-    """Run a command in a folder; raises `CompilerError` if it fails or takes longer than some seconds."""
+    """Run a command in a folder; raises `CompilerError` if it fails, takes longer than some seconds, or fills a disk.
+
+    If this process ends meanwhile, even by a signal that nothing can handle, the command and its children are killed
+    and the folder is removed.
+    """
     with Path(folder, "messages.txt").open("w+b") as messages:  # not a pipe, which a hanging child would hold open
         process = subprocess.Popen(
-            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages, start_new_session=True
+            command if os.name == "nt" else ["sh", "-c", _WATCHED, folder, *command],
+            cwd=folder,
+            env={**os.environ, "TMPDIR": folder},  # for the files of a compiler that is killed
+            stdin=subprocess.PIPE,
+            stdout=messages,
+            stderr=messages,
+            start_new_session=True,
         )
         try:
-            status = process.wait(seconds)
-        except subprocess.TimeoutExpired:
-            status = None
+            status = _waited_for(process, command[0], seconds)
         finally:
             if process.returncode is None:
                 _kill(process)
+            process.stdin.close()  # type: ignore[union-attr]
         if status == 0:
             return
+        size = messages.seek(0, os.SEEK_END)
         messages.seek(0)
         lines = messages.read(10_000).decode(errors="replace").strip().splitlines() or [f"exit status {status}"]
-    python = command[0] == sys.executable
-    reason = f"it takes longer than {seconds:.0f} s" if status is None else lines[-1 if python else 0]
-    error = CompilerError(f"{failure}: {reason}", value=command[0], remedy=remedy)
-    if status is None or python:  # the next program would fail, too
+    own = command[0] == sys.executable
+    reason = lines[-1 if own else 0]
+    if status is None:
+        reason = f"it takes longer than {seconds:.0f} s"
+    elif size >= _MOST_BYTES:
+        reason = f"it writes more than {_MOST_BYTES >> 20} MB"
+    field = "compiler" if own or status is None or size >= _MOST_BYTES else ""
+    error = CompilerError(f"{failure}: {reason}", field=field, value=command[0], remedy=remedy)
+    if field:  # the next program would fail, too
         _FAILED.append(_without_frames(error))
     raise error
+
+
+def _waited_for(process: subprocess.Popen[bytes], name: str, seconds: float) -> int | None:
+    """Exit status of a process; None if it takes longer than some seconds."""
+    with suppress(subprocess.TimeoutExpired):
+        return process.wait(min(_PATIENCE, seconds))
+    print(f"waiting for {name}, for {seconds:.0f} s at most; {_OTHER_COMPILER}", file=sys.stderr, flush=True)
+    with suppress(subprocess.TimeoutExpired):
+        return process.wait(max(seconds - _PATIENCE, 0.0))
+    return None
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:

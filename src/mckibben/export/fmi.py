@@ -6,9 +6,6 @@ import hashlib
 import importlib.util
 import io
 import platform
-import shutil
-import subprocess
-import tempfile
 import zipfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -17,16 +14,15 @@ import mckibben
 from mckibben.codegen.c import comment_text, write_c
 from mckibben.codegen.graph import Kind
 from mckibben.codegen.languages import c_language
-from mckibben.codegen.native import compiler_words
+from mckibben.codegen.native import build_library, compiler
 from mckibben.codegen.source_module import Function, SourceModule, is_scalar
-from mckibben.errors import ExportError
+from mckibben.errors import CompilerError, ExportError
 from mckibben.export.functional_unit import FunctionalUnit, ScalarVariable, variables_of
 from mckibben.export.model_description import NOMINAL, model_description
 from mckibben.export.targets import filled
 
 _PLATFORM = "linux64"  # folder of the binary
 _DATE = (1980, 1, 1, 0, 0, 0)  # of the files in the archive, so that equal FMUs are identical files
-_LONGEST = 300.0  # s, of a compilation
 
 
 def fmu(unit: FunctionalUnit, scenario: str) -> tuple[bytes, list[str]]:
@@ -110,18 +106,9 @@ def _call(module: SourceModule, function: Function) -> str:
 
 def _binary(texts: Mapping[str, str], sources: Sequence[str]) -> tuple[bytes, str]:
     """Shared library for Linux, or the reason why there is none."""
-    compiler = compiler_words()
-    if (platform.system(), platform.machine()) != ("Linux", "x86_64") or not shutil.which(compiler[0]):
+    if (platform.system(), platform.machine()) != ("Linux", "x86_64") or compiler() is None:
         return b"", f"binary: no C compiler for {_PLATFORM} found; most programs compile the sources themselves"
-    with tempfile.TemporaryDirectory() as folder:
-        for path, text in texts.items():
-            (Path(folder) / path).write_text(text, encoding="utf-8")
-        flags = ["-std=c99", "-O2", "-ffp-contract=off", "-shared", "-fPIC", "-I."]
-        command = [*compiler, *flags, *sources, "-o", "binary.so", "-lm"]
-        try:
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=_LONGEST, check=False)
-        except (OSError, subprocess.TimeoutExpired) as error:
-            return b"", f"binary: {error}"
-        if done.returncode:
-            return b"", f"binary: {' '.join(compiler)} failed: {done.stderr.strip()[:200]}"
-        return (Path(folder) / "binary.so").read_bytes(), ""
+    try:
+        return build_library(texts, ["-std=c99", "-O2", "-ffp-contract=off", "-I.", *sources, "-lm"]), ""
+    except CompilerError as error:
+        return b"", f"binary: {error.message}"

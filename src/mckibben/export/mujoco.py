@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import shutil
-import subprocess
 from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from mckibben.codegen.native import compiler_words
+from mckibben.codegen.native import build_library, compiler
 from mckibben.errors import ExportError
 
 _LOADED: dict[str, Path] = {}  # libraries by name: MuJoCo keeps one plugin per name for the lifetime of the process
@@ -69,12 +67,10 @@ def import_mujoco() -> Any:
 
 
 def build_plugin(library: Path, sources: list[Path], mujoco: Path) -> None:
-    """Compile a plugin against the MuJoCo in a folder."""
-    compiler = compiler_words()
-    if shutil.which(compiler[0]) is None:
+    """Compile a plugin against the MuJoCo in a folder; raises `ExportError` without a compiler, or if it fails."""
+    if compiler() is None:
         raise ExportError("there is no C compiler", field="CC", remedy="install one, or set CC to its name")
-    libraries = sorted(mujoco.glob("libmujoco.*"))
-    command = [*compiler, "-std=c99", "-O2", "-fPIC", "-shared", f"-I{mujoco / 'include'}", "-o", library, *sources]
-    made = subprocess.run([*map(str, [*command, *libraries]), "-lm"], capture_output=True, text=True)
-    if made.returncode:
-        raise ExportError(f"the plugin does not compile: {made.stderr[:2000]}", field="CC", remedy="report it")
+    texts = {path.name: path.read_text() for source in sources for path in (source, *source.parent.glob("*.h"))}
+    libraries = [str(path) for path in sorted(mujoco.glob("libmujoco.*"))]
+    options = ["-std=c99", "-O2", f"-I{mujoco / 'include'}", *(source.name for source in sources), *libraries, "-lm"]
+    library.write_bytes(build_library(texts, options))

@@ -15,6 +15,7 @@ import os
 import pickle
 import stat
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -28,6 +29,7 @@ from jax.stages import Wrapped as JitWrapped
 from jax.tree_util import PyTreeDef
 from jaxtyping import Array, PyTree
 
+from mckibben.errors import McKibbenWarning
 from mckibben.numerics.runtime import processor
 from mckibben.storage.private import SOURCES, is_private, read_private, source_files, write_private
 
@@ -59,9 +61,19 @@ def program_path(folder: Path, function: Callable[..., PyTree], static: Sequence
     except (FingerprintError, OSError):
         return None
     if not is_private(folder.lstat(), stat.S_ISDIR):
+        _warn_of_strangers(folder)
         return None
     text = "\n".join([*words, repr(rest), _environment()])
     return folder / f"{hashlib.sha256(text.encode()).hexdigest()[:40]}.program"
+
+
+@functools.cache
+def _warn_of_strangers(folder: Path) -> None:
+    """Warn once that a folder is not used."""
+    message = f"compiled programs are neither read nor kept: others than this user own {folder}, or may write to it"
+    remedy = "make it yours alone (chown, chmod 700), or set MCKIBBEN_PROGRAMS_DIR to another folder"
+    if os.name != "nt":
+        warnings.warn(f"{message}; {remedy}", McKibbenWarning, stacklevel=2)
 
 
 def read_program(path: Path) -> bytes | None:
