@@ -92,6 +92,8 @@ def test_controller(tmp_path, kind):
               return given.rows.map(([angle, stiffness, theta, p1, p2]) => {
                   const now = {angle: theta, pressures_0: p1, pressures_1: p2};
                   const {commands, telemetry} = controller.step(self, {angle, stiffness}, now);
+                  const held = controller.step(self, {angle: NaN, stiffness}, now);
+                  if (!held.telemetry.held || held.commands.pressure2 !== commands.pressure2) return [];
                   return [commands.pressure1, commands.pressure2, telemetry.stiffness_estimate];
               });"""
     angle, pressures = source.measurement

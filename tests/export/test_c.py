@@ -38,13 +38,72 @@ def scenarios(board):
     return board.scenarios(0.3)
 
 
+FAULTS = r"""
+#include "knee.h"
+#include <math.h>
+#include <stdio.h>
+static knee with, without; /* bad samples */
+static knee_setpoint setpoint = {0.1f, 15.0f};
+static knee_measurement measurement = {0.05f, 2e5f, 3e5f};
+static knee_telemetry telemetry;
+static knee_commands step(knee *self)
+{
+    knee_commands commands;
+    knee_step(self, &setpoint, &measurement, &commands, &telemetry);
+    return commands;
+}
+static int same(knee_commands x, knee_commands y)
+{
+    return isfinite(x.pressure1 + x.pressure2) && !(x.pressure1 < y.pressure1 || x.pressure1 > y.pressure1) &&
+           !(x.pressure2 < y.pressure2 || x.pressure2 > y.pressure2);
+}
+#define FAULT(input, number) \
+    do { \
+        const knee_setpoint right = setpoint; \
+        const knee_measurement good = measurement; \
+        const knee_commands last = step(&with); \
+        step(&without); \
+        input = number; \
+        bad += !same(step(&with), last) || !telemetry.held; \
+        setpoint = right, measurement = good; \
+        bad += !same(step(&with), step(&without)) || telemetry.held; \
+    } while (0)
+#define FAULTS(input) FAULT(input, NAN); FAULT(input, INFINITY); FAULT(input, -INFINITY)
+int main(void)
+{
+    int bad = 0;
+    knee_defaults(&with);
+    measurement.angle = NAN;
+    bad += knee_init(&with, &measurement) || !isfinite(step(&with).pressure1);
+    measurement.angle = 0.05f;
+    bad += !knee_init(&with, &measurement);
+    without = with;
+    FAULTS(setpoint.angle);
+    FAULTS(setpoint.stiffness);
+    FAULTS(measurement.angle);
+    FAULTS(measurement.pressures_0);
+    FAULTS(measurement.pressures_1);
+    return bad;
+}
+"""
+
+
+def check_faults(folder, options):
+    """After a sample that is not finite, the exported controller goes on as if the period had not been."""
+    (folder / "faults.c").write_text(FAULTS)
+    command = [compiler(), *options, "-fsanitize=undefined", "-o", "faults", "faults.c", "knee.c", "-lm"]
+    subprocess.run(command, cwd=folder, check=True)
+    assert subprocess.run(["./faults"], cwd=folder).returncode == 0
+
+
 @pytest.mark.parametrize("name", REPLAYED)
 @pytest.mark.slow
-def test_it_repeats_the_recorded_run(scenarios, name, tmp_path):
+def test_it_repeats_the_recorded_run_and_passes_over_bad_samples(board, scenarios, name, tmp_path):
     export(scenarios[name], "c", tmp_path, name="knee", **REPLAYED[name])
     subprocess.run(["make", "-s", "replay"], cwd=tmp_path, check=True)
     done = subprocess.run(["./replay", "replay.csv", "0"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert float(done.stdout.split(",")[1].split()[0]) < (1e-4 if REPLAYED[name] else 1e-11)
+    check_faults(tmp_path, board.STRICT)
 
 
 @pytest.mark.slow

@@ -137,17 +137,23 @@ def _function(function: Function, writer: Writer, types: _Types) -> dict[str, ob
         used.add(structure := name.split(".", 1)[0])
         return f"self->{name}" if structure == "state" else name.replace(".", "->", 1)
 
-    lines = writer.function(function.scope, place_of)
-    returned = "void"
+    guard = [place_of(name) for name in function.checked]
+    lines, last = writer.function(function.scope, place_of), list[str]()
     results = {name: members for name, members in function.results.items() if name != "state"}
     for result, members in function.results.items():
         for name, value in zip(element_names(result, members), function.values[result], strict=True):
-            place = f"*{name}" if is_scalar(members) and result != "state" else place_of(name)
-            lines.append(f"    {place} = {writer.text(value)};")
-    if function.returned is not None:
-        returned = types.of[results.pop(function.returned)[0].kind]
-        lines[-1] = f"    return {lines[-1].partition(' = ')[2]}"
+            if result == function.returned:
+                last = [f"    return {writer.text(value)};"]
+            else:
+                place = f"*{name}" if is_scalar(members) and result != "state" else place_of(name)
+                lines.append(f"    {place} = {writer.text(value)};")
+    returned = "void" if function.returned is None else types.of[results.pop(function.returned)[0].kind]
     arguments = {name: members for name, members in function.arguments.items() if name != "state"}
+    lines += last
+    if guard:
+        call = f"        {types.name}_{function.fallback}({', '.join(['self', *results])});"
+        answer = [call, "        return;"] if function.fallback else ["        return;"]
+        lines = [f"    if (!isfinite({' + '.join(guard)})) {{", *answer, "    }", *lines]
     unused = ["self"] * (not any("self->" in line for line in lines))
     unused = [name for name in arguments if name not in used] + unused
     texts = [f"{'' if 'state' in function.results else 'const '}{types.name} *self"]

@@ -50,6 +50,9 @@ class Function:
         Values of the results in the graph, by the name of their structure, element by element.
     text
         Description, a comment in the source.
+    fallback
+        Function with the same results but the state, called in its place if a real argument is not finite, so that the
+        state does not change; "" if there are none; None if nothing is checked. C and JavaScript have it.
     """
 
     name: str
@@ -58,12 +61,20 @@ class Function:
     scope: Scope
     values: dict[str, list[Value]]
     text: str
+    fallback: str | None = None
+
+    @property
+    def checked(self) -> list[str]:
+        """Names of the real arguments, which are to be finite if there is a fallback."""
+        names = [] if self.fallback is None else [name for name in self.arguments if name != "state"]
+        members = [(name, member) for name in names for member in self.arguments[name] if member.kind is Kind.REAL]
+        return [element_name for name, member in members for element_name in element_names(name, [member])]
 
     @property
     def returned(self) -> str | None:
-        """Name of the result, if it is a single scalar."""
-        (name, members), *others = self.results.items()
-        return name if not others and is_scalar(members) else None
+        """Name of the result other than the state, if it is a single scalar."""
+        names = [name for name in self.results if name != "state"]
+        return names[0] if len(names) == 1 and is_scalar(self.results[names[0]]) else None
 
 
 @dataclass
@@ -87,7 +98,12 @@ class SourceModule:
         self._inputs = self._arrays("parameters", self.members)
 
     def add(
-        self, name: str, text: str, function: Callable[..., Mapping[str, PyTree]], arguments: Mapping[str, PyTree]
+        self,
+        name: str,
+        text: str,
+        function: Callable[..., Mapping[str, PyTree]],
+        arguments: Mapping[str, PyTree],
+        fallback: str | None = None,
     ) -> None:
         """Add a function of the parameters and of named trees, which returns named trees.
 
@@ -103,9 +119,11 @@ class SourceModule:
         arguments
             Examples of the arguments by name: pytrees of numbers and arrays, whose shapes and types are those of the
             program.
+        fallback
+            See `Function`.
         """
         scope = self.graph.scope = self.graph.root.inner()
-        members_by_argument = {name: members_of(tree) for name, tree in arguments.items()}
+        members_by_argument = {name: self._members(name, tree) for name, tree in arguments.items()}
         inputs = [*self._inputs]
         for argument, members in members_by_argument.items():
             inputs += self._arrays(argument, members)
@@ -117,10 +135,15 @@ class SourceModule:
         rest = map(self._lowering.plain, leaves)
         members_by_result, values = {}, {}
         for result, tree in shape.items():
-            members_by_result[result] = members_of(jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), tree))
+            zeros = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), tree)
+            members_by_result[result] = self._members(result, zeros)
             values[result] = [value for _ in jax.tree.leaves(tree) for value in next(rest).flat]
         self.graph.scope = self.graph.root
-        self.functions.append(Function(name, members_by_argument, members_by_result, scope, values, text))
+        self.functions.append(Function(name, members_by_argument, members_by_result, scope, values, text, fallback))
+
+    def _members(self, name: str, tree: PyTree) -> list[Member]:
+        """Members of an argument or a result; the state has the prefix of the parameters."""
+        return members_of(tree, self.prefix if name == "state" else "")
 
     @property
     def state(self) -> list[Member]:

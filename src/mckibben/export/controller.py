@@ -52,19 +52,30 @@ class ControllerModule(NamedTuple):
 class ControllerFunctions(NamedTuple):
     """Functions of a controller over its parameters, and examples of their arguments.
 
-    The functions are pure, and take the parameters first: ``init(parameters, measurement)`` returns the ``state``,
-    ``step(parameters, state, setpoint, measurement)`` the next ``state``, the ``commands`` [Pa] and the ``telemetry``.
+    The functions are pure, and take the parameters first: ``init(parameters, measurement)`` returns the ``state``, and
+    whether the measurement is ``valid``; ``step(parameters, state, setpoint, measurement)`` the next ``state``, the
+    ``commands`` [Pa] and the ``telemetry``; ``hold(parameters, state)`` the last commands, at first the measured
+    pressures, for a sample that is not finite: it leaves the state as it is, and the telemetry is ``held``.
     """
 
     parameters: dict[str, PyTree]
     of: Callable[[PyTree], PyTree]  # the controller with these parameters
     init: Callable[[PyTree, PyTree], dict[str, PyTree]]
     step: Callable[[PyTree, PyTree, PyTree, PyTree], dict[str, PyTree]]
+    hold: Callable[[PyTree, PyTree], dict[str, PyTree]]
     state: PyTree
     setpoint: PyTree
     measurement: PyTree  # the first one
     plant: Plant
     initial: PyTree  # state of the plant
+    period: float  # s
+
+
+class HeldState(NamedTuple):
+    """State of a controller, and its last commands [Pa]."""
+
+    controller: PyTree
+    commands: tuple[Array, ...]
 
 
 def controller_functions(scenario: Scenario) -> ControllerFunctions:
@@ -84,7 +95,7 @@ def functions_of(
     setpoint: PyTree,
     applied: Callable[[PyTree, PyTree], tuple[PyTree, PyTree]] = lambda controller, setpoint: (controller, setpoint),
 ) -> ControllerFunctions:
-    """Functions of a controller of a joint or a leg, all of whose real numbers are parameters.
+    """Functions of a controller of a joint or a leg, all of whose real numbers but the period are parameters.
 
     Parameters
     ----------
@@ -98,24 +109,34 @@ def functions_of(
         ``applied(controller, setpoint)`` returns the controller and the second argument of its `step`.
     """
     numbers, fixed = eqx.partition(controller, is_real)
-    parameters = {"controller": numbers, "control_period": np.asarray(period)}
+    parameters = {"controller": numbers}
 
     def of(parameters: PyTree) -> PyTree:
         return eqx.combine(parameters["controller"], fixed)
 
     def init(parameters: PyTree, measurement: PyTree) -> dict[str, PyTree]:
-        return {"state": of(parameters).init(measurement)}
+        finite = jax.tree.map(lambda number: jnp.where(jnp.isfinite(number), number, 0.0), measurement)
+        state = HeldState(of(parameters).init(finite), tuple(map(jnp.asarray, finite.pressures)))
+        valid = jnp.isfinite(sum(jax.tree.leaves(measurement)))  # none of which comes near the largest number
+        return {"state": state, "valid": valid}
 
-    def step(parameters: PyTree, state: PyTree, setpoint: PyTree, measurement: PyTree) -> dict[str, PyTree]:
+    def step(parameters: PyTree, state: HeldState, setpoint: PyTree, measurement: PyTree) -> dict[str, PyTree]:
         controller, second = applied(of(parameters), setpoint)
-        state, commands = controller.step(state, second, measurement, parameters["control_period"])
-        pressures = {f"pressure{number}": command for number, command in enumerate(commands, 1)}
-        return {"state": state, "commands": pressures, "telemetry": controller.telemetry(state)}
+        state = HeldState(*controller.step(state.controller, second, measurement, np.asarray(period)))
+        return {"state": state, **answer(parameters, state, held=False)}
+
+    def hold(parameters: PyTree, state: HeldState) -> dict[str, PyTree]:
+        return answer(parameters, state, held=True)
+
+    def answer(parameters: PyTree, state: HeldState, *, held: bool) -> dict[str, PyTree]:
+        pressures = {f"pressure{number}": command for number, command in enumerate(state.commands, 1)}
+        telemetry = of(parameters).telemetry(state.controller)
+        return {"commands": pressures, "telemetry": {**telemetry, "held": jnp.asarray(held)}}
 
     measurement = plant.sample(initial, 0.0)[1]
-    state = jax.eval_shape(controller.init, measurement)
+    state = jax.eval_shape(lambda measurement: init(parameters, measurement)["state"], measurement)
     state = jax.tree.map(lambda leaf: np.zeros(leaf.shape, leaf.dtype), state)
-    return ControllerFunctions(parameters, of, init, step, state, setpoint, measurement, plant, initial)
+    return ControllerFunctions(parameters, of, init, step, hold, state, setpoint, measurement, plant, initial, period)
 
 
 def controller_module(scenario: Scenario, name: str = "controller") -> ControllerModule:
@@ -145,9 +166,12 @@ def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceMo
 def stepping_module(name: str, source: ControllerFunctions) -> SourceModule:
     """Source module of the first step and the subsequent steps of a controller."""
     module = SourceModule(name, source.parameters, "controller.")
-    module.add("init", "first state, from the first measurement", source.init, {"measurement": source.measurement})
+    text = "first state, from the first measurement; false if that is not finite"
+    module.add("init", text, source.init, {"measurement": source.measurement})
+    module.add("hold", "the last commands, for a period without a valid sample", source.hold, {"state": source.state})
     arguments = {"state": source.state, "setpoint": source.setpoint, "measurement": source.measurement}
-    module.add("step", "one control period: new state, and commands from now on", source.step, arguments)
+    text = "one control period: new state, and commands from now on; hold if a number is not finite"
+    module.add("step", text, source.step, arguments, "hold")
     return module
 
 
@@ -202,8 +226,8 @@ def recorded(
     structures = step.arguments | step.results
     parts = "setpoint", "measurement", "commands"
     columns = [column for part in parts for column in element_names(part, structures[part])]
-    period = source.parameters["control_period"]
-    first, *table = _recorded(source.plant, controller, rows, source.initial, period, substeps, setpoint_of)
+    timing = source.period, substeps
+    first, *table = _recorded(source.plant, controller, rows, source.initial, *timing, setpoint_of)
     start = [*([np.nan] * len(table[0])), *map(float, jax.tree.leaves(first)), *([np.nan] * len(table[2]))]
     recording = np.vstack([start, np.column_stack([column for part in table for column in part])])
     return ControllerModule(module, units_of(module, "Pa, gauge"), tuple(columns), recording, ())
@@ -242,7 +266,7 @@ def units_of(module: SourceModule, pressure: str = "Pa") -> dict[str, str]:
             if quantity in _UNITS:
                 unit = _UNITS[quantity]
                 units[f"{structure}.{member.path}"] = pressure if unit == "Pa" else unit
-    return units | {"parameters.control_period": "s"}
+    return units
 
 
 def _units(tree: PyTree, path: str, symbols: Units = Units()) -> Iterator[tuple[str, str]]:  # noqa: B008

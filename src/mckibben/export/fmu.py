@@ -201,20 +201,26 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
         return source.step(parameters, state, setpoint, measured(inputs))
 
     def results(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
-        done = step(parameters, state, inputs)
+        return outputs(step(parameters, state, inputs))
+
+    def hold(parameters: PyTree, state: PyTree) -> dict[str, PyTree]:
+        return outputs(source.hold(parameters, state))
+
+    def outputs(done: dict[str, PyTree]) -> dict[str, PyTree]:
         commands = {f"command{number}": done["commands"][f"pressure{number}"] for number in (1, 2)}
         return {"results": commands | done["telemetry"]}
 
     def init(parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
-        return source.init(parameters, measured(inputs))
+        return {"state": source.init(parameters, measured(inputs))["state"]}
 
     def advance(parameters: PyTree, state: PyTree, inputs: PyTree) -> dict[str, PyTree]:
         return {"state": step(parameters, state, inputs)["state"]}
 
     both = {"state": source.state, "inputs": inputs}
     module.add("init", "first state, from the first measurement", init, {"inputs": inputs})
-    module.add("evaluate", "commands from now on", results, both)
-    module.add("advance", "state after a control period", advance, both)
+    module.add("hold", "the last commands, for inputs that are not finite", hold, {"state": source.state})
+    module.add("evaluate", "commands from now on; the last ones for inputs that are not finite", results, both, "hold")
+    module.add("advance", "state after a control period; as it is for inputs that are not finite", advance, both, "")
     setpoints = sampled(scenario.reference(), scenario.duration, scenario.control_period)[1]
     pressure1, pressure2 = source.measurement.pressures
     starts = {
@@ -232,7 +238,6 @@ def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
         scenario.control_period,
         {path: float(value) for path, value in starts.items()},
         units_of(module) | telemetry,
-        fixed=("control_period",),
         sampled=True,
     )
     content, missing = fmu(unit, scenario.dumps(folder=folder))

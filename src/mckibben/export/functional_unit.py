@@ -26,8 +26,6 @@ class FunctionalUnit:
         Units of the variables by structure and path, such as ``state.angle``.
     names
         Names of states that replace their paths.
-    fixed
-        Paths of parameters that the FMU does not expose.
     """
 
     module: SourceModule
@@ -36,7 +34,6 @@ class FunctionalUnit:
     start: Mapping[str, float]
     units: Mapping[str, str]
     names: Mapping[str, str] = field(default_factory=dict)
-    fixed: tuple[str, ...] = ()
     sampled: bool = False
     model_exchange: bool = False
 
@@ -86,12 +83,10 @@ def _variables(unit: FunctionalUnit) -> Iterator[ScalarVariable]:
     for name, place, path in _elements(module, "results", results.results["results"]):
         yield ScalarVariable(name, place, "o", unit.units.get(f"results.{path}", ""))
     for member in module.members:
-        if member.path not in unit.fixed:
-            symbol = unit.units.get(f"parameters.{member.path}", "")
-            for number, value in enumerate(member.value.flat):
-                place = f"model.{element('parameters', member, number)}"
-                short = member.path.removeprefix(module.prefix)
-                yield ScalarVariable(_named(short, number if member.shape else None), place, "p", symbol, value.item())
+        symbol, short = unit.units.get(f"parameters.{member.path}", ""), member.path.removeprefix(module.prefix)
+        for number, value in enumerate(member.value.flat):
+            place = f"model.{element('parameters', member, number)}"
+            yield ScalarVariable(_named(short, number if member.shape else None), place, "p", symbol, value.item())
     yield ScalarVariable("time", "time", "t")
 
 

@@ -13,7 +13,8 @@ void setup()
 {
     ${name}_defaults(&controller);
     ${name}_measurement first = measure();
-    ${name}_init(&controller, &first);
+    while (!${name}_init(&controller, &first))
+        first = measure();
     next = micros();
 }
 
@@ -27,7 +28,7 @@ void loop()
     ${name}_commands commands;
     ${name}_telemetry telemetry;
     ${name}_step(&controller, &setpoint, &measurement, &commands, &telemetry);
-    apply(commands);
+    apply(commands); // the last ones if a number was not finite: count telemetry.held, and vent after some in a row
 }
 
 #error "fill in measure, reference and apply, then remove this line"
