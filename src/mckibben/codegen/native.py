@@ -453,12 +453,14 @@ def build_library(
     """
     if _FAILED:
         raise _without_frames(_FAILED[0])
-    name = compiler() or compiler_words()[0]
+    words = compiler_words()
+    if (name := shutil.which(words[0])) is None:
+        raise CompilerError(f"there is no C compiler {quoted(words[0])}", field="CC", remedy=_OTHER_COMPILER)
     try:
         with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:
             for path, text in texts.items():
                 Path(folder, path).write_text(text, encoding="utf-8")
-            command = [name, *compiler_words()[1:], "-shared", "-fPIC", *options, "-o", "library.so"]
+            command = [name, *words[1:], "-shared", "-fPIC", *options, "-o", "library.so"]
             _call(command, folder, seconds, f"{name} does not compile the program", _OTHER_COMPILER)
             if trial:
                 call = [sys.executable, "-I", "-S", "-c", _TRIAL]

@@ -7,7 +7,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from mckibben.codegen.native import build_library, compiler
+from mckibben.codegen.native import build_library
 from mckibben.errors import ExportError
 
 _LOADED: dict[str, Path] = {}  # libraries by name: MuJoCo keeps one plugin per name for the lifetime of the process
@@ -67,9 +67,7 @@ def import_mujoco() -> Any:
 
 
 def build_plugin(library: Path, sources: list[Path], mujoco: Path) -> None:
-    """Compile a plugin against the MuJoCo in a folder; raises `ExportError` without a compiler, or if it fails."""
-    if compiler() is None:
-        raise ExportError("there is no C compiler", field="CC", remedy="install one, or set CC to its name")
+    """Compile a plugin against the MuJoCo in a folder; raises `CompilerError`."""
     texts = {path.name: path.read_text() for source in sources for path in (source, *source.parent.glob("*.h"))}
     libraries = [str(path) for path in sorted(mujoco.glob("libmujoco.*"))]
     options = ["-std=c99", "-O2", f"-I{mujoco / 'include'}", *(source.name for source in sources), *libraries, "-lm"]
