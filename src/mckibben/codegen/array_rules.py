@@ -25,11 +25,17 @@ def _over_axes(method: str, *operations: str) -> Iterator[Rule]:
 
 
 class ArrayRules:
-    """One rule per primitive; takes its parameters, the kind and shape of the result, and the arguments."""
+    """Rules of the primitives of JAX that compute, reduce or move elements, one method per primitive.
+
+    A rule is named as its primitive, with an underscore before it. It takes the parameters of the equation, the kind
+    and the shape of its result, and the arguments as arrays of values; it returns the result, or None for parameters
+    that it does not support, which is reported with the place in the source.
+    """
 
     _graph: Graph
 
     def _elementwise(self, function: Callable[..., Value], *arrays: Array) -> Array:
+        """Result of a function of scalars for each element of arrays, which broadcast."""
         if not any(array.ndim for array in arrays):  # the common case
             result = np.empty((), object)
             result[()] = function(*(array[()] for array in arrays))
@@ -40,14 +46,17 @@ class ArrayRules:
     # Elementwise, with parameters
 
     def _integer_pow(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
+        """Integer power, by multiplications."""
         return self._elementwise(lambda x: self._graph.power(x, parameters["y"]), x)
 
     def _round(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array | None:
+        """Nearest integer, of two the even one; other ways of rounding are not supported."""
         if parameters["rounding_method"] is not jax.lax.RoundingMethod.TO_NEAREST_EVEN:
             return None
         return self._elementwise(lambda x: self._graph.operation("round", kind, x), x)
 
     def _reduce_precision(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array | None:
+        """Number rounded to 32 bits; other precisions than 32 and 64 bits are not supported."""
         bits = parameters["exponent_bits"], parameters["mantissa_bits"]
         if bits == (11, 52) or (bits == (8, 23) and self._graph.single):
             return x
@@ -55,6 +64,7 @@ class ArrayRules:
         return self._elementwise(single, x) if bits == (8, 23) else None
 
     def _select_n(self, parameters: Parameters, kind: Kind, shape: Shape, which: Array, *cases: Array) -> Array:
+        """Element of the case that `which`, a boolean or the number of the case, tells."""
         result = cases[0]
         for number, case in enumerate(cases[1:], 1):
             chosen = which
@@ -67,11 +77,14 @@ class ArrayRules:
         return result
 
     def _clamp(self, parameters: Parameters, kind: Kind, shape: Shape, low: Array, x: Array, high: Array) -> Array:
+        """Number limited to bounds; NaN if it or a bound is NaN."""
         operation = self._graph.operation
         within = lambda low, x, high: operation("min", kind, operation("max", kind, x, low), high)  # noqa: E731
         return self._elementwise(within, low, x, high)
 
     def _convert_element_type(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
+        """Number of another type; an unsigned one is taken modulo 2^32."""
+
         def convert(x: Value) -> Value:
             result = self._graph.operation(kind.value, kind, x)
             if np.dtype(parameters["new_dtype"]) == np.uint32 and x.kind is not Kind.BOOLEAN:
@@ -81,6 +94,10 @@ class ArrayRules:
         return self._elementwise(convert, x)
 
     def _bitcast_convert_type(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array | None:
+        """Bits of a number as those of another type of the same width.
+
+        Integers have 64 bits, except in vectors of a program of 32 bits, where numbers of 64 bits have none.
+        """
         reals, words = {"f8": "from_bits", "f4": "from_bits_32"}, {"i8": "bits"}
         if self._graph.single:
             words = {} if x.flat[0].uniform else {"i4": "bits"}
@@ -92,6 +109,8 @@ class ArrayRules:
         return self._elementwise(lambda x: self._graph.operation(name, kind, x), x)
 
     def _shift_right_logical(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array, places: Array) -> Array:
+        """Shift to the right that fills with zeros: an arithmetic one whose copies of the sign are masked."""
+
         def shifted(x: Value, places: Value) -> Value:
             result = self._graph.operation("shift_right", kind, x, places)
             if places.constant is None:
@@ -104,6 +123,7 @@ class ArrayRules:
     # Reductions
 
     def _reduce(self, name: str, axes: Sequence[int], kind: Kind, x: Array) -> Array:
+        """Elements along axes combined by an operation, in their order."""
         rest = [axis for axis in range(x.ndim) if axis not in axes]
         rows = x.transpose([*axes, *rest]).reshape(-1, *(x.shape[axis] for axis in rest))
         result, *others = (np.asarray(row, object) for row in rows)
@@ -116,7 +136,10 @@ class ArrayRules:
     _argmin, _argmax = _over_axes("_first_of", "lt", "gt")
 
     def _first_of(self, better: str, axes: Sequence[int], kind: Kind, x: Array) -> Array:
-        """Index of the first smallest or largest element along an axis; of the first NaN if there is one."""
+        """Index of the first smallest or largest element along an axis; of the first NaN if there is one.
+
+        `better` is the comparison that a new best element fulfils, ``lt`` or ``gt``.
+        """
         operation = self._graph.operation
 
         def preferred(x: Value, best: Value) -> Value:
@@ -135,6 +158,7 @@ class ArrayRules:
         return index
 
     def _dot_general(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array, y: Array) -> Array | None:
+        """Sum of products over the axes of two arrays; batched axes are not supported."""
         (over_x, over_y), (batch, _) = parameters["dimension_numbers"]
         if batch:
             return None
@@ -149,24 +173,30 @@ class ArrayRules:
     # Moves
 
     def _broadcast_in_dim(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
+        """Array repeated along new axes."""
         axes = [1] * len(shape)
         for axis, size in zip(parameters["broadcast_dimensions"], x.shape, strict=True):
             axes[axis] = size
         return np.broadcast_to(x.reshape(axes), shape)
 
     def _transpose(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
+        """Array with its axes in another order."""
         return x.transpose(parameters["permutation"])
 
     def _rev(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
+        """Array reversed along axes."""
         return np.flip(x, parameters["dimensions"])
 
     def _concatenate(self, parameters: Parameters, kind: Kind, shape: Shape, *arrays: Array) -> Array:
+        """Arrays joined along an axis."""
         return np.concatenate(arrays, parameters["dimension"])
 
     def _stack(self, parameters: Parameters, kind: Kind, shape: Shape, *arrays: Array) -> Array:
+        """Arrays joined along a new axis."""
         return np.stack(arrays, parameters.get("axis", 0))
 
     def _split(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> list[Array]:
+        """Parts of an array of given sizes along an axis."""
         return np.split(x, np.cumsum(parameters["sizes"])[:-1], parameters["axis"])
 
     def _unstack(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> list[Array]:
@@ -175,6 +205,7 @@ class ArrayRules:
         return [np.squeeze(part, axis) for part in np.split(x, x.shape[axis], axis)]
 
     def _slice(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
+        """Part of an array between bounds, with strides."""
         strides = parameters["strides"] or [1] * x.ndim
         ends = zip(parameters["start_indices"], parameters["limit_indices"], strides, strict=True)
         return x[tuple(slice(*bounds) for bounds in ends)]
@@ -192,6 +223,7 @@ class ArrayRules:
         return x
 
     def _pad(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array, value: Array) -> Array | None:
+        """Array with a value around and between its elements; negative amounts, which cut, are not supported."""
         config = parameters["padding_config"]
         if any(min(amounts) < 0 for amounts in config):
             return None

@@ -110,6 +110,15 @@ class _Types(NamedTuple):
             lines.append(f"{kind} {member.name}{size};" + f" /* {unit} */" * bool(unit))
         return Structure(f"{self.name}_{name}", text, lines)
 
+    def signature(self, function: Function) -> str:
+        """Declaration of a function: a single number is returned, other results are stored."""
+        results = function.outputs
+        returned = "void" if function.returned is None else self.of[results.pop(function.returned)[0].kind]
+        texts = [f"{'' if 'state' in function.results else 'const '}{self.name} *self"]
+        texts += [self.argument(name, members, is_input=True) for name, members in function.inputs.items()]
+        texts += [self.argument(name, members, is_input=False) for name, members in results.items()]
+        return f"{returned} {self.name}_{function.name}({', '.join(texts)})"
+
     def argument(self, name: str, members: Sequence[Member], *, is_input: bool) -> str:
         """Declaration of an argument: a number, or a pointer to a structure or a result."""
         if is_scalar(members):
@@ -139,7 +148,6 @@ def _function(function: Function, writer: Writer, types: _Types) -> dict[str, ob
 
     guard = [place_of(name) for name in function.checked]
     lines, last = writer.function(function.scope, place_of), list[str]()
-    results = {name: members for name, members in function.results.items() if name != "state"}
     for result, members in function.results.items():
         for name, value in zip(element_names(result, members), function.values[result], strict=True):
             if result == function.returned:
@@ -147,20 +155,12 @@ def _function(function: Function, writer: Writer, types: _Types) -> dict[str, ob
             else:
                 place = f"*{name}" if is_scalar(members) and result != "state" else place_of(name)
                 lines.append(f"    {place} = {writer.text(value)};")
-    returned = "void" if function.returned is None else types.of[results.pop(function.returned)[0].kind]
-    arguments = {name: members for name, members in function.arguments.items() if name != "state"}
     lines += last
     if guard:
-        call = f"        {types.name}_{function.fallback}({', '.join(['self', *results])});"
+        call = f"        {types.name}_{function.fallback}({', '.join(['self', *function.outputs])});"
         answer = [call, "        return;"] if function.fallback else ["        return;"]
         lines = [f"    if (!isfinite({' + '.join(guard)})) {{", *answer, "    }", *lines]
-    unused = ["self"] * (not any("self->" in line for line in lines))
-    unused = [name for name in arguments if name not in used] + unused
-    texts = [f"{'' if 'state' in function.results else 'const '}{types.name} *self"]
-    texts += [types.argument(name, members, is_input=True) for name, members in arguments.items()]
-    texts += [types.argument(name, members, is_input=False) for name, members in results.items()]
-    return {
-        "text": function.text,
-        "signature": f"{returned} {types.name}_{function.name}({', '.join(texts)})",
-        "lines": [*(f"    (void){name};" for name in unused), *lines],
-    }
+    unused = [name for name in function.inputs if name not in used]
+    unused += ["self"] * (not any("self->" in line for line in lines))
+    lines = [*(f"    (void){name};" for name in unused), *lines]
+    return {"text": function.text, "signature": types.signature(function), "lines": lines}

@@ -57,7 +57,15 @@ class DeviceProgram(NamedTuple):
 
 
 class Nvrtc:
-    """NVIDIA's runtime compiler."""
+    """NVIDIA's runtime compiler.
+
+    Attributes
+    ----------
+    version
+        Version of CUDA, (major, minor).
+    architectures
+        Compute capabilities that it compiles for, 10 times their number, such as 90.
+    """
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
@@ -70,7 +78,11 @@ class Nvrtc:
         self.architectures = list(known)
 
     def compile(self, source: str, architecture: int) -> Kernel:
-        """Compile for a compute capability, such as 90; as PTX if it is newer than the compiler."""
+        """Compile for a compute capability, such as 90; as PTX if it is newer than the compiler.
+
+        Raises `DeviceError` for a capability older than all that the compiler knows, `CompilerError`, with the first
+        error of its log, for a source that does not compile.
+        """
         if architecture < min(self.architectures):
             raise DeviceError(
                 f"the device has compute capability {architecture / 10}, NVRTC {self.name} compiles from "
@@ -104,6 +116,7 @@ class Nvrtc:
         return ".".join(map(str, self.version))
 
     def _text(self, program: c_void_p, what: str) -> bytes:
+        """A text of a program: its log, PTX or binary."""
         size = c_size_t()
         self._call(f"nvrtcGet{what}Size", program, byref(size))
         text = ctypes.create_string_buffer(size.value)
@@ -111,10 +124,12 @@ class Nvrtc:
         return text.raw
 
     def _error(self, status: int) -> str:
+        """Text of a status."""
         self._library.nvrtcGetErrorString.restype = c_char_p
         return self._library.nvrtcGetErrorString(status).decode()
 
     def _call(self, name: str, *arguments: PyTree) -> None:
+        """Call a function of the library; raises `CompilerError` for a status other than 0."""
         if status := getattr(self._library, name)(*arguments):
             raise CompilerError(f"{name}: {self._error(status)}", value=status)
 
@@ -146,7 +161,19 @@ def driver_library() -> ctypes.CDLL:
 
 
 class Device:
-    """A CUDA device, with its primary context; raises `DeviceError` if its driver fails."""
+    """The first CUDA device, with its primary context.
+
+    Raises `DeviceError` if there is none, if its driver fails, or if the driver is too old for the compiler.
+
+    Attributes
+    ----------
+    name
+        Name of the device, such as ``NVIDIA H200``.
+    architecture
+        10 times its compute capability.
+    compiler
+        Name and version of the compiler.
+    """
 
     def __init__(self, driver: ctypes.CDLL, compiler: Nvrtc) -> None:
         self._driver, self._lock = driver, threading.Lock()
@@ -180,7 +207,19 @@ class Device:
         return program
 
     def run(self, program: DeviceProgram, scalars: bytes, words: NDArray, results: NDArray, lanes: int) -> None:
-        """Compute all runs; `results`, an array in memory, is overwritten."""
+        """Compute all runs, with the device for this thread alone.
+
+        Parameters
+        ----------
+        scalars
+            Numbers that all runs share, 64 bits each.
+        words
+            Arrays, in words of 64 bits.
+        results
+            Results of all runs, an array in the memory of this machine, which is overwritten.
+        lanes
+            Number of runs.
+        """
         with self._used(), ExitStack() as memory:
             sizes = words.nbytes, max(results.nbytes, program.size.value)
             places = [self._allocated(memory, size) for size in sizes]
@@ -193,6 +232,7 @@ class Device:
             self._call("cuMemcpyDtoH_v2", c_void_p(results.ctypes.data), places[1], c_size_t(results.nbytes))
 
     def _launch(self, function: c_void_p, blocks: int, threads: int, arguments: Sequence[Any]) -> None:
+        """Start a kernel."""
         pointers = (c_void_p * len(arguments))(*(ctypes.addressof(argument) for argument in arguments))
         sizes = map(c_uint, (blocks, 1, 1, threads, 1, 1, 0))
         self._call("cuLaunchKernel", function, *sizes, None, pointers, None)
@@ -205,12 +245,14 @@ class Device:
             yield
 
     def _allocated(self, memory: ExitStack, size: int) -> c_int64:
+        """Memory on the device, freed at the end of the stack."""
         place = c_int64()
         self._call("cuMemAlloc_v2", byref(place), c_size_t(max(size, 1)))
         memory.callback(lambda: self._driver.cuMemFree_v2(place))
         return place
 
     def _call(self, name: str, *arguments: PyTree) -> None:
+        """Call a function of the driver; raises `DeviceError` for a status other than 0."""
         status = getattr(self._driver, name)(*arguments)
         if status == 0:
             return
@@ -226,10 +268,12 @@ class Device:
 
 
 def _no_device() -> DeviceError:
+    """Error of a driver without a device."""
     return DeviceError("the CUDA driver finds no device", value=_NO_DEVICE, remedy=_OTHER_ENGINE)
 
 
 def _old_driver(reason: str, compiler: str) -> DeviceError:
+    """Error of a driver older than the compiler."""
     remedy = f"update NVIDIA's driver, or install an NVRTC of its version, or {_OTHER_ENGINE}"
     return DeviceError(f"the CUDA driver {reason}, too old for {compiler}", field="driver", remedy=remedy)
 
@@ -249,7 +293,10 @@ class _OnDevice(Compiled):
 
 
 class CudaFunction(NativeFunction):
-    """A pure function compiled as a CUDA kernel, of a tree shared by all runs and a tree with an entry per run."""
+    """A pure function compiled as a CUDA kernel, of a tree shared by all runs and a tree with an entry per run.
+
+    It is used as a `NativeFunction`, and raises `DeviceError` in addition.
+    """
 
     _threads = True
 

@@ -28,7 +28,10 @@ def native_language() -> Language:
 
 @functools.cache
 def definitions() -> str:
-    """Functions that `native_language` calls."""
+    """Functions that `native_language` calls: `exp`, `tanh`, `sin` and `cos`.
+
+    `exp` is 2^(k/128) exp(r): the power from a table with its rounding error, the rest by a polynomial of degree 5.
+    """
     k = elementary.DOUBLE
     numbers = {
         "points": _POINTS,
@@ -61,7 +64,11 @@ def _powers() -> list[tuple[float, float]]:
 
 
 def _estrin(x: str, coefficients: Sequence[float]) -> str:
-    """Polynomial, constant term first, evaluated as by `elementary.polynomial`."""
+    """Polynomial, constant term first, evaluated as by `elementary.polynomial`.
+
+    >>> _estrin("x", [1.0, 2.0, 3.0])
+    '((1.0 + 2.0 * x) + 3.0 * (x * x))'
+    """
     terms, power = list(map(repr, coefficients)), x
     while len(terms) > 1:
         pairs = [f"({low} + {high} * {power})" for low, high in zip(terms[::2], terms[1::2], strict=False)]

@@ -28,14 +28,29 @@ class Kind(enum.Enum):
 
 @dataclass(eq=False, repr=False, slots=True)
 class Value:
-    """A scalar: a constant, an input, a carried variable of a loop, an element of an array, or an operation."""
+    """A scalar: a constant, an input, a carried variable of a loop, an element of an array, or an operation.
+
+    Values are compared by identity: equal expressions of a graph are one object.
+
+    Attributes
+    ----------
+    operation
+        Name of the operation in `FOLDED`, or ``select``, ``constant``, ``input``, ``carried``, ``element``, ``index``
+        or ``chosen``.
+    scope
+        The block that computes it.
+    data
+        Number of a constant, name of an input, `Carried`, `Element`, or a `Branch` and a place.
+    uniform
+        Whether it is the same in all lanes of a batched program.
+    """
 
     operation: str
     kind: Kind
     arguments: tuple[Value, ...]
     scope: Scope
-    data: Any = None  # of a constant, an input, ... : number, name, `Carried`, `Element`, or a `Branch` and a place
-    uniform: bool = True  # whether it is the same in all lanes of a batched program
+    data: Any = None
+    uniform: bool = True
 
     @property
     def constant(self) -> Any:
@@ -45,13 +60,21 @@ class Value:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Scope:
-    """A block of statements."""
+    """A block of statements.
+
+    Attributes
+    ----------
+    known
+        Values of this block by what they compute, so that none is computed twice.
+    floor
+        The innermost branch around the block, beyond which nothing is hoisted.
+    """
 
     parent: Scope | None = None
     statements: list[Value | ForLoop | Branch | StoredArray] = field(default_factory=list)
     known: dict[object, Value] = field(default_factory=dict)
     depth: int = 0
-    floor: Scope | None = None  # the innermost branch, beyond which nothing is hoisted
+    floor: Scope | None = None
 
     def inner(self, *, branch: bool = False) -> Scope:
         """A new block inside."""
@@ -63,7 +86,7 @@ class Scope:
 
 @dataclass(eq=False, repr=False, slots=True)
 class Carried:
-    """A variable of a loop."""
+    """A variable of a loop: its value before the first iteration, and after each."""
 
     loop: ForLoop
     initial: Value
@@ -73,15 +96,27 @@ class Carried:
 
 @dataclass(eq=False, repr=False, slots=True)
 class ForLoop:
-    """A loop; `index` counts the iterations."""
+    """A loop.
+
+    Attributes
+    ----------
+    length, index
+        Number of iterations, and the count of them.
+    row
+        Row of its arrays: the index, or counted from the last.
+    arrays
+        Arrays that receive one row per iteration.
+    going
+        Condition for a further iteration, in place of a fixed number.
+    """
 
     scope: Scope
     length: int
     index: Value
-    row: Any = None  # row of its arrays: the index, or counted from the last
+    row: Any = None
     carried: list[Carried] = field(default_factory=list)
-    arrays: list[StoredArray] = field(default_factory=list)  # arrays that receive one row per iteration
-    going: Carried | None = None  # condition for a further iteration, instead of a fixed number
+    arrays: list[StoredArray] = field(default_factory=list)
+    going: Carried | None = None
 
 
 @dataclass(eq=False, repr=False, slots=True)
@@ -167,7 +202,19 @@ class Graph:
     """Statements in scopes; `scope` is the current one.
 
     Equal operations on equal arguments are one value. Operations on known numbers, and neutral ones, are folded.
-    Raises `ExportError` for more than `most` operations.
+
+    Parameters
+    ----------
+    lanes
+        Whether the program is batched.
+    single
+        Whether values that differ between runs have 32 bits.
+    threads
+        Whether each run of a batch is a thread, instead of an element of a vector.
+    reciprocals
+        Whether divisors known further out become factors, computed there.
+    most
+        Largest number of operations; `ExportError` for more.
 
     Examples
     --------
@@ -190,10 +237,10 @@ class Graph:
     ) -> None:
         self.root = Scope()
         self.scope = self.root
-        self.lanes = lanes  # whether the program is batched
-        self.threads = threads  # whether each run of a batch is a thread, instead of an element of a vector
-        self.single = single  # whether values that differ between runs have 32 bits
-        self.reciprocals = reciprocals  # whether divisors known further out become factors, computed there
+        self.lanes = lanes
+        self.threads = threads
+        self.single = single
+        self.reciprocals = reciprocals
         self._room = most  # for more operations
         self._alive: list[Value] = []  # expressions are distinguished by the identities of values
 
@@ -212,7 +259,15 @@ class Graph:
         return self._known(("input", name), self.scope, lambda: Value("input", kind, (), self.scope, name, uniform))
 
     def operation(self, name: str, kind: Kind, *arguments: Value) -> Value:
-        """The result of an operation."""
+        """Result of an operation: a new value in the outermost scope that has all arguments, or a known one.
+
+        Parameters
+        ----------
+        name
+            Name of the operation, a key of `FOLDED` or ``select``.
+        kind
+            Kind of the result.
+        """
         if (simple := self._simplified(name, kind, arguments)) is not None:
             return simple
         if self.reciprocals and name == "div" and kind is Kind.REAL:
@@ -233,7 +288,15 @@ class Graph:
         return max(scopes, key=lambda scope: scope.depth)
 
     def element(self, array: StoredArray, row: Value | None, stride: int, offset: int, scope: Scope) -> Value:
-        """An element of an array; without a row the one at `offset`."""
+        """An element of an array.
+
+        Parameters
+        ----------
+        row, stride, offset
+            It stands at ``row * stride + offset``; without a row at `offset`.
+        scope
+            The scope that reads it.
+        """
         place = Element(array, stride, offset)
         arguments = () if row is None else (row,)
         key = ("element", place, *map(id, arguments))
@@ -279,7 +342,12 @@ class Graph:
         return arguments[1] if known[0] == neutral and name in ("add", "mul") else None
 
     def power(self, x: Value, exponent: int) -> Value:
-        """X to an integer power by squaring: 2 log2(n) multiplications at most, and a division for a negative one."""
+        """Integer power by squaring: 2 log2(n) multiplications at most, and a division for a negative one.
+
+        >>> graph = Graph()
+        >>> float(graph.power(graph.constant(2.0, Kind.REAL), -3).constant)
+        0.125
+        """
         if exponent == 0:
             return self.constant(1.0, x.kind)
         result, square, rest = None, x, abs(exponent)
@@ -292,7 +360,10 @@ class Graph:
         return result if exponent > 0 else self.operation("div", x.kind, self.constant(1.0, x.kind), result)
 
     def array(self, elements: Sequence[Value]) -> tuple[StoredArray, int]:
-        """An array with these elements, and the position of the first; reuses an array that contains them."""
+        """An array with these elements, and the position of the first.
+
+        Elements that follow each other in an array already are found there; others make a new one.
+        """
         first = elements[0]
         if first.operation == "element" and not first.arguments:
             array, begin = first.data.array, first.data.offset
@@ -307,7 +378,14 @@ class Graph:
     def loop(
         self, length: int, body: Callable[[ForLoop], Sequence[Sequence[Value]]], *, reverse: bool = False
     ) -> ForLoop:
-        """Loop whose body makes statements in its own scope and returns the rows of the arrays to store."""
+        """Loop of a length, from the last row to the first if `reverse`.
+
+        Parameters
+        ----------
+        body
+            Makes the statements of an iteration in the scope of the loop that it gets, and returns the rows of the
+            arrays to store.
+        """
         outer, inside = self.scope, self.scope.inner()
         loop = ForLoop(inside, length, Value("index", Kind.INTEGER, (), inside))
         self.scope = inside
@@ -335,7 +413,10 @@ class Graph:
         return value
 
     def branch(self, condition: Value, bodies: Sequence[Callable[[], Sequence[Value]]]) -> list[Value]:
-        """Values of the first body if a condition holds, else of the second; each has its own scope."""
+        """Values of the first body if a condition holds, else of the second; each has its own scope.
+
+        Both bodies return as many values, of the same kinds.
+        """
         outer, scopes, values = self.scope, [], []
         for body in bodies:
             self.scope = outer.inner(branch=True)

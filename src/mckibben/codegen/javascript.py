@@ -89,5 +89,5 @@ def _function(function: Function, writer: Writer) -> Mapping[str, object]:
         lines.append(f"    return {returned[function.returned]};")
     elif returned:
         lines.append(f"    return {{{', '.join(f'{name}: {text}' for name, text in returned.items())}}};")
-    arguments = ", ".join(["self", *(name for name in function.arguments if name != "state")])
+    arguments = ", ".join(["self", *function.inputs])
     return {"text": function.text, "name": function.name, "arguments": arguments, "lines": lines}

@@ -45,13 +45,33 @@ def kernels(
     body: Sequence[str],
     real: str,
 ) -> str:
-    """Both kernels, from declarations of places, statements of either, and texts of the constants."""
+    """Text of both kernels of a program.
+
+    Parameters
+    ----------
+    scalars
+        Number of arguments that are numbers of all runs.
+    places
+        Declarations of the places of arguments and results.
+    prepared, constants
+        Statements of the kernel of one thread, and the texts of the constants that it stores.
+    body
+        Statements of a run.
+    real
+        ``float`` or ``double``, the type of values that differ between runs.
+    """
     values = {"scalars": scalars, "threads": THREADS, "blocks": _BLOCKS[real], "real": real, "constants": constants}
     return filled("kernels.cu", values | {"places": places, "prepared": prepared, "body": body})
 
 
 class KernelWriter(Writer):
-    """Writes the scopes of a kernel."""
+    """Writes the scopes of a kernel.
+
+    Attributes
+    ----------
+    constants
+        Values that all runs and periods share, in the order of their places in the memory for constants.
+    """
 
     def __init__(self, scopes: Sequence[Scope], results: Sequence[Value | StoredArray], *, single: bool) -> None:
         super().__init__(scopes, _language("float" if single else "double"), results, wide_language=_language("double"))
@@ -60,6 +80,7 @@ class KernelWriter(Writer):
         self._known: dict[int, int] = {}  # their places, by identity
 
     def _is_wide(self, value: Value) -> bool:
+        """Whether a value is the same in all runs, and has 64 bits."""
         return value.uniform
 
     def variable(self, kind: Kind, uniform: bool) -> str:
@@ -73,6 +94,7 @@ class KernelWriter(Writer):
         return f"{name}[{self._at(array, place)}] = {self.text(value)}"
 
     def element(self, array: StoredArray, place: str) -> str:
+        """Text of an element of an array, with the precision of its users."""
         text = f"{self._arrays[id(array)]}[{self._at(array, place)}]"
         return text if array.uniform else f"(({self.language.types[array.kind]}){text})"
 
@@ -87,6 +109,7 @@ class KernelWriter(Writer):
         return [f"{indent}{language.array(name, array.kind, array.size, texts, array.constant)}"]
 
     def _argument(self, value: Value, argument: Value) -> Text:
+        """Text of an argument; a value that all runs and periods share becomes a constant of the kernel."""
         known = argument.uniform and argument.scope is self._first and argument.operation != "constant"
         if not known or argument.kind is not Kind.REAL or all(argument.uniform for argument in value.arguments):
             return super()._argument(value, argument)
@@ -98,6 +121,7 @@ class KernelWriter(Writer):
         return f"known[{self._known[id(argument)]}]", ATOM
 
     def _operation(self, value: Value) -> Text:
+        """Text of an operation; C has no functions for maximum, minimum, remainder and magnitude of integers."""
         if value.kind is Kind.INTEGER and value.operation in _OF_INTEGERS:
             texts = (f"({self.text(argument)})" for argument in value.arguments)
             return f"({_OF_INTEGERS[value.operation].format(*texts)})", ATOM

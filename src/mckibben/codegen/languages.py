@@ -23,6 +23,8 @@ def literals(
     ----------
     nan, infinity
         Names of these numbers in the language.
+    booleans
+        Names of false and true.
     single, suffix
         Whether real numbers have 32 bits, and what follows their digits.
 
@@ -50,7 +52,11 @@ def literals(
 
 
 def c_language(real: str = "double") -> Language:
-    """C99 with `double` or `float`."""
+    """C99 with `double` or `float`.
+
+    >>> c_language("float").functions["exp"], c_language().literal(0.1, Kind.REAL)
+    ('expf', '0.1')
+    """
     suffix = "" if real == "double" else "f"
     types = {Kind.REAL: real, Kind.INTEGER: "int64_t", Kind.BOOLEAN: "bool"}
 
@@ -110,6 +116,7 @@ def c_language(real: str = "double") -> Language:
 
 
 def _js_conversion(text: str, source: Kind, target: Kind) -> str:
+    """Text of a number of another kind in JavaScript, whose numbers are all real."""
     if target is Kind.BOOLEAN:
         return f"{text} !== 0"
     if source is Kind.BOOLEAN:
@@ -118,6 +125,7 @@ def _js_conversion(text: str, source: Kind, target: Kind) -> str:
 
 
 def _js_array(name: str, kind: Kind, size: int, elements: Sequence[str] | None, constant: bool) -> str:
+    """Declaration of an array in JavaScript."""
     content = f"new Array({size})" if elements is None else f"[{', '.join(elements)}]"
     return f"const {name} = {content};"
 

@@ -46,7 +46,10 @@ Equation = Jaxpr = Any  # JAX does not publish their types
 
 @dataclass(frozen=True, slots=True)
 class Stored:
-    """An array in memory, from a position on; without an array, the numbers 0, 1, 2, ... of a kind."""
+    """An array in memory, from a position on; without an array, the numbers 0, 1, 2, ... of a kind.
+
+    It stays in memory as the column of a loop, and is expanded to values for every other use.
+    """
 
     shape: tuple[int, ...]
     kind: Kind
@@ -84,7 +87,7 @@ _FOR_LANES = {"tanh": tanh, "exp": elementary.exp, "sin": elementary.sin, "cos":
 
 
 class _UnsupportedError(Exception):
-    """An unsupported primitive, with its source location."""
+    """An unsupported primitive, with its source location, which the caller makes an `ExportError`."""
 
     def __init__(self, equation: Equation) -> None:
         super().__init__(equation.primitive.name)
@@ -93,7 +96,20 @@ class _UnsupportedError(Exception):
 
 
 class Lowering(ArrayRules):
-    """Adds the equations of jaxprs to a graph."""
+    """Adds the equations of jaxprs to a graph.
+
+    Arrays are NumPy arrays of values, so that operations on them become operations on scalars. Calls are inlined. A
+    loop (`jax.lax.scan`) of at most 300 equations in all is unrolled, a longer one stays a loop, and its rows are in
+    memory. A branch (`jax.lax.cond`) stays a branch where all lanes of a vector take the same one.
+
+    Examples
+    --------
+    >>> graph = Graph()
+    >>> x = np.array(graph.input("x", Kind.REAL), object)
+    >>> (result,), shape = Lowering(graph).function(lambda x: 2.0 * x, (np.array(0.0),), [x])
+    >>> result.item().operation, shape.dtype.name
+    ('mul', 'float64')
+    """
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
@@ -101,7 +117,17 @@ class Lowering(ArrayRules):
     def function(
         self, function: Callable[..., PyTree], arguments: PyTree, inputs: Sequence[Array]
     ) -> tuple[list[Array], PyTree]:
-        """Leaves of a function of trees for values of the leaves of arguments; tree of their shapes and types."""
+        """Leaves of a function of trees for values of the leaves of arguments; tree of their shapes and types.
+
+        Raises `ExportError`, with the name of the primitive and its place in the source, for one that has no rule.
+
+        Parameters
+        ----------
+        arguments
+            Examples of the arguments of the function, one tree each.
+        inputs
+            Arrays of values for all leaves of the arguments.
+        """
         closed, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
         try:
             return self._closed(closed, inputs), shape
@@ -111,11 +137,13 @@ class Lowering(ArrayRules):
             raise ExportError(message, field=error.name, remedy=remedy) from None
 
     def _closed(self, closed: Jaxpr, arguments: Sequence[Array]) -> list[Array]:
+        """Results of a jaxpr with its constants."""
         if not hasattr(closed, "consts"):
             return self._jaxpr(closed, (), arguments)
         return self._jaxpr(closed.jaxpr, [self.literal(constant) for constant in closed.consts], arguments)
 
     def _jaxpr(self, jaxpr: Jaxpr, constants: Sequence[Array], arguments: Sequence[Array]) -> list[Array]:
+        """Results of a jaxpr, equation by equation."""
         known: dict[core.Var, Array] = {}
 
         def read(variable: core.Var | core.Literal) -> Array:
@@ -138,7 +166,7 @@ class Lowering(ArrayRules):
         return [read(variable) for variable in jaxpr.outvars]
 
     def expanded(self, stored: Stored) -> Array:
-        """The elements of an array in memory as values."""
+        """The elements of an array in memory as values; raises `ExportError` for more than 50,000."""
         if stored.size > _LARGEST:
             remedy = "use its elements one after the other in a loop (jax.lax.scan)"
             message = f"an array of {stored.size} numbers is used as a whole"
@@ -224,11 +252,13 @@ class Lowering(ArrayRules):
         return ()  # sine and cosine of CUDA have a branch for large angles
 
     def _reshape(self, parameters: Parameters, kind: Kind, shape: Shape, x: Array) -> Array:
+        """Array of another shape; one in memory stays there."""
         return replace(x, shape=tuple(shape)) if isinstance(x, Stored) else x.reshape(shape)
 
     _squeeze = _expand_dims = _reshape
 
     def _iota(self, parameters: Parameters, kind: Kind, shape: Shape) -> Array:
+        """Numbers that count along an axis."""
         if len(shape) == 1:
             return Stored(tuple(shape), kind)
         return self.literal(jax.lax.broadcasted_iota(parameters["dtype"], shape, parameters["dimension"]))
@@ -236,7 +266,10 @@ class Lowering(ArrayRules):
     # Control flow
 
     def _cond(self, parameters: Parameters, kind: Kind, shape: Shape, which: Array, *arguments: Array) -> list[Array]:
-        """One branch runs if all elements of a vector take it; otherwise all are computed: they are pure and few."""
+        """Results of the branch that an index chooses.
+
+        One branch runs if all elements of a vector take it; otherwise all are computed: they are pure and few.
+        """
         index, branches = which.item(), parameters["branches"]
         if index.constant is not None:
             return self._closed(branches[int(index.constant)], arguments)
@@ -263,6 +296,11 @@ class Lowering(ArrayRules):
         return self.expanded(array) if isinstance(array, Stored) else array
 
     def _scan(self, parameters: Parameters, kind: Kind, shape: Shape, *arguments: Array) -> list[Array]:
+        """Carried values after a loop, and its stacked rows.
+
+        In vectors a carried value is the same in all lanes if its start is and if what follows depends on such values
+        alone.
+        """
         (count, carries), length = _scan_sizes(parameters), parameters["length"]
         body, reverse = parameters["jaxpr"], parameters["reverse"]
         constants, columns = arguments[:count], arguments[count + carries :]
@@ -299,7 +337,10 @@ class Lowering(ArrayRules):
         return array_of(array.shape, lambda at: self._graph.carry(loop, array[at], uniform))
 
     def _while(self, parameters: Parameters, kind: Kind, shape: Shape, *arguments: Array) -> list[Array] | None:
-        """A loop until a condition fails; not for vectors, whose elements end at different iterations."""
+        """Carried values after a loop that ends on a condition.
+
+        Not for vectors whose lanes end at different iterations; each thread of a kernel ends by itself.
+        """
         outside, inside = parameters["cond_nconsts"], parameters["body_nconsts"]
         outer, constants = arguments[:outside], arguments[outside : outside + inside]
         carry = list(map(self.plain, arguments[outside + inside :]))
@@ -333,6 +374,7 @@ class Lowering(ArrayRules):
         return [array_of(array.shape, lambda _: next(last)) for array in carry]
 
     def _custom_linear_solve(self, parameters: Parameters, kind: Kind, shape: Shape, *arguments: Array) -> list[Array]:
+        """Solution of a linear system by the function that was given for it."""
         counts = parameters["const_lengths"]
         before, end = counts.matvec + counts.vecmat, sum(counts)
         return self._closed(parameters["jaxprs"].solve, [*arguments[before : before + counts.solve], *arguments[end:]])
@@ -390,6 +432,7 @@ def _is_uniform(array: Array) -> bool:
 
 @functools.cache
 def _jaxpr_of(function: Callable[..., PyTree], shape: tuple[int, ...], dtype: DTypeLike) -> Jaxpr:
+    """Jaxpr of a function of an array of a shape and type."""
     return jax.make_jaxpr(function)(jnp.zeros(shape, dtype))
 
 
@@ -399,6 +442,7 @@ def _equations(jaxpr: Jaxpr) -> int:
 
 
 def _inner(equation: Equation) -> Iterator[Jaxpr]:
+    """Jaxprs within an equation."""
     for value in equation.params.values():
         for item in value if isinstance(value, tuple) else (value,):
             inner = getattr(item, "jaxpr", item)
@@ -417,7 +461,7 @@ def _called(equation: Equation) -> Jaxpr:
 
 
 def _source(equation: Equation) -> str:
-    """Source location of an equation."""
+    """Source location of an equation: file, line and function outside of JAX and Equinox."""
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback is not None else ():
         if "/jax/" not in frame.file_name and "/equinox/" not in frame.file_name:

@@ -1,4 +1,10 @@
-"""Functions compiled by the machine's C compiler, for one run or for many runs in parallel."""
+"""Functions compiled by the machine's C compiler, for one run or for many runs in parallel.
+
+The source of a function is compiled to a shared library in a temporary folder, called once in another process, which
+may crash, and loaded by ctypes. It is kept in the program cache with the tree of its results. Whatever fails there
+raises `CompilerError`, upon which XLA computes. The compiler is watched: it is ended with its children after some time,
+if it writes too much, and if this process ends.
+"""
 
 from __future__ import annotations
 
@@ -84,6 +90,7 @@ def compiler() -> str | None:
 
 @functools.cache
 def _path_of(name: str) -> str | None:
+    """Path of a compiler by name."""
     if (path := shutil.which(name)) is None and name != "cc":
         warn_of_fallback(CompilerError(f"the compiler of the environment variable CC, {quoted(name)}, is not found"))
     return path
@@ -100,7 +107,7 @@ def _is_gcc() -> bool:
 
 
 def own_flags() -> list[str]:
-    """The user's compiler options."""
+    """The user's compiler options, from the environment variable MCKIBBEN_CFLAGS."""
     return os.environ.get("MCKIBBEN_CFLAGS", "").split()
 
 
@@ -134,6 +141,12 @@ class NativeFunction:
         ``function(shared, lane)`` of JAX, for one run; `lane` is None for a function of the shared tree alone.
     flags
         Further options of the compiler.
+
+    Examples
+    --------
+    >>> torque = NativeFunction(lambda stiffness, angle: -stiffness * angle)
+    >>> torque(np.array(40.0), np.array([0.0, 0.25, 0.5]))
+    array([ -0., -10., -20.])
     """
 
     def __init__(self, function: Callable[..., PyTree], flags: Sequence[str] = ()) -> None:
@@ -146,7 +159,11 @@ class NativeFunction:
         return self.bound(shared, lanes, single=single)()
 
     def bound(self, shared: PyTree, lanes: PyTree = None, *, single: bool = False) -> Callable[[], PyTree]:
-        """The compiled function with its arguments packed, as a callable that computes the results."""
+        """The compiled function with its arguments packed, as a callable that computes the results.
+
+        Raises `ExportError` for an operation that cannot be written, `CompilerError` if the compiler fails; both also
+        at every later call, without another try.
+        """
         common, varying = Split.of(shared), Split.of(lanes, lanes=True)
         key = common.key, varying.key, single
         with self._lock:
@@ -201,6 +218,7 @@ class NativeFunction:
         return _compiler_state(), self._flags, "native"
 
     def _built(self, source: str, many: bool) -> bytes:
+        """Library of a source, with the options for its length and for `many` runs."""
         options = _FOR_LANES if many else _ALONE
         if len(source) < _SHORT:
             options += _FOR_SHORT if many else ()
@@ -209,12 +227,27 @@ class NativeFunction:
         return compile_library(source, (*options, *self._flags))
 
     def _loaded(self, program: bytes, leaves: list[tuple[tuple[int, ...], str]], tree: PyTree) -> Compiled:
+        """The program of a library, with shapes, types and tree of its results."""
         return Compiled(*load_library(program), leaves, tree)
 
 
 @dataclass(frozen=True)
 class Split:
-    """Leaves of a tree, with the arrays separated."""
+    """Leaves of a tree, with the arrays separated.
+
+    Attributes
+    ----------
+    static
+        All leaves, `ARRAY` in place of arrays.
+    lanes
+        Whether the last axis of each array is that of the runs.
+
+    Examples
+    --------
+    >>> split = Split.of({"law": "Chou", "pressure": np.array([1e5, 2e5])}, lanes=True)
+    >>> split.static, split.filled([3e5])
+    (('Chou', array), {'law': 'Chou', 'pressure': 300000.0})
+    """
 
     structure: PyTreeDef
     static: tuple[object, ...]  # `ARRAY` in place of arrays
@@ -223,6 +256,7 @@ class Split:
 
     @classmethod
     def of(cls, tree: PyTree, *, lanes: bool = False) -> Split:
+        """Split a tree."""
         leaves, structure = jax.tree.flatten(tree)
         static = tuple([ARRAY if isinstance(leaf, ARRAYS) else leaf for leaf in leaves])
         arrays = [leaf if type(leaf) is np.ndarray else np.asarray(leaf) for leaf in leaves if isinstance(leaf, ARRAYS)]
@@ -243,7 +277,17 @@ class Split:
 
 @dataclass(frozen=True)
 class Compiled:
-    """A program, with shapes, types and tree of its results."""
+    """A program, with shapes, types and tree of its results.
+
+    Attributes
+    ----------
+    run
+        The function of the library, of addresses of scalars, arrays and results, and of the number of runs.
+    width
+        Runs per vector.
+    leaves
+        Shape and type of each leaf of the results.
+    """
 
     run: Any
     width: int  # runs per vector
@@ -296,6 +340,12 @@ def compile_native(
         Lengths of the vectors.
     static
         First arguments of the function.
+
+    Examples
+    --------
+    >>> scaled = compile_native(lambda factor, x: factor * x, 2, static=(3.0,))
+    >>> scaled(np.array([1.0, 2.0]))
+    array([3., 6.])
     """
 
     def written() -> Written:
@@ -307,7 +357,13 @@ def compile_native(
 
 
 class Written(NamedTuple):
-    """Source of a function of arrays, with shapes, types and tree of its results."""
+    """Source of a function of arrays, with shapes, types and tree of its results.
+
+    Attributes
+    ----------
+    leaves
+        Shape and NumPy type of each leaf of the results.
+    """
 
     source: str
     leaves: list[tuple[tuple[int, ...], str]]
@@ -471,7 +527,7 @@ def build_library(
 
 
 def _call(command: Sequence[str], folder: str, seconds: float, failure: str, remedy: str) -> None:
-    """Run a command in a folder; raises `CompilerError` if it fails, takes longer than some seconds, or fills a disk.
+    """Run a command in a folder; raises `CompilerError` if it fails, takes too long or writes too much.
 
     If this process ends meanwhile, even by a signal that nothing can handle, the command and its children are killed
     and the folder is removed.
@@ -530,7 +586,10 @@ def _kill(process: subprocess.Popen[bytes]) -> None:
 
 
 def load_library(library: bytes) -> tuple[Any, int]:
-    """The function of a shared library, and its runs per vector; raises `CompilerError` if it cannot be loaded."""
+    """The function of a shared library, and its runs per vector; raises `CompilerError` if it cannot be loaded.
+
+    The library is loaded from a file that this user alone can access, and which is removed at once.
+    """
     try:
         # accessible to this user only, with a unique name
         with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:

@@ -12,7 +12,13 @@ from mckibben.codegen.source_module import SourceModule, element_names
 
 
 def wide_values(module: SourceModule, inputs: Collection[str]) -> set[int]:
-    """Identities of the values that depend only on some inputs and on parameters."""
+    """Identities of the values that depend only on some inputs and on parameters.
+
+    Parameters
+    ----------
+    inputs
+        Names of the inputs, such as ``setpoint.angle``.
+    """
     root = module.graph.root
     wide, narrow = set[int](), set[int]()
     for function in module.functions:
@@ -31,7 +37,11 @@ def wide_values(module: SourceModule, inputs: Collection[str]) -> set[int]:
 
 
 def wide_inputs(module: SourceModule, arguments: Collection[str]) -> frozenset[str]:
-    """Names of inputs that are members of some arguments, or of the state and depend on those alone."""
+    """Names of inputs that are members of some arguments, or of the state and depend on those alone.
+
+    A member of the state is dropped from the candidates if a function gives it a value that depends on anything else,
+    until none is dropped.
+    """
     inputs = {
         element_name
         for function in module.functions
@@ -56,4 +66,5 @@ def _states(module: SourceModule) -> Iterator[tuple[str, Value]]:
 
 
 def _statements(scope: Scope) -> Iterator[Value]:
+    """Values of a scope."""
     return (statement for statement in scope.statements if isinstance(statement, Value))

@@ -66,15 +66,25 @@ class Function:
     @property
     def checked(self) -> list[str]:
         """Names of the real arguments, which are to be finite if there is a fallback."""
-        names = [] if self.fallback is None else [name for name in self.arguments if name != "state"]
-        members = [(name, member) for name in names for member in self.arguments[name] if member.kind is Kind.REAL]
-        return [element_name for name, member in members for element_name in element_names(name, [member])]
+        inputs = {} if self.fallback is None else self.inputs
+        real = {name: [member for member in members if member.kind is Kind.REAL] for name, members in inputs.items()}
+        return [element_name for name, members in real.items() for element_name in element_names(name, members)]
+
+    @property
+    def inputs(self) -> dict[str, list[Member]]:
+        """Arguments other than the state."""
+        return {name: members for name, members in self.arguments.items() if name != "state"}
+
+    @property
+    def outputs(self) -> dict[str, list[Member]]:
+        """Results other than the state."""
+        return {name: members for name, members in self.results.items() if name != "state"}
 
     @property
     def returned(self) -> str | None:
         """Name of the result other than the state, if it is a single scalar."""
-        names = [name for name in self.results if name != "state"]
-        return names[0] if len(names) == 1 and is_scalar(self.results[names[0]]) else None
+        name, *others = *self.outputs, ""
+        return name if others == [""] and is_scalar(self.outputs[name]) else None
 
 
 @dataclass
@@ -83,6 +93,23 @@ class SourceModule:
 
     Leaves of the parameters and arguments are numbers or arrays. Values that depend on parameters alone are computed
     once, in a separate function `prepare`.
+
+    Parameters
+    ----------
+    name
+        Name of the program, an identifier.
+    parameters
+        Tree of the parameters with their values.
+    prefix
+        Beginning of the paths of parameters and state that their names omit, such as ``controller.``.
+
+    Examples
+    --------
+    >>> module = SourceModule("joint", {"damping": np.array(0.2)})
+    >>> module.add("torque", "torque [N*m]", lambda p, velocity: {"torque": -p["damping"] * velocity},
+    ...            {"velocity": np.array(0.0)})
+    >>> [function.name for function in module.functions], module.functions[0].returned
+    (['torque'], 'torque')
     """
 
     name: str
@@ -91,6 +118,7 @@ class SourceModule:
     functions: list[Function] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        """Begin the graph, with the parameters as inputs."""
         self.graph = Graph(reciprocals=True)
         self.members = members_of(self.parameters, self.prefix)
         """Members of the parameter structure."""

@@ -38,12 +38,18 @@ _OF_32_BITS = {
 
 
 def prelude(single: bool) -> str:
-    """Definitions of the vectors, of 32 or 64 bits."""
+    """Definitions of the vectors, of 32 or 64 bits, and of functions of them."""
     return filled("vectors.h", {"single": single})
 
 
 class VectorWriter(Writer):
-    """Writes the scopes of a batched program."""
+    """Writes the scopes of a batched program.
+
+    Parameters
+    ----------
+    single
+        Whether vectors have 32 bits; scalars, equal in all lanes, have 64 in any case.
+    """
 
     def __init__(self, scopes: Sequence[Scope], results: Sequence[Value | StoredArray], *, single: bool) -> None:
         super().__init__(scopes, c_language(), results)
@@ -79,18 +85,21 @@ class VectorWriter(Writer):
         return super().loaded(value) if value.uniform else f"load{_SUFFIX[value.kind]}(&{value.data}[b])"
 
     def store(self, array: StoredArray, place: str, value: Value) -> str:
+        """Text of an assignment; results of runs lie next to each other in memory."""
         name = self._arrays[id(array)]
         if name.startswith("out"):
             return f"store{_SUFFIX[value.kind]}(&{name}[({place}) * lanes + b], {self._vector(value)})"
         return f"{name}[{place}] = {self._vector(value)}"
 
     def element(self, array: StoredArray, place: str) -> str:
+        """Text of an element of an array; arguments and results of runs are loaded as vectors."""
         name = self._arrays[id(array)]
         if not array.uniform and (array.name or name.startswith("out")):
             return f"load{_SUFFIX[array.kind]}(&{name}[({place}) * lanes + b])"
         return f"{name}[{place}]"
 
     def _array(self, array: StoredArray, texts: Sequence[str] | None, indent: str) -> list[str]:
+        """Declaration of an array of vectors, with its elements."""
         if array.uniform:
             return super()._array(array, texts, indent)
         name = self._arrays[id(array)] = self._new("a")
@@ -124,6 +133,7 @@ class VectorWriter(Writer):
 
     @staticmethod
     def _conversion(text: str, source: Kind, target: Kind) -> str:
+        """Text of a vector of one kind as one of another; a mask has all bits set where it is true."""
         if target is Kind.BOOLEAN:
             return f"({text} != 0)"
         if source is Kind.BOOLEAN:

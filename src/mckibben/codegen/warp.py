@@ -17,7 +17,12 @@ _SAME = ("exp", "log", "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "si
 
 
 def write_warp(module: SourceModule) -> str:
-    """Write a module as functions of Warp of `model` (a struct of arrays), `world`, and elements of arguments."""
+    """Write a module as functions of Warp.
+
+    The functions take `model` (a struct of arrays with a row per world), `world`, and the elements of their arguments,
+    and return the elements of their results. ``PARAMETERS`` has the values of the parameters by path, ``prepare`` is a
+    kernel that computes what follows from them. Raises `ExportError` for operations on the bits of numbers.
+    """
     writer = _Writer(module.scopes, WARP, module.results())
     needed = {value.data for value in inputs_of(module.graph.root) if writer.is_needed(value)}
     lines, places = [], {}
@@ -52,6 +57,7 @@ def write_warp(module: SourceModule) -> str:
 
 
 def _function(function: Function, writer: _Writer) -> str:
+    """Text of a function of Warp, whose arguments and results are single numbers."""
     inputs = [
         (identifier(name), _TYPES[member.kind])
         for structure, members in function.arguments.items()
@@ -68,7 +74,11 @@ def _function(function: Function, writer: _Writer) -> str:
 
 
 class _Writer(Writer):
-    """Writes Python; its conditional expressions and logical operators are those of Warp."""
+    """Writes Python, as far as Warp compiles it.
+
+    Conditional expressions and logical operators are those of Warp; a variable that changes is declared by its type, as
+    Warp would take it for a constant otherwise.
+    """
 
     end = ""
     branch_heads = "if {}:", "else:"  # pyrefly: ignore[bad-override]
@@ -86,6 +96,7 @@ class _Writer(Writer):
         return [] if going is None else [f"    {index} += 1"]
 
     def _operation(self, value: Value) -> Text:
+        """Text of an operation; selections are calls of `wp.where`, logical operators are words."""
         name = value.operation
         if name in ("select", "not") or (name in ("and", "or") and value.kind is Kind.BOOLEAN):
             texts = [self._argument(value, argument)[0] for argument in value.arguments]
@@ -98,17 +109,20 @@ class _Writer(Writer):
 
 
 def _conversion(text: str, source: Kind, target: Kind) -> str:
+    """Text of a number of another kind."""
     if target is Kind.BOOLEAN:
         return f"{text} != {'0.0' if source is Kind.REAL else '0'}"
     return f"{_TYPES[target]}({text})"
 
 
 def _array(name: str, kind: Kind, size: int, elements: Sequence[str] | None, constant: bool) -> str:
+    """Declaration of a vector."""
     values = f"{', '.join(elements)}, " if elements else ""
     return f"{name} = wp.vector({values}length={size}, dtype={_TYPES[kind]})"
 
 
 def _helper(name: str, arguments: str, *lines: str) -> str:
+    """Text of a function that Warp lacks."""
     typed = ", ".join(f"{argument}: float" for argument in arguments.split(", "))
     return "\n".join(["@wp.func", f"def {name}({typed}):", *(f"    {line}" for line in lines), "\n"])
 

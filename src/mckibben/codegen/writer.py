@@ -35,7 +35,23 @@ Text = tuple[str, int]
 
 @dataclass(frozen=True, slots=True)
 class Language:
-    """Syntax of a programming language."""
+    """Syntax of a programming language.
+
+    Attributes
+    ----------
+    types, constants
+        Declarations of variables and of constants, by kind.
+    functions
+        Names of functions, by operation.
+    helpers
+        Definitions of functions that the language lacks, by name; those in use are written.
+    literal
+        Text of a number of a kind.
+    conversion
+        Text of an atom of one kind as one of another.
+    array
+        Declaration of an array: name, kind, size, texts of the elements if known, whether they are constant.
+    """
 
     types: Mapping[Kind, str]  # declarations of variables
     constants: Mapping[Kind, str]  # declarations of constants
@@ -47,7 +63,27 @@ class Language:
 
 
 class Writer:
-    """Writes scopes, and keeps the text of each value written."""
+    """Writes scopes, and keeps the text of each value written.
+
+    A value that is used once is written where it is used, if its text is short; others get a variable. Values on which
+    no result depends are not written.
+
+    Parameters
+    ----------
+    scopes
+        All scopes that will be written: uses are counted first.
+    results
+        Values and arrays that are results; they have names.
+    wide, wide_language
+        Identities of values in another precision, and the language for that.
+
+    Attributes
+    ----------
+    helpers
+        Definitions of the functions in use that the language lacks.
+    shared
+        Identities of values that are results, or used outside their scope.
+    """
 
     def __init__(
         self,
@@ -73,7 +109,7 @@ class Writer:
             self._count(scope)
 
     def name(self, value: Value, text: str) -> None:
-        """Set the text of a value."""
+        """Set the text of a value, such as that of the place where it lies."""
         self._texts[id(value)] = (text, ATOM)
 
     def text(self, value: Value) -> str:
@@ -93,6 +129,7 @@ class Writer:
         return id(value) in self._wide
 
     def _language(self, value: Value) -> Language:
+        """Language of a value, by its precision."""
         return self._wide_language if self._is_wide(value) else self.language
 
     def is_needed(self, value: Value) -> bool:
@@ -150,6 +187,7 @@ class Writer:
         return lines + self.scope(scope)
 
     def _value(self, value: Value, indent: str, stored: Callable[[Value], str] | None) -> list[str]:
+        """Line that declares or stores a value; none for one that is written where it is used."""
         text = self._expression(value)
         if stored is not None and id(value) in self.shared:
             self.name(value, stored(value))
@@ -162,6 +200,7 @@ class Writer:
         return [f"{indent}{self.declared(self.constant(value), name, text[0])}"]
 
     def _loop(self, loop: ForLoop, indent: str) -> list[str]:
+        """Lines of a loop with the variables and arrays that are needed."""
         variables = [variable for variable in loop.carried if id(variable) in self._needed]
         arrays = [array for array in loop.arrays if id(array) in self._needed]
         if not variables and not arrays:
@@ -204,6 +243,7 @@ class Writer:
         return lines
 
     def _branch(self, branch: Branch, indent: str) -> list[str]:
+        """Lines of a branch, whose results are variables declared before it."""
         chosen = [value for value in branch.chosen if id(value) in self._needed]
         if not chosen:
             return []
@@ -261,6 +301,7 @@ class Writer:
         return f"{self._arrays[id(array)]}[{place}]"
 
     def _array(self, array: StoredArray, texts: Sequence[str] | None, indent: str) -> list[str]:
+        """Line that declares an array."""
         name = self._arrays[id(array)] = self._new("a")
         return [f"{indent}{self.language.array(name, array.kind, array.size, texts, array.constant)}"]
 
@@ -274,6 +315,7 @@ class Writer:
         return f"{text} + {offset}" if offset else text
 
     def _text(self, value: Value) -> Text:
+        """Text of a value, and its precedence."""
         if value.operation == "constant":
             return self._literal(value, self.language)
         if value.operation == "carried":
@@ -281,6 +323,7 @@ class Writer:
         return self._texts[id(value)]
 
     def _literal(self, value: Value, language: Language) -> Text:
+        """Text of a number; a negative one has the precedence of its sign."""
         literal = language.literal(value.data, value.kind)
         return literal, PREFIX if literal.startswith("-") else ATOM
 
@@ -292,6 +335,7 @@ class Writer:
         return self._operation(value)
 
     def _operation(self, value: Value) -> Text:
+        """Text of an operation: an infix operator, a conversion, a selection or a call of a function."""
         name, kind, arguments = value.operation, value.kind, value.arguments
         texts = [self._argument(value, argument) for argument in arguments]
         if name == "select":
@@ -356,6 +400,7 @@ class Writer:
                 self._use(values, statement.scope if isinstance(statement, Value) else scope)
 
     def _use(self, values: Sequence[Value], scope: Scope) -> None:
+        """Count uses of values in a scope."""
         for value in values:
             self._uses[id(value)] += 1 if value.scope is scope else 2
             if value.scope is not scope:

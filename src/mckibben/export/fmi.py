@@ -98,9 +98,9 @@ def _sources(unit: FunctionalUnit, variables: Sequence[ScalarVariable]) -> str:
 
 def _call(module: SourceModule, function: Function) -> str:
     """Call of a function with the structures of an instance."""
-    structures = [(name, members) for name, members in function.arguments.items() if name != "state"]
-    structures += [(name, members) for name, members in function.results.items() if name != "state"]
-    arguments = ["&self->model", *(name if is_scalar(members) else f"&self->{name}" for name, members in structures)]
+    structures = function.inputs | function.outputs
+    texts = [name if is_scalar(members) else f"&self->{name}" for name, members in structures.items()]
+    arguments = ["&self->model", *texts]
     return f"{module.name}_{function.name}({', '.join(arguments)})"
 
 

@@ -51,8 +51,9 @@ def lanes_of(tree: PyTree) -> tuple[int | None, PyTree]:
         if axes == 0:
             flags.append(False)
             continue
-        extra = axes - _rank(tree, path)
-        where = jax.tree_util.keystr(path, simple=True, separator=".").removeprefix(f"{_UNNAMED}.")
+        name = jax.tree_util.keystr(path, simple=True, separator=".")
+        field, where = _field(tree, tuple(name.split("."))), name.removeprefix(f"{_UNNAMED}.")
+        extra = axes - (0 if field is None else field.metadata.get(RANK, 0))
         if extra not in (0, 1):
             raise ParameterError(
                 f"{where} has the shape {np.shape(leaf)}",
@@ -136,10 +137,8 @@ def _numbers(trees: Mapping[str, PyTree], name: str, leaf: ArrayLike, value: Arr
 def _is_whole(trees: Mapping[str, PyTree], name: str) -> bool:
     """Whether a leaf is declared an integer, such as a seed, rather than a float written without a decimal point."""
     root, steps = _place(trees, name)
-    owner = _descend(trees[root], steps[:-1]) if steps else trees
-    kind = getattr(type(owner), "__annotations__", {}).get(steps[-1] if steps else root, "")
-    fields = {field.name: field.type for field in dataclasses.fields(owner)} if dataclasses.is_dataclass(owner) else {}
-    kind = fields.get(steps[-1] if steps else root, kind)
+    field, owner = _field(trees, (root, *steps)), _descend(trees, (root, *steps)[:-1])
+    kind = getattr(type(owner), "__annotations__", {}).get(name.rpartition(".")[2], "") if field is None else field.type
     return kind is int or str(kind).startswith("int ") or kind == "int"
 
 
@@ -256,22 +255,18 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _rank(tree: PyTree, path: tuple[PyTree, ...]) -> int:
-    """Number of axes of a leaf in a single run."""
-    *owners, last = path
-    for step in owners:
-        tree = (
-            getattr(tree, step.name) if hasattr(step, "name") else tree[step.key if hasattr(step, "key") else step.idx]
-        )
-    if not (hasattr(last, "name") and dataclasses.is_dataclass(tree)):
-        return 0
-    field = next(f for f in dataclasses.fields(tree) if f.name == last.name)
-    return field.metadata.get(RANK, 0)
+def _field(tree: PyTree, steps: tuple[str, ...]) -> dataclasses.Field[object] | None:
+    """Field of a leaf, if it is that of a dataclass."""
+    owner = _descend(tree, steps[:-1])
+    fields = dataclasses.fields(owner) if dataclasses.is_dataclass(owner) else ()
+    return next((field for field in fields if field.name == steps[-1]), None)
 
 
 def _descend(tree: PyTree, steps: tuple[str, ...]) -> PyTree:
+    """Part of a tree below names of fields, keys and indices."""
     for step in steps:
-        tree = tree[int(step)] if step.isdigit() else getattr(tree, step)
+        key = step if isinstance(tree, dict) else int(step) if step.isdigit() else None
+        tree = getattr(tree, step) if key is None else tree[key]
     return tree
 
 

@@ -179,7 +179,7 @@ def _exp_polynomial(x: Array) -> Array:
     r = (x - n * k.ln2[0]) - n * k.ln2[1]
     value = 1 + (r + r * r * polynomial(r, k.exp))
     # times 2^n; at the highest n, 2^n is not a normal number, but `value` is below 1 there
-    value = _from_bits(_bits(value, k) + (bits << k.mantissa_bits), x.dtype)
+    value = lax.bitcast_convert_type(_bits(value, k) + (bits << k.mantissa_bits), x.dtype)
     value = jnp.where(x < k.lowest_exp, 0.0, value)
     return jnp.where(x > k.highest_exp, jnp.inf, value)
 
@@ -206,10 +206,6 @@ def _rounded(x: Array, k: _Constants) -> tuple[Array, Array]:
 
 def _bits(x: Array, k: _Constants) -> Array:
     return lax.bitcast_convert_type(x, k.integer)
-
-
-def _from_bits(bits: Array, dtype: DTypeLike) -> Array:
-    return lax.bitcast_convert_type(bits, dtype)
 
 
 def polynomial(x: Term, coefficients: tuple[float, ...]) -> Term:

@@ -29,7 +29,8 @@ def configure() -> None:
     os.environ["JAX_ENABLE_X64"] = "1"
     # On the CPU, JAX before 0.12 dispatches every fusion of a loop's body separately: an episode takes 4 to 20 times as
     # long.
-    if _dispatches_loop_bodies():
+    major, minor = importlib.metadata.version("jax").split(".")[:2]
+    if (int(major), int(minor)) < (0, 12):
         os.environ["XLA_FLAGS"] = with_loop_option(os.environ.get("XLA_FLAGS", ""))
     if "jax" in sys.modules:
         import jax
@@ -109,8 +110,3 @@ def batch_options() -> dict[str, int]:
     if jax.default_backend() != "cpu":
         return {}
     return {"xla_cpu_prefer_vector_width": 512} if "avx512f" in _instructions(_cpuinfo()) else {}
-
-
-def _dispatches_loop_bodies() -> bool:
-    major, minor = importlib.metadata.version("jax").split(".")[:2]
-    return (int(major), int(minor)) < (0, 12)
