@@ -1,4 +1,4 @@
-"""Errors at left-out pressures and contractions, and coverage of prediction intervals there, on measured muscles.
+"""Errors at left-out pressures and contractions, and coverage and width of prediction intervals there.
 
     python benchmarks/left_out.py
 
@@ -6,23 +6,25 @@ The data sets of the catalog. Each pressure and each inner contraction is predic
 Eq. 2, Chou's law, the laws with smooth deviations, and a plain Gaussian process: a constant mean, a squared exponential
 kernel of two lengths, and noise, by maximum likelihood. Blocks without which Eq. 2 is not determined are left out for
 all. Outliers that `mckibben.identification.find_outliers` names are left out of the data. Prints the table of
-docs/laws.md: RMSE, that relative to Eq. 2, the share of left-out points inside of nominal 95 % intervals, and the
-shares that are expected of as many independent points (the central 95 % of the binomial distribution).
+docs/results/intervals.md, the lowest and the highest pressure apart: RMSE, that relative to Eq. 2, the share of
+left-out points inside of nominal 95 % intervals, their median half width, and the mean interval score (Gneiting and
+Raftery 2007), which rewards narrow intervals and coverage at once.
 """
 
 import warnings
+from statistics import NormalDist
 
 import numpy as np
 from scipy.optimize import minimize
-from scipy.stats import binom
 
 import mckibben as mk
 from mckibben import catalog
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import IdentificationError, McKibbenWarning
+from mckibben.identification.estimator import IntervalEstimate
 from mckibben.identification.outliers import find_outliers, without_outliers
 from mckibben.identification.regression import contraction_blocks, pressure_blocks
-from mckibben.muscle import LAWS, forces
+from mckibben.muscle import LAWS
 
 DATA = ("festo-tool-10mm", "dmsp-10-250-martens2017", "dmsp-20-300-martens2017")
 COMPARED = ("Exponential", "Chou", "Smooth")
@@ -60,36 +62,42 @@ def gaussian_process(points: IsobaricDataset, new: IsobaricDataset) -> tuple[np.
     return mean + spread * (target @ solved), spread * np.sqrt(np.maximum(variance, 0))
 
 
-def predicted(law: str, points: IsobaricDataset, new: IsobaricDataset) -> tuple[np.ndarray, np.ndarray]:
-    """Force [N] at other points, and whether the measured force is inside of its prediction interval."""
+def predicted(law: str, points: IsobaricDataset, new: IsobaricDataset) -> np.ndarray:
+    """Error, half width and score of a 95 % interval [N], and whether it contains the force: shape (4, new points)."""
     if law == PLAIN:
         value, deviation = gaussian_process(points, new)
-        return value, np.abs(new.force - value) <= 1.96 * deviation
-    fit = mk.identify(LAWS[f"{law}Law"], points, robust=False)
-    band = fit.force_intervals(new.contraction, new.pressure).prediction
-    return forces(fit.law, new.contraction, new.pressure), (band.lower <= new.force) & (new.force <= band.upper)
+        half = NormalDist().inv_cdf(0.975) * deviation
+        band = IntervalEstimate(0.95, value, deviation, np.full(len(new), np.inf), value - half, value + half)
+    else:
+        fit = mk.identify(LAWS[f"{law}Law"], points, robust=False)
+        band = fit.force_intervals(new.contraction, new.pressure).prediction
+    half = (band.upper - band.lower) / 2
+    return np.array([band.value - new.force, half, band.score(new.force), band.contains(new.force)])
 
 
-def left_out(data: IsobaricDataset, laws: list[str]) -> dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]:
-    """Errors [N] and coverage at the left-out points, by kind of block and by law."""
+def left_out(data: IsobaricDataset, laws: list[str]) -> dict[str, dict[str, np.ndarray]]:
+    """`predicted` at all left-out points, by group of blocks and by law."""
     means = data.plateau_means()
     points = without_outliers(means, find_outliers(means)).taut
     levels = pressure_blocks(points)[0]
-    kinds = {"pressures": np.empty(0, str) if levels is None else levels.astype(str)}
-    kinds["contractions"] = contraction_blocks(points)
-    found: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]] = {}
+    kinds = {"contractions": contraction_blocks(points)}
+    if levels is not None:
+        low, high, names = levels == levels.min(), levels == levels.max(), levels.astype(str)
+        groups = {"lowest pressure": low, "highest pressure": high, "other pressures": ~(low | high)}
+        kinds |= {group: np.where(own, names, "") for group, own in groups.items()}
+    found: dict[str, dict[str, np.ndarray]] = {}
     for kind, labels in kinds.items():
-        rows: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {law: [] for law in laws}
+        rows: dict[str, list[np.ndarray]] = {law: [] for law in laws}
         for label in filter(None, np.unique(labels).tolist()):
             rest, new = points.select(labels != label), points.select(labels == label)
             try:
                 answers = {law: predicted(law, rest, new) for law in laws}
             except IdentificationError:
                 continue
-            for law, (value, inside) in answers.items():
-                rows[law].append((value - new.force, inside))
+            for law, answer in answers.items():
+                rows[law].append(answer)
         if any(rows.values()):
-            found[kind] = {law: tuple(map(np.concatenate, zip(*some, strict=True))) for law, some in rows.items()}
+            found[kind] = {law: np.concatenate(parts, axis=1) for law, parts in rows.items()}
     return found
 
 
@@ -99,17 +107,16 @@ def main():
 
 
 def print_table(sets: dict[str, IsobaricDataset], laws: list[str]) -> None:
-    """Print errors and coverage by data set, kind of block and law; the first law is the reference."""
-    header = ("data", "left out", "points", "law", "RMSE", "relative to Eq. 2", "inside of 95 %", "expected")
+    """Print errors, coverage and width by data set, block and law; the first law is the reference."""
+    header = ("data", "left out", "points", "law", "RMSE", "relative", "inside of 95 %", "half width", "score")
     print(f"| {' | '.join(header)} |\n{'|---' * len(header)}|")
     for name, data in sets.items():
         for kind, by_law in left_out(data, laws).items():
             reference = np.sqrt(np.mean(by_law[laws[0]][0] ** 2))
-            for law, (errors, inside) in by_law.items():
+            for law, (errors, half, score, inside) in by_law.items():
                 rmse = np.sqrt(np.mean(errors**2))
-                low, high = 100 * np.divide(binom.interval(0.95, len(errors), 0.95), len(errors))
-                share = f"{100 * np.mean(inside):.0f} % | {low:.0f}..{high:.0f} %"
-                row = f"{rmse:.2f} N | {rmse / reference:.2f} | {share}"
+                row = f"{rmse:.2f} N | {rmse / reference:.2f} | {100 * np.mean(inside):.0f} %"
+                row += f" | {np.median(half):.3g} N | {np.mean(score):.3g} N"
                 print(f"| {name} | {kind} | {len(errors)} | {law} | {row} |", flush=True)
 
 

@@ -40,7 +40,7 @@ def real_time(tool, folder):
     [
         ("decoupling", prediction_and_learning, 9),
         ("stiffness", stiffness_errors, 0),
-        ("left_out", left_out_points, 4),
+        ("left_out", left_out_points, 8),
         ("foreign_lab", foreign_files, 0),
         ("real_time", real_time, 5),
     ],

@@ -5,7 +5,6 @@ import json
 import os
 import re
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
@@ -140,19 +139,6 @@ def test_results_are_replaced_by_force_alone_and_links_are_not_followed(cli, kep
     assert cli("simulate", "short.yaml", "--out", "kept", "--force").code == 0
     assert precious.read_text() == "mine"
     assert {path.name: path.read_bytes() for path in kept.iterdir()} == before
-
-
-@pytest.mark.slow
-def test_results_are_kept_though_nobody_reads_what_is_printed(cli, kept, monkeypatch):
-    shutil.rmtree(kept)
-
-    def closed(*_):
-        raise BrokenPipeError(errno.EPIPE, os.strerror(errno.EPIPE))
-
-    monkeypatch.setattr(sys.stdout, "write", closed)
-    cli("simulate", "short.yaml", "--out", "kept")
-    monkeypatch.undo()
-    assert {path.name for path in kept.iterdir()} >= {"result.nc", "results.json", "scenario.yaml", "tracking.svg"}
 
 
 @pytest.mark.slow

@@ -129,6 +129,28 @@ def test_prediction_intervals_contain_the_misfit_of_a_wrong_law():
     assert with_misfit.lower < truth < with_misfit.upper
 
 
+def test_left_out_lowest_and_highest_pressures_are_covered_at_no_more_than_some_three_times_the_error():
+    inside, ratios = [], []
+    for name in catalog.names("datasets"):
+        points = catalog.dataset(name).plateau_means().taut
+        for level in (points.levels.min(), points.levels.max()):
+            out = points.levels == level
+            rest, new = identify(ExponentialLaw, points.select(~out), robust=False), points.select(out)
+            band = rest.force_intervals(new.contraction, new.pressure).prediction
+            inside += band.contains(new.force).tolist()
+            ratios.append(np.median(band.upper - band.value) / np.sqrt(np.mean((new.force - band.value) ** 2)))
+    assert np.mean(inside) >= 0.9 and np.median(ratios) < 3
+
+
+def test_beyond_the_pressures_the_misfit_grows_with_the_distance(fit):
+    pressure = np.array([8, 8.5, 9, 11]) * bar  # measured up to 8 bar
+    band = fit.force_intervals(0.1, pressure).prediction
+    assert (np.diff(band.upper - band.lower) > 0).all()
+    assert (np.diff(fit.force_intervals(0.1, pressure, by=Grouping.POINT).prediction.degrees_of_freedom) == 0).all()
+    square, freedom = fit.leave_one_pressure_out.misfit(pressure)
+    assert square[3] / square[2] == pytest.approx(9) and freedom.tolist() == [np.inf, freedom[1], 5, 5]
+
+
 # --- the rule -----------------------------------------------------------------------------------------------
 
 

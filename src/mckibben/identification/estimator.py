@@ -353,6 +353,25 @@ class IntervalEstimate:
     lower: Floats
     upper: Floats
 
+    def contains(self, measured: ArrayLike) -> Bools:
+        """Whether measured values are inside, of the shape of `value`."""
+        values = np.asarray(measured, float)
+        return (self.lower <= values) & (values <= self.upper)
+
+    def score(self, measured: ArrayLike) -> Floats:
+        """Interval score at measured values: the width, and 2 / (1 - level) of the distance of those outside.
+
+        The mean score is least for the interval with the true quantiles at its ends: it rewards narrow intervals and
+        coverage at once (T. Gneiting and A. Raftery, J. American Statistical Association 102, 2007, 359-378, Eq. 43).
+
+        >>> estimate = t_interval(0.95, [10.0, 10.0], [(np.ones(2), np.full(2, np.inf))])
+        >>> estimate.contains([11.0, 13.0]), estimate.score([11.0, 13.0]).round(2)
+        (array([ True, False]), array([ 3.92, 45.52]))
+        """
+        values = np.asarray(measured, float)
+        outside = np.maximum(self.lower - values, 0) + np.maximum(values - self.upper, 0)
+        return self.upper - self.lower + 2 / (1 - self.level) * outside
+
 
 def check_level(level: float) -> float:
     """Return the confidence level, or raise a `RangeError` if it is not between 0 and 1."""

@@ -153,7 +153,8 @@ class Fit(Result, metaclass=CheckedCalls):
         """Pointwise confidence interval and prediction interval of the force [N], negative where the muscle is slack.
 
         The prediction interval has the scatter of the points or, if it is larger, that of the errors at left-out
-        pressures (docs/uncertainty.md).
+        pressures, which grows with the distance from the data beyond the lowest and the highest one
+        (docs/uncertainty.md). How far the law is off between the contractions is not in it.
 
         Parameters
         ----------
@@ -178,10 +179,12 @@ class Fit(Result, metaclass=CheckedCalls):
         gradients = design_matrix(self.law, free, contraction, pressure)
         model = regression.error_model(by)
         of_law = _, freedom = model.variance(gradients)
-        square, residual_freedom = model.residual_variance
+        square, free_residuals = (np.full_like(freedom, number) for number in model.residual_variance)
         if by is None and self.leave_one_pressure_out:  # of a law that misfits, larger than the residuals
-            square = max(square, self.leave_one_pressure_out.rmse**2)
-        scatter = np.full_like(freedom, square), np.full_like(freedom, residual_freedom)
+            misfit, few = self.leave_one_pressure_out.misfit(np.broadcast_to(pressure, value.shape).ravel())
+            free_residuals = np.where(misfit > square, np.minimum(few, free_residuals), free_residuals)
+            square = np.maximum(square, misfit)
+        scatter = square, free_residuals
         return ForceIntervals(t_interval(level, value, [of_law]), t_interval(level, value, [of_law, scatter]))
 
     def require_regression(self) -> Regression:

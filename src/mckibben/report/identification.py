@@ -146,7 +146,7 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
     """Fitted law with its pointwise confidence band (inner) and the prediction band of a plateau mean (outer).
 
     Upper panels: force [N] over contraction [%] at up to six pressures; lower panels: the same minus the fitted force,
-    with the share of the points outside the prediction band.
+    with the share of the points inside the prediction band, and its median half width.
 
     Parameters
     ----------
@@ -180,8 +180,9 @@ def force_bands(dataset: IsobaricDataset, fit: Fit, *, level: float = 0.95, by: 
         look: Look = {"markersize": _size(points), "zorder": 4}
         draw_points(grid[0, i], points, points.force, **look)
         draw_points(grid[1, i], points, points.force - there.confidence.value, **look)
-        outside = np.mean((points.force < there.prediction.lower) | (points.force > there.prediction.upper))
-        beside(grid[1, i], f"{100 * outside:.0f} % outside")
+        inside = np.mean(there.prediction.contains(points.force))
+        half = np.median(there.prediction.upper - there.prediction.value)
+        beside(grid[1, i], f"{100 * inside:.0f} % within ±{half:.2g} N")
         letter(grid[0, i], i, f"{pressure / bar:.3g} bar")
         grid[1, i].set(xlabel="contraction [%]")
     grid[0, 0].set(ylabel="force [N]", ylim=(min(0.0, float(taut.force.min())), 1.06 * float(taut.force.max())))
