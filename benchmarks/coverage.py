@@ -1,4 +1,4 @@
-"""Coverage of 95 % intervals over many synthetic data sets.
+"""Coverage of 95 % intervals over many synthetic data sets, with the width and the score of those of the force.
 
     python benchmarks/coverage.py [--sets 2000]
 
@@ -104,11 +104,11 @@ def fits(points: IsobaricDataset, measured: np.ndarray):
 
 def covered(points, measured, further, knee, groupings):
     """The share of data sets whose interval holds the truth, by grouping: 7 parameters, a force, a further measurement,
-    and for errors by stroke the stiffness of a joint."""
+    and for errors by stroke the stiffness of a joint; then half width and score for the further measurement [N]."""
     true_joint = eqx.tree_at(lambda j: (j.muscle1.law, j.muscle2.law), knee, (EQ_3, EQ_3))
     stiffness = float(true_joint.stiffness(ANGLE, PRESSURES))
     force = float(EQ_3.force(*AT))
-    inside = {by: np.zeros(10 if by is Grouping.STROKE else 9) for by in groupings}
+    inside, widths = ({by: [] for by in groupings} for _ in range(2))
     for fit, error in zip(fits(points, measured), further, strict=True):
         for by in groupings:
             bounds = list(fit.intervals(by=by).values())
@@ -118,8 +118,10 @@ def covered(points, measured, further, knee, groupings):
             if by is Grouping.STROKE:
                 joint = joint_bands(knee, fit, ANGLE, PRESSURES, by=by).stiffness
                 bounds, truths = [*bounds, (joint.lower, joint.upper)], [*truths, stiffness]
-            inside[by] += [low <= truth <= high for (low, high), truth in zip(bounds, truths, strict=True)]
-    return {by: count / len(measured) for by, count in inside.items()}
+            inside[by].append([low <= truth <= high for (low, high), truth in zip(bounds, truths, strict=True)])
+            prediction = band.prediction
+            widths[by].append((float(prediction.upper - prediction.value), float(prediction.score(force + error))))
+    return {by: (np.mean(inside[by], axis=0), *np.transpose(widths[by])) for by in groupings}
 
 
 def stroke_labels(points: IsobaricDataset) -> np.ndarray:
@@ -144,7 +146,7 @@ def pre_contracted_knee():
 
 
 def main():
-    parser = argparse.ArgumentParser(description="How often 95 % intervals hold the truth.")
+    parser = argparse.ArgumentParser(description="How often 95 % intervals hold the truth; half width and score.")
     parser.add_argument("--sets", type=int, default=2000, help="data sets a row")
     options = parser.parse_args()
     sets, knee = options.sets, pre_contracted_knee()
@@ -154,8 +156,8 @@ def main():
         for common, name in ((False, "independent"), (True, "2 N common to each stroke")):
             found = shares(points, knee, sets, common=common)
             cells = (
-                f"{100 * found[by].min():.1f} .. {100 * found[by].max():.1f} %"
-                for by in (Grouping.STROKE, Grouping.POINT)
+                f"{100 * share.min():.1f} .. {100 * share.max():.1f} %, {np.median(half):.3g} N, {score.mean():.3g} N"
+                for share, half, score in (found[Grouping.STROKE], found[Grouping.POINT])
             )
             print(f"| {stroke_labels(points).max() + 1} | {len(points)} | {name} | {' | '.join(cells)} |", flush=True)
 

@@ -27,7 +27,8 @@ def knee():
 @pytest.mark.slow
 def test_noise_of_a_plateau_counts_once_and_its_mean_is_covered(points, knee):
     found = coverage.shares(points, knee, SETS, common=False)
-    for by, share in found.items():
+    for by, (share, half, score) in found.items():
+        assert np.median(half) < 1.5 * score.mean() / 2 and (score >= 2 * half - 1e-9).all()
         assert np.all(share >= 0.92), (by, share)
         assert np.all(share <= 0.98), (by, share)
 
@@ -36,9 +37,10 @@ def test_noise_of_a_plateau_counts_once_and_its_mean_is_covered(points, knee):
 def test_an_error_common_to_a_stroke_is_covered_where_strokes_are_the_groups(points, knee):
     assert coverage.stroke_labels(points).max() + 1 == 18
     found = coverage.shares(points, knee, SETS, common=True)
-    share = found[Grouping.STROKE]
+    share, half, score = found[Grouping.STROKE]
     assert np.all(share >= 0.92), share
     assert np.all(share <= 0.98), share
-    classical = found[Grouping.POINT]
+    classical, narrow, _ = found[Grouping.POINT]
+    assert np.median(narrow) < np.median(half) and score.mean() < 2 * 1.3 * np.median(half)
     assert classical[7] < 0.75  # of the force
     assert np.all(classical[[2, 3]] < 0.9)  # b1, b2

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from mckibben.dataset import IsobaricDataset
 from mckibben.errors import printable
+from mckibben.identification.estimator import Floats
 from mckibben.muscle import Domain
 from mckibben.result import Remark
 from mckibben.units import percent, show
