@@ -100,7 +100,10 @@ class PID(Loop[PIDState]):
         return {}
 
     def sample(self, state: PIDState | None, setpoint: ArrayLike, measured: ArrayLike) -> LastSample:
-        """Sample for the derivative of the next period, after a state."""
+        """Sample for the derivative of the next period.
+
+        The change of the setpoint since the last sample of the state is part of it with `derivative_on_error`.
+        """
         measured = floating(measured)
         if not self.derivative_on_error:
             return LastSample(measured)
@@ -109,7 +112,10 @@ class PID(Loop[PIDState]):
         return LastSample(measured, (setpoint,), (change,))
 
     def derivative(self, state: PIDState, setpoint: ArrayLike, measured: ArrayLike, period: ArrayLike) -> Scalar:
-        """Filtered derivative one control period [s] later."""
+        """Filtered derivative one control period [s] later, in the unit of the measurement per second.
+
+        Backward Euler: (T d + change) / (T + h), with the filter time T and the change of minus the measurement.
+        """
         change = state.last.measured - floating(measured)
         if self.derivative_on_error:
             now, before = jnp.asarray(setpoint) - state.last.setpoint[0], state.last.change[0]

@@ -23,7 +23,7 @@ from mckibben.identification.fit import Fit
 from mckibben.identification.grouping import Grouping
 from mckibben.identification.least_squares import FitProblem, Solution, grid_search, project, solve
 from mckibben.identification.outliers import find_outliers, without_outliers
-from mckibben.identification.regression import NotIdentifiableError, Regression, pressure_blocks
+from mckibben.identification.regression import RESOLUTION, NotIdentifiableError, Regression, pressure_blocks
 from mckibben.identification.smooth import SMOOTH_LAWS, fit_smooth, laws_from, smooth_refit
 from mckibben.identification.summary import (
     CONTRACTION_NOISE,
@@ -40,6 +40,7 @@ from mckibben.result import Remark
 from mckibben.units import show
 
 _GOOD = 0.005  # RMSE of the largest force up to which a misspecified law is a detail
+_CONTRACTIONS = 6  # with fewer, a law of one contraction less is hardly determined (docs/results/intervals.md)
 
 
 @checked_call
@@ -89,8 +90,7 @@ def check_law_type(kind: object) -> None:
 def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[Outlier, ...]) -> Fit:
     """Fit a law to plateau means without the outliers.
 
-    Points at a single pressure all have its level: their scatter about it says nothing about the pressure. A law with
-    smooth deviations may be replaced by a simpler one, as a note then explains.
+    A law with smooth deviations may be replaced by a simpler one, as a note then explains.
 
     Raises
     ------
@@ -103,8 +103,6 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
     _check_count(ExponentialLaw if smooth else law_type, taut, slack=len(means) - len(taut))
     check_design(taut)
     points = _within_validity(law_type, taut)
-    if len(points.pressures) == 1:  # the scatter about it says nothing about the pressure
-        points = IsobaricDataset(points.table.assign(pressure=("point", points.levels)))
     refit, simpler = None, ""
     if smooth:
         eq2 = FitProblem.of(ExponentialLaw, points)
@@ -143,6 +141,9 @@ def fit_means(law_type: type[ForceLaw], means: IsobaricDataset, outliers: tuple[
         notes.append(Remark.note("standard_errors", f"the standard errors are for independent points: {ungrouped}"))
     lopo, reason = _leave_one_pressure_out(regression)
     notes += [Remark.note("leave_one_pressure_out", reason)] if reason else []
+    if (count := len(np.unique(np.round(points.contraction / RESOLUTION)))) < _CONTRACTIONS:
+        text = f"between {count} contractions the error of the law is not known, and not in the prediction interval"
+        notes.append(Remark.note("contraction", text, f"measure at {_CONTRACTIONS} or more"))
     law = dataclasses.replace(problem.law(solution.values), domain=domain_of(points))
     notes += _severe_remarks(law, lopo, float(np.std(points.force)))
     return Fit(

@@ -131,18 +131,8 @@ def validate(
         outside = ~np.asarray(law.domain.contains(points.contraction, points.levels))
         for pressure, direction, mask in groups:
             part = difference[mask]
-            errors.append(
-                ErrorStatistics(
-                    law=name,
-                    pressure=pressure,
-                    direction=direction,
-                    points=len(part),
-                    rmse=float(np.sqrt(np.mean(part**2))),
-                    max_error=float(np.abs(part).max()),
-                    bias=float(part.mean()),
-                    outside=int(outside[mask].sum()),
-                )
-            )
+            sizes = float(np.sqrt(np.mean(part**2))), float(np.abs(part).max()), float(part.mean())
+            errors.append(ErrorStatistics(name, pressure, direction, len(part), *sizes, int(outside[mask].sum())))
     return Validation(tuple(errors), len(means) - len(points), printable(str(means.table.attrs["specimen"])))
 
 
