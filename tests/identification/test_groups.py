@@ -13,7 +13,7 @@ from mckibben.units import bar
 def points(levels, **columns):
     count = len(levels)
     return IsobaricDataset.of(
-        pressure=np.array(levels) * bar, contraction=np.arange(count) / 100, force=np.full(count, 50.0), **columns
+        pressure=np.array(levels) * bar, contraction=np.arange(count) / 100, force=50.0 - np.arange(count), **columns
     )
 
 
