@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mckibben.dataset.matlab import MatlabReader, Opaque, Value
-from mckibben.dataset.raw import Budget, RawColumn, RawTable, hdf5_nodes, read_bytes, several, unreadable
+from mckibben.dataset.raw import Budget, RawColumn, RawTable, hdf5_nodes, read_bytes, readable, several
 from mckibben.dataset.text import decode, read_text
 from mckibben.dataset.vocabulary import parse_header
 from mckibben.dataset.workbook import read_workbook
@@ -26,17 +26,6 @@ _TABLE = Problem(
     "is an object of MATLAB (a table?), which only MATLAB can open",
     remedy="save its columns: s = table2struct(t, 'ToScalar', true); save('rig.mat', '-struct', 's')",
 )
-_OTHER_FORMATS = {
-    b"\xd0\xcf\x11\xe0": ("a workbook in the format before 2007", "save it as .xlsx or CSV"),
-    b"\x1f\x8b": ("compressed by gzip", "decompress it first"),
-    **dict.fromkeys((b"<!doctype", b"<html", b"<?xml", b"<table"), ("HTML or XML", "save it as .xlsx or CSV")),
-    b"sqlite format 3": ("an SQLite database", "export the table as CSV"),
-    b"cdf": ("NetCDF of version 3", "save it as NetCDF-4"),
-    b"par1": ("Parquet", "write a table: pandas.read_parquet(...).to_csv(...)"),
-    b"%pdf": ("a PDF document", "ask for the table as CSV or .xlsx"),
-    **dict.fromkeys((b"\x89png", b"\xff\xd8\xff", b"gif8"), ("an image", "give the numbers that it shows as CSV")),
-    **dict.fromkeys((b"{", b"[{", b"[["), ("JSON", "write a table: pandas.DataFrame(...).to_csv(...)")),
-}
 _UNITS = ("units", "unit", "unit_string")
 _LARGEST_ATTRIBUTE = 8  # numbers or texts
 _PACKING = ("scale_factor", "add_offset", "_fillvalue", "missing_value", "valid_range", "valid_min", "valid_max")
@@ -65,7 +54,7 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
         For a file that is missing, damaged, too large, or of a format that is not read; a known one has a remedy.
     """
     data = read_bytes(path)
-    head, budget = data[:64].lstrip().lower(), Budget(path)
+    budget = Budget(path)
     if data.startswith(b"PK\x03\x04"):
         return read_workbook(path, data, mapping, part, budget)
     if data.startswith(_HDF5) or data[512:520] == _HDF5:
@@ -74,14 +63,7 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
         return _read_matlab(path, data, part, mapping, budget)
     if data.startswith(b"TDSm"):
         return _read_tdms(path, data, part, mapping, budget)
-    for start, (what, remedy) in _OTHER_FORMATS.items():
-        if head.startswith(start) and not head.startswith(b"[mm"):
-            raise DatasetError(str(path), [Problem(f"is {what}", remedy=remedy)])
-    text = decode(data, path)
-    del data
-    if path.suffix.lower() in (".yaml", ".yml"):
-        raise DatasetError(str(path), [Problem("is YAML", remedy="give a file of measurements")])
-    return read_text(text, path, mapping, decimal)
+    return read_text(decode(data, path), path, mapping, decimal)
 
 
 def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
@@ -90,19 +72,14 @@ def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
 
     table = RawTable()
     matlab = data.startswith(b"MATLAB 7.3")
-    try:
-        with h5py.File(io.BytesIO(data), "r") as file:
-            table.words += _attributes(file)
-            for name, node in hdf5_nodes(file, budget, "." if matlab else "/"):
-                if node is None:
-                    continue
-                table.words += [(None, f"{name}: {text}") for _, text in _attributes(node)]
-                if isinstance(node, h5py.Dataset):
-                    _add_node(table, name, node, matlab, budget)
-    except DatasetError:
-        raise
-    except Exception as error:  # h5py raises nearly any exception on a damaged file
-        raise unreadable(path, "an HDF5 file", error) from error
+    with readable(path, "an HDF5 file"), h5py.File(io.BytesIO(data), "r") as file:
+        table.words += _attributes(file)
+        for name, node in hdf5_nodes(file, budget, "." if matlab else "/"):
+            if node is None:
+                continue
+            table.words += [(None, f"{name}: {text}") for _, text in _attributes(node)]
+            if isinstance(node, h5py.Dataset):
+                _add_node(table, name, node, matlab, budget)
     return _one_group(path, table, part, mapping)
 
 
@@ -201,12 +178,8 @@ def _read_matlab(path: Path, data: bytes, part: str, mapping: Mapping[str, str],
         older = Problem("is no MATLAB file of version 5 to 7.3", remedy="save it in MATLAB with -v7")
         raise DatasetError(str(path), [older])
     table = RawTable()
-    try:
+    with readable(path, "a MATLAB file"):
         variables = dict(MatlabReader(data, budget).variables())
-    except DatasetError:
-        raise
-    except Exception as error:  # a damaged file raises nearly any exception
-        raise unreadable(path, "a MATLAB file", error) from error
     for name, value in variables.items():
         _add_variable(table, name, value)
     return _one_group(path, table, part, mapping)
@@ -256,26 +229,21 @@ def _read_tdms(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
         raise DatasetError(str(path), [Problem("needs npTDMS, which is not installed", remedy=remedy)]) from None
     table = RawTable()
     intervals, starts = set(), set()
-    try:
-        with TdmsFile.open(io.BytesIO(data)) as file:
-            table.words += _properties("", file.properties)
-            for group in file.groups():
-                table.words += _properties(group.name, group.properties)
-                for channel in group.channels():
-                    budget.spend(size=8 * len(channel), rows=len(channel), columns=len(table.columns))
-                    name, said = f"{group.name}/{channel.name}", channel.properties
-                    table.words += _properties(name, said)
-                    if channel.dtype is not None and channel.dtype.kind in "iuf":
-                        unit = next((str(said[key]) for key in said if key.lower() in _UNITS), "")
-                        table.columns.append(RawColumn(name, np.asarray(channel[:], np.float64), channel.name, unit))
-                    elif channel.dtype is not None and len(channel):
-                        table.columns.append(RawColumn(name, [str(cell) for cell in channel[:]], channel.name))
-                    intervals.add(said.get("wf_increment"))
-                    starts.add((said.get("wf_start_time"), said.get("wf_start_offset")))
-    except DatasetError:
-        raise
-    except Exception as error:  # npTDMS raises nearly any exception on a damaged file
-        raise unreadable(path, "a TDMS file", error) from error
+    with readable(path, "a TDMS file"), TdmsFile.open(io.BytesIO(data)) as file:
+        table.words += _properties("", file.properties)
+        for group in file.groups():
+            table.words += _properties(group.name, group.properties)
+            for channel in group.channels():
+                budget.spend(size=8 * len(channel), rows=len(channel), columns=len(table.columns))
+                name, said = f"{group.name}/{channel.name}", channel.properties
+                table.words += _properties(name, said)
+                if channel.dtype is not None and channel.dtype.kind in "iuf":
+                    unit = next((str(said[key]) for key in said if key.lower() in _UNITS), "")
+                    table.columns.append(RawColumn(name, np.asarray(channel[:], np.float64), channel.name, unit))
+                elif channel.dtype is not None and len(channel):
+                    table.columns.append(RawColumn(name, [str(cell) for cell in channel[:]], channel.name))
+                intervals.add(said.get("wf_increment"))
+                starts.add((said.get("wf_start_time"), said.get("wf_start_offset")))
     if len(intervals) == 1 and isinstance(step := intervals.pop(), float) and step > 0:
         table.interval = step
     if len(starts) > 1:

@@ -71,14 +71,6 @@ def format_list(values: np.ndarray, most: int = 24) -> str:
     return ", ".join(shown) + (f", ... ({len(values)} in all)" if len(values) > most else "")
 
 
-def _of_pressures(highest: float) -> list[Problem]:
-    """Problem of pressures that are not in Pa, as their highest shows."""
-    if not 0 < highest < _LOWEST:
-        return []
-    text = f"the highest pressure is {highest:.4g} Pa, too low for a muscle test"
-    return [Problem(text, field="pressure", remedy="check the unit: arrays are in Pa", value=highest, unit="Pa")]
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class IsobaricDataset(MeasuredTable):
     """Points of isobaric tests: pressure, contraction and force.
@@ -166,11 +158,13 @@ class IsobaricDataset(MeasuredTable):
             "force_samples": force_samples,
             "pressure_samples": pressure_samples,
         }
-        table, problems = assemble(variables, VARIABLES)
-        if not problems and (set_pressure is None or (table["set_pressure"] > 0).any()):  # not a test at 0 bar only
-            problems += _of_pressures(float(table["pressure"].to_numpy().max(initial=0.0)))
-        if problems:
-            raise DatasetError("dataset", problems)
+        table = assemble(variables, VARIABLES, "dataset")
+        highest = float(table["pressure"].to_numpy().max(initial=0.0))
+        if 0 < highest < _LOWEST and (set_pressure is None or (table["set_pressure"] > 0).any()):  # not all at 0 bar
+            text = f"the highest pressure is {highest:.4g} Pa, too low for a muscle test"
+            remedy = "check the unit: arrays are in Pa"
+            problem = Problem(text, field="pressure", remedy=remedy, value=highest, unit="Pa")
+            raise DatasetError("dataset", [problem])
         attrs = {"specimen": specimen, "source": source, "slack_force": 0.0 if slack_force is None else slack_force}
         found = cls(table.assign_attrs(attrs, initial_length=initial_length))
         return cls(with_slack_force(found.table)) if slack_force is None and len(found) else found

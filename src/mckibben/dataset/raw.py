@@ -6,6 +6,7 @@ import os
 import stat
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.errors import DatasetError, Problem
+from mckibben.errors import DatasetError, FileError, Problem
 from mckibben.storage.files import similar_file
 
 if TYPE_CHECKING:
@@ -149,19 +150,21 @@ def read_bytes(path: Path) -> bytes:
         raise DatasetError(str(path), [Problem(f"cannot be read: {error}")]) from None
 
 
-def unreadable(path: Path, what: str, error: Exception) -> DatasetError:
-    """Error for a file that a library cannot read.
+@contextmanager
+def readable(path: Path, what: str) -> Iterator[None]:
+    """Raise a `DatasetError` for any exception of a library that reads a file.
 
-    Parameters
-    ----------
-    what
-        Kind of file, with its article.
-    error
-        Exception of the library, of which the first line is quoted.
+    Libraries raise nearly every kind of exception for a damaged file. `what` names the kind of file, with its article;
+    the first line of the exception is quoted. Errors of files, and a missing library, remain what they are.
     """
-    lines = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()
-    text = f"cannot be read as {what}: {lines[0][:500]}"
-    return DatasetError(str(path), [Problem(text, remedy="save it again, or export it as CSV")])
+    try:
+        yield
+    except (FileError, ImportError):
+        raise
+    except Exception as error:
+        lines = (getattr(error, "strerror", None) or str(error) or type(error).__name__).splitlines()
+        text = f"cannot be read as {what}: {lines[0][:500]}"
+        raise DatasetError(str(path), [Problem(text, remedy="save it again, or export it as CSV")]) from error
 
 
 def several(what: str, names: Sequence[str]) -> Problem:

@@ -13,7 +13,7 @@ from mckibben.dataset.points import ExtractedPoints, SampleAccount, extracted_po
 from mckibben.dataset.preprocessing import pressure_levels
 from mckibben.dataset.schema import RECORDED, MeasuredTable, assemble, format_range
 from mckibben.dataset.segmentation import FEW, approaches, shorter_dwell, steady_segments
-from mckibben.errors import DatasetError, RangeError
+from mckibben.errors import RangeError
 from mckibben.result import draw
 from mckibben.units import bar, kPa, percent
 
@@ -86,9 +86,7 @@ class Recording(MeasuredTable):
         variables: dict[str, ArrayLike | None] = {"time": time, "pressure": pressure, "force": force}
         for name, values in (("contraction", contraction), ("set_pressure", set_pressure)):
             variables[name] = np.full(length, values) if values is not None and np.ndim(values) == 0 else values
-        table, problems = assemble(variables, RECORDED)
-        if problems:
-            raise DatasetError("recording", problems)
+        table = assemble(variables, RECORDED, "recording")
         attrs = {"specimen": specimen, "source": source, "slack_force": slack_force or 0.0}
         return cls(table.assign_attrs(attrs, initial_length=initial_length))
 

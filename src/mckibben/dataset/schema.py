@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, NoReturn, Self, Typ
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mckibben.dataset.raw import Budget, check_regular, hdf5_nodes, unreadable
-from mckibben.errors import DatasetError, FileError, Problem, Suggesting
+from mckibben.dataset.raw import Budget, check_regular, hdf5_nodes, readable
+from mckibben.errors import DatasetError, Problem, Suggesting
 from mckibben.storage.files import atomic_write
 
 if TYPE_CHECKING:
@@ -110,17 +110,20 @@ def _normalize_attributes(attrs: Mapping[Hashable, Any]) -> tuple[dict[Hashable,
     return attrs, problems
 
 
-def assemble(
-    variables: Mapping[str, ArrayLike | None], schema: Mapping[str, Variable]
-) -> tuple[xr.Dataset, list[Problem]]:
-    """Table of the array-likes that are not None, empty if shapes do not match, and the problems.
+def assemble(variables: Mapping[str, ArrayLike | None], schema: Mapping[str, Variable], word: str) -> xr.Dataset:
+    """Table of the array-likes that are not None.
 
-    >>> table, problems = assemble({"pressure": [1e5, 2e5], "force": [3.0]}, VARIABLES)
-    >>> print(problems[0])
-    force: has 1 values for 2 points
+    Raises a `DatasetError` of `word` with all problems of their shapes.
+
+    >>> assemble({"pressure": [1e5, 2e5], "force": [3.0]}, VARIABLES, "dataset")
+    Traceback (most recent call last):
+    mckibben.errors.DatasetError: dataset: 1 problem
+      force: has 1 values for 2 points
     """
+    import xarray as xr
+
     arrays: dict[str, np.ndarray] = {}
-    problems: list[Problem] = []
+    problems: list[Problem | None] = []
     for name, values in variables.items():
         try:
             arrays |= {name: np.asarray(values)} if values is not None else {}
@@ -128,16 +131,12 @@ def assemble(
             problems.append(Problem("has rows of unequal length", field=name))
     first = next(iter(schema))
     count = arrays[first].size if first in arrays else 0
-    found = (_shape_problem(name, array.shape, count, schema[name].dims) for name, array in arrays.items())
-    problems += [problem for problem in found if problem is not None]
-    counts = {array.shape[1] for array in arrays.values() if array.ndim == 2}
-    if not problems and len(counts) > 1:
+    problems += [_shape_problem(name, array.shape, count, schema[name].dims) for name, array in arrays.items()]
+    if not any(problems) and len({array.shape[1] for array in arrays.values() if array.ndim == 2}) > 1:
         problems.append(Problem("differs from force_samples in the number of samples", field="pressure_samples"))
-    import xarray as xr
-
-    if problems:
-        return xr.Dataset(), problems
-    return xr.Dataset({name: (schema[name].dims, array) for name, array in arrays.items()}), []
+    if wrong := [problem for problem in problems if problem]:
+        raise DatasetError(word, wrong)
+    return xr.Dataset({name: (schema[name].dims, array) for name, array in arrays.items()})
 
 
 def _shape_problem(name: str, shape: tuple[int, ...], count: int, dims: tuple[str, ...]) -> Problem | None:
@@ -244,18 +243,11 @@ def load_netcdf(path: Path, *, lazy: bool = False) -> xr.Dataset:
     """
     import xarray as xr
 
-    try:
-        size = check_regular(path)
-        _check_netcdf(path, size)
+    with readable(path, "NetCDF"):
+        _check_netcdf(path, check_regular(path))
         if lazy:
             return xr.open_dataset(path, engine="h5netcdf", decode_times=False, cache=False)
         return xr.load_dataset(path, engine="h5netcdf", decode_times=False).drop_encoding()
-    except FileError as error:
-        raise DatasetError(str(path), error.problems) from None
-    except ImportError:
-        raise
-    except Exception as error:  # h5py and h5netcdf raise nearly every kind on a damaged file
-        raise unreadable(path, "NetCDF", error) from error
 
 
 def _check_netcdf(path: Path, size: int) -> None:

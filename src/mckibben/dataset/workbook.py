@@ -10,7 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mckibben.dataset.raw import Budget, RawTable, several, unreadable
+from mckibben.dataset.raw import Budget, RawTable, readable, several
 from mckibben.dataset.text import find_layout, read_lines
 from mckibben.errors import DatasetError, Problem
 
@@ -35,7 +35,7 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
     except ImportError:
         remedy = 'pip install "mckibben[excel]", or save the sheet as CSV'
         raise DatasetError(str(path), [Problem("needs openpyxl, which is not installed", remedy=remedy)]) from None
-    try:
+    with readable(path, "a workbook"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = archive.namelist()
             size = sum(info.file_size for info in archive.infolist())
@@ -45,10 +45,6 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
             text = f"has {size / 1e6:.0f} MB of XML, more than {_SHEET_BYTES / 1e6:.0f}"
             raise DatasetError(str(path), [Problem(text, remedy="save the sheet as CSV")])
         book = load_workbook(io.BytesIO(data), data_only=True, keep_links=False)
-    except DatasetError:
-        raise
-    except Exception as error:  # openpyxl raises nearly any exception on a damaged workbook
-        raise unreadable(path, "a workbook", error) from error
     sheets = [sheet for sheet in book.worksheets if part in ("", sheet.title)]
     lines = {sheet.title: _lines(sheet, budget) for sheet in sheets}
     tables = [sheet for sheet in sheets if find_layout(lines[sheet.title], mapping)]
