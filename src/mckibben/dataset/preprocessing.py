@@ -208,7 +208,7 @@ def with_slack_force(table: xr.Dataset) -> xr.Dataset:
         text = (
             f"the lowest forces, {slack.offset:.3g} +- {slack.noise:.2g} N at {slack.points} points, count as taut; if "
             "the muscle is slack there, subtract the zero error of the load cell, otherwise give slack_force=0.0 "
-            "(command line: --slack-force '0 N')"
+            "(command line: --read 'slack_force=0 N')"
         )
         warnings.warn(text, McKibbenWarning, stacklevel=user_level())
         return table

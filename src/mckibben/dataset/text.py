@@ -108,20 +108,19 @@ def read_lines(
         none = Problem("has a header, and no rows of numbers", line=layout.row + 1)
         raise DatasetError(str(path), table.corrupt or [none])
     budget.spend(rows=len(rows), columns=len(names), size=8 * len(rows) * len(names))
-    bodies, table.lines = [line for _, line in rows], [number for number, _ in rows]
     table.decimal = decimal or settled
     if not table.decimal:
-        sample = bodies[:: 1 + len(bodies) // _SAMPLED]
+        sample = rows[:: 1 + len(rows) // _SAMPLED]
         cells = [cell for line in sample for cell in _split(line, separator)]
         table.decimal, table.ambiguous = decimal_sign(cells, separator)
-    for at, column in enumerate(_cells(bodies, separator, table.decimal, len(names), path)):
+    for at, column in enumerate(_cells(rows, separator, table.decimal, len(names), path)):
         repeats = f" ({at + 1})" if names[at] in names[:at] else ""
         numbers, beside = _as_numbers(column, table.decimal, certain=bool(decimal))
         name = f"{names[at]}{repeats}" if names[at] else f"column {at + 1}"
         table.columns.append(RawColumn(name, numbers, label=names[at], unit=units[at] or beside))
-    if rows[-1][0] == len(lines) and _is_cut(bodies[-50:]):
+    if table.lines[-1] == len(lines) and _is_cut(rows[-50:]):
         text = "its last number has fewer digits than all others: was the file truncated?"
-        table.corrupt.append(Problem(text, line=rows[-1][0]))
+        table.corrupt.append(Problem(text, line=len(lines)))
     return table
 
 
@@ -219,6 +218,8 @@ def _header(table: RawTable, lines: Sequence[str], layout: Layout) -> tuple[list
             break
         else:
             _take_words(table, [(first + 1, lines[first])])
+    else:
+        first += 1
     if first < len(lines) and len(wide := _split(lines[first], layout.separator)) == len(names) + 1:
         if not wide[-1]:
             return [*names, ""], [*units, ""], first
@@ -227,11 +228,13 @@ def _header(table: RawTable, lines: Sequence[str], layout: Layout) -> tuple[list
     return names, units, first
 
 
-def _rows(
-    table: RawTable, lines: Sequence[str], first: int, separator: str, names: Sequence[str]
-) -> list[tuple[int, str]]:
-    """Rows with their line numbers; comments and lines without numbers are words, others of another width corrupt."""
-    rows: list[tuple[int, str]] = []
+def _rows(table: RawTable, lines: Sequence[str], first: int, separator: str, names: Sequence[str]) -> list[str]:
+    """Rows, with their line numbers in the table.
+
+    Comments and lines without numbers are words; rows of another width than the header's are corrupt.
+    """
+    rows: list[str] = []
+    table.lines = numbers = []
     for number, line in enumerate(lines[first:], first + 1):
         if not line.strip(f"{separator} \t"):
             continue
@@ -241,7 +244,8 @@ def _rows(
             _take_words(table, [(number, line)])
         elif count == len(names):
             if line[0].isdigit() or _split(line, separator) != names:
-                rows.append((number, line))
+                rows.append(line)
+                numbers.append(number)
         elif not any(map(_BEGINS.match, _split(line, separator))):
             _take_words(table, [(number, line)])
         elif len(table.corrupt) < _LISTED:
