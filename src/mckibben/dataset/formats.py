@@ -143,11 +143,13 @@ def _add_texts(table: RawTable, name: str, texts: Sequence[str], dimensions: int
 
 
 def _unpacked(node: h5py.Dataset) -> np.ndarray:
-    """Values by the conventions of NetCDF: scale and offset applied, missing and invalid ones NaN."""
+    """Values by the conventions of NetCDF: scale and offset applied; missing and invalid ones, and overflows, NaN."""
     packing = {key.lower(): _attribute(node, key) for key in node.attrs if key.lower() in _PACKING}
     attributes = {key: np.ravel(np.asarray(value)) for key, value in packing.items() if value is not None}
     raw = np.asarray(node[()])
     values = raw.astype(np.float64)
+    if raw.dtype.kind in "iu":
+        values[raw == np.iinfo(raw.dtype).max] = np.nan  # at the end of the range of its type
     for key in ("_fillvalue", "missing_value"):
         values[np.isin(raw, attributes.get(key, []))] = np.nan
     low, high = attributes.get(
