@@ -50,12 +50,6 @@ def whole_periods(duration: float, period: float) -> int | None:
     return count if count >= 1 and abs(count * period - duration) <= 1e-9 * duration else None
 
 
-def check_number(owner: str, **values: object) -> None:
-    """Raise `RangeError` for texts and flags in place of numbers."""
-    for name, value in values.items():
-        known_numbers(owner, name, value)
-
-
 def check_within(owner: str, lower: float, upper: float, unit: str = "", *, remedy: str = "", **values: object) -> None:
     """Check that numbers, or arrays of any shape, lie in a closed range.
 

@@ -79,7 +79,17 @@ _RANGES: Ranges = {
 
 
 class Identity(NamedTuple):
-    """A promise of a base: two results of a component and numbers that must be equal, and the remedy if they differ."""
+    """A promise of a base: two results of a component and numbers that must be equal.
+
+    Parameters
+    ----------
+    name
+        Name of the check.
+    function
+        Function of a component and numbers that returns both results.
+    remedy
+        What the class must do, if they differ.
+    """
 
     name: str
     function: Callable[..., tuple[Tree, Tree]]
@@ -111,14 +121,18 @@ class Probes(NamedTuple):
     limits: Callable[[Any], Ranges] = lambda _: {}
 
     def ranges(self, function: Callable[..., Tree], component: object) -> Ranges:
-        """Return the range of each argument of a function, for a component."""
+        """Return the range of each argument of a function [SI], for a component: its own limits, or the usual ones."""
         limits = self.limits(component)
         names = list(inspect.signature(function).parameters)[1:]
         return {name: limits.get(name.rstrip("12"), _RANGES[name.rstrip("12")]) for name in names}
 
 
 def probes_of(component: object) -> Probes:
-    """Return the probes of the nearest base of a component; empty for a class without functions."""
+    """Return the probes of the nearest base of a component; empty for a class without functions.
+
+    >>> [identity.name for identity in probes_of(catalog.load("knee-table-2")).identities]
+    ['inverse', 'slope']
+    """
     return next((_PROBES[base] for base in type(component).__mro__ if base in _PROBES), Probes())
 
 
@@ -157,7 +171,7 @@ def _inverted(law: ForceLaw, contraction: Num, pressure: Num) -> tuple[Tree, Tre
 
 
 def _domain(law: ForceLaw) -> Ranges:
-    """Range of the domain of a law, with finite ends in place of infinite ones."""
+    """Contractions and pressures [Pa] of the domain of a law, with finite ends in place of infinite ones."""
     domain = law.domain.intersection(law.formula_domain)
     ends = {
         "contraction": (domain.contraction_min, domain.contraction_max, *_RANGES["contraction"]),
@@ -223,7 +237,7 @@ def _creep_projected(creep: Creep, length: Num, pressure: Num, step: Num, tensio
 
 
 def _moved_creep(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num) -> tuple[CreepState, TensionAt]:
-    """State relaxed before a step of the pressure and a move, and the tension over the pressure."""
+    """State of creep, relaxed before a step of the pressure and a move, and the tension [N] over the pressure."""
     relaxed = creep.initial(length, pressure - step)
     rates = creep.rate(relaxed, step / bar, pressure)
     state = jax.tree.map(lambda x, rate: x + 0.1 * rate, relaxed, rates)

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from mckibben.component.base import Component, Inherited
-from mckibben.component.checks import check_count, check_number, check_within
+from mckibben.component.checks import check_count, check_within, known_numbers
 from mckibben.errors import RangeError
 from mckibben.numerics.batching import RANK
 from mckibben.numerics.elementary import floating, sin
@@ -242,7 +242,7 @@ class Sum(Signal):
 def as_signal(value: Signal | ArrayLike) -> Signal:
     """Signal of a number (or one per run), or the signal itself."""
     if isinstance(value, str):
-        check_number("Reference", signal=value)
+        known_numbers("Reference", "signal", value)
     return Constant(value) if isinstance(value, Real | np.ndarray | Array) else value  # type: ignore[arg-type]
 
 

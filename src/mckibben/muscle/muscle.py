@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.base import Component
 from mckibben.component.calls import checked_call, user_level
-from mckibben.component.checks import check_number
+from mckibben.component.checks import known_numbers
 from mckibben.errors import DomainWarning, RangeError
 from mckibben.muscle.adjusted import ForceCorrection, adjusted_law
 from mckibben.muscle.base import LEAST_PRESSURE, ForceLaw, warn_small_pressure
@@ -226,7 +226,8 @@ def warn_outside(*points: tuple[Muscle, ArrayLike, ArrayLike]) -> None:
 
 def forces(of: Muscle | ForceLaw, contraction: ArrayLike, pressure: ArrayLike) -> NDArray[np.float64]:
     """Return the force [N] of a muscle or law at measured points as a NumPy array, compiled as one piece."""
-    check_number("forces", contraction=contraction, pressure=pressure)
+    known_numbers("forces", "contraction", contraction)
+    known_numbers("forces", "pressure", pressure)
     return _at_points(_force, of, contraction, pressure)
 
 
