@@ -463,7 +463,7 @@ class _Sampled:
             raise ParameterError(text, remedy=remedy)
 
     def _in_reverse(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Jacobians by reverse mode, shape (points, results, numbers), in C, which compiles five times as fast as XLA."""
+        """Jacobians by reverse mode, shape (points, results, numbers), in C: it compiles five times as fast as XLA."""
         pulled = NativeFunction(lambda x, _: jax.vjp(self._traced, x[0])[1](x[1])[0], ("-O0",))
         try:
             rows = [[pulled((point, unit)) for unit in np.eye(self.values.shape[1])] for point in points]
