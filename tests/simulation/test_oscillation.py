@@ -1,11 +1,14 @@
 """Limit cycles: their amplitude and period, and what is none."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.signal import cont2discrete
 
-from mckibben.simulation.oscillation import find_limit_cycle
-from mckibben.units import deg
+from mckibben.simulation.oscillation import Signals, find_limit_cycle, find_oscillations
+from mckibben.units import bar, deg
 
 PERIOD = 1e-3
 TIMES = np.arange(3000) * PERIOD
@@ -78,3 +81,80 @@ def test_one_that_grows_is_found():
 def test_the_least_amplitude_is_two_steps_of_the_encoder(step, is_one):
     error = 0.3 * deg * np.sin(2 * np.pi * 7 * TIMES)
     assert (found(error, resolution=step * deg)[0] > 0) == is_one
+
+
+# Stiffness and commands
+searched = jax.jit(lambda signals: find_oscillations(signals, PERIOD))
+
+
+def oscillations(**columns):
+    rest = dict.fromkeys(Signals._fields, STILL) | {"desired_stiffness": STILL + 70.0, "stiffness": STILL + 70.0}
+    return searched(Signals(**(rest | {name: np.asarray(column) for name, column in columns.items()})))
+
+
+def test_a_command_that_reverses_209_times_a_second_chatters_though_the_angle_is_quiet():
+    swing = np.sin(2 * np.pi * 104.5 * TIMES)
+    found = oscillations(command1=3 * bar + 0.36 * bar * swing, stiffness=70.0 + 2.05 * swing)
+    assert float(found.angle) == 0.0
+    assert float(found.command) == pytest.approx(0.36 * bar, rel=0.05)
+    assert float(found.stiffness) == pytest.approx(2.05, rel=0.05)
+    assert float(found.reversals) == pytest.approx(209, rel=0.01)
+
+
+def test_a_relay_has_the_limit_cycle_of_its_describing_function():
+    """1 / (s (s + 1)^2) has the phase -180 deg and the gain 1/2 at 1 rad/s: 4 / pi / 2 of the relay's amplitude."""
+    plant = [[-2.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], [[1.0], [0.0], [0.0]], [[0.0, 0.0, 1.0]], [[0.0]]
+    a, b, c, *_ = cont2discrete(tuple(map(np.array, plant)), rate := 0.02)
+    state, relay, angles, commands = np.array([0.0, 0.0, 0.1]), 1.0, [], []
+    for _ in range(3000):
+        angle = float((c @ state)[0])
+        relay = -1.0 if angle > 0 else 1.0
+        angles.append(angle)
+        commands.append(relay)
+        state = a @ state + b[:, 0] * relay
+    scale = 5 * deg  # of the relay's torque
+    found = oscillations(angle=scale * np.array(angles), command1=0.5 * bar * np.array(commands))
+    assert float(found.angle) == pytest.approx(scale * 2 / np.pi, rel=0.1)
+    assert float(found.period) * rate / PERIOD == pytest.approx(2 * np.pi, rel=0.05)
+    assert float(found.command) == pytest.approx(0.5 * bar, rel=0.01)
+
+
+@pytest.mark.parametrize("damping", [0.0, 0.01, 0.03, 0.1, 0.3])
+@pytest.mark.parametrize("frequency", [5.0, 40.0])
+def test_a_free_vibration_of_a_damped_oscillator_decays_and_is_no_cycle(damping, frequency):
+    rate = 2 * np.pi * frequency
+    swing = solve_ivp(
+        lambda _, y: [y[1], -2 * damping * rate * y[1] - rate**2 * y[0]],
+        (0, TIMES[-1]),
+        [1.0, 0.0],
+        t_eval=TIMES,
+        rtol=1e-6,
+    ).y[0]
+    found = oscillations(angle=5 * deg * swing, command1=4 * bar * swing, stiffness=70.0 + 20 * swing)
+    amplitudes = map(float, (found.angle, found.command, found.stiffness))
+    assert [amplitude > 0 for amplitude in amplitudes] == [damping == 0.0] * 3
+
+
+@pytest.mark.parametrize("shape", ["white", "differentiated", "filtered"])
+def test_noise_on_a_command_is_no_cycle_and_below_the_step_of_a_valve_no_reversal(shape):
+    noise = np.random.default_rng(0).normal(size=3000)
+    if shape == "differentiated":
+        noise = np.diff(noise, prepend=0.0)
+    if shape == "filtered":
+        noise = np.convolve(noise, np.ones(10) / 10, mode="same")
+    noise /= noise.std()
+    loud, quiet = (oscillations(command1=3 * bar + size * bar * noise, stiffness=70 + noise) for size in (0.3, 0.01))
+    assert float(loud.command) == float(loud.stiffness) == 0.0
+    assert float(loud.reversals) > 50 and float(quiet.reversals) == 0.0
+
+
+def test_commands_and_stiffness_of_a_joint_that_follows_its_reference_have_its_harmonics_and_no_cycle():
+    wave = 2 * np.pi * 2 * TIMES
+    stiffness = 70 + 5 * np.sin(2 * wave) + 2 * np.sin(3 * wave + 1)
+    command = 3 * bar + 0.5 * bar * np.sin(wave) + 0.4 * bar * np.sin(2 * wave + 1)
+    found = oscillations(
+        desired_angle=5 * deg * np.sin(wave), angle=5 * deg * np.sin(wave), command2=command, stiffness=stiffness
+    )
+    assert float(found.stiffness) == float(found.command) == 0.0
+    still = oscillations(stiffness=stiffness)  # without a reference that asks for them
+    assert float(still.stiffness) > 0

@@ -173,6 +173,6 @@ def test_the_end_of_a_run_begins_at_the_first_control_period_of_its_last_tenth(s
     """As for a single run, whose outcome has the error of its last tenth."""
     error, change = np.arange(1.0, size + 1), last_change(np.full(size, 15.0))
     flown, zero = moved(size, angle=error), np.zeros(size)
-    samples = MetricSample.of(flown, np.arange(size), size, change, 15.0, (zero, zero))
+    samples = MetricSample.of(flown, np.arange(size), size, change, 15.0, (zero,) * 4)
     first = size - max(size // 10, 1)
     np.testing.assert_array_equal(samples.angle_error_at_end, np.where(np.arange(size) < first, 0.0, error))

@@ -183,7 +183,7 @@ def run_line(*, quiet: bool) -> Iterator[Callable[[RunProgress], None] | None]:
 def _text(now: RunProgress) -> str:
     reference = f" (reference {now.reference / deg:6.2f})" if now.reference == now.reference else ""
     reading, cycle = now.reading, now.limit_cycle
-    hunting = f"  limit cycle of {cycle.amplitude / deg:.2g} deg, {cycle.period:.2g} s" if cycle else ""
+    hunting = f"  limit cycle of {cycle.angle / deg:.2g} deg, {cycle.command / bar:.2g} bar" if cycle else ""
     return (
         f"{now.phase.name.lower()} {now.time:6.2f} of {now.duration:.4g} s  {reading.angle / deg:6.2f} deg{reference}  "
         f"{reading.pressure1 / bar:5.2f} {reading.pressure2 / bar:5.2f} bar  missed {now.missed}{hunting}"

@@ -27,6 +27,7 @@ from mckibben.realtime.compiled_step import (
 from mckibben.realtime.simulated import SimulatedJoint
 from mckibben.rig.calibration import Calibration
 from mckibben.rig.safety import JointMonitor
+from mckibben.simulation.oscillation import Oscillations
 
 
 class Channels(NamedTuple):
@@ -71,7 +72,7 @@ class PeriodRecord(NamedTuple):
     wanted: Any
     commands: Any
     telemetry: Any
-    cycle: Any  # amplitude [rad] and period [s] of the limit cycle so far
+    cycle: Any  # `Oscillations` so far
 
 
 class Joint(NamedTuple):
@@ -120,15 +121,14 @@ def _run(parts: tuple[Joint, Channels, LoopState, Periods], _: None) -> tuple[Lo
 
         def controlled(memory: Array, detection: Array) -> tuple[Array, ...]:
             inputs = jnp.stack([*at.reference, *reading, joint.period])
-            seen = jnp.stack([reading[0], at.reference[0], at.step, joint.period, joint.resolution])
-            return (
-                *step_flat(*joint.controller_layouts, joint.controller, memory, inputs),
-                *detect_flat(joint.detection_layout, detection, seen),
-            )
+            memory, values = step_flat(*joint.controller_layouts, joint.controller, memory, inputs)
+            sent = [_clip(values[i], *limits) for i, limits in enumerate(channels.limits)]
+            seen = jnp.stack([reading[0], at.reference[0], *sent, at.step, joint.period, joint.resolution])
+            return memory, values, *detect_flat(joint.detection_layout, detection, seen)
 
         def raised(memory: Array, detection: Array) -> tuple[Array, ...]:
-            nothing = jnp.full(joint.telemetry, jnp.nan)
-            return memory, jnp.concatenate([jnp.stack(at.ramp), nothing]), detection, jnp.zeros(2)
+            values = jnp.concatenate([jnp.stack(at.ramp), jnp.full(joint.telemetry, jnp.nan)])
+            return memory, values, detection, jnp.zeros(len(Oscillations._fields))
 
         memory, values, detection, cycle = lax.cond(at.raising, raised, controlled, state.controller, state.detection)
         wanted = values[0], values[1]
@@ -140,7 +140,7 @@ def _run(parts: tuple[Joint, Channels, LoopState, Periods], _: None) -> tuple[Lo
         new = LoopState(plant, memory, detection, commands, valves, errors)  # type: ignore[arg-type]
         new = LoopState(*(_chosen(at.counts, *pair) for pair in zip(new, state, strict=True)))
         reported = tuple(values[2 + i] for i in range(joint.telemetry))
-        return new, PeriodRecord(tuple(volts), tuple(reading), errors, wanted, commands, reported, (cycle[0], cycle[1]))
+        return new, PeriodRecord(tuple(volts), tuple(reading), errors, wanted, commands, reported, tuple(cycle))
 
     return lax.scan(period, start, periods)
 

@@ -21,7 +21,7 @@ from mckibben.errors import ExportError, SimulationError
 from mckibben.numerics.compiled import jit, numeric
 from mckibben.numerics.program_cache import ARRAYS
 from mckibben.plant import JointPlant, PlantState
-from mckibben.simulation.oscillation import LimitCycle, Oscillation
+from mckibben.simulation.oscillation import Oscillation, Oscillations, Signals
 
 _FURTHEST = np.pi / 2  # rad
 _POINTS = 721
@@ -221,36 +221,40 @@ class LimitCycleDetection:
         empty = Oscillation.empty(jnp.zeros(()))
         self.layout, self.resolution = FlatTree.like(empty), resolution
         self.memory: Any = self.layout.pack(empty)
-        self._step = flat_program(detect_flat, self.layout.size, 5, static=(self.layout,))
-        self._inputs = np.array([0.0, 0.0, 0.0, period, resolution])
+        self._step = flat_program(detect_flat, self.layout.size, 7, static=(self.layout,))
+        self._inputs = np.array([0.0, 0.0, 0.0, 0.0, 0.0, period, resolution])
         self._step(self.memory, self._inputs)  # compiles it, if XLA does
 
-    def after(self, angle: float, desired: float, index: int) -> LimitCycle | None:
-        """Return the limit cycle after a sample; None for none.
+    def after(self, angle: float, desired: float, commands: tuple[float, float], index: int) -> Oscillations | None:
+        """Return the limit cycles after a sample; None for none.
 
         Parameters
         ----------
         angle, desired
             Measured angle and reference [rad].
+        commands
+            Commands of the two valves [Pa].
         index
             Number of the period, from 0.
         """
-        self._inputs[:3] = angle, desired, index
-        self.memory, found = self._step(self.memory, self._inputs)
-        return limit_cycle_of(found)
+        self._inputs[:5] = angle, desired, *commands, index
+        self.memory, values = self._step(self.memory, self._inputs)
+        return limit_cycle_of(values)
 
 
-def limit_cycle_of(found: ArrayLike) -> LimitCycle | None:
-    """Limit cycle of an amplitude [rad] and a period [s]; None without an amplitude."""
-    amplitude, period = np.asarray(found).tolist()
-    return LimitCycle(amplitude, period) if amplitude > 0 else None
+def limit_cycle_of(values: ArrayLike) -> Oscillations | None:
+    """Limit cycles from the values of `Oscillations`; None without one."""
+    oscillations = Oscillations(*np.asarray(values).tolist())
+    return oscillations if oscillations.angle > 0 or oscillations.command > 0 else None
 
 
 def detect_flat(states: FlatTree, memory: Array, inputs: Array) -> tuple[Array, Array]:
-    """The detector of limit cycles after one period, and amplitude and period of the cycle."""
-    angle, desired, index, period, resolution = inputs
-    so_far = states.unpack(memory).after(angle, desired, index, resolution)
-    return states.pack(so_far, jnp), jnp.stack(so_far.limit_cycle(index + 1, period))
+    """The detector of limit cycles after one period, and the values of its `Oscillations`."""
+    angle, desired, command1, command2, index, period, resolution = inputs
+    still = jnp.zeros_like(angle)  # the stiffness is not measured
+    signals = Signals(angle, desired, still, still, command1, command2)
+    so_far = states.unpack(memory).after(signals, index, resolution)
+    return states.pack(so_far, jnp), jnp.stack(so_far.found(index + 1, period))
 
 
 @jit

@@ -26,7 +26,7 @@ from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import JointMonitor, StopFlag
-from mckibben.simulation.oscillation import LimitCycle
+from mckibben.simulation.oscillation import Oscillations
 from mckibben.units import bar, deg
 
 _PRIORITY = 20  # of 1 to 99: above ordinary processes, below those of the system
@@ -114,7 +114,7 @@ class RunProgress(NamedTuple):
     reading: JointReading
     reference: float
     missed: int
-    limit_cycle: LimitCycle | None = None
+    limit_cycle: Oscillations | None = None
 
 
 @dataclass(frozen=True)
@@ -331,7 +331,7 @@ class ControlLoop:
         self._together = together if simulated else 1
         self._detection = LimitCycleDetection(plan.period, plan.angle_resolution)
         self._first = 0  # sample of the controller's first step
-        self._limit_cycle: LimitCycle | None = None
+        self._limit_cycle: Oscillations | None = None
 
     def run(self) -> None:
         """Run all periods of the plan, to the end of the last one."""
@@ -378,7 +378,7 @@ class ControlLoop:
         if not raising:
             self._state, self._stepped = after.controller, first + count - 1
             self._detection.memory = after.detection
-            changes = np.flatnonzero(np.diff(found.cycle[:, 0] > 0)) + 1
+            changes = np.flatnonzero(np.diff((found.cycle[:, (0, 3)] > 0).any(axis=1))) + 1
             for row in (0, *changes, -1):
                 self._note(limit_cycle_of(found.cycle[row]))
         references = np.full((count, 2), np.nan) if raising else references
@@ -476,15 +476,18 @@ class ControlLoop:
         self._state, values = self._program.step(self._state, inputs)
         commands, limited = self._command(values[:2].tolist())
         self.rows.commanded(row, reference, commands, limited, values[2:])
-        self._note(self._detection.after(angle, float(reference[0]), number - self._first))
+        self._note(self._detection.after(angle, float(reference[0]), commands, number - self._first))
         return float(reference[0])
 
-    def _note(self, found: LimitCycle | None) -> None:
-        """Record the limit cycle of the closed loop when it is first found."""
+    def _note(self, found: Oscillations | None) -> None:
+        """Record the limit cycle of the closed loop, of the angle or a command, when it is first found."""
         if found is not None and self._limit_cycle is None:
-            amplitude, period = map(float, found)
+            amplitude, period = float(found.angle), float(found.period)
             text = f"the angle oscillates by {amplitude / deg:.3g} deg either way with a period of {period:.3g} s"
-            self.rows.event("limit cycle", text, amplitude=amplitude, period=period)
+            if not amplitude:
+                size = f"{found.command / bar:.3g} bar either way"
+                text = f"a command oscillates by {size} and reverses {found.reversals:.3g} times per second"
+            self.rows.event("limit cycle", text, amplitude=amplitude, period=period, command=float(found.command))
         self._limit_cycle = found
 
     def _command(self, pressures: Sequence[float]) -> tuple[tuple[float, float], bool]:

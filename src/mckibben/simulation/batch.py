@@ -82,8 +82,13 @@ class RunTable(Result):
 
     @property
     def usable(self) -> NDArray[np.bool_]:
-        """Mask of the runs that did not fail, and did not end in a limit cycle."""
+        """Mask of the runs that neither failed nor oscillate."""
         return np.array([outcome.usable for outcome in OUTCOMES])[self["outcome"]]
+
+    @property
+    def oscillates(self) -> NDArray[np.bool_]:
+        """Mask of the runs in a limit cycle of the angle, of the stiffness or of a command."""
+        return np.array([outcome.oscillates for outcome in OUTCOMES])[self["outcome"]]
 
     @property
     def chaotic(self) -> NDArray[np.bool_]:
@@ -440,7 +445,10 @@ def _run(shared: PyTree, lane: PyTree) -> dict[str, Array]:
     return {**{name: metrics[name] for name in asked.metrics}, **deciding, **streamed.kept}
 
 
-_DECIDING = ("angle_max", "time_outside_domain", "time_overloaded", "time_saturated", "oscillation_amplitude")
+_DECIDING = (
+    *("angle_max", "time_outside_domain", "time_overloaded", "time_saturated"),
+    *("oscillation_amplitude", "stiffness_oscillation", "command_oscillation"),
+)
 
 
 def _table(
@@ -453,6 +461,7 @@ def _table(
         left_domain=(columns["_time_outside_domain"] > 0) | (columns["_time_overloaded"] > 0),
         saturated=columns["_time_saturated"] > 0,
         oscillates=columns["_oscillation_amplitude"] > 0,
+        chatters=(columns["_stiffness_oscillation"] > 0) | (columns["_command_oscillation"] > 0),
         started=columns["_started"],
     )
     table: dict[str, Any] = {name: ("run", columns[name], attributes(name)) for name in asked.metrics}

@@ -17,18 +17,7 @@ from jaxtyping import Array, ArrayLike, PyTree
 from mckibben.control.base import Controller, DiscreteTimeSystem, Setpoint
 from mckibben.numerics.compiled import jit_arrays
 from mckibben.plant import JointPlant, Plant, PlantState
-from mckibben.simulation.metrics import (
-    Change,
-    Course,
-    Metrics,
-    MetricSample,
-    Run,
-    Totals,
-    angle_at_end,
-    last_change,
-    values_of,
-)
-from mckibben.simulation.oscillation import Oscillation
+from mckibben.simulation.metrics import Accumulation, Change, Metrics, angle_at_end, last_change, values_of
 from mckibben.simulation.trajectories import trajectory
 
 
@@ -117,10 +106,7 @@ class Streamed(NamedTuple):
 class _Carry(NamedTuple):
     loop: LoopState
     without_change: LoopState
-    total: Totals
-    stiffness_at_change: Array
-    air: tuple[Array, Array]
-    oscillation: Oscillation
+    so_far: Accumulation
 
 
 def streaming_episode(
@@ -160,22 +146,15 @@ def streaming_episode(
         index, setpoint = at
         following, record = step(carry.loop, setpoint)
         now = trajectory(plant, setpoint, record, carry.without_change[0].angle, controller.stiffness_amplitude)
-        at_change = jnp.where(index == change.at, now.stiffness, carry.stiffness_at_change)
-        air = (now.air1, now.air2)
-        before = [jnp.where(index == 0, new, old) for new, old in zip(air, carry.air, strict=True)]
-        added = MetricSample.of(now, index, periods, change, at_change, before).totals()
+        so_far = carry.so_far.after(now, index, periods, change, plant.sensors.angle_resolution)
         without = step_without_change(carry, following, setpoint, index)
-        oscillation = carry.oscillation.after(now.angle, now.desired_angle, index, plant.sensors.angle_resolution)
-        return _Carry(following, without, carry.total.merge(added), at_change, air, oscillation), {
-            name: getattr(now, name) for name in keep
-        }
+        return _Carry(following, without, so_far), {name: getattr(now, name) for name in keep}
 
     loop = initial_loop(plant, controller, initial)
-    zero = jnp.zeros_like(jnp.asarray(initial.angle))
-    carry = _Carry(loop, loop, MetricSample.empty(zero).totals().empty(), zero, (zero, zero), Oscillation.empty(zero))
-    carry, columns = lax.scan(next_period, carry, (jnp.arange(periods), setpoints))
-    run = Run(periods, period, Course(*carry.oscillation.limit_cycle(periods, period), change))
-    metrics = values_of(Metrics, carry.total, run)
+    start = _Carry(loop, loop, Accumulation.empty(jnp.asarray(initial.angle)))
+    carry, columns = lax.scan(next_period, start, (jnp.arange(periods), setpoints))
+    totals, run = carry.so_far.totals, carry.so_far.run(periods, period, change)
+    metrics = values_of(Metrics, totals, run)
     if split is None:
         metrics = metrics._replace(coupling=jnp.full_like(metrics.coupling, jnp.nan))
-    return Streamed(metrics, angle_at_end(carry.total, run), carry.loop[0], columns)
+    return Streamed(metrics, angle_at_end(totals, run), carry.loop[0], columns)

@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, PyTree
 
 from mckibben.component.columns import Label, labelled, labels_of
-from mckibben.simulation.oscillation import find_limit_cycle
+from mckibben.simulation.oscillation import Oscillation, Signals
 from mckibben.simulation.trajectories import Trajectory
 
 M = TypeVar("M")
@@ -117,6 +117,16 @@ class Duration(Total):
 
     def value(self, totals: Totals, run: Run) -> PyTree:
         return totals.sums[self.of] * run.period
+
+
+class LargerRate(Metric):
+    """Larger of the sums of a quantity of the two muscles, per second."""
+
+    def terms(self, sample: PyTree) -> Totals:
+        return Totals({f"{self.of}{i}": getattr(sample, f"{self.of}{i}") for i in (1, 2)}, {})
+
+    def value(self, totals: Totals, run: Run) -> PyTree:
+        return larger(totals.sums[f"{self.of}1"], totals.sums[f"{self.of}2"]) / (run.periods * run.period)
 
 
 class Tracked(Metric):
@@ -235,20 +245,25 @@ class Metrics(NamedTuple):
     ]
     oscillation_amplitude: Annotated[
         Array,
-        Tracked(
-            "rad",
-            "amplitude of a limit cycle of the angle",
-            of="amplitude",
-            shown="deg",
-            note="0 without one (`mckibben.simulation.oscillation`)",
-        ),
+        Tracked("rad", "amplitude of a limit cycle of the angle", of="angle", shown="deg", note="0 without one"),
     ]
     oscillation_period: Annotated[
-        Array, Tracked("s", "period of a limit cycle of the angle", of="cycle_period", note="NaN without one")
+        Array, Tracked("s", "period of a limit cycle of the angle", of="period", note="NaN without one")
     ]
+    stiffness_oscillation: Annotated[
+        Array, Tracked("N*m/rad", "amplitude of a limit cycle of the stiffness", of="stiffness", note="0 without one")
+    ]
+    command_oscillation: Annotated[
+        Array,
+        Tracked("Pa", "amplitude of a limit cycle of a command", of="command", shown="bar", note="0 without one"),
+    ]
+    command_reversals: Annotated[
+        Array, Tracked("1/s", "reversals of a command per second", of="reversals", note="of 0.1 bar or more")
+    ]
+    command_travel: Annotated[Array, LargerRate("Pa/s", "travel of a command per second", of="travel", shown="bar/s")]
 
 
-_SUFFIXES = {"N*m/rad": "", "%": "_percent"}
+_SUFFIXES = {"N*m/rad": "", "1/s": "_per_s", "bar/s": "_bar_per_s"}
 METRICS: dict[str, tuple[str, str, float]] = {
     f"{name}{_SUFFIXES.get(label.shown_unit, f'_{label.shown_unit}')}": (name, label.shown_unit, label.size)
     for name, label in metrics_of(Metrics).items()
@@ -280,19 +295,13 @@ def measure(
     change = last_change(moved.desired_stiffness) if change is None else change
     moved = Trajectory(*map(jnp.asarray, moved))
     periods = moved.angle.shape[0]
-    zero, at_change = jnp.zeros_like(moved.stiffness[0]), moved.stiffness[change.at]
 
-    def following(so_far: PyTree, at: tuple[Array, Trajectory]) -> tuple[PyTree, None]:
-        totals, air = so_far
-        index, now = at
-        before = [jnp.where(index == 0, new, old) for new, old in zip((now.air1, now.air2), air, strict=True)]
-        sample = MetricSample.of(now, index, periods, change, at_change, before)
-        return (totals.merge(sample.totals()), (now.air1, now.air2)), None
+    def following(so_far: Accumulation, at: tuple[Array, Trajectory]) -> tuple[Accumulation, None]:
+        return so_far.after(at[1], at[0], periods, change, angle_resolution), None
 
-    start = MetricSample.empty(zero).totals().empty(), (zero, zero)
-    (totals, _), _ = lax.scan(following, start, (jnp.arange(periods), moved))
-    cycle = find_limit_cycle(moved.angle, moved.desired_angle, period, angle_resolution)
-    return values_of(Metrics, totals, Run(periods, period, Course(*cycle, change)))
+    start = Accumulation.empty(moved.stiffness[0])
+    so_far, _ = lax.scan(following, start, (jnp.arange(periods), moved))
+    return values_of(Metrics, so_far.totals, so_far.run(periods, period, change))
 
 
 class Change(NamedTuple):
@@ -319,10 +328,13 @@ def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:
 
 
 class Course(NamedTuple):
-    """Limit cycle of a run [rad], [s], and the last change of its desired stiffness."""
+    """What is tracked over a run: its `Oscillations`, and the last change of its desired stiffness."""
 
-    amplitude: Array
-    cycle_period: Array
+    angle: Array
+    period: Array
+    stiffness: Array
+    command: Array
+    reversals: Array
     change: Change
 
 
@@ -341,6 +353,8 @@ class MetricSample(NamedTuple):
     overloaded: Array
     force: Array  # [N]
     inflow: Array  # [m^3]
+    travel1: Array  # of the commands [Pa]
+    travel2: Array
 
     @classmethod
     def empty(cls, like: Array) -> MetricSample:
@@ -355,9 +369,12 @@ class MetricSample(NamedTuple):
         periods: int,
         change: Change,
         stiffness_at_change: ArrayLike,
-        air_before: Sequence[ArrayLike],
+        before: Sequence[ArrayLike],
     ) -> MetricSample:
-        """Samples of single control periods, elementwise: scalars or shape (periods,)."""
+        """Samples of single control periods, elementwise: scalars or shape (periods,).
+
+        `before` are air [m^3] and commands [Pa] of the two muscles a period earlier.
+        """
         index = jnp.asarray(index)
         angle_error = jnp.asarray(moved.angle) - moved.desired_angle
         stiffness_error = jnp.asarray(moved.stiffness) - moved.desired_stiffness
@@ -380,12 +397,45 @@ class MetricSample(NamedTuple):
             outside_domain=number(moved.outside_domain),
             overloaded=number(moved.overloaded),
             force=larger(moved.force1, moved.force2),
-            inflow=larger(moved.air1 - air_before[0], 0.0) + larger(moved.air2 - air_before[1], 0.0),
+            inflow=larger(moved.air1 - before[0], 0.0) + larger(moved.air2 - before[1], 0.0),
+            travel1=jnp.abs(jnp.asarray(moved.command1) - before[2]),
+            travel2=jnp.abs(jnp.asarray(moved.command2) - before[3]),
         )
 
     def totals(self) -> Totals:
         """Terms of the metrics, and of `angle_at_end`."""
         return Totals.of((*metrics_of(Metrics).values(), _ANGLE_AT_END), self)
+
+
+class Accumulation(NamedTuple):
+    """Metrics of the control periods so far, before they are numbers of a run."""
+
+    totals: Totals
+    before: tuple[Array, ...]  # air and commands of the last period
+    stiffness_at_change: Array
+    oscillation: Oscillation
+
+    @classmethod
+    def empty(cls, like: Array) -> Accumulation:
+        """Return the state before the first period, with the float type of `like`."""
+        zero = jnp.zeros_like(like)
+        return cls(MetricSample.empty(zero).totals().empty(), (zero,) * 4, zero, Oscillation.empty(zero))
+
+    def after(
+        self, now: Trajectory, index: Array, periods: int, change: Change, angle_resolution: ArrayLike
+    ) -> Accumulation:
+        """Return the state after one more period of a run of so many."""
+        at_change = jnp.where(index == change.at, now.stiffness, self.stiffness_at_change)
+        values = now.air1, now.air2, now.command1, now.command2
+        before = [jnp.where(index == 0, new, old) for new, old in zip(values, self.before, strict=True)]
+        sample = MetricSample.of(now, index, periods, change, at_change, before)
+        signals = Signals(*(getattr(now, name) for name in Signals._fields))
+        oscillation = self.oscillation.after(signals, index, angle_resolution)
+        return Accumulation(self.totals.merge(sample.totals()), values, at_change, oscillation)
+
+    def run(self, periods: int, period: ArrayLike, change: Change) -> Run:
+        """Return the run as a whole, with its oscillations."""
+        return Run(periods, period, Course(*self.oscillation.found(periods, period), change))
 
 
 _ANGLE_AT_END = RootMeanSquare("rad", "root mean square error of the angle at the end", of="angle_error_at_end")

@@ -1,4 +1,10 @@
-"""Detection of limit cycles: sustained oscillations of the angle that the reference does not ask for."""
+"""Detection of limit cycles, hunting and chatter: sustained oscillations that the reference does not ask for.
+
+Sought in the errors of angle and stiffness, and in both commands. An oscillation is sustained if at least four periods
+in a row have swings of similar size and duration that do not decay, faster than the reference: a streaming form of
+T. Hagglund, A control-loop performance monitor, Control Eng. Pract. 3, 1995. The least swings are those that sensors,
+valves and muscles resolve, see `least_swings`.
+"""
 
 from __future__ import annotations
 
@@ -8,40 +14,94 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
-from mckibben.units import deg
+from mckibben.units import bar, deg
 
 Scalar = Float[Array, ""]
 
 _AMPLITUDE = 0.1 * deg  # least; smaller ones are noise
 _STEPS = 2  # steps of the sensor of the angle in the least amplitude: a loop hunts by one between two of them
+_COMMAND = 0.1 * bar
+_STIFFNESS = 0.02
 _REGULAR_SIZE = 0.55  # least swing, relative to the one before
 _SMALLER = 0.97  # of the swing before, at most, of one that has decayed
 _DECAYED = 0.7  # share of such swings in an oscillation that decays, even if disturbances excite it again
 _REGULAR = 2.0  # largest ratio of two consecutive half-periods
 _HALF_PERIODS = 8  # of a limit cycle, in a row
-_FASTER = 0.6  # largest period of a limit cycle, relative to the mean period of the reference
+_FASTER = 0.6  # largest period of a limit cycle of the angle, relative to the mean period of the reference
+_HARMONIC = 0.25  # of stiffness and commands, where the third harmonic of the reference is still due to it
+_SHARE = 0.25  # of the run in which stiffness or a command oscillates; white or differentiated noise does for < 20 %
+_RECENT = 8  # swings of the moving average of their size
+_FALLEN = 0.85  # of the mean size, at least, of this average in an oscillation that does not decay slowly
 
 
-class Chain(NamedTuple):
-    """Regular swings in a row: their number, and the sums of their sizes [rad] and durations [control periods]."""
+class Signals(NamedTuple):
+    """Signals of a control period [rad], [N*m/rad], [Pa], or of all, of shape (periods,)."""
 
-    number: Scalar
-    size: Scalar
-    duration: Scalar
-    smaller: Scalar  # number of those that are smaller than the one before
+    angle: Array
+    desired_angle: Array
+    stiffness: Array
+    desired_stiffness: Array
+    command1: Array
+    command2: Array
 
 
-class Swings(NamedTuple):
+def least_swings(now: Signals, resolution: ArrayLike) -> tuple[ArrayLike, ...]:
+    """Least swings, from peak to peak, of angle [rad], stiffness [N*m/rad] and command [Pa].
+
+    That of the angle is 0.2 deg, or four steps of its sensor [rad]; that of a command 0.1 bar, the hysteresis and
+    repeatability of proportional pressure regulators (0.5 % each of 10 bar: Festo VPPE, SMC ITV), within which a valve
+    need not move; that of the stiffness 2 % of it, its change by such a change of the pressure at 5 bar.
+    """
+    angle = 2 * jnp.maximum(_AMPLITUDE, _STEPS * jnp.asarray(resolution))
+    return angle, _STIFFNESS * jnp.maximum(jnp.abs(now.stiffness), jnp.abs(now.desired_stiffness)), _COMMAND
+
+
+class Turns(NamedTuple):
     """Turning points of a signal so far; times in control periods."""
 
     direction: Scalar  # 1 upwards, -1 downwards
     extreme: Scalar  # since the last turning point
     extreme_at: Scalar
+    total: Scalar  # number of turning points
+
+    def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Turns:
+        """Return the turning points after the sample of a control period, with the least distance of two of them."""
+        value, at = jnp.asarray(value), jnp.asarray(index, self.extreme.dtype)
+        further = (at == 0) | (self.direction * (value - self.extreme) >= 0)
+        turned = ~further & (self.direction * (self.extreme - value) >= swing)
+        return Turns(
+            direction=jnp.where(turned, -self.direction, self.direction),
+            extreme=jnp.where(further | turned, value, self.extreme),
+            extreme_at=jnp.where(further | turned, at, self.extreme_at),
+            total=self.total + turned,
+        )
+
+
+class Chain(NamedTuple):
+    """Regular swings in a row: their number, and the sums of their sizes and durations [control periods]."""
+
+    number: Scalar
+    size: Scalar
+    duration: Scalar
+    smaller: Scalar  # number of those that are smaller than the one before
+    recent: Scalar  # moving average of the size
+
+    @property
+    def sustained(self) -> Array:
+        """Whether they are enough, and do not decay."""
+        falls = (self.smaller >= _DECAYED * self.number) | (self.recent * self.number < _FALLEN * self.size)
+        return (self.number >= _HALF_PERIODS) & ~falls
+
+
+class Swings(NamedTuple):
+    """Swings of a signal between its turning points so far; times in control periods."""
+
+    turns: Turns
     last: Scalar  # turning point
     last_at: Scalar
     size: Scalar  # of the last swing
     duration: Scalar
-    total: Scalar  # number of turning points
+    sustained: Scalar  # time in sustained oscillations
     chain: Chain
     longest: Chain
 
@@ -49,86 +109,121 @@ class Swings(NamedTuple):
     def empty(cls, like: Array) -> Swings:
         """Return the state before the first sample, with the float type of `like`."""
         zero = jnp.zeros_like(like)
-        none = Chain(zero, zero, zero, zero)
-        return cls(zero + 1, zero, zero, zero, zero, zero, zero, zero, none, none)
+        none = Chain(zero, zero, zero, zero, zero)
+        return cls(Turns(zero + 1, zero, zero, zero), zero, zero, zero, zero, zero, none, none)
 
     def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Swings:
-        """Return the state after the sample of a control period, with the least distance of two turning points."""
-        value, at = jnp.asarray(value), jnp.asarray(index, self.extreme.dtype)
-        first = at == 0
-        further = first | (self.direction * (value - self.extreme) >= 0)
-        turned = ~first & (self.direction * (self.extreme - value) >= swing)
-        size, duration = jnp.abs(self.extreme - self.last), self.extreme_at - self.last_at
+        """Return the state after the sample of a control period, with the least swing that counts."""
+        turns = self.turns.after(value, index, swing)
+        turned = turns.total > self.turns.total
+        size, duration = jnp.abs(self.turns.extreme - self.last), self.turns.extreme_at - self.last_at
         even = jnp.maximum(duration, self.duration) <= _REGULAR * jnp.minimum(duration, self.duration)
         goes_on = even & (size >= _REGULAR_SIZE * self.size)
         smaller = goes_on & (size < _SMALLER * self.size)
         before = Chain(*(jnp.where(goes_on, value, 0.0) for value in self.chain))
-        chain = Chain(before.number + 1, before.size + size, before.duration + duration, before.smaller + smaller)
+        recent = jnp.where(goes_on, before.recent + (size - before.recent) / _RECENT, size)
+        sums = before.number + 1, before.size + size, before.duration + duration, before.smaller + smaller
+        chain = Chain(*sums, recent)
         longer = turned & (chain.number > self.longest.number)
-        start = jnp.where(first, value, self.last)
+        start = jnp.where(jnp.asarray(index) == 0, value, self.last)
         return Swings(
-            direction=jnp.where(turned, -self.direction, self.direction),
-            extreme=jnp.where(further | turned, value, self.extreme),
-            extreme_at=jnp.where(further | turned, at, self.extreme_at),
-            last=jnp.where(turned, self.extreme, start),
-            last_at=jnp.where(turned, self.extreme_at, self.last_at),
+            turns=turns,
+            last=jnp.where(turned, self.turns.extreme, start),
+            last_at=jnp.where(turned, self.turns.extreme_at, self.last_at),
             size=jnp.where(turned, size, self.size),
             duration=jnp.where(turned, duration, self.duration),
-            total=self.total + turned,
+            sustained=self.sustained + jnp.where(turned & chain.sustained, duration, 0.0),
             chain=Chain(*(jnp.where(turned, new, old) for new, old in zip(chain, self.chain, strict=True))),
             longest=Chain(*(jnp.where(longer, new, old) for new, old in zip(chain, self.longest, strict=True))),
         )
 
+    def cycle(self, longest: ArrayLike, least: ArrayLike = 0.0) -> LimitCycle:
+        """Return the limit cycle with a longest period, and a least time in oscillations [control periods]."""
+        chain = self.longest
+        period = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
+        cycles = chain.sustained & (period < longest) & (self.sustained >= least)
+        amplitude = chain.size / jnp.maximum(2 * chain.number, 1.0)
+        return LimitCycle(jnp.where(cycles, amplitude, 0.0), jnp.where(cycles, period, jnp.nan))
+
 
 class LimitCycle(NamedTuple):
-    """Amplitude [rad] and period [s] of a limit cycle; 0 and NaN if there is none."""
+    """Amplitude and period of a limit cycle; 0 and NaN if there is none."""
 
     amplitude: Scalar
     period: Scalar
 
 
-class Oscillation(NamedTuple):
-    """Swings of the angle error and of the reference of a run so far."""
+class Oscillations(NamedTuple):
+    """Limit cycles of a run, and its reversals of commands."""
 
-    error: Swings
-    reference: Swings
+    angle: Scalar  # amplitude [rad]; 0 without a limit cycle
+    period: Scalar  # of the angle [s]; NaN without one
+    stiffness: Scalar  # amplitude [N*m/rad]
+    command: Scalar  # larger amplitude [Pa]
+    reversals: Scalar  # of the command that reverses more often [1/s]
+
+
+class Oscillation(NamedTuple):
+    """Swings of a run so far: of the errors of angle and stiffness and of the commands, and turns of the references."""
+
+    angle: Swings
+    stiffness: Swings
+    command1: Swings
+    command2: Swings
+    desired_angle: Turns
+    desired_stiffness: Turns
 
     @classmethod
     def empty(cls, like: Array) -> Oscillation:
         """Return the state before the first sample, with the float type of `like`."""
-        return cls(Swings.empty(like), Swings.empty(like))
+        swings = Swings.empty(like)
+        return cls(swings, swings, swings, swings, swings.turns, swings.turns)
 
-    def after(self, angle: ArrayLike, desired: ArrayLike, index: ArrayLike, resolution: ArrayLike = 0.0) -> Oscillation:
-        """Return the state after angle, reference and resolution of the sensor [rad] of a control period."""
-        swing = 2 * jnp.maximum(_AMPLITUDE, _STEPS * jnp.asarray(resolution))
-        error = self.error.after(jnp.asarray(angle) - desired, index, swing)
-        return Oscillation(error, self.reference.after(desired, index, 2 * _AMPLITUDE))
-
-    def limit_cycle(self, periods: int, period: ArrayLike) -> LimitCycle:
-        """Return the limit cycle of a run of so many control periods [s]."""
-        # At least four periods in a row, of swings that do not decay and have similar durations, faster than the
-        # reference: a streaming form of T. Hagglund, A control-loop performance monitor, Control Eng. Pract. 3, 1995.
-        chain = self.error.longest
-        cycle = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
-        of_reference = 2 * periods / jnp.maximum(self.reference.total, 1e-9)
-        sustained = (
-            (chain.number >= _HALF_PERIODS)
-            & (cycle < _FASTER * of_reference)
-            & (chain.smaller < _DECAYED * chain.number)
+    def after(self, now: Signals, index: ArrayLike, resolution: ArrayLike = 0.0) -> Oscillation:
+        """Return the state after the signals of a control period, and a resolution of the sensor of the angle [rad]."""
+        angle, stiffness, command = least_swings(now, resolution)
+        return Oscillation(
+            self.angle.after(jnp.asarray(now.angle) - now.desired_angle, index, angle),
+            self.stiffness.after(jnp.asarray(now.stiffness) - now.desired_stiffness, index, stiffness),
+            self.command1.after(now.command1, index, command),
+            self.command2.after(now.command2, index, command),
+            self.desired_angle.after(now.desired_angle, index, 2 * _AMPLITUDE),
+            self.desired_stiffness.after(now.desired_stiffness, index, stiffness),
         )
-        amplitude = chain.size / jnp.maximum(2 * chain.number, 1.0)
-        return LimitCycle(jnp.where(sustained, amplitude, 0.0), jnp.where(sustained, cycle * period, jnp.nan))
+
+    def found(self, periods: ArrayLike, period: ArrayLike) -> Oscillations:
+        """Return the oscillations of a run of so many control periods [s]."""
+        periods = jnp.asarray(periods)
+        angle = 2 * periods / jnp.maximum(self.desired_angle.total, 1e-9)
+        both = 2 * periods / jnp.maximum(jnp.maximum(self.desired_angle.total, self.desired_stiffness.total), 1e-9)
+        cycle = self.angle.cycle(_FASTER * angle)
+        stiffness, *commands = (
+            swings.cycle(_HARMONIC * both, _SHARE * periods).amplitude
+            for swings in (self.stiffness, self.command1, self.command2)
+        )
+        reversals = jnp.maximum(self.command1.turns.total, self.command2.turns.total)
+        return Oscillations(
+            cycle.amplitude, cycle.period * period, stiffness, jnp.maximum(*commands), reversals / (periods * period)
+        )
+
+
+def find_oscillations(signals: Signals, period: ArrayLike, resolution: ArrayLike = 0.0) -> Oscillations:
+    """Return the oscillations of a run from its signals of shape (periods,), with a control period [s]."""
+    signals = Signals(*map(jnp.asarray, signals))
+
+    def following(so_far: Oscillation, at: tuple[Array, Signals]) -> tuple[Oscillation, None]:
+        return so_far.after(at[1], at[0], resolution), None
+
+    count = signals.angle.size
+    so_far, _ = lax.scan(following, Oscillation.empty(signals.angle[0]), (jnp.arange(count), signals))
+    return so_far.found(count, period)
 
 
 def find_limit_cycle(
     angle: ArrayLike, desired: ArrayLike, period: ArrayLike, resolution: ArrayLike = 0.0
 ) -> LimitCycle:
-    """Return the limit cycle of a run, from angle and reference [rad] of each control period [s]; shape (periods,)."""
-    angle, desired = jnp.asarray(angle), jnp.asarray(desired)
-
-    def following(so_far: Oscillation, at: tuple[Array, Array, Array]) -> tuple[Oscillation, None]:
-        index, angle, desired = at
-        return so_far.after(angle, desired, index, resolution), None
-
-    rows = jnp.arange(angle.size), angle, desired
-    return lax.scan(following, Oscillation.empty(angle[0]), rows)[0].limit_cycle(angle.size, period)
+    """Return the limit cycle of the angle, from angle and reference [rad] of each control period [s]."""
+    angle = jnp.asarray(angle)
+    still = jnp.zeros_like(angle)
+    oscillations = find_oscillations(Signals(angle, jnp.asarray(desired), *[still] * 4), period, resolution)
+    return LimitCycle(oscillations.angle, oscillations.period)

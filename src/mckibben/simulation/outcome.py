@@ -29,6 +29,7 @@ class Outcome(enum.Enum):
         "diverged: over the last tenth of the run the RMS angle error exceeded 5 deg and the range of the reference"
     )
     LIMIT_CYCLE = "completed, in a limit cycle: the angle oscillates faster than its reference"
+    CHATTER = "completed, but it chatters: stiffness or a command oscillates faster than the reference"
 
     @property
     def diverged(self) -> bool:
@@ -46,9 +47,14 @@ class Outcome(enum.Enum):
         return self.diverged or self is Outcome.NO_START
 
     @property
+    def oscillates(self) -> bool:
+        """Whether the run is in a limit cycle of the angle, of the stiffness or of a command."""
+        return self in (Outcome.LIMIT_CYCLE, Outcome.CHATTER)
+
+    @property
     def usable(self) -> bool:
-        """Whether the run did not fail, and did not end in a limit cycle."""
-        return not self.failed and self is not Outcome.LIMIT_CYCLE
+        """Whether the run neither failed nor oscillates."""
+        return not self.failed and not self.oscillates
 
 
 OUTCOMES = tuple(Outcome)
@@ -61,6 +67,7 @@ def outcomes(
     left_domain: ArrayLike,
     saturated: ArrayLike,
     oscillates: ArrayLike = False,
+    chatters: ArrayLike = False,
     angle_at_end: ArrayLike = 0.0,
     span: ArrayLike = 0.0,
     started: ArrayLike = True,
@@ -73,6 +80,7 @@ def outcomes(
         (angle_max > SWUNG_OVER_AT, Outcome.SWUNG_OVER),
         (np.asarray(angle_at_end) > np.maximum(span, LEFT_REFERENCE_AT), Outcome.LEFT_REFERENCE),
         (np.asarray(oscillates, bool), Outcome.LIMIT_CYCLE),
+        (np.asarray(chatters, bool), Outcome.CHATTER),
         (np.asarray(left_domain, bool), Outcome.LEFT_DOMAIN),
         (np.asarray(saturated, bool), Outcome.SATURATED),
     ]

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from mckibben.plant import JointPlant, PlantState
     from mckibben.simulation.loop import Record
 
+_CHATTER = "stiffness_oscillation", "command_oscillation", "command_reversals", "command_travel"
 BAND: tuple[str, str] = ("lowest_stiffness", "highest_stiffness")
 """Columns of the attainable stiffness."""
 
@@ -252,6 +253,7 @@ class SimulationResult(RunResult):
             left_domain=self["outside_domain"].any() or self["overloaded"].any(),
             saturated=self["saturated"].any(),
             oscillates=ended and self.metrics["oscillation_amplitude"] > 0,
+            chatters=ended and max(self.metrics[f"{name}_oscillation"] for name in ("stiffness", "command")) > 0,
         )
         return OUTCOMES[int(code)]
 
@@ -288,6 +290,12 @@ class SimulationResult(RunResult):
         if self.outcome is Outcome.LIMIT_CYCLE:
             amplitude, period = self.metrics["oscillation_amplitude"] / deg, self.metrics["oscillation_period"]
             sentence = f"{sentence}, with an amplitude of {amplitude:.3g} deg and a period of {period:.3g} s"
+        if self.outcome is Outcome.CHATTER:
+            stiffness, command, rate, travel = (self.metrics[name] for name in _CHATTER)
+            sentence = (
+                f"{sentence}, with amplitudes of {stiffness:.3g} N*m/rad and {command / bar:.3g} bar; "
+                f"a command reverses {rate:.3g} times per second and travels {travel / bar:.3g} bar/s"
+            )
         peak = max(self["force1"].max(), self["force2"].max())
         spans = [
             f"{what} for {mask.sum() * self.control_period:.4g} s, first at {times[mask.argmax()]:.4g} s"

@@ -26,7 +26,7 @@ from mckibben.plant import JointPlant, PlantState
 from mckibben.result import Remark, Result, column
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.loop import LoopState, initial_loop
-from mckibben.simulation.oscillation import Oscillation
+from mckibben.simulation.oscillation import find_limit_cycle
 from mckibben.simulation.problem import (
     AtRest,
     SimulationProblem,
@@ -364,16 +364,13 @@ def _visited(shared: PyTree, lane: PyTree) -> tuple[Array, Array]:
     """States of plant and controller at each control period, and the amplitude of the limit cycle of the run [rad]."""
     (problem, period, substeps), (own, start, setpoints) = shared, lane
     run = problem if own is None else eqx.combine(own, problem)
-    count = setpoints.angle.shape[0]
 
-    def step(carry: tuple[LoopState, Oscillation], row: tuple[Setpoint, Array]) -> tuple[PyTree, Array]:
-        (loop, so_far), (setpoint, index) = carry, row
+    def step(loop: LoopState, setpoint: Setpoint) -> tuple[LoopState, tuple[Array, Array]]:
         following, _ = _advance(run, loop, setpoint, jnp.zeros(2), period, substeps)
-        return (following, so_far.after(loop[0].angle, setpoint.angle, index)), ravel_pytree(loop)[0]
+        return following, (ravel_pytree(loop)[0], jnp.asarray(loop[0].angle))
 
-    begin = initial_loop(run.plant, run.controller, start), Oscillation.empty(start.angle)
-    (_, oscillation), states = lax.scan(step, begin, (setpoints, jnp.arange(count)))
-    return states, oscillation.limit_cycle(count, period).amplitude
+    states, angles = lax.scan(step, initial_loop(run.plant, run.controller, start), setpoints)[1]
+    return states, find_limit_cycle(angles, setpoints.angle, period).amplitude
 
 
 @BatchFunction

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from mckibben.dataset.schema import write_netcdf
 from mckibben.result import Listing, Remark, Result
 from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import Batch, Margins, Outcome, SimulationResult, margin_remarks
+from mckibben.simulation import Batch, Margins, SimulationResult, margin_remarks
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import make_folder
 from mckibben.study.compare.checks import filename
-from mckibben.study.compare.runs import Runs, ended, started
+from mckibben.study.compare.runs import Runs, started
 from mckibben.study.compare.statistics import Ratio, comparable, median, ratio_of_medians
 from mckibben.study.compare.suite import Suite
 from mckibben.study.study import listing_of
@@ -86,8 +86,8 @@ class CompareResult(Result):
         return self.batches[controller].failed[self.started]
 
     def oscillates(self, controller: str) -> NDArray[np.bool_]:
-        """Mask of the runs that ended in a limit cycle."""
-        return ended(self.batches[controller], Outcome.LIMIT_CYCLE)[self.started]
+        """Mask of the runs in a limit cycle of the angle, of the stiffness or of a command."""
+        return self.batches[controller].oscillates[self.started]
 
     def cost(self, controller: str) -> Vector:
         """Cost of each run that started; 1e6 where the run diverged."""

@@ -260,9 +260,4 @@ def _tiled(tree: Tree, sets: int) -> Tree:
 
 def started(batch: Batch) -> NDArray[np.bool_]:
     """Return the mask of the runs that could start. Shape (runs,)."""
-    return ~ended(batch, Outcome.NO_START)
-
-
-def ended(batch: Batch, outcome: Outcome) -> NDArray[np.bool_]:
-    """Return the mask of the runs with an outcome. Shape (runs,)."""
-    return batch["outcome"] == OUTCOMES.index(outcome)
+    return batch["outcome"] != OUTCOMES.index(Outcome.NO_START)
