@@ -29,7 +29,8 @@ _REGULAR = 2.0  # largest ratio of two consecutive half-periods
 _HALF_PERIODS = 8  # of a limit cycle, in a row
 _FASTER = 0.6  # largest period of a limit cycle of the angle, relative to the mean period of the reference
 _HARMONIC = 0.25  # of stiffness and commands, where the third harmonic of the reference is still due to it
-_SHARE = 0.25  # of the run in which stiffness or a command oscillates; white or differentiated noise does for < 20 %
+_SHARE = 0.25  # of the run in which stiffness or a command oscillates without a break, or
+_MANY = 40  # half-periods; white or differentiated noise has at most some 30 in a row in 10,000 control periods
 _RECENT = 8  # swings of the moving average of their size
 _FALLEN = 0.85  # of the mean size, at least, of this average in an oscillation that does not decay slowly
 
@@ -67,7 +68,7 @@ class Turns(NamedTuple):
     def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Turns:
         """Return the turning points after the sample of a control period, with the least distance of two of them."""
         value, at = jnp.asarray(value), jnp.asarray(index, self.extreme.dtype)
-        further = (at == 0) | (self.direction * (value - self.extreme) >= 0)
+        further = self.direction * (value - self.extreme) >= 0
         turned = ~further & (self.direction * (self.extreme - value) >= swing)
         return Turns(
             direction=jnp.where(turned, -self.direction, self.direction),
@@ -101,7 +102,6 @@ class Swings(NamedTuple):
     last_at: Scalar
     size: Scalar  # of the last swing
     duration: Scalar
-    sustained: Scalar  # time in sustained oscillations
     chain: Chain
     longest: Chain
 
@@ -110,7 +110,7 @@ class Swings(NamedTuple):
         """Return the state before the first sample, with the float type of `like`."""
         zero = jnp.zeros_like(like)
         none = Chain(zero, zero, zero, zero, zero)
-        return cls(Turns(zero + 1, zero, zero, zero), zero, zero, zero, zero, zero, none, none)
+        return cls(Turns(zero + 1, zero - jnp.inf, zero, zero), zero + jnp.nan, zero, zero, zero, none, none)
 
     def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Swings:
         """Return the state after the sample of a control period, with the least swing that counts."""
@@ -125,23 +125,22 @@ class Swings(NamedTuple):
         sums = before.number + 1, before.size + size, before.duration + duration, before.smaller + smaller
         chain = Chain(*sums, recent)
         longer = turned & (chain.number > self.longest.number)
-        start = jnp.where(jnp.asarray(index) == 0, value, self.last)
         return Swings(
             turns=turns,
-            last=jnp.where(turned, self.turns.extreme, start),
+            last=jnp.where(turned, self.turns.extreme, self.last),
             last_at=jnp.where(turned, self.turns.extreme_at, self.last_at),
             size=jnp.where(turned, size, self.size),
             duration=jnp.where(turned, duration, self.duration),
-            sustained=self.sustained + jnp.where(turned & chain.sustained, duration, 0.0),
             chain=Chain(*(jnp.where(turned, new, old) for new, old in zip(chain, self.chain, strict=True))),
             longest=Chain(*(jnp.where(longer, new, old) for new, old in zip(chain, self.longest, strict=True))),
         )
 
     def cycle(self, longest: ArrayLike, least: ArrayLike = 0.0) -> LimitCycle:
-        """Return the limit cycle with a longest period, and a least time in oscillations [control periods]."""
+        """Return the limit cycle with a longest period, and a least duration or many swings [control periods]."""
         chain = self.longest
         period = 2 * chain.duration / jnp.maximum(chain.number, 1.0)
-        cycles = chain.sustained & (period < longest) & (self.sustained >= least)
+        lasts = (chain.duration >= least) | (chain.number >= _MANY)
+        cycles = chain.sustained & lasts & (period < longest)
         amplitude = chain.size / jnp.maximum(2 * chain.number, 1.0)
         return LimitCycle(jnp.where(cycles, amplitude, 0.0), jnp.where(cycles, period, jnp.nan))
 
