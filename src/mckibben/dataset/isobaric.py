@@ -221,10 +221,7 @@ class IsobaricDataset(MeasuredTable):
             count = f"{len(levels)} pressure{'s' if len(levels) > 1 else ''}"
             parts.append(f"{count} {format_range(levels)} bar")
             parts.append(f"contraction {format_range(contraction)} %")
-        if len(self.directions):
-            parts.append(" and ".join(self.directions))
-        if len(self.phases):
-            parts.append(" and ".join(self.phases))
+        parts += [" and ".join(words) for words in (self.directions, self.phases) if len(words)]
         if len(self.repeats):
             parts.append(f"repeats {format_list(self.repeats)}")
         if samples := self.table.sizes.get("sample"):
