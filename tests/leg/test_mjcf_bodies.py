@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 import mckibben as mk
-from mckibben.export.leg_mjcf import coordinates, leg_scene
+from mckibben.export import leg_mjcf
+from mckibben.export.leg_mjcf import coordinates
+from mckibben.export.mjcf import mjcf
 from mckibben.leg import Leg, LegPlant, read_leg
 from mckibben.leg.dynamics import Posture, Velocity, contact, frames, motion
 from mckibben.leg.plant import LegState
@@ -65,7 +67,9 @@ def test_bodies_are_those_of_the_leg(pair: mk.AntagonisticJoint, kind: str) -> N
         leg = legs(pair, kind)
     plant = LegPlant(leg, mk.FirstOrderValve(0.02))
     start = plant.init_state(leg.posture_angles({}), [0.0] * len(leg.muscles))
-    model = mujoco.MjModel.from_xml_string(leg_scene(plant, start).xml)
+    rigging = leg_mjcf._Rigging(plant)
+    scene = leg_mjcf._scene(plant, rigging.bodies, start)
+    model = mujoco.MjModel.from_xml_string(mjcf(plant, "leg", 1e-3, rigging.drives, [], scene))
     moving = len(coordinates(plant, start.posture))
 
     @jax.jit

@@ -91,6 +91,7 @@ def _parameter(module: SourceModule, name: str) -> str:
 
 
 def _casadi() -> ModuleType:
+    """CasADi; raises `ExportError` without it."""
     try:
         import casadi
     except ImportError as error:

@@ -1,4 +1,8 @@
-"""Program of a controller: its functions, and a recorded run for checking them."""
+"""Program of a controller: its functions, and a recorded run for checking them.
+
+The same functions are written as C and JavaScript, for a joint or a leg, and run in an FMU. They depend on parameters
+and state alone, and do not accept samples that are not finite.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +44,18 @@ _UNITS = {
 
 
 class ControllerModule(NamedTuple):
-    """Source of a controller, units of its members, a recorded run, and the parts omitted from the source."""
+    """Source of a controller, units of its members, a recorded run, and the parts omitted from the source.
+
+    Attributes
+    ----------
+    units
+        Units by structure and path, such as ``setpoint.angle``.
+    columns
+        Names of the columns of the recording, such as ``measurement.pressures_0``.
+    recording
+        Setpoint, measurement and commands in SI, shape (1 + periods, columns); the first row is the start, with a
+        measurement alone.
+    """
 
     module: SourceModule
     units: dict[str, str]
@@ -154,6 +169,7 @@ def controller_module(scenario: Scenario, name: str = "controller") -> Controlle
 
 
 def _setpoint_of(controller: PyTree, state: PyTree, setpoint: Setpoint, *_: object) -> Setpoint:
+    """Setpoint of a joint, which is the row itself."""
     return setpoint
 
 
@@ -164,7 +180,10 @@ def controller_program(source: ControllerFunctions, name: str) -> tuple[SourceMo
 
 
 def stepping_module(name: str, source: ControllerFunctions) -> SourceModule:
-    """Source module of the first step and the subsequent steps of a controller."""
+    """Source module of a controller: `init`, `hold` and `step`.
+
+    `step` calls `hold` in place of itself if a number of the setpoint or the measurement is not finite.
+    """
     module = SourceModule(name, source.parameters, "controller.")
     text = "first state, from the first measurement; false if that is not finite"
     module.add("init", text, source.init, {"measurement": source.measurement})
@@ -258,7 +277,10 @@ def _recorded(
 
 
 def units_of(module: SourceModule, pressure: str = "Pa") -> dict[str, str]:
-    """Units of a module by structure and path: of parameters from the metadata of the fields, else by quantity."""
+    """Units of a module by structure and path: of parameters from the metadata of the fields, else by quantity.
+
+    `pressure` is the text for pressures, which may say to what they refer.
+    """
     units = {f"parameters.{path}": unit for path, unit in _units(module.parameters, "") if unit}
     for structure, members in (module.structures() | {"state": module.state}).items():
         for member in members:

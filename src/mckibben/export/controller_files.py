@@ -1,4 +1,8 @@
-"""Export of a controller as C99 and as JavaScript."""
+"""Export of a controller as C99 and as JavaScript.
+
+With the C come a recorded run, a program that replays it, compares the commands and times the steps, and a sketch for
+microcontrollers.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +20,19 @@ _TOLERANCES = "1e-9", "1e-4"  # tolerance of a command in 64 and 32 bits, relati
 
 
 def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False) -> Exported:
-    """The controller of a scenario as C99, with a program that checks it and a sketch for microcontrollers."""
+    """The controller of a scenario as C99, with a program that checks it and a sketch for microcontrollers.
+
+    Raises `ExportError` for an operation that C cannot express.
+
+    Parameters
+    ----------
+    name
+        Name of the program, and prefix of its functions.
+    folder
+        Folder of the export, to which paths in the scenario are relative.
+    single
+        Whether numbers have 32 bits; the setpoint, and what depends on it alone, keep 64.
+    """
     made, text = controller_module(scenario, name), scenario.dumps(folder=folder)
     comment = (
         f"Controller of the scenario {scenario.name!r}, written by mckibben {mckibben.__version__}.\n"
@@ -40,7 +56,17 @@ def c_files(scenario: Scenario, name: str, folder: Path, *, single: bool = False
 def program_files(
     made: ControllerModule, name: str, title: str, comment: str, period: float, *, single: bool, sketch: bool = False
 ) -> dict[str, str]:
-    """A controller as C99, with a program that replays a recorded run and times the steps."""
+    """A controller as C99, with a program that replays a recorded run and times the steps.
+
+    Parameters
+    ----------
+    title, comment
+        Name in the instructions, and text at the beginning of the sources.
+    period
+        Control period [s].
+    single, sketch
+        Whether numbers have 32 bits, and whether there is a sketch.
+    """
     sources = write_c(made.module, comment, single=single, wide=("setpoint",), units=made.units)
     table = [",".join(made.columns), *(",".join(f"{number:.17g}" for number in row) for row in made.recording)]
     columns = [column.split(".") for column in made.columns]
@@ -67,7 +93,10 @@ def program_files(
 
 
 def js_files(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The controller of a scenario as a script for pages and Node."""
+    """The controller of a scenario as a script for pages and Node.
+
+    Raises `ExportError` for operations that need 64-bit integers, such as random numbers.
+    """
     module, left_out = controller_program(controller_functions(scenario), name)
     period = f"{scenario.control_period * 1e3:g} ms"
     comment = (

@@ -70,7 +70,17 @@ Numbers = Array | NDArray[np.float64]
 
 
 class Settings(NamedTuple):
-    """Settings of a step: control period [s], commands [Pa] at the actions -1 and 1, and the reward."""
+    """Settings of a step.
+
+    Attributes
+    ----------
+    period
+        Control period [s].
+    low, high
+        Commands [Pa] at the actions -1 and 1, of both muscles.
+    reward
+        Terms of the reward.
+    """
 
     period: ArrayLike
     low: Numbers
@@ -79,7 +89,17 @@ class Settings(NamedTuple):
 
 
 class Plants(NamedTuple):
-    """Plants with their references and starts, one per row; leaves that do not vary have no rows."""
+    """Plants with their references and starts, one per row.
+
+    Attributes
+    ----------
+    varying, fixed
+        Leaves with a row per plant, and those that all plants share.
+    starts
+        State of each plant at rest at the first setpoint.
+    rows
+        Number of plants.
+    """
 
     varying: SimulationProblem
     fixed: SimulationProblem
@@ -93,7 +113,17 @@ class Plants(NamedTuple):
 
 
 class Episode(NamedTuple):
-    """State of an episode."""
+    """State of an episode.
+
+    Attributes
+    ----------
+    period
+        Control periods so far.
+    measured
+        The last measurement.
+    seen
+        Observations, latest first, and the action before each, shape (history, 8).
+    """
 
     period: Array  # control periods so far
     state: PlantState
@@ -102,7 +132,19 @@ class Episode(NamedTuple):
 
 
 class EpisodeStep(NamedTuple):
-    """Result of a step: observation (8 history - 2,), reward, whether the episode failed; stiffness, and air [L]."""
+    """Result of a step.
+
+    Attributes
+    ----------
+    observation
+        Shape (8 history - 2,), see `names_of`.
+    reward
+        Mean of the rewards of the control periods.
+    failed
+        Whether the angle left its reference by more than 90 deg, or the stiffness is not finite.
+    stiffness, air
+        True stiffness [N*m/rad] at the end, and air into the muscles during the step [L].
+    """
 
     observation: Numbers
     reward: Numbers
@@ -128,7 +170,17 @@ def example_of(
 
 
 def plants_of(scenario: Scenario, random_plant: Sequence[str], count: int, seed: int) -> Plants:
-    """Plants with varied parameters (``load.mass2=+-50 %``, ``joint.muscle.law=fit``), those without start dropped."""
+    """Plants with varied parameters (``load.mass2=+-50 %``, ``joint.muscle.law=fit``), those without start dropped.
+
+    Raises `ExportError` if no plant is valid, or none has an equilibrium at the start.
+
+    Parameters
+    ----------
+    random_plant
+        Variations, as for a sweep; ``LAW=fit`` draws the parameters of a law from its fit.
+    count, seed
+        Number of plants that are drawn, and the seed of the draw.
+    """
     table = {}
     if random_plant:
         fits = [text for text in random_plant if text.partition("=")[2].strip() == "fit"]
@@ -177,6 +229,8 @@ def _fit_draws(scenario: Scenario, laws: Sequence[str], count: int, seed: int) -
 
 @jit_arrays
 def _starts(plants: Plants, rows: PyTree) -> tuple[PlantState, Array]:
+    """State at rest of each plant, and whether it exists."""
+
     def start(row: Array) -> tuple[PlantState, Array]:
         problem, _ = plants.row(row)
         setpoint = problem.reference(jnp.zeros(1))
@@ -202,7 +256,17 @@ def names_of(history: int) -> dict[str, str]:
 
 
 def begin(problem: SimulationProblem, start: PlantState, period: ArrayLike, history: int) -> tuple[Episode, Array]:
-    """The start of an episode, and the first observation, which is repeated as its history, with actions of 0."""
+    """The start of an episode, and the first observation, which is repeated as its history, with actions of 0.
+
+    Parameters
+    ----------
+    start
+        State of the plant.
+    period
+        Control period [s].
+    history
+        Observations in an observation.
+    """
     state, measured = problem.plant.sample(start, period)
     measured = jax.tree.map(jnp.asarray, measured)
     zero = jnp.zeros_like(measured.angle)
@@ -214,7 +278,17 @@ def begin(problem: SimulationProblem, start: PlantState, period: ArrayLike, hist
 def advance(
     problem: SimulationProblem, episode: Episode, action: Array, settings: Settings, substeps: int, repeat: int
 ) -> tuple[Episode, EpisodeStep]:
-    """Advance by several control periods under an action of -1 to 1 per muscle; the reward is their mean."""
+    """Advance by several control periods under an action of -1 to 1 per muscle; the reward is their mean.
+
+    After a failure the reward is 0.
+
+    Parameters
+    ----------
+    action
+        Shape (2,), mapped to commands by `Settings`.
+    substeps, repeat
+        Integration steps per control period, and control periods.
+    """
     plant, (period, low, high, terms) = problem.plant, settings
     wanted = low + (high - low) * (action + 1) / 2
     commands = plant.clip_commands((wanted[0], wanted[1]))
@@ -250,6 +324,7 @@ class _FlatEpisodes:
     """`begin` and `advance` with episode and `EpisodeStep` packed as arrays."""
 
     def __init__(self, plants: Plants, settings: Settings, substeps: int, repeat: int, history: int) -> None:
+        """Begin with the layout of an episode as an array."""
         self._settings, self._counts, self._history = settings, (substeps, repeat), history
         self._layout = FlatTree.like(jax.eval_shape(lambda: begin(*plants.row(0), settings.period, history)[0]))
         self.size = self._layout.size
@@ -272,7 +347,7 @@ def _step(values: ArrayLike) -> EpisodeStep:
 
 
 class SingleProgram:
-    """Compiled episodes of one joint, whose parameters are arguments."""
+    """Compiled episodes of one joint, whose parameters are arguments, so that a new plant does not recompile."""
 
     def __init__(self, plants: Plants, settings: Settings, **counts: int) -> None:
         flat, self._plants = _FlatEpisodes(plants, settings, **counts), plants
@@ -301,11 +376,13 @@ class SingleProgram:
 
 
 def _begun(shared: PyTree, lane: PyTree) -> tuple[Episode, Array]:
+    """`begin` for a lane of a batch."""
     (fixed, settings, history), (varying, start) = shared, lane
     return begin(eqx.combine(varying, fixed), start, settings.period, history)
 
 
 def _advanced(shared: PyTree, lane: PyTree) -> tuple[Episode, EpisodeStep]:
+    """`advance` for a lane of a batch."""
     (fixed, settings, counts), (varying, episode, action) = shared, lane
     return advance(eqx.combine(varying, fixed), episode, action, settings, *counts)
 
@@ -353,6 +430,7 @@ def _content(plant: JointPlant, state: PlantState) -> Array:
 
 
 def _observation(measured: Measurement, velocity: Array, setpoint: Setpoint) -> Array:
+    """Observation in the units of `OBSERVATION`, within `LIMITS`; numbers that are not finite become 0 or a limit."""
     pressure1, pressure2 = measured.pressures
     observation = jnp.stack([measured.angle, velocity, pressure1 / bar, pressure2 / bar, *setpoint])
     limit = jnp.array([LIMITS[name] for name in OBSERVATION])

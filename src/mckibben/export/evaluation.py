@@ -50,6 +50,7 @@ def evaluate(
 
 
 def _defaults(module: SourceModule) -> dict[str, PyTree]:
+    """Values of the parameters by the names of their inputs."""
     names = element_names("parameters", module.members)
     return dict(zip(names, [x.item() for member in module.members for x in member.value.flat], strict=True))
 
@@ -94,6 +95,7 @@ class _Evaluation:
                 self._known[id(value)] = self._operations["select"](self.value(branch.condition), yes, no)
 
     def _computed(self, value: Value) -> PyTree:
+        """Value of an input, an element or an operation."""
         arguments = [self.value(argument) for argument in value.arguments]
         if value.operation == "input":
             return self._inputs[value.data]
@@ -110,6 +112,7 @@ class _Evaluation:
         return self._operations[name](*arguments)
 
     def _loop(self, loop: ForLoop) -> None:
+        """All iterations of a loop, one after the other."""
         carried = [variable for variable in loop.carried if id(variable) in self._wanted]
         arrays = [array for array in loop.arrays if id(array) in self._wanted]
         if not carried and not arrays:

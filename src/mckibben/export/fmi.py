@@ -1,4 +1,8 @@
-"""FMUs of FMI 2.0: description, sources, binary and archive of a program."""
+"""FMUs of FMI 2.0: description, sources, binary and archive of a program.
+
+An FMU of equal content is an equal file. Its binary is for 64-bit Linux; other platforms compile the sources, which it
+contains.
+"""
 
 from __future__ import annotations
 
@@ -29,6 +33,7 @@ def fmu(unit: FunctionalUnit, scenario: str) -> tuple[bytes, list[str]]:
     """Content of an FMU with the text of its scenario, and the omitted parts.
 
     Raises `ExportError` without FMPy, which has the headers of the standard, and for a start value that is not finite.
+    Without a C compiler the binary is omitted.
     """
     name = unit.module.name
     variables, fixed = variables_of(unit)
@@ -65,6 +70,7 @@ def _headers() -> dict[str, str]:
 
 
 def _archive(contents: Mapping[str, str | bytes]) -> bytes:
+    """Zip file of contents by path, with a fixed date."""
     archive = io.BytesIO()
     with zipfile.ZipFile(archive, "w", zipfile.ZIP_DEFLATED) as file:
         for path, content in contents.items():
@@ -105,7 +111,10 @@ def _call(module: SourceModule, function: Function) -> str:
 
 
 def _binary(texts: Mapping[str, str], sources: Sequence[str]) -> tuple[bytes, str]:
-    """Shared library for Linux, or the reason why there is none."""
+    """Shared library for Linux, or the reason why there is none.
+
+    Products and sums are not fused, so that results are those of the simulation.
+    """
     if (platform.system(), platform.machine()) != ("Linux", "x86_64"):
         return b"", f"binary: this is not {_PLATFORM}; most programs compile the sources themselves"
     try:

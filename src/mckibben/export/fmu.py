@@ -1,4 +1,7 @@
-"""FMUs of the plant, of a muscle, and of the controller of a scenario."""
+"""FMUs of the plant, of a muscle, and of the controller of a scenario.
+
+Each is a `FunctionalUnit`: functions of a state and of inputs, from which `fmi` makes the archive.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,8 @@ _STATE_NAMES = {
 def plant_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
     """The plant for model exchange and co-simulation: commands and an external torque in, motion and forces out.
 
-    Raises `ExportError` for parts that C cannot express, and without FMPy.
+    Raises `ExportError` for parts that C cannot express, and without FMPy. Sensors, disturbances and the delay of the
+    commands are omitted.
     """
     real = scenario.plant()
     plant, initial = numeric((real.with_ideal_io(), scenario.initial(real)))
@@ -52,7 +56,15 @@ def plant_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
 def plant_unit(
     plant: JointPlant, initial: PlantState, name: str, period: float, substeps: int
 ) -> tuple[FunctionalUnit, list[str]]:
-    """Program of a plant from an initial state, with a step of `JointPlant.advance` no longer than a period [s]."""
+    """Program of a plant from an initial state, and the omitted parts.
+
+    Parameters
+    ----------
+    initial
+        State at the start; its muscles begin relaxed.
+    period, substeps
+        Longest step [s] of `advance`, by `JointPlant.advance`, and its integration steps.
+    """
     valve = plant.valve
     numbers, fixed = eqx.partition(plant, is_real)
     initial = plant.complete_state(initial._replace(muscles=(MuscleState((), ()),) * 2, io=(), air=(), friction=()))
@@ -138,7 +150,11 @@ def plant_unit(
 
 
 def muscle_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The force of a muscle over contraction and pressure; two FMUs if the muscles of the joint differ."""
+    """The force of a muscle over contraction and pressure; two FMUs if the muscles of the joint differ.
+
+    Its state is that of the friction. Creep and viscous friction, which follow the rate of the contraction, are
+    omitted.
+    """
     joint = numeric(scenario.plant().joint)
     muscles = {name: joint.muscle1}
     if not eqx.tree_equal(joint.muscle1, joint.muscle2):
@@ -184,7 +200,10 @@ def _muscle_unit(muscle: Muscle, name: str, period: float) -> FunctionalUnit:
 
 
 def controller_fmu(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The controller for co-simulation with steps of the control period."""
+    """The controller for co-simulation with steps of the control period.
+
+    Inputs that are not finite leave its state as it is, and its outputs are the last commands.
+    """
     source = controller_functions(scenario)
     module = SourceModule(name, source.parameters, "controller.")
     inputs = {

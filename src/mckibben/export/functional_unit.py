@@ -91,6 +91,11 @@ def _variables(unit: FunctionalUnit) -> Iterator[ScalarVariable]:
 
 
 def _per_second(unit: str) -> str:
+    """Unit of a rate.
+
+    >>> _per_second("rad"), _per_second("rad/s"), _per_second("")
+    ('rad/s', 'rad/s^2', '')
+    """
     return f"{unit}^2" if unit.endswith("/s") else f"{unit}/s" if unit else ""
 
 

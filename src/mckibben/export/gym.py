@@ -153,7 +153,15 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         self._program = SingleProgram(self.joint.plants, self.joint.settings, **self.joint.options)
 
     def reset(self, *, seed: int | None = None, options: Info | None = None) -> tuple[Floats, Info]:
-        """Begin an episode with one of the plants; `options` may select it, ``{"plant": 3}``."""
+        """Begin an episode with one of the plants, drawn by the seed of the environment.
+
+        Parameters
+        ----------
+        seed
+            Seed of this and the following draws.
+        options
+            ``{"plant": 3}`` selects a plant in place of a draw.
+        """
         super().reset(seed=seed)
         row = (options or {}).get("plant")
         row = int(self.np_random.integers(self.joint.plants.rows) if row is None else row)
@@ -161,7 +169,10 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
         return np.asarray(self._program.begin(row).observation, np.float32), {"plant": row}
 
     def step(self, action: Floats) -> tuple[Floats, float, bool, bool, Info]:
-        """Apply commands for a step."""
+        """Apply commands for a step.
+
+        Returns the observation, the reward, whether the episode failed, whether the scenario is over, and `info`.
+        """
         step = self._program.advance(action)
         self._steps += 1
         info = {"stiffness": float(step.stiffness), "air": float(step.air)}
@@ -171,6 +182,9 @@ class JointEnv(gymnasium.Env[Floats, Floats]):
 
 class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
     """Many `JointEnv` in one compiled program; a finished episode restarts at the next step.
+
+    All arrays have a row per joint; `info` has arrays too, and for each of them, with an underscore before its name,
+    which rows are valid.
 
     Parameters
     ----------
@@ -203,7 +217,10 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         return observations.astype(np.float32), {"plant": self._rows, "_plant": np.ones(self.num_envs, bool)}
 
     def step(self, actions: Floats) -> tuple[Floats, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """Apply the commands of all joints for a step."""
+        """Apply the commands of all joints for a step.
+
+        A joint whose episode ended in the step before begins another; its action is ignored and its reward is 0.
+        """
         if self._over.any():
             self._rows = np.where(self._over, self._draw(), self._rows)
         step = self._program.advance(self._rows, actions, self._over)
@@ -215,6 +232,7 @@ class JointVectorEnv(VectorEnv[Floats, Floats, NDArray[Any]]):
         return np.asarray(step.observation, np.float32), np.asarray(step.reward), failed, ended, info
 
     def _draw(self) -> NDArray[np.int64]:
+        """A plant for each joint."""
         return self.np_random.integers(self.joint.plants.rows, size=self.num_envs)
 
 

@@ -25,7 +25,14 @@ FRICTION_RATIO = 1000.0
 
 
 class Compliance(NamedTuple):
-    """Stiffness and damping of a soft constraint, multiplied by its mobility."""
+    """Stiffness and damping of a soft constraint, multiplied by its mobility.
+
+    Attributes
+    ----------
+    stiffness, damping
+        In 1/s^2 and 1/s. The attribute ``solref`` has them with a minus, else MuJoCo takes them for a time constant and
+        a damping ratio.
+    """
 
     stiffness: float
     damping: float
@@ -64,11 +71,13 @@ def compliance(plant: LegPlant, start: LegState) -> dict[str, Compliance]:
 
 
 def _stop(joint: LegJoint, mobility: float) -> Compliance:
+    """Compliance of the stops of a joint with a mobility [rad/(N*m*s^2)]."""
     stiffness = float(joint.stop_stiffness)
     return _scaled(stiffness, _damper(stiffness, float(joint.stop_damping), 1 / mobility, LIMIT_SPEED), mobility)
 
 
 def _scaled(stiffness: float, damping: float, mobility: float) -> Compliance:
+    """Compliance of a spring and a damper on a mobility."""
     return Compliance(*(number * mobility * (1 - _IMPEDANCE) for number in (stiffness, damping)))
 
 

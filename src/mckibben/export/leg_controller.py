@@ -25,11 +25,13 @@ class _GivenSetpoints(LegReference):
     setpoints: tuple[Setpoint, ...]
 
     def init(self, measurement: LegMeasurement) -> tuple[()]:
+        """No state."""
         return ()
 
     def step(
         self, state: PyTree, time: ArrayLike, measurement: LegMeasurement, period: ArrayLike
     ) -> tuple[PyTree, tuple[Setpoint, ...]]:
+        """The setpoints, whatever the time."""
         return (), self.setpoints
 
 
@@ -53,8 +55,18 @@ def export_leg_controller(
     written; `FileError` if the files exist, unless they may be overwritten; `SimulationError` if the duration is not a
     positive multiple of the control period.
 
-    `plant`, `start` and `duration` [s] are those of the recorded run. The real numbers of the controller, such as a
-    `CoupledControl`, are parameters of the program, 32-bit if `single`. Its name is an identifier.
+    Parameters
+    ----------
+    plant, start, duration
+        Plant, start and duration [s] of the recorded run.
+    controller
+        A `JointwiseControl` or a `CoupledControl`, whose real numbers are parameters of the program.
+    control_period
+        Period [s] of the program, a constant.
+    name
+        Name of the program, an identifier.
+    single
+        Whether numbers have 32 bits.
     """
     if not isinstance(controller, JointwiseControl):
         message = f"a {type(controller).__name__} takes no setpoints of the joints"
@@ -86,6 +98,7 @@ def _module(
 
 
 def _with_setpoints(controller: JointwiseControl, setpoints: tuple[Setpoint, ...]) -> JointwiseControl:
+    """A controller with given setpoints in place of its reference."""
     return dataclasses.replace(controller, reference=_GivenSetpoints(setpoints))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, SupportsFloat
+from typing import SupportsFloat
 from xml.sax.saxutils import quoteattr
 
 from jaxtyping import Array, ArrayLike
@@ -20,7 +20,6 @@ from mckibben.export.mjcf import (
     cannot,
     check_tendon,
     check_valve,
-    mjcf,
     muscle_model,
     numbers_text,
     path_transmission,
@@ -78,20 +77,6 @@ def leg_model(
     return muscle_model(plant, name, timestep, rigging.drives, scene, start, left_out, plugin=plugin)
 
 
-class LegScene(NamedTuple):
-    """MJCF of a leg without muscle forces, and the sites of the straight parts of the muscles."""
-
-    xml: str
-    parts: dict[str, tuple[tuple[str, str], ...]]
-
-
-def leg_scene(plant: LegPlant, start: LegState) -> LegScene:
-    """A leg for display in MuJoCo, moved by its coordinates; without a plugin."""
-    rigging = _Rigging(plant)
-    xml = mjcf(plant, "leg", 1e-3, rigging.drives, [], _scene(plant, rigging.bodies, start))
-    return LegScene(xml, {drive.name: drive.parts for drive in rigging.drives if drive.parts})
-
-
 def leg_files(
     plant: LegPlant, name: str = "leg", title: str = "a leg", *, timestep: float = 2.5e-4, start: LegState | None = None
 ) -> Exported:
@@ -120,6 +105,7 @@ class _Body:
     """A body under construction: its shapes in MJCF, points of muscles, and its attachment to the parent body."""
 
     def __init__(self, name: str, shapes: list[str], joint: LegJoint | None = None, origin: float = 0.0) -> None:
+        """A body with shapes, on a joint at a distance below that of its parent."""
         self.name, self.shapes, self.joint, self.origin = name, shapes, joint, origin
         self.sites: dict[str, Vector] = {}
 
@@ -165,6 +151,7 @@ def _bodies(plant: LegPlant) -> list[_Body]:
 
 
 def _inertial(mass: SupportsFloat, height: SupportsFloat, inertias: Sequence[SupportsFloat]) -> str:
+    """Mass [kg], height of its centre [m] and moments of inertia [kg*m^2] in MJCF."""
     mass, *inertias = (max(float(number), _LIGHT) for number in (mass, *inertias))
     return f'<inertial pos="0 0 {float(height)!r}" mass="{mass!r}" diaginertia="{numbers_text(inertias)}"/>'
 
@@ -173,6 +160,7 @@ class _Rigging:
     """Bodies of a leg with the sites of its muscles, the muscles that MuJoCo can move, and the omitted parts."""
 
     def __init__(self, plant: LegPlant) -> None:
+        """Add all muscles of a leg."""
         self.bodies = _bodies(plant)
         self.drives: list[Drive] = []
         self.left_out: list[str] = []
@@ -185,14 +173,13 @@ class _Rigging:
 
     def _add_muscle(self, joint: LegJoint, index: int, number: int, moved: Transmission) -> None:
         """Add a muscle of the pair of a joint."""
-        name, parts = f"{joint.name}{number + 1}", ()
+        name = f"{joint.name}{number + 1}"
         if joint.locked is not None and not moved.points:
             self.left_out.append(f"muscle {name}: its joint is locked, and it has no tendon between points")
             return
         tendon = ""
         if moved.points:
-            parts = (self._attach(name, index, joint, moved),)
-            tendon = _spatial(name, parts)
+            tendon = _spatial(name, [self._attach(name, index, joint, moved)])
         elif moved.coefficient:
             tendon = f"<fixed name={quoteattr(name)}>{_coupled(moved, joint)[0]}</fixed>"
         else:
@@ -206,12 +193,12 @@ class _Rigging:
             return plant.leg.joints[index].muscles.geometry.path_lengths(angle)[number]
 
         path_of = beyond(moved.offset) if tendon else path
-        self.drives.append(Drive(name, tendon, joint.name, 2 * index + number, muscle, path_of, parts))
+        self.drives.append(Drive(name, tendon, joint.name, 2 * index + number, muscle, path_of))
 
     def _add_biarticular(self, plant: LegPlant, number: int) -> None:
         """Add a muscle over two joints."""
         leg, biarticular = plant.leg, plant.leg.biarticular[number]
-        name, parts = biarticular.name, ()
+        name = biarticular.name
         indices = [leg.index(joint) for joint in (biarticular.joint1, biarticular.joint2)]
         joints = [leg.joints[index] for index in indices]
         paths = zip((biarticular.path1, biarticular.path2), biarticular.sides, strict=True)
@@ -219,8 +206,7 @@ class _Rigging:
         offset = sum(transmission.offset for transmission in moved)
         if all(transmission.points for transmission in moved):
             places = enumerate(zip(indices, joints, moved, strict=True), 1)
-            parts = tuple(self._attach(f"{name} {part}", *place) for part, place in places)
-            tendon = _spatial(name, parts)
+            tendon = _spatial(name, [self._attach(f"{name} {part}", *place) for part, place in places])
         elif all(transmission.coefficient for transmission in moved):
             texts, lengths = zip(*map(_coupled, moved, joints), strict=True)
             offset += sum(lengths)
@@ -232,7 +218,7 @@ class _Rigging:
             return plant.leg.biarticular[number].muscle, RigidTendon()
 
         index = 2 * len(leg.joints) + number
-        self.drives.append(Drive(name, tendon, "", index, muscle, beyond(offset), parts))
+        self.drives.append(Drive(name, tendon, "", index, muscle, beyond(offset)))
 
     def _attach(self, path: str, index: int, joint: LegJoint, moved: Transmission) -> tuple[str, str]:
         """Add the sites of a straight path over a joint to its bodies; return their names."""

@@ -45,7 +45,19 @@ Place = tuple[SupportsFloat, SupportsFloat]
 
 
 class Transmission(NamedTuple):
-    """Transmission of a muscle; without a tendon it drives the joint: its length is the angle, its force a torque."""
+    """Transmission of a muscle; without a tendon it drives the joint: its length is the angle, its force a torque.
+
+    Attributes
+    ----------
+    tendon
+        In MJCF, of a joint alone.
+    offset
+        Path length in excess of the tendon [m].
+    points
+        Points connected by the tendon, on the fixed and on the moving body [m].
+    coefficient
+        Length per angle [m/rad], in place of points.
+    """
 
     tendon: str = ""  # in MJCF, of a joint alone
     offset: float = 0.0  # path length in excess of the tendon [m]
@@ -80,6 +92,7 @@ def path_transmission(number: int, path: object, side: int) -> Transmission:
 
 
 def _two_sites(number: int, fixed: Place, moving: Place, connector: SupportsFloat) -> Transmission:
+    """Transmission of a straight tendon between two points, with a connector [m] that is no part of the muscle."""
     ends = f'<site site="fixed{number}"/><site site="moving{number}"/>'
     tendon = f'<spatial name="muscle{number}" width="0.008" rgba="0.8 0.2 0.15 1">{ends}</spatial>'
     points = tuple((float(x), float(y)) for x, y in (fixed, moving))
@@ -95,7 +108,6 @@ class Drive(NamedTuple):
     index: int  # among the muscles of the plant
     muscle: Callable[[PyTree], tuple[Muscle, Tendon]]  # of a plant
     path: Callable[[PyTree, Array], Array]  # length [m] of the path, of a plant at MuJoCo's length
-    parts: tuple[tuple[str, str], ...] = ()  # sites of the straight parts of the tendon
 
     @property
     def target(self) -> str:
@@ -126,7 +138,17 @@ class Scene(NamedTuple):
 def muscle_functions(
     plant: Plant, name: str, drives: Sequence[Drive], start: PyTree, *, filters: bool = True
 ) -> tuple[SourceModule, list[MuscleFunctions]]:
-    """The functions of all muscles of a plant in a module; with `filters`, MuJoCo's own model first-order valves."""
+    """The functions of all muscles of a plant in a module.
+
+    Parameters
+    ----------
+    drives
+        Muscles, by what they drive.
+    start
+        State of the plant at the start.
+    filters
+        Whether MuJoCo's own filter models first-order valves.
+    """
     numbers, fixed = eqx.partition(numeric(plant), is_real)
     module, functions = SourceModule(name, {"plant": numbers}, "plant."), []
     for number, drive in enumerate(drives, 1):
@@ -148,7 +170,21 @@ def muscle_model(
     *,
     plugin: bool,
 ) -> MuscleModel:
-    """MJCF of a scene with the muscles of a plant as actuators of the plugin or of callbacks, and their functions."""
+    """MJCF of a scene with the muscles of a plant as actuators, and their functions.
+
+    Parameters
+    ----------
+    timestep
+        Time step of MuJoCo [s].
+    drives, scene
+        Muscles, and everything else of the model.
+    start
+        State at the start.
+    left_out
+        Parts that are omitted so far; sensors, disturbances and the delay of the commands are added.
+    plugin
+        Whether the actuators are those of the plugin; otherwise callbacks set their forces.
+    """
     left_out = [*left_out, *([] if plant.has_ideal_io else ["sensors and disturbances of the plant"])]
     left_out += [] if plant.command_delay is None else [COMMAND_DELAY]
     plant = dataclasses.replace(plant, command_delay=None)
@@ -418,7 +454,10 @@ def _known_mass(load: Load) -> float | None:
 
 
 def mjcf_files(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The plant of a scenario as MJCF, and the plugin for its muscles."""
+    """The plant of a scenario as MJCF, and the plugin for its muscles.
+
+    Raises `ExportError`, which lists all parts that MuJoCo cannot represent.
+    """
     plant = scenario.plant()
     timestep = scenario.control_period / scenario.needed_substeps()
     model = joint_model(plant, name, timestep, plant.complete_state(scenario.initial(plant)))

@@ -1,4 +1,7 @@
-"""modelDescription.xml of an FMU (FMI 2.0)."""
+"""modelDescription.xml of an FMU (FMI 2.0).
+
+Units are given by their exponents of the base units of SI, with a display unit (deg, bar, mm, ms) where there is one.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +66,15 @@ def _structure(variables: Sequence[ScalarVariable]) -> dict[str, list[int]]:
 def _attributes(
     reference: int, variable: ScalarVariable, states: Sequence[int]
 ) -> tuple[dict[str, object], dict[str, object]]:
-    """Attributes of a scalar variable, and of its real number; None for those that it does not have."""
+    """Attributes of a scalar variable, and of its real number; None for those that it does not have.
+
+    Parameters
+    ----------
+    reference
+        Value reference: index among all variables.
+    states
+        Indices of the states, counted from 1, for the attribute ``derivative``.
+    """
     causality, variability, initial = _ATTRIBUTES[variable.kind]
     scalar: dict[str, object] = {
         "name": variable.name,

@@ -65,7 +65,21 @@ def is_filter(valve: PyTree) -> bool:
 
 
 class MuscleFunctions:
-    """Functions of one muscle of a plant: force, rates of its activations, and slip after a step."""
+    """Functions of one muscle of a plant: force, rates of its activations, and slip after a step.
+
+    Parameters
+    ----------
+    fixed
+        The plant without its real numbers, which are parameters of the module.
+    number
+        Number of the muscle, from 1.
+    muscle_of, path_of
+        Selection of the muscle with its tendon from a plant, and its path [m] at MuJoCo's length.
+    start
+        State of the muscle, its pressure [Pa], and the state of valve and air.
+    filtered
+        Whether MuJoCo's filter models the valve.
+    """
 
     def __init__(
         self,
@@ -131,12 +145,14 @@ class MuscleFunctions:
         return plant, self._muscle_of(plant), path, slope, acts, state
 
     def _force(self, parameters: PyTree, inputs: PyTree) -> Array:
+        """Force on MuJoCo's length [N], or torque [N*m]: 0 or below, as muscles pull."""
         _, (muscle, tendon), path, slope, (_, _, pressure), state = self._at(parameters, inputs)
         contraction = tendon.contraction(muscle, path, pressure, state)
         viscous = muscle.viscous_force(contraction, pressure, slope * inputs["velocity"], state)
         return -(muscle.tension(contraction, pressure, state) + viscous) * slope
 
     def _rates(self, parameters: PyTree, inputs: PyTree) -> Array:
+        """Rates of the activations: creep, state of the valve and temperature of the air, pressure."""
         plant, (muscle, _), _, slope, (_, state, pressure), held = self._at(parameters, inputs)
         valve, command, velocity = plant.valve.for_muscle(self._number - 1), inputs["command"], inputs["velocity"]
         creep = muscle.state_rate(held, slope * velocity, pressure).creep
@@ -160,6 +176,7 @@ class MuscleFunctions:
         return self._layout.pack(rates, jnp)
 
     def _settled(self, parameters: PyTree, inputs: PyTree) -> dict[str, PyTree]:
+        """Activations and anchors of the friction after a step; the force does not change."""
         plant, (muscle, _), path, _, acts, state = self._at(parameters, inputs)
         friction, creep = muscle.update_state(state, muscle.specimen.contraction_at(path), acts.pressure)
         pressure = acts.pressure if plant.valve.holds_pressure else ()
@@ -168,6 +185,7 @@ class MuscleFunctions:
         return settled | ({"anchors": jnp.stack(friction)} if friction else {})
 
     def _unset(self, parameters: PyTree, inputs: PyTree) -> Array:
+        """Anchors at which the friction elements are without stress."""
         _, (muscle, _), path, _, acts, _ = self._at(parameters, inputs)
         return jnp.stack(muscle.init_state(muscle.specimen.contraction_at(path), acts.pressure).friction)
 

@@ -1,4 +1,8 @@
-"""A joint for OpenSim: muscles at constant pressures as forces given by expressions of their path lengths."""
+"""A joint for OpenSim: muscles at constant pressures as forces given by expressions of their path lengths.
+
+Forces are texts (`ExpressionBasedPathForce`, or `ExpressionBasedCoordinateForce` for a path that OpenSim does not
+support), so that the model needs nothing but OpenSim. Valves, friction and creep are omitted.
+"""
 
 from __future__ import annotations
 
@@ -133,6 +137,8 @@ class _Expression(dict[str, Callable[..., PyTree]]):
         return ";".join([str(result), *reversed(definitions)])  # definitions follow their use
 
     def _folded(self, name: str, function: Callable[..., PyTree]) -> Callable[..., PyTree]:
+        """Operation that is computed if all its arguments are numbers, and written otherwise."""
+
         def operation(*arguments: PyTree) -> Atom:
             if not any(isinstance(argument, str) for argument in arguments):
                 return NUMERIC[name](*arguments)
@@ -143,11 +149,13 @@ class _Expression(dict[str, Callable[..., PyTree]]):
         return operation
 
     def _named(self, text: Atom) -> Atom:
+        """An expression by its name, if it is long."""
         if isinstance(text, str) and len(text) > _LONGEST:
             return self._names.setdefault(text, f"v{len(self._names) + 1}")
         return text
 
     def _select(self, condition: Atom, yes: Atom, no: Atom) -> Atom:
+        """Choice by a condition: the maximum with 0, or a sum of both sides with the shares 1 and 0."""
         if not isinstance(condition, _Condition):
             return yes if condition else no
         share, below, above = condition
@@ -179,7 +187,10 @@ def _osim(plant: JointPlant, name: str, muscles: Sequence[dict[str, object]]) ->
 
 
 def osim_files(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The joint of a scenario at its initial pressures."""
+    """The joint of a scenario at its initial pressures.
+
+    Raises `ExportError` as `osim_model` does.
+    """
     plant = scenario.plant()
     pressure1, pressure2 = (float(pressure) for pressure in scenario.initial(plant).pressures)
     model = osim_model(plant, (pressure1, pressure2), name)

@@ -32,8 +32,22 @@ def plant_module(
     """Source module of a plant without sensors and disturbances.
 
     Functions: `torque`, `stiffness`, `tensions` of the muscles' laws at an angle and pressures; `rate` of the state;
-    with a control period [s], `step`, the state after one period. All real numbers are parameters. Raises `ExportError`
-    for parts that cannot be lowered.
+    with a control period, `step`, the state after one period. All real numbers are parameters. Raises `ExportError` for
+    parts that cannot be lowered.
+
+    Parameters
+    ----------
+    control_period, substeps
+        Period [s] of `step`, and its integration steps.
+    name
+        Name of the module, an identifier.
+
+    Examples
+    --------
+    >>> import mckibben as mk
+    >>> plant = mk.JointPlant(mk.catalog.joint("knee-table-2"), mk.catalog.load("knee-table-2"), mk.IdealValve())
+    >>> [function.name for function in plant_module(plant, 1e-3).module.functions]
+    ['torque', 'stiffness', 'tensions', 'rate', 'step']
     """
     left_out = [] if plant.has_ideal_io else ["sensors and disturbance of the plant"]
     left_out += [] if plant.command_delay is None else ["delay of the commands"]

@@ -40,15 +40,18 @@ class Exported(Result):
     margins: Margins | None = None
 
     def verdict(self) -> str:
+        """Number of files."""
         return f"{len(self.contents)} file{'s' * (len(self.contents) > 1)}"
 
     def remarks(self) -> Iterator[Remark]:
+        """A severe one for margins below their floor, and a warning for each part that is left out."""
         if self.margins is not None:
             yield from margin_remarks(float(self.margins.disk.min()), f", {self.margins.limit()}")
         for part in self.left_out:
             yield Remark.warning("left_out", f"left out: {part}")
 
     def listings(self) -> Iterator[Listing]:
+        """Files and their sizes."""
         sizes = [len(content.encode() if isinstance(content, str) else content) for content in self.contents.values()]
         columns = {"file": (Column(), list(self.contents)), "bytes": (Column(), sizes)}
         yield Listing("files", columns)
@@ -141,5 +144,8 @@ def check_name(name: str) -> str:
 
 
 def filled(template: str, values: Mapping[str, object]) -> str:
-    """Text of a template of this package with these values, and the `version` of mckibben."""
+    """Text of a template of this package with these values, and the `version` of mckibben.
+
+    Raises `jinja2.UndefinedError` for a value that is missing.
+    """
     return templates.filled(template, {**values, "version": mckibben.__version__}, "mckibben.export")

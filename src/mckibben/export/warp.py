@@ -23,7 +23,10 @@ from mckibben.scenario import Scenario
 
 
 def warp_files(scenario: Scenario, name: str, folder: Path) -> Exported:
-    """The plant of a scenario as MJCF, and its muscles for MuJoCo Warp."""
+    """The plant of a scenario as MJCF, and its muscles for MuJoCo Warp.
+
+    Raises `ExportError` for parts that MuJoCo cannot represent.
+    """
     plant = scenario.plant()
     timestep = scenario.control_period / scenario.needed_substeps()
     start = plant.complete_state(scenario.initial(plant))
@@ -50,6 +53,7 @@ def warp_leg(plant: LegPlant, name: str, title: str = "", *, timestep: float, st
 
 
 def _files(model: MuscleModel, plant: Plant, title: str) -> Exported:
+    """MJCF and module of a model, whose commands may be delayed."""
     name, delay = model.module.name, float(plant.command_delay or 0.0)
     left_out = tuple(part for part in model.left_out if part != COMMAND_DELAY)
     text = warp_muscles(model.module, model.muscles, model.names, title or name, delay, left_out)
@@ -71,7 +75,19 @@ def warp_muscles(
     delay: float,
     left_out: tuple[str, ...],
 ) -> str:
-    """Text of the module of Warp for the muscles of a model, with the delay [s] of their commands."""
+    """Text of the module of Warp for the muscles of a model.
+
+    Parameters
+    ----------
+    muscles, names
+        States of the muscles, and the names of their actuators.
+    title
+        Name in the description of the module.
+    delay
+        Delay of the commands [s].
+    left_out
+        Parts that the description lists as omitted.
+    """
     numbers = range(1, len(muscles) + 1)
     before = [sum(muscle.anchors for muscle in muscles[: number - 1]) for number in numbers]
     functions = {function.name: function for function in module.functions}

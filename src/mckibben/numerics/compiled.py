@@ -82,7 +82,10 @@ def jit_inline(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def cached_trace(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator for functions and methods that are always called by `fusion_barrier`, and traced once per structure."""
+    """Decorator for functions and methods that are always called by `fusion_barrier`, and traced once per structure.
+
+    It is for expensive parts of a larger program that occur several times in it.
+    """
     program = Program(function)
 
     @functools.wraps(function)
@@ -112,7 +115,18 @@ def jit_lanes(function: Callable[P, R]) -> Callable[P, R]:
 
 
 class Program:
-    """Pure function of arrays, compiled once per structure of its arguments; all other leaves are static."""
+    """Pure function of arrays, compiled once per structure of its arguments; all other leaves are static.
+
+    A call with tracers becomes part of the program that is being traced. One thread compiles a program, others that
+    need the same one wait for it.
+
+    Parameters
+    ----------
+    function
+        Function of trees.
+    options
+        Compiler options of XLA, asked for when a program is compiled.
+    """
 
     def __init__(self, function: Callable[..., PyTree], options: Callable[[], dict[str, int]] = dict) -> None:
         self._function = function

@@ -22,7 +22,11 @@ Term = TypeVar("Term", float, Array)
 
 
 def floating(x: ArrayLike) -> Float[Array, "..."]:
-    """Array of floats in its given precision; integers get the default precision."""
+    """Array of floats in its given precision; integers get the default precision.
+
+    >>> floating(3).dtype.name, floating(jnp.float32(3)).dtype.name
+    ('float64', 'float32')
+    """
     x = jnp.asarray(x)
     return x if jnp.issubdtype(x.dtype, jnp.floating) else x.astype(jnp.result_type(float))
 
@@ -174,6 +178,7 @@ _sincos = jax.jit(_sincos_rule, inline=True)
 
 
 def _exp_polynomial(x: Array) -> Array:
+    """Exponential by a polynomial of the remainder, whose exponent is increased by n."""
     k = _constants(x)
     n, bits = _rounded(x * math.log2(math.e), k)
     r = (x - n * k.ln2[0]) - n * k.ln2[1]
@@ -185,6 +190,7 @@ def _exp_polynomial(x: Array) -> Array:
 
 
 def _sincos_polynomial(x: Array) -> tuple[Array, Array]:
+    """Sine and cosine by polynomials of the reduced angle, exchanged and negated according to the quadrant."""
     k = _constants(x)
     n, quadrant = _rounded(x * (2 / math.pi), k)
     r = (x - n * k.half_pi[0]) - n * k.half_pi[1]
@@ -205,6 +211,7 @@ def _rounded(x: Array, k: _Constants) -> tuple[Array, Array]:
 
 
 def _bits(x: Array, k: _Constants) -> Array:
+    """Bits of numbers as integers."""
     return lax.bitcast_convert_type(x, k.integer)
 
 
@@ -226,6 +233,7 @@ def polynomial(x: Term, coefficients: tuple[float, ...]) -> Term:
 
 
 def _constants(x: Array) -> _Constants:
+    """Constants for the precision of an array."""
     if x.dtype == jnp.float64:
         return DOUBLE
     if x.dtype == jnp.float32:

@@ -54,7 +54,18 @@ class FingerprintError(ValueError):
 
 
 def program_path(folder: Path, function: Callable[..., PyTree], static: Sequence[PyTree], *rest: PyTree) -> Path | None:
-    """File of a program in `folder`; None without fingerprint or trusted folder."""
+    """File of a program in `folder`; None without fingerprint or trusted folder.
+
+    The folder is made for this user alone. One that another user owns or may write to is not used, which is warned of
+    once.
+
+    Parameters
+    ----------
+    function, static
+        Function of the program and the static values of its arguments, of which fingerprints are taken.
+    rest
+        Further values that it depends on, by their `repr`.
+    """
     try:
         words = [code_fingerprint(function), *map(fingerprint, static)]
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
@@ -100,7 +111,15 @@ def load_or_compile(
     static: PyTree,
     *rest: PyTree,
 ) -> Callable[..., PyTree]:
-    """Program from its file in `folder`, or compiled and written; `jitted` without fingerprint or trusted folder."""
+    """Program from its file in `folder`, or compiled and written; `jitted` without fingerprint or trusted folder.
+
+    Parameters
+    ----------
+    jitted, arrays
+        The program to be compiled, and its arguments.
+    function, structure, static, rest
+        What identifies it, see `program_path`.
+    """
     from jax.experimental.serialize_executable import deserialize_and_load, serialize
 
     path = program_path(folder, function, (structure, *static), *rest)
@@ -149,7 +168,11 @@ def structure_fingerprint(structure: PyTreeDef) -> str:
 
 
 def fingerprint(value: object) -> str:
-    """Text that identifies a static value uniquely; raises `FingerprintError` if there is none."""
+    """Text that identifies a static value uniquely; raises `FingerprintError` if there is none.
+
+    >>> fingerprint((1, "a", 2.5)), fingerprint({"b": None})
+    ("builtins.tuple(1 'a' 2.5)", "builtins.dict('b':None)")
+    """
     if isinstance(value, jax.tree_util.PyTreeDef):
         return structure_fingerprint(value)
     if isinstance(value, type | FunctionType):

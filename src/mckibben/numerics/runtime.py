@@ -39,7 +39,11 @@ def configure() -> None:
 
 
 def with_loop_option(flags: str) -> str:
-    """The user's XLA flags plus ours; the user's value of the option takes precedence."""
+    """The user's XLA flags plus ours; the user's value of the option takes precedence.
+
+    >>> with_loop_option("--xla_dump_to=x")
+    '--xla_dump_to=x --xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=1000000000'
+    """
     if _LOOP_OPTION in flags:
         return flags
     option = f"{_LOOP_OPTION}=1000000000"
@@ -81,7 +85,11 @@ def processor() -> str | None:
 
 
 def _instructions(about: Mapping[str, str]) -> frozenset[str]:
-    """Instruction set extensions: ``flags`` on x86, ``Features`` on ARM."""
+    """Instruction set extensions: ``flags`` on x86, ``Features`` on ARM.
+
+    >>> sorted(_instructions({"flags": "sse2 avx2"}))
+    ['avx2', 'sse2']
+    """
     return frozenset(about.get("flags", about.get("Features", "")).split())
 
 
