@@ -152,6 +152,12 @@ def test_neither_compiler_nor_files_outlive_a_command_that_is_ended(use, monkeyp
     assert [*(tmp_path / "temporary").iterdir()] == []
 
 
+def test_the_version_of_a_compiler_that_prints_without_end_is_its_path(use, monkeypatch):
+    monkeypatch.setattr(native, "_ANSWERING", 0.5)
+    use("while true; do echo again; sleep 0.01; done")
+    assert native.compiler_version(compiler()) == compiler()
+
+
 def test_programs_in_a_folder_that_others_may_write_to_are_not_used_which_is_said_once(programs):
     programs.mkdir()
     programs.chmod(0o777)

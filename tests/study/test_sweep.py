@@ -151,7 +151,7 @@ def test_a_sweep_is_not_continued_by_another_engine_or_compiler(scenario, tmp_pa
     for change in ("compiler", "options"):
         with monkeypatch.context() as patch:
             if change == "compiler":
-                patch.setattr("mckibben.simulation.software._compiler_version", lambda path: "other 1.0")
+                patch.setattr("mckibben.simulation.software.compiler_version", lambda path: "other 1.0")
             else:
                 patch.setenv("MCKIBBEN_CFLAGS", "-O1")
             with pytest.raises(FileError) as caught:

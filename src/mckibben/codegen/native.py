@@ -57,6 +57,7 @@ _FOR_LONG = ("-fdisable-rtl-combine",)  # gcc only: a pass that takes most of th
 _LONGEST, _LARGEST = 3_000_000, 300_000  # characters of a source, and operations, which have some 20 characters each
 _COMPILING = 360.0, 5000.0  # s for the compiler, which may share its processor, plus a second per so many characters
 _PATIENCE = 10.0  # s until a line says what is waited for
+_ANSWERING = 60.0  # s for a compiler to tell its version
 _TRYING = 300.0  # s for a first call, in a new process
 _MOST_BYTES = 256 << 20  # of a file that a compiler writes, its messages included
 _WATCHED = f"""
@@ -487,6 +488,14 @@ def compile_library(source: str, flags: Sequence[str]) -> bytes:
     return build_library({"source.c": source}, options, seconds, trial=True)
 
 
+@functools.cache
+def compiler_version(path: str) -> str:
+    """Name and version of a compiler: the first line that it prints of them, or its path."""
+    with suppress(CompilerError, OSError), tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
+        return _call([path, "--version"], folder, _ANSWERING, f"{path} does not tell its version", _OTHER_COMPILER)[0]
+    return path
+
+
 def build_library(
     texts: Mapping[str, str], options: Sequence[str], seconds: float = _COMPILING[0], *, trial: bool = False
 ) -> bytes:
@@ -526,8 +535,8 @@ def build_library(
         raise CompilerError(f"no program can be compiled: {error}", remedy=_OTHER_FOLDER) from error
 
 
-def _call(command: Sequence[str], folder: str, seconds: float, failure: str, remedy: str) -> None:
-    """Run a command in a folder; raises `CompilerError` if it fails, takes too long or writes too much.
+def _call(command: Sequence[str], folder: str, seconds: float, failure: str, remedy: str) -> list[str]:
+    """First lines that a command prints; raises `CompilerError` if it fails, takes too long or writes too much.
 
     If this process ends meanwhile, even by a signal that nothing can handle, the command and its children are killed
     and the folder is removed.
@@ -548,11 +557,11 @@ def _call(command: Sequence[str], folder: str, seconds: float, failure: str, rem
             if process.returncode is None:
                 _kill(process)
             process.stdin.close()  # type: ignore[union-attr]
-        if status == 0:
-            return
         size = messages.seek(0, os.SEEK_END)
         messages.seek(0)
         lines = messages.read(10_000).decode(errors="replace").strip().splitlines() or [f"exit status {status}"]
+    if status == 0:
+        return lines
     own = command[0] == sys.executable
     reason = lines[-1 if own else 0]
     if status is None:

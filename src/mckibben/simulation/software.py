@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import functools
-import subprocess
 from collections.abc import Callable, Collection, Mapping
 from importlib.metadata import version
 
@@ -11,10 +9,8 @@ import jax
 
 import mckibben
 from mckibben.codegen.cuda import device
-from mckibben.codegen.native import compiler, compiler_words, own_flags
+from mckibben.codegen.native import compiler, compiler_version, compiler_words, own_flags
 from mckibben.simulation.engine import check_engine
-
-_PATIENCE = 20.0  # s for a compiler to state its version
 
 
 def software(engine: str = "auto") -> dict[str, str]:
@@ -27,22 +23,10 @@ def software(engine: str = "auto") -> dict[str, str]:
         "engine": check_engine(engine, many=True),
     }
     if parts["engine"] == "native":
-        parts["compiler"] = " ".join([_compiler_version(compiler() or ""), *compiler_words()[1:], *own_flags()])
+        parts["compiler"] = " ".join([compiler_version(compiler() or ""), *compiler_words()[1:], *own_flags()])
     if parts["engine"] == "cuda":
         parts |= {"compiler": device().compiler, "device": device().name}
     return parts
-
-
-@functools.cache
-def _compiler_version(path: str) -> str:
-    """Name and version of a compiler: the first line that it prints of them, or its path."""
-    try:
-        done = subprocess.run(
-            [path, "--version"], capture_output=True, stdin=subprocess.DEVNULL, timeout=_PATIENCE, check=True
-        )
-    except (OSError, subprocess.SubprocessError):
-        return path
-    return next(iter(done.stdout.decode(errors="replace").splitlines()), path)
 
 
 def engine_of_job(
