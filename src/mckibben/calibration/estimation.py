@@ -153,7 +153,8 @@ class CalibratedJoint(Calibration):
         for value, slope, minimum in zip(values - values[0], slopes, self._minima, strict=True):
             spread = spread + minimum.weight * (slope @ minimum.covariance @ slope.T + np.outer(value, value))
         rows = {}
-        for variance, direction in zip(*np.linalg.eigh(spread), strict=True) if names else ():
+        variances, directions = np.linalg.eigh(spread) if names else ((), np.zeros((0, 0)))
+        for variance, direction in zip(variances, directions.T, strict=True):
             parts = [f"{x:+.2g} {name}" for x, name in zip(direction, names, strict=True) if abs(x) > _TAKES_PART]
             if len(parts) > 1:
                 rows[" ".join(parts)] = math.sqrt(variance)
