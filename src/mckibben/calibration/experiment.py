@@ -313,7 +313,7 @@ def calibrated_scenario(scenario: Scenario, fit: CalibratedJoint) -> Scenario:
         parts |= {"valve": valve, "command_delay": fit.delay}
     elif mass := fit.load.adapted_mass:
         parts["load"] = replaced(load_of(scenario), {mass: getattr(fit.load, mass)})
-    return with_estimates(scenario, **parts)
+    return with_estimates(scenario, fit.deviations(), **parts)
 
 
 def write_section(part: eqx.Module, comment: str, path: Path, *, base: type | None = None) -> None:

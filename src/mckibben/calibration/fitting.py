@@ -103,6 +103,15 @@ class Calibration(Result):
         for name, write in self.writers.items():
             write(folder / name)
 
+    def deviations(self) -> dict[str, str]:
+        """Return the standard deviation of each quantity with its unit; of forces in percent."""
+        return {
+            name: show(estimate.deviation / estimate.value, "%", 3)
+            if name.endswith(".force")
+            else f"{estimate.deviation:.3g} {'' if estimate.unit == '1' else estimate.unit}".strip()
+            for name, estimate in self.quantities.items()
+        }
+
     def verdict(self) -> str:
         """The determined quantities."""
         determined = [name for name, estimate in self.quantities.items() if estimate.determined]

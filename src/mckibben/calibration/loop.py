@@ -13,14 +13,20 @@ from mckibben.component.schema import inherited_fields, replaced
 from mckibben.control import Controller
 from mckibben.errors import SimulationError
 from mckibben.result import Remark
-from mckibben.scenario import Scenario, initial_state
-from mckibben.simulation import disk_margins
+from mckibben.scenario import Scenario, initial_state, list_parameters
+from mckibben.simulation import LEAST_DISK_MARGIN, disk_margins
 
 PLANTS = 8
 """Plants of which the loop is checked: the calibrated one, and others drawn from the estimates."""
-FLOOR = 0.2
-"""Disk margin that a loop should have on all of them."""
 _MODELS = {"joint": "model"}  # parts of a plant that have another name in a controller
+_PARAMETERS = {  # of a scenario, for estimates of another name
+    "muscle1.force": "joint.muscle1.strength",
+    "muscle2.force": "joint.muscle2.strength",
+    "delay": "command_delay",
+    "load.gravity_torque": "load.greatest_gravity_torque",
+    "valve1.delay": "command_delay",
+    "valve2.delay": "command_delay",
+}
 
 
 def field_of(controller: Controller, name: str) -> Any:
@@ -40,13 +46,25 @@ def _inner(controller: Controller) -> dict[str, Controller]:
     return {name: field for name, field in vars(controller).items() if isinstance(field, Controller)}
 
 
-def with_estimates(scenario: Scenario, **parts: Any) -> Scenario:
+def with_estimates(scenario: Scenario, deviations: Mapping[str, str], **parts: Any) -> Scenario:
     """Return a scenario with estimates as parts of its plant, and of the model that its controller holds itself.
 
-    Parts of the model that the controller inherits follow the plant.
+    Parts of the model that the controller inherits follow the plant. `deviations` are standard deviations, as text with
+    a unit, by the names of the estimates: those of parameters of the scenario become its `uncertainty`.
     """
     own = {_MODELS.get(name, name): value for name, value in parts.items()}
-    return scenario.model_copy(update={**parts, "controller": with_fields(scenario.controller, own)})
+    after = scenario.model_copy(update={**parts, "controller": with_fields(scenario.controller, own)})
+    known = {parameter.name for parameter in list_parameters(after) if parameter.nominal is not None}
+    uncertain = {text.partition("=")[0]: text for text in scenario.uncertainty or ()}
+    for name, deviation in deviations.items():
+        valve = name.replace("valve1.", "valve.muscle1.").replace("valve2.", "valve.muscle2.")
+        both = name.replace("valve1.", "valve.").replace("valve2.", "valve.")
+        load = name.replace("load.mass", f"load.{after.load.adapted_mass}")
+        for parameter in (_PARAMETERS.get(name, name), load, valve, both):
+            if parameter in known:
+                uncertain[parameter] = f"{parameter}=normal {deviation}"
+                break
+    return after.model_copy(update={"uncertainty": tuple(uncertain.values()) or None})
 
 
 def loop_margins(scenario: Scenario, **parts: Any) -> NDArray[np.float64]:
@@ -71,8 +89,8 @@ def loop_margins(scenario: Scenario, **parts: Any) -> NDArray[np.float64]:
 def loop_remarks(margins: NDArray[np.float64]) -> list[Remark]:
     """Return the remark on a loop that has not the margin on all plants, with the command that finds other gains."""
     own, least = float(margins[0]), float(margins.min())
-    if least >= FLOOR:
+    if least >= LEAST_DISK_MARGIN:
         return []
     text = f"the gains of the file have a disk margin of {own:.2g} on the calibrated plant, and of {least:.2g} on the "
-    text += f"worst of {len(margins) - 1} plants drawn from the estimates, below {FLOOR}"
-    return [Remark.warning("controller", text, f"mckibben tune DIR/scenario.yaml --disk-margin {FLOOR}")]
+    text += f"worst of {len(margins) - 1} plants drawn from the estimates, below {LEAST_DISK_MARGIN}"
+    return [Remark.warning("controller", text, "mckibben tune DIR/scenario.yaml")]

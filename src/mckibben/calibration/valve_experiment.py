@@ -185,7 +185,7 @@ def scenario_with_valves(scenario: Scenario, fit: ValveCalibration) -> Scenario:
 
     A controller that adapts its model of first-order valves gets the mean of both valves.
     """
-    return with_estimates(scenario, valve=valve_for(scenario, fit), command_delay=fit.delay)
+    return with_estimates(scenario, fit.deviations(), valve=valve_for(scenario, fit), command_delay=fit.delay)
 
 
 def valve_for(scenario: Scenario, fit: ValveCalibration) -> Actuator:
