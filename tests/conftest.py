@@ -25,7 +25,7 @@ from mckibben.actuator import FirstOrderValve, IdealValve
 from mckibben.codegen import cuda
 from mckibben.component import extensions
 from mckibben.control import Controller
-from mckibben.errors import DeviceError
+from mckibben.errors import DeviceError, SimulationError
 from mckibben.joint import AntagonisticJoint
 from mckibben.leg import simulate as leg_runs
 from mckibben.numerics.compiled import numeric
@@ -364,10 +364,14 @@ def invented(suite, runs, controller, sets=1, metrics=Metrics._fields, engine="n
     return Batch(xr.Dataset({**table, "outcome": ("run", codes, flags)}, attrs={"engine": engine}))
 
 
+def without_margins(_):
+    raise SimulationError("nothing is simulated")
+
+
 @pytest.fixture(scope="class")
 def simulating_nothing():
     """Comparisons go through `invented` in place of a simulation."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("mckibben.study.compare.runs.simulate_group", invented)
-        patch.setattr("mckibben.study.compare.compare.margins_of", lambda scenario: None)
+        patch.setattr("mckibben.scenario.Scenario.margins", without_margins)
         yield

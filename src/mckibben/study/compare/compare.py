@@ -7,10 +7,8 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from mckibben.errors import SimulationError
+from mckibben.errors import McKibbenError
 from mckibben.notebook import Progress, notebook_progress, silent
-from mckibben.scenario import Scenario
-from mckibben.simulation import Margins
 from mckibben.storage.store import STUDY, open_store
 from mckibben.study.compare.result import CompareResult
 from mckibben.study.compare.runs import draw, evaluate
@@ -69,14 +67,7 @@ def compare(
             for part in (result, at_air):
                 if name in part.tuned:
                     part.batches[name] = evaluate(evaluation, name, part.tuned[name])
-            if (margins := margins_of(suite.tuned_scenario(name, result.tuned[name]))) is not None:
-                result.margins[name] = margins
+            with suppress(McKibbenError):  # its run cannot start or diverges, as the table shows
+                result.margins[name] = suite.tuned_scenario(name, result.tuned[name]).margins()
     progress("done", 1.0)
     return replace(result, at_air=at_air) if at_air.batches else result
-
-
-def margins_of(scenario: Scenario) -> Margins | None:
-    """Return the stability margins of a tuned controller; None if its run diverges, as the table shows."""
-    with suppress(SimulationError):
-        return scenario.margins()
-    return None
