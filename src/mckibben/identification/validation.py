@@ -137,11 +137,10 @@ def validate(
 
 
 def _named(laws: Sequence[ForceLaw]) -> dict[str, ForceLaw]:
-    named: dict[str, ForceLaw] = {}
+    """Laws by the names of their classes, numbered where several are of one class."""
     types = [type(law).__name__ for law in laws]
-    for i, (law, name) in enumerate(zip(laws, types, strict=True)):
-        named[name if types.count(name) == 1 else f"{name} {types[: i + 1].count(name)}"] = law
-    return named
+    names = [name if types.count(name) == 1 else f"{name} {types[:i].count(name) + 1}" for i, name in enumerate(types)]
+    return dict(zip(names, laws, strict=True))
 
 
 def _groups(points: IsobaricDataset) -> Iterator[tuple[float | None, str | None, Bools]]:
