@@ -579,7 +579,7 @@ def _waited_for(process: subprocess.Popen[bytes], name: str, seconds: float) -> 
     """Exit status of a process; None if it takes longer than some seconds."""
     with suppress(subprocess.TimeoutExpired):
         return process.wait(min(_PATIENCE, seconds))
-    print(f"waiting for {name}, for {seconds:.0f} s at most; {_OTHER_COMPILER}", file=sys.stderr, flush=True)
+    sys.stderr.write(f"waiting for {name}, for {seconds:.0f} s at most; {_OTHER_COMPILER}\n")
     with suppress(subprocess.TimeoutExpired):
         return process.wait(max(seconds - _PATIENCE, 0.0))
     return None
