@@ -162,7 +162,7 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     plant = scenario.plant()
     parts = plant, scenario.control(), scenario.reference()
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
-    monkeypatch.setattr(native, "compiler", lambda: "false")
+    monkeypatch.setenv("CC", "false")
     monkeypatch.setattr(native, "_WARNED", [])
     for function in (SIMULATE._start, feasibility.static_bands, problem._each_sample, run_alone):
         monkeypatch.setattr(function.native, "_known", {})
