@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mckibben.actuator import FirstOrderValve, UnequalValves
-from mckibben.calibration.loop import loop_remarks, with_estimates
+from mckibben.calibration.loop import PLANTS, loop_margins, loop_remarks, with_estimates
+from mckibben.errors import McKibbenWarning
 from mckibben.result import Severity
 from mckibben.scenario import Scenario
 
@@ -52,6 +53,12 @@ def test_deviations_of_parameters_become_the_uncertainty_that_tune_reads(tmp_pat
     pair = UnequalValves(FirstOrderValve(0.03), FirstOrderValve(0.05))
     apart = with_estimates(Scenario.read(OWN), {"valve2.time_constant": "0.003 s"}, valve=pair)
     assert apart.uncertainty == ("valve.muscle2.time_constant=normal 0.003 s",)
+
+
+def test_a_scenario_that_cannot_run_has_no_margins():
+    scenario = Scenario.read(OWN).model_copy(update={"duration": 0.0105})
+    with pytest.warns(McKibbenWarning, match="margins"):
+        assert loop_margins(scenario, command_delay=np.linspace(0.0, 1e-3, PLANTS)) is None
 
 
 @pytest.mark.parametrize(("margins", "named"), [([0.4, 0.3, 0.25], False), ([0.4, 0.1, 0.3], True), ([0, 0, 0], True)])

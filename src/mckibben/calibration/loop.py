@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,13 +12,14 @@ from numpy.typing import NDArray
 
 from mckibben.component.schema import inherited_fields, replaced
 from mckibben.control import Controller
-from mckibben.errors import SimulationError
+from mckibben.errors import McKibbenError, McKibbenWarning
 from mckibben.result import Remark
 from mckibben.scenario import Scenario, initial_state, list_parameters
 from mckibben.simulation import LEAST_DISK_MARGIN, disk_margins
 
 PLANTS = 8
 """Plants of which the loop is checked: the calibrated one, and others drawn from the estimates."""
+_SUBSTEPS = 4  # where a scenario does not say
 _MODELS = {"joint": "model"}  # parts of a plant that have another name in a controller
 _PARAMETERS = {  # of a scenario, for estimates of another name
     "muscle1.force": "joint.muscle1.strength",
@@ -67,23 +69,20 @@ def with_estimates(scenario: Scenario, deviations: Mapping[str, str], **parts: A
     return after.model_copy(update={"uncertainty": tuple(uncertain.values()) or None})
 
 
-def loop_margins(scenario: Scenario, **parts: Any) -> NDArray[np.float64]:
-    """Return the least disk margin of a scenario's loop on each of many plants; 0 where it is unstable or cannot run.
+def loop_margins(scenario: Scenario, **parts: Any) -> NDArray[np.float64] | None:
+    """Return the least disk margin of a scenario's loop on each of many plants; 0 where it is unstable.
 
-    `parts` of the plants have arrays of shape (plants,) in place of numbers.
+    `parts` of the plants have arrays of shape (plants,) in place of numbers. Warns and returns None if the scenario
+    cannot run.
     """
     plant = dataclasses.replace(scenario.plant(), **parts)
     run = plant, scenario.control(), scenario.reference(), initial_state(scenario)
+    times = {"duration": scenario.duration, "control_period": scenario.control_period}
     try:
-        margins = disk_margins(
-            *run,
-            duration=scenario.duration,
-            control_period=scenario.control_period,
-            substeps=scenario.needed_substeps(),
-        )
-    except SimulationError:
-        return np.zeros(PLANTS)
-    return np.nan_to_num(margins)
+        return np.nan_to_num(disk_margins(*run, **times, substeps=scenario.substeps or _SUBSTEPS))
+    except McKibbenError as error:
+        warnings.warn(f"the loop of the file has no margins: {error}", McKibbenWarning, stacklevel=2)
+        return None
 
 
 def loop_remarks(margins: NDArray[np.float64]) -> list[Remark]:
