@@ -167,12 +167,13 @@ def simulate_leg(
     times = sampling_times(duration, control_period)
     run = single_run(LegProblem(plant, controller, start), control_period, "simulate_legs")
     plant.check_start(start)
-    solutions: list[tuple[tuple[Any, Record], str]] = []
+    solutions: dict[int, tuple[tuple[Any, Record], str]] = {}
 
     def solve(number: int, _: Any = None) -> Positions:
         parts = run.plant, run.controller, times, run.start, np.asarray(control_period), np.asarray(number)
-        solutions[:] = [run_alone(engine, parts)]
-        at = solutions[0][0][1].state
+        solutions[number] = run_alone(engine, parts)
+        solutions.pop(number // 8, None)
+        at = solutions[number][0][1].state
         return np.stack([at.x, at.z, at.pitch, *at.angle])[..., None]
 
     if substeps is None:
@@ -184,7 +185,7 @@ def simulate_leg(
         plant.check_substeps(start.angles, None, control_period, substeps)
         resolution = Resolution(substeps)
         solve(substeps)
-    (final, record), used = solutions[0]
+    (final, record), used = solutions[resolution.substeps]
     record, final = jax.tree.map(np.asarray, (record, final))
     result = LegResult.of(run.plant, record, final, control_period, used, resolution)
     wrong = ~np.isfinite(result["z"])

@@ -66,9 +66,9 @@ def simulate(
 
     Commands are constant over each control period, in which the plant is integrated by the classical Runge-Kutta
     method. The run is computed with one integration step per period, with two, with four and so on, until the angles of
-    the last two solutions agree within the accuracy; the result is the finer one, and their distance its estimated
-    error. The plant limits commands to the rated pressures of its specimens; the result reports for how long a law was
-    outside its domain.
+    the last two solutions agree within the accuracy; the result is the coarser one, with the steps that it needs, and
+    their distance its error, within a factor of 2. The plant limits commands to the rated pressures of its specimens;
+    the result reports for how long a law was outside its domain.
 
     Parameters
     ----------
@@ -199,7 +199,7 @@ def needed_substeps(
 
 def episode_substeps(*parts: Any, accuracy: float) -> int:
     """`needed_substeps` of an episode of `numeric` plant, controller, setpoints, start and control period [s]."""
-    return nominal_substeps(_Run(*parts).refined(accuracy, []), accuracy)
+    return nominal_substeps(_Run(*parts).refined(accuracy, {}), accuracy)
 
 
 class _Run(NamedTuple):
@@ -225,13 +225,14 @@ class _Run(NamedTuple):
         (_, record), used = run_alone(self.engine, (*parts, np.asarray(substeps)))
         return record, used
 
-    def refined(self, accuracy: float, solutions: list[tuple[Record, str]]) -> Refinement:
-        """Step doubling; `solutions` keeps the last one."""
+    def refined(self, accuracy: float, solutions: dict[int, tuple[Record, str]]) -> Refinement:
+        """Step doubling; `solutions` keeps the last three, by their numbers of steps."""
         desired = np.asarray(self.setpoints.angle)[:, None]
 
         def solve(substeps: int, _: Runs) -> Positions:
-            solutions[:] = [self.record(substeps)]
-            return np.asarray(solutions[0][0].state.angle)[None, :, None]
+            solutions[substeps] = self.record(substeps)
+            solutions.pop(substeps // 8, None)
+            return np.asarray(solutions[substeps][0].state.angle)[None, :, None]
 
         return refine(
             solve,
@@ -246,9 +247,9 @@ class _Run(NamedTuple):
         """The record, and the engine that computed it, with the given steps or as many as the accuracy needs."""
         if substeps is not None:
             return *self.record(substeps), Resolution(substeps)
-        solutions: list[tuple[Record, str]] = []
+        solutions: dict[int, tuple[Record, str]] = {}
         resolution = resolution_of(self.refined(accuracy, solutions), accuracy)
-        return *solutions[0], resolution
+        return *solutions[resolution.substeps], resolution
 
 
 def _result(
