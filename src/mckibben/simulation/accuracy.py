@@ -173,10 +173,25 @@ def refine(
     first: int = 1,
     meaningful: Callable[[Positions, Runs], NDArray[np.bool_]] | None = None,
 ) -> Refinement:
-    """Double the steps of so many runs until positions, `spacing` [s] apart, agree while finite and `meaningful`.
+    """Double the integration steps of runs until two solutions agree while they are finite and `meaningful`.
 
     Two solutions that end early need to be close to each other there: steps that are too long diverge, too, but each
     number of them in its own way.
+
+    Parameters
+    ----------
+    solve
+        Function of a number of steps per control period and of indices of runs, which returns their positions.
+    count
+        Number of runs.
+    accuracy
+        Largest distance of two solutions that agree [rad].
+    spacing
+        Time between two positions [s].
+    first
+        Fewest steps, with which the integration is stable.
+    meaningful
+        Function of positions and indices of runs: mask, shape (times, runs), of those that count.
     """
     runs, substeps = np.arange(count), first
     errors = np.full((_DOUBLINGS, count), np.nan)
@@ -277,7 +292,19 @@ def integration_sentence(summary: Mapping[str, Any]) -> str:
 def refine_blocks(
     lanes: Any, count: int, refine_runs: Callable[[Runs], Refinement], workers: int | None = None
 ) -> StepCounts:
-    """Number of steps for each block of runs, by `refine_runs` of some of its runs."""
+    """Return the number of steps for each block of 1024 consecutive runs, which some of them represent.
+
+    Parameters
+    ----------
+    lanes
+        Tree of arrays with the runs along the first axis.
+    count
+        Number of runs.
+    refine_runs
+        Function of indices of runs: their `Refinement`.
+    workers
+        Threads; None for one per core.
+    """
     blocks = range(0, count, BLOCK)
 
     def refined(piece: slice) -> tuple[Runs, Refinement]:

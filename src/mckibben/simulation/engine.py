@@ -40,7 +40,20 @@ batches emitted as CUDA kernels, which are never chosen automatically."""
 
 
 def check_engine(engine: str, *, many: bool = False) -> str:
-    """The engine to be tried: any but "auto"; raises `ParameterError` for an unknown or unavailable one."""
+    """Return the engine to be tried: any but "auto".
+
+    Parameters
+    ----------
+    engine
+        One of `ENGINES`.
+    many
+        Whether a batch is computed; only batches can be computed by "cuda".
+
+    Raises
+    ------
+    ParameterError
+        If the engine is unknown, or cannot be used: without a C compiler, or without a CUDA device.
+    """
     if engine not in ENGINES:
         raise ParameterError(
             f"{quoted(engine)} is not an engine", field="engine", value=engine, remedy=f"give {', '.join(ENGINES)}"
@@ -85,7 +98,26 @@ class BatchFunction:
     def __call__(
         self, engine: str, shared: PyTree, lanes: PyTree = None, precision: DTypeLike = np.float64
     ) -> tuple[PyTree, str]:
-        """Results, and the engine that computed them; "auto" takes XLA where the native one cannot be used."""
+        """Return the results, and the engine that computed them.
+
+        Parameters
+        ----------
+        engine
+            One of `ENGINES`; "auto" takes XLA where the native one cannot be used.
+        shared
+            Tree of arrays, and of static leaves, that all runs have in common.
+        lanes
+            Tree of arrays with the runs along the last axis; None for one run.
+        precision
+            Float type of what differs between runs: 32 bits or 64.
+
+        Raises
+        ------
+        ParameterError
+            If the engine is unknown or unavailable.
+        ExportError
+            If the engine is "native", and the function cannot be written or compiled as C.
+        """
         single, chosen = np.dtype(precision) == np.float32, check_engine(engine, many=lanes is not None)
         if chosen == "cuda":
             return self._cuda(shared, lanes, single=single), chosen
@@ -133,7 +165,30 @@ def compute_chunks(
     numbers: int = 1,  # size of the arguments and results of a run
     progress: Progress | None = None,
 ) -> tuple[R, str]:
-    """Results of many runs in their order, and the engine; chunks for `compute` have the runs along the last axis."""
+    """Return the results of many runs in their order, and the engine that computed them.
+
+    Parameters
+    ----------
+    compute
+        Function of a chunk of `lanes`, whose runs are along the last axis: its results, likewise, and the engine.
+    lanes
+        Tree of arrays with the runs along the first axis.
+    count
+        Number of runs.
+    chunk, workers
+        Runs per chunk, and threads; None for the best (`chunk_size`).
+    engine
+        One of `ENGINES`, for the size of a chunk.
+    numbers
+        Numbers per run of arguments and results, which limit a chunk on a GPU.
+    progress
+        Called with a text and the finished fraction, 0 to 1.
+
+    Raises
+    ------
+    SimulationError
+        If `chunk` or `workers` is not an integer from 1 up.
+    """
     size = chunk_size(chunk, count, workers, engine, numbers)
 
     def piece_of(piece: slice) -> tuple[PyTree, str]:
@@ -160,7 +215,21 @@ def compute_groups(
     progress: Progress | None = None,
     **options: Any,
 ) -> tuple[R, str]:
-    """`compute_chunks` of many runs, of which those with the same number of integration steps share chunks."""
+    """Return the results of many runs, of which those with the same number of integration steps share chunks.
+
+    Parameters
+    ----------
+    compute
+        Function of a chunk and of its integration steps per control period, otherwise as for `compute_chunks`.
+    lanes
+        Tree of arrays with the runs along the first axis.
+    substeps
+        Integration steps per control period, shape (runs,).
+    progress
+        Called with a text and the finished fraction of all runs, 0 to 1.
+    **options
+        Other arguments of `compute_chunks`.
+    """
     progress = progress or notebook_progress()
     count, done, parts, order = substeps.size, 0, [], []
     for number in np.unique(substeps).tolist():

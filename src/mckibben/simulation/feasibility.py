@@ -74,7 +74,19 @@ def distance_from(low: NDArray, high: NDArray, stiffness: NDArray) -> NDArray[np
 def shortcomings(
     times: NDArray, angle: NDArray, stiffness: NDArray, low: NDArray, high: NDArray, missing: NDArray, failure: str
 ) -> list[str]:
-    """When, and by how much, a stiffness is missed; `failure` says what happens where `missing` is NaN."""
+    """Return sentences on when, and by how much, a stiffness is missed.
+
+    Parameters
+    ----------
+    times
+        Times [s], shape (n,), as all other arrays.
+    angle, stiffness, low, high
+        Desired angle [rad] and stiffness, and the attainable range of it [N*m/rad].
+    missing
+        Distance of the stiffness from the range [N*m/rad]; NaN where nothing is attainable.
+    failure
+        Beginning of the sentence on the times where nothing is attainable.
+    """
     sentences, unheld, short = [], np.isnan(missing), np.nan_to_num(missing) > 0
     if unheld.any():
         at = int(unheld.argmax())

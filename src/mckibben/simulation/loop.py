@@ -82,7 +82,11 @@ def positions_over_time(
     substeps: int,
     every: int,
 ) -> tuple[Array, ...]:
-    """Positions at the start of every n-th control period of an episode, each of shape (periods / n,)."""
+    """Return the positions at the start of every n-th control period of an episode.
+
+    They are the leaves of the first field of the plant's state (angles [rad], positions of a trunk [m]), each of shape
+    (periods / n,); n has to divide the number of periods.
+    """
 
     def next_period(state: LoopState, setpoint: PyTree) -> tuple[LoopState, None]:
         return control_period(plant, controller, state, setpoint, period, substeps)[0], None
@@ -121,7 +125,23 @@ def streaming_episode(
     split: ArrayLike | None = None,  # period from which the run without that change is computed alongside
     keep: tuple[str, ...] = (),  # names of `Trajectory`
 ) -> Streamed:
-    """`episode` that accumulates metrics during the run: memory does not grow with the duration."""
+    """Run an `episode` and accumulate its metrics: memory does not grow with the duration, except for what is kept.
+
+    Parameters
+    ----------
+    plant, controller, initial
+        Plant, controller, and state at the start.
+    setpoints
+        Angle [rad] and stiffness [N*m/rad] at each control period, shape (periods,).
+    period, substeps
+        Control period [s], and integration steps in it.
+    change
+        Last change of the desired stiffness, for the settling time and the coupling.
+    split
+        Control period from which the same run without this change is computed as well; None for no coupling.
+    keep
+        Names of `Trajectory` to keep over time.
+    """
     periods = setpoints.angle.shape[0]
     change = last_change(setpoints.stiffness) if change is None else change
 

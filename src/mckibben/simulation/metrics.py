@@ -22,7 +22,10 @@ M = TypeVar("M")
 
 
 class Totals(NamedTuple):
-    """Sums and maxima by name; of one control period, of some, or of all."""
+    """Sums and maxima by name; of one control period, of some, or of all.
+
+    Metrics with the same term share it: the RMS and the largest error are made of one error, which is computed once.
+    """
 
     sums: dict[str, PyTree]
     maxima: dict[str, PyTree]
@@ -58,13 +61,20 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True)
 class Metric(Label, abc.ABC):
-    """Number to which a run is reduced, the annotation of a field of a class of metrics."""
+    """Number to which a run is reduced, the annotation of a field of a class of metrics.
+
+    It is made of terms of single control periods, which are added or whose largest is kept, so that a run of any
+    duration needs the same memory, and a batch can be computed in lanes.
+    """
 
     _: KW_ONLY
     of: str  # name of the quantity of a sample that it is made of
 
     def terms(self, sample: PyTree) -> Totals:
-        """Return the terms of single control periods, by names that metrics may share."""
+        """Return the terms of single control periods, by names that metrics may share.
+
+        `sample` has the quantity `of` as an attribute, a scalar or an array of shape (periods,).
+        """
         return Totals({}, {})
 
     @abc.abstractmethod
@@ -319,7 +329,13 @@ def first_of_end(periods: int) -> int:
 
 
 def last_change(setpoints: ArrayLike, xp: Any = jnp) -> Change:
-    """The last change of setpoints of shape (periods,); `xp` computes it, `jax.numpy` or `numpy`."""
+    """Return the last change of setpoints of shape (periods,); `xp` computes it, `jax.numpy` or `numpy`.
+
+    >>> import numpy as np
+    >>> change = last_change([14.0, 14.0, 16.0, 16.0], np)
+    >>> int(change.at), float(change.before), float(change.after), bool(change.ends)
+    (2, 14.0, 16.0, True)
+    """
     desired: Any = xp.asarray(setpoints)
     changed = xp.concatenate([xp.zeros(1, bool), desired[1:] != desired[:-1]])
     index = xp.max(xp.where(changed, xp.arange(desired.size), 0))
@@ -447,7 +463,11 @@ def angle_at_end(totals: Totals, run: Run) -> Array:
 
 
 def rms(error: ArrayLike) -> Array:
-    """The root mean square; its derivative at zero error is 0."""
+    """Return the root mean square; its derivative at zero error is 0.
+
+    >>> float(rms([3.0, -4.0, 0.0, 0.0]))
+    2.5
+    """
     return root(jnp.mean(jnp.square(jnp.asarray(error))))
 
 

@@ -72,7 +72,28 @@ def outcomes(
     span: ArrayLike = 0.0,
     started: ArrayLike = True,
 ) -> NDArray[np.int8]:
-    """Index of each run's outcome in `OUTCOMES`, from angle errors [rad] and the span [rad] of the reference angle."""
+    """Return the index of each run's outcome in `OUTCOMES`: the worst that applies.
+
+    All arguments broadcast against each other.
+
+    Parameters
+    ----------
+    angle_max
+        Largest error of the angle [rad]; not finite for a run that is not.
+    left_domain, saturated, oscillates, chatters
+        Whether a muscle left its domain or rating, a command was at a limit, the angle is in a limit cycle, stiffness
+        or a command is.
+    angle_at_end, span
+        RMS error of the angle over the last tenth of the run, and range of the reference [rad].
+    started
+        Whether the run could start.
+
+    Examples
+    --------
+    >>> code = outcomes(angle_max=[0.01, 2.0], left_domain=False, saturated=True)
+    >>> [OUTCOMES[index].name for index in code]
+    ['SATURATED', 'SWUNG_OVER']
+    """
     angle_max = np.asarray(angle_max)
     worst_first = [
         (~np.asarray(started, bool), Outcome.NO_START),

@@ -68,7 +68,24 @@ Problem = TypeVar("Problem", bound=tuple)
 def split_problem(
     problem: Problem, over: Mapping[str, ArrayLike], control_period: float
 ) -> tuple[Problem | None, Problem, int | None]:
-    """Problem with other values at named leaves, as its leaves that vary over runs, all others, and the run count."""
+    """Return a problem as its leaves that vary over runs (None for one run), all others, and the number of runs.
+
+    Parameters
+    ----------
+    problem
+        All parts of a run; its controller and valves are prepared for the control period.
+    over
+        Arrays of shape (runs,), or numbers, at leaves by their dotted names.
+    control_period
+        Control period [s].
+
+    Raises
+    ------
+    ParameterError
+        If a leaf does not exist, or arrays differ in length.
+    SimulationError
+        If a number is NaN, or a frequency of the reference is at or above half the control rate.
+    """
     whole: Any = problem
     if not isinstance(whole.plant, Plant) or not isinstance(whole.controller, DiscreteTimeSystem):
         raise TypeError("plant and controller")  # `checked_call` says what is there instead
@@ -149,7 +166,11 @@ def float_type(precision: int) -> np.dtype:
 
 
 def sample_reference(reference: Reference, times: ArrayLike) -> Setpoint:
-    """Setpoints at times [s], strongly typed: weakly typed ones would compile everything anew."""
+    """Return the setpoints at times [s], of their shape, in rad and N*m/rad.
+
+    They are strongly typed: weakly typed ones would compile everything anew. Raises `SimulationError` for a signal
+    that is a function of NumPy, which cannot be compiled.
+    """
     try:
         return Setpoint(*(jnp.asarray(setpoint, float) for setpoint in reference(times)))
     except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
@@ -185,7 +206,13 @@ def first_substeps(problem: SimulationProblem, times: NDArray[np.float64], perio
 
 
 def sampling_times(duration: float, period: float) -> NDArray[np.float64]:
-    """Start times [s] of the control periods in a duration; raises as `sampled` does."""
+    """Return the start times [s] of the control periods in a duration, shape (periods,).
+
+    Raises `SimulationError` if duration or period [s] is not positive, or one is not a multiple of the other.
+
+    >>> sampling_times(0.003, 1e-3).tolist()
+    [0.0, 0.001, 0.002]
+    """
     for name, value in (("duration", duration), ("control_period", period)):
         number = isinstance(value, Real) and not isinstance(value, bool)
         if not (number and math.isfinite(value) and value > 0):

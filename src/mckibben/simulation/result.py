@@ -393,7 +393,21 @@ def compute_trajectory(
     *,
     engine: str = "auto",
 ) -> Trajectory:
-    """`metrics.trajectory` of all control periods, as arrays of NumPy."""
+    """Return the trajectory of a record as arrays of NumPy, each of shape (periods,).
+
+    Parameters
+    ----------
+    plant
+        Plant whose laws give stiffness, torque, forces and air.
+    setpoints, record
+        Setpoints and record of all control periods.
+    angle_without_step
+        Angle [rad] of the same run without the last change of the desired stiffness.
+    stiffness_amplitude
+        Amplitude [rad] of the motion whose stiffness is meant; None for the isobaric stiffness.
+    engine
+        "native", "xla" or "auto".
+    """
     shared = numeric((plant, stiffness_amplitude))
     lanes = jax.tree.map(lambda x: np.moveaxis(np.asarray(x), 0, -1), (setpoints, record, angle_without_step))
     moved, _ = _trajectories(engine, shared, lanes)

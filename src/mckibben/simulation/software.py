@@ -32,7 +32,17 @@ def software(engine: str = "auto") -> dict[str, str]:
 def engine_of_job(
     trial: Callable[[], Collection[str]], stored: Mapping[str, str] | None = None, engine: str = "auto"
 ) -> str:
-    """Engine of all results of a stored job: XLA if trial runs of a new job, or the `kept` software, used it."""
+    """Return the engine of all results of a stored job, as those of another would differ by rounding.
+
+    Parameters
+    ----------
+    trial
+        Function that computes some runs of a new job, and returns the engines that they used.
+    stored
+        Software of a job that is resumed (`software`); None for a new one.
+    engine
+        One of `ENGINES`; "auto" is that of the stored job, else XLA if the trial used it.
+    """
     if engine == "auto" and stored is not None and stored.get("engine") in ("xla", "cuda"):
         engine = stored["engine"]
     chosen = check_engine(engine, many=True)
