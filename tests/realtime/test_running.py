@@ -317,6 +317,19 @@ def test_a_limit_cycle_is_reported_while_the_loop_runs(stiff, resolution, report
     assert 4 / 7 <= first * PERIOD < 6 / 7  # after four periods
 
 
+def test_a_command_that_chatters_is_detected_while_the_angle_is_quiet():
+    detection, swings = (
+        LimitCycleDetection(1 * ms, 0.01 * deg),
+        0.5 * bar * np.sin(2 * np.pi * 50 * 1e-3 * np.arange(500)),
+    )
+    found = [detection.after(0.0, 0.0, (2 * bar, 2 * bar + swing), index) for index, swing in enumerate(swings)]
+    assert found[50] is None and found[-1] is not None
+    assert found[-1].angle == 0.0
+    assert found[-1].command == pytest.approx(0.5 * bar, rel=0.05) and found[-1].reversals == pytest.approx(
+        100, rel=0.05
+    )
+
+
 def test_in_real_time_it_takes_the_time_that_it_says(stiff):
     with realtime_process_settings():
         outcome, kept = stiff.run(stiff.joint(paced=True, patience=1.0), plan=stiff.plan(300), limits=_patient())

@@ -163,6 +163,7 @@ def test_a_compiler_that_fails_leaves_it_to_xla(monkeypatch):
     parts = plant, scenario.control(), scenario.reference()
     monkeypatch.setenv("MCKIBBEN_PROGRAMS_DIR", "")
     monkeypatch.setenv("CC", "false")
+    monkeypatch.setattr(native, "_FAILED", [])
     monkeypatch.setattr(native, "_WARNED", [])
     for function in (SIMULATE._start, feasibility.static_bands, problem._each_sample, run_alone):
         monkeypatch.setattr(function.native, "_known", {})

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben import catalog
+from mckibben.actuator import FirstOrderValve
 from mckibben.control import (
     PID,
     Constant,
@@ -27,8 +28,8 @@ from mckibben.errors import (
     UnreachableError,
 )
 from mckibben.muscle import Muscle
-from mckibben.plant import PlantState
-from mckibben.simulation import simulate, simulate_many
+from mckibben.plant import JointPlant, PlantState
+from mckibben.simulation import Outcome, simulate, simulate_many
 from mckibben.units import bar, deg
 
 REFERENCE = Reference(angle=Sine(10 * deg, 0.5), stiffness=Constant(15.0))
@@ -198,3 +199,24 @@ def test_gains_in_bar_are_warned_of(knee):
     loops = PID(kp=2.0, ki=60.0, kd=0.05), PID(kp=0.5, ki=20.0, kd=0.0)
     with pytest.warns(McKibbenWarning, match="2 \\* bar"):
         PositionStiffnessControl(*loops, model=knee)
+
+
+def test_a_stiffness_loop_at_its_limit_chatters_in_a_run_and_in_a_batch_while_the_angle_is_quiet(knee, load):
+    """The valves lag by 20 ms and the commands by 4 ms: the gain of the stiffness loop is 50 times a good one."""
+    plant = JointPlant(knee, load, FirstOrderValve(0.02), command_delay=0.004)
+    position, gains = PID(2 * bar, 60 * bar, 0.4 * bar), np.array([0.08, 4.0]) * bar
+
+    def controlled(gain):
+        return PositionStiffnessControl(position, PID(gain, 5 * bar, 0.0), model=knee)
+
+    reference, run = Reference(Sine(5 * deg, 0.5), 15.0), {"duration": 1.0, "substeps": 2}
+    batch = simulate_many(plant, controlled(gains), reference, **run)
+    assert batch.outcomes[1] is Outcome.CHATTER and not batch.outcomes[0].oscillates
+    assert batch.oscillates.tolist() == [False, True] and batch.usable.tolist() == [True, False]
+    alone = simulate(plant, controlled(gains[1]), reference, **run)
+    assert alone.outcome is Outcome.CHATTER and alone.metrics["oscillation_amplitude"] == 0.0
+    assert alone.metrics["command_reversals"] > 50 and "bar/s" in alone.verdict()
+    for name in ("stiffness_oscillation", "command_oscillation", "command_reversals", "command_travel"):
+        assert alone.metrics[name] == pytest.approx(float(batch[name][1]), rel=1e-6)
+    commands = np.abs(np.diff([alone["command1"], alone["command2"]], axis=1)).sum(axis=1).max()
+    assert alone.metrics["command_travel"] == pytest.approx(commands / alone.duration)

@@ -172,7 +172,6 @@ def simulate_leg(
     def solve(number: int, _: Any = None) -> Positions:
         parts = run.plant, run.controller, times, run.start, np.asarray(control_period), np.asarray(number)
         solutions[number] = run_alone(engine, parts)
-        solutions.pop(number // 8, None)
         at = solutions[number][0][1].state
         return np.stack([at.x, at.z, at.pitch, *at.angle])[..., None]
 
