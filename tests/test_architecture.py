@@ -95,39 +95,39 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 890,
+    "top": 850,
     "actuator": 1050,
-    "calibration": 2080,
+    "calibration": 2060,
     "catalog": 230,
-    "cli": 2080,
-    "codegen": 2640,
-    "component": 1060,
-    "config": 640,
-    "contract": 670,
-    "control": 2420,
-    "dataset": 3790,
-    "experiment_design": 870,
-    "export": 2620,
-    "identification": 4140,
+    "cli": 1460,
+    "codegen": 2570,
+    "component": 1050,
+    "config": 550,
+    "contract": 650,
+    "control": 2290,
+    "dataset": 3040,
+    "experiment_design": 780,
+    "export": 2500,
+    "identification": 3600,
     "joint": 1200,
     "leg": 3660,
     "muscle": 1580,
     "numerics": 840,
-    "paper": 790,
+    "paper": 740,
     "plant": 660,
-    "reachability": 1300,
+    "reachability": 1250,
     "realtime": 1460,
-    "report": 2660,
+    "report": 2330,
     "rig": 4480,
-    "scenario": 770,
-    "simulation": 2940,
-    "storage": 540,
-    "study": 3870,
-    "web": 2480,
+    "scenario": 720,
+    "simulation": 2860,
+    "storage": 470,
+    "study": 3360,
+    "web": 2330,
 }
 
-MOST_ANY = 1440  # uses of `Any`, to come to 800
-MOST_CONSTANTS = 1010  # numbers at module level, to come to 500
+MOST_ANY = 750  # uses of `Any`
+MOST_CONSTANTS = 730  # numbers at module level, to come to 500
 MOST_PLACEHOLDERS = 0.005  # share of identifiers that name nothing
 LONG = {"mckibben.leg.landing.study_landing", "mckibben.leg.jumping.study_jump", "mckibben.rig.record.assemble"}
 """Functions of grade D that remain until the leg and the recorder are made anew."""
