@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.control import Constant, Multisine, Ramp, Reference, Samples, Signal, Sine, Step
-from mckibben.simulation.problem import sampled_reference
+from mckibben.numerics.compiled import jit
 
 Values = NDArray[np.float64]
 
@@ -92,8 +92,13 @@ def _sine_derivatives(sine: Sine, times: Values, order: int) -> list[Values]:
 def smoothed(signal: Signal, times: Values, width: float, *, order: int = 0) -> Values:
     """A signal convolved with a cubic B-spline of a width [s], or a derivative; continued by point reflection."""
     period = float(times[-1] - times[0]) / max(len(times) - 1, 1)
-    values = np.asarray(sampled_reference(Reference(signal, 0.0), times).angle)
+    values = np.asarray(_at(signal, times) if isinstance(signal, Signal) else signal(times), float)
     return smoothed_values(values, period, width, order=order)
+
+
+@jit
+def _at(signal: Signal, times: ArrayLike) -> ArrayLike:
+    return signal(times)
 
 
 def smoothed_values(values: Values, period: float, width: float, *, order: int = 0) -> Values:
