@@ -200,7 +200,7 @@ def test_files_of_a_leg_in_space() -> None:
     for text, line, field in (
         ("  trunk: {freedom: floating, inertia: 0 kg*m^2}\n", 4, "leg.trunk.inertia"),
         ("ground: {side_slope: 70 deg}\n", 4, "ground.side_slope"),
-        ("  joints: {hip: {axis: [0, 0, 2]}}\n", 4, "leg.joints"),
+        ("  joints: {hip: {axis: [0, 0, 2]}}\n", 4, "leg.joints[1].axis[2]"),
     ):
         with pytest.raises(ScenarioError) as caught:
             LegScenario.parse(head + text)

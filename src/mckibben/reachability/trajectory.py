@@ -97,7 +97,7 @@ def smoothed(signal: Signal, times: Values, width: float, *, order: int = 0) -> 
 
 
 @jit
-def _at(signal: Signal, times: ArrayLike) -> ArrayLike:
+def _at(signal: Signal, times: Values) -> object:
     return signal(times)
 
 
