@@ -15,6 +15,7 @@ from jax.experimental.compilation_cache import compilation_cache
 
 import mckibben
 from mckibben.control import Constant, Sine
+from mckibben.errors import McKibbenWarning
 from mckibben.numerics import program_cache
 from mckibben.numerics.compiled import Program
 
@@ -133,7 +134,8 @@ def test_a_file_that_others_can_write_is_not_looked_into(folder, monkeypatch, mo
 def test_a_folder_that_others_can_write_or_a_link_is_not_used(folder, tmp_path, monkeypatch):
     folder.mkdir(mode=0o700)
     folder.chmod(0o770)
-    assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
+    with pytest.warns(McKibbenWarning, match="chmod 700"):
+        assert asked(Program(square))["value"].tolist() == [1.5, 4.5, 9.5]
     assert list(folder.iterdir()) == []
     folder.chmod(0o700)
     asked(Program(square))
