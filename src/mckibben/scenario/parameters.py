@@ -296,7 +296,7 @@ def _resolve(parameters: _Parameters, name: str) -> ScenarioParameter:
         raise ParameterError(f"{quoted(spelling)} cannot be varied: {reason}", value=name, remedy=remedy)
     part = next((start for start in starts if start in parameters.parts), "")
     inside = [known for known in parameters.spellings if known.startswith(f"{part}.")]
-    if part == spelling or endings:
+    if (part and part == spelling) or endings:
         message = f"{quoted(spelling)} is {'the end of several names' if endings else 'a group of parameters'}"
         raise _unknown(message, name, endings or inside)
     kind = f"{part}, of class {class_name(type(parameters.parts[part]))}," if part else "the scenario"
