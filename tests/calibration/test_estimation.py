@@ -131,7 +131,6 @@ def test_derivatives_are_difference_quotients(recorded, engine):
     np.testing.assert_allclose(slope, quotient, atol=1e-5)
 
 
-@pytest.mark.slow
 def test_the_model_with_the_estimates_has_their_stiffness(with_weight):
     angle, pressures = np.array([0.05]), (np.array([4.8e5]), np.array([4.5e5]))
     value, _ = with_weight.stiffness(angle, pressures)

@@ -42,6 +42,7 @@ from mckibben.calibration.fitting import (
     LocalMinimum,
     correlation_time,
     draws,
+    probabilities,
     remembered,
 )
 from mckibben.errors import IdentificationError, RangeError
@@ -62,7 +63,6 @@ _EXPECTED = {"added_mass": 1.0, "zero": 0.0, "arm_scale": 1.0}
 _LOGARITHMIC = ("friction", "presliding")  # quantities of which the logarithm is estimated
 _SAMPLES = ((0, 1), (0, 1))  # axes of a sum over samples and groups
 _TAKES_PART = 0.3  # least share of a quantity that is named in a combination
-_NEVER = 1e-3  # weight relative to the best minimum of one that is left out
 STARTS = (0.0, -1.0, 1.0, -2.0, 2.0, -3.0, -4.0)  # prior standard deviations of the muscles' strength
 _EXCHANGES = (0.35, -0.35)  # of the friction of muscle 1; the opposite of muscle 2, and of the presliding lengths
 _FIRST, _STAGES, _ITERATIONS = 8, 3, 25
@@ -418,11 +418,11 @@ def _solve(problem: CalibrationProblem, recordings: Sequence[Halves]) -> tuple[t
         variances = np.maximum(_variances(*errors(z), determined), _LEAST_VARIANCE)
     others = _distinct([z, *(z for z, _ in minima)])
     minima = sorted((_minimised(terms, z) for z in others), key=lambda fit: fit[1])
-    weights = np.exp([minima[0][1] - objective for _, objective in minima])
+    weights = probabilities([objective for _, objective in minima])
     best = [
-        LocalMinimum(z, np.asarray(np.linalg.inv(terms(z)[2]), float), float(weight))
-        for (z, _), weight in zip(minima, weights / weights.sum(), strict=True)
-        if weight > _NEVER
+        LocalMinimum(z, np.asarray(np.linalg.inv(terms(z)[2]), float), weight)
+        for (z, _), weight in zip(minima, weights.tolist(), strict=True)
+        if weight > 0
     ]
     residual, noise = (float(np.sqrt(np.mean(np.concatenate(r)[:, 0] ** 2))) for r in errors(best[0].z))
     return tuple(best), residual, noise

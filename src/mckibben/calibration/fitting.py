@@ -207,6 +207,19 @@ class LocalMinimum(NamedTuple):
     weight: float = 1.0
 
 
+def probabilities(objectives: Sequence[float], *, never: float = 1e-3) -> Floats:
+    """Return the weights of minima from their objectives, the least one first; they sum to 1.
+
+    Those below `never` times the first are 0:
+
+    >>> probabilities([3.0, 3.0, 12.0]).tolist()
+    [0.5, 0.5, 0.0]
+    """
+    weights = np.exp(objectives[0] - np.asarray(objectives, float))
+    weights = np.where(weights > never, weights, 0.0)
+    return weights / weights.sum()
+
+
 def draws(minima: Sequence[LocalMinimum], count: int) -> Array:
     """Return the parameters at the first minimum, then drawn ones, shape (count, parameters)."""
     random = np.random.default_rng(0)
