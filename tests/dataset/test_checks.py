@@ -8,7 +8,8 @@ import pytest
 
 from mckibben import catalog
 from mckibben.dataset.checks import Points, questions_of_points
-from mckibben.muscle import ChouLaw
+from mckibben.muscle import ChouLaw, Domain, ExponentialLaw, forces
+from mckibben.units import bar
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -36,6 +37,16 @@ def topics(pressure: np.ndarray, contraction: np.ndarray, force: np.ndarray, sla
 )
 def test_sound_points_raise_no_question(options, seed):
     assert not topics(*muscle(**options, seed=seed), slack_force=6.0 if "slack" in options else 0.0)
+
+
+def test_a_force_that_is_steep_at_full_length_raises_no_question():
+    """Eq. 2 with terms of both kinds that decay within 4 % of contraction, one proportional to the pressure."""
+    law = ExponentialLaw(-20.0, 8e-4, 0.0, -3e-3, -10.0, 1.3e-3, decay=27.0, domain=Domain())
+    pressure, contraction = (
+        grid.ravel() for grid in np.meshgrid(np.r_[0.5:6.1:0.9] * bar, np.r_[0:0.245:0.01], indexing="ij")
+    )
+    force = forces(law, contraction, pressure)
+    assert not topics(pressure, contraction, np.maximum(force, 0.0).round(1), slack_force=5.0)
 
 
 @pytest.mark.parametrize("name", catalog.names("datasets"))
