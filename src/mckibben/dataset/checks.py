@@ -245,7 +245,7 @@ def _counted(points: Points) -> Iterator[Question]:
 
 
 def _surface(points: Points) -> Iterator[Question]:
-    """Slopes and residuals of ``F = p (a + b x + c x^2 + d s) + e + f x + g s`` of taut points, x to 1, s = exp(-6 x).
+    """Slopes and residuals of ``F = p (a + b x + c x^2) + d + e x + f exp(-6 x)`` of the taut points, x up to 1.
 
     The force has to rise with the pressure and to fall with the contraction, as a plane through the points shows. A
     point is off the surface if it differs by a quarter of its force, and by four times as much as 80 % of the points
@@ -268,8 +268,7 @@ def _surface(points: Points) -> Iterator[Question]:
     if len(taut) < 12:
         return
     p, x = rows[:, 0], rows[:, 1] / np.abs(rows[:, 1]).max(initial=1e-9)
-    steep = np.exp(-6 * x)
-    terms = np.column_stack([p, p * x, p * x * x, p * steep, np.ones_like(p), x, steep])
+    terms = np.column_stack([p, p * x, p * x * x, np.ones_like(p), x, np.exp(-6 * x)])
     scale = 1 / np.maximum(rows[taut, 2], 0.1 * largest)
     weights = scale
     for _ in range(4):  # single points must not bend the surface
@@ -284,7 +283,7 @@ def _surface(points: Points) -> Iterator[Question]:
         np.any((p <= 1.01 * row[0]) & (rows[:, 1] >= row[1]) & (rows[:, 2] > row[2] + 0.03 * largest)) for row in rows
     ]
     far = (points.taut | weak) & (share > max(4 * usual, 0.25))
-    far[taut] |= left_out > np.median(rows[taut, 2])
+    far[taut] |= left_out > np.maximum(np.median(rows[taut, 2]), 0.25 * rows[taut, 2])
     if far.any():
         worst = int(np.argmax(np.where(far, share, 0)))
         yield points.ask("order", f"{np.count_nonzero(far)} off the surface through the other points, most", worst)
