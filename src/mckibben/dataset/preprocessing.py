@@ -94,14 +94,15 @@ def _with_passes(table: xr.Dataset, files: Ints | None) -> tuple[xr.Dataset, lis
     """Table with directions and repeats, and a note; unchanged if it has directions or shows no reversals."""
     if "direction" in table:
         return table, []
-    values, groups = np.unique(table["force"] if held_at_load(table) else _levels(table), return_inverse=True)
+    held, of = (table["force"], "load") if held_at_load(table) else (_levels(table), "level")
+    values, groups = np.unique(held, return_inverse=True)
     grouped = 2 * len(values) <= len(groups)
     strokes = passes(groups if grouped else 0 * groups, table["contraction"].to_numpy(), files)
     if strokes is None:
         return table, []
     direction, repeat = strokes
     table = table.assign(direction=("point", direction))
-    per_level, of = "", "load" if held_at_load(table) else "level"
+    per_level = ""
     if grouped and repeat.any() and "repeat" not in table:
         table = table.assign(repeat=("point", repeat))
         per_level = f"{repeat.max() + 1} of each per {of}, "
