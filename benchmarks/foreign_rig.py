@@ -24,7 +24,7 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 
 from mckibben.codegen.native import compile_native
-from mckibben.realtime import JointHardware, Wiring
+from mckibben.rig import JointHardware, Wiring
 from mckibben.rig.backend import AnalogChannel, Backend, Block, Watchdog
 from mckibben.units import BoundedInt
 

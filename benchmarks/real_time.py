@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from machine import sentence
 
-from mckibben.realtime import JointRig, prepare
-from mckibben.realtime import loop as module
-from mckibben.realtime.loop import realtime_process_settings
-from mckibben.realtime.record import Percentiles
+from mckibben.rig import JointRig, prepare
+from mckibben.rig import control_loop as module
+from mckibben.rig.control_loop import realtime_process_settings
+from mckibben.rig.joint_record import Percentiles
 from mckibben.scenario import Scenario
 
 EXAMPLES = Path(__file__).parents[1] / "examples"

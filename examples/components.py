@@ -19,7 +19,7 @@ from mckibben.joint import Measurement, MusclePath, PendulumLoad, Tendon
 from mckibben.muscle import NO_STATE, Domain, ForceLaw, Friction, MaxwellCreep, Parameter, pressure_for
 from mckibben.numerics.calculus import bracketed_root
 from mckibben.plant import Disturbance, Sensors
-from mckibben.realtime import JointHardware, SimulatedJoint
+from mckibben.rig import JointHardware, SimulatedJoint
 from mckibben.rig.simulated import SimulatedRig
 from mckibben.units import (
     BoundedInt,

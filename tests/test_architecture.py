@@ -116,13 +116,12 @@ BUDGET = {
     "paper": 740,
     "plant": 660,
     "reachability": 1250,
-    "realtime": 1460,
     "report": 2330,
-    "rig": 4480,
+    "rig": 6060,
     "scenario": 720,
     "simulation": 2860,
     "storage": 470,
-    "study": 3360,
+    "study": 2950,
     "web": 2330,
 }
 

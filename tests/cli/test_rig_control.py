@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mckibben.realtime.record import RowBuffer
+from mckibben.rig.joint_record import RowBuffer
 from mckibben.rig.record import read_record
 from mckibben.scenario import Scenario, run_scenario
 from mckibben.simulation import SimulationResult
@@ -98,7 +98,7 @@ def test_what_is_wrong_is_said_before_anything_moves(cli, short, tmp_path, argum
 
 
 _OWN = """from dataclasses import dataclass
-from mckibben.realtime import JointHardware, SimulatedJoint
+from mckibben.rig import JointHardware, SimulatedJoint
 
 class LentBackend(SimulatedJoint):
     physical = True

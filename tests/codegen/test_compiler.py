@@ -14,7 +14,7 @@ import pytest
 from mckibben.codegen import native
 from mckibben.codegen.native import NativeFunction, compiler
 from mckibben.errors import CompilerError, ExportError, McKibbenWarning
-from mckibben.realtime.compiled_step import compile_flat
+from mckibben.rig.compiled import compile_flat
 from mckibben.simulation.engine import BatchFunction
 from mckibben.storage import private
 

@@ -11,10 +11,10 @@ from mckibben.config.document import edit_yaml, read_document, to_text
 from mckibben.dataset import read_dataset
 from mckibben.errors import DatasetError, ScenarioError
 from mckibben.identification import Fit, read_law
-from mckibben.realtime.config import JointRig
+from mckibben.rig.document import MuscleCardSettings, RigTest
+from mckibben.rig.joint_rig import JointRig
 from mckibben.scenario import Scenario
 from mckibben.study.compare.suite import Suite
-from mckibben.study.rig.document import MuscleCardSettings, RigTest
 
 READERS = [Scenario.read, Suite.read, RigTest.read, JointRig.read, read_law, Fit.from_yaml]
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -40,7 +40,7 @@ from mckibben.muscle import Domain, ForceLaw, MaxwellSlip
 from mckibben.numerics.batching import cast
 from mckibben.numerics.compiled import numeric
 from mckibben.plant import Disturbance
-from mckibben.study.rig.document import MountedMuscle
+from mckibben.rig.document import MountedMuscle
 from mckibben.units import Bandwidth, Quantity, SignalValue, bar, deg, mm
 
 for module in pkgutil.walk_packages(mckibben.__path__, "mckibben."):

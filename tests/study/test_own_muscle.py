@@ -9,8 +9,8 @@ import pytest
 import mckibben as mk
 from mckibben.errors import RangeError, ScenarioError
 from mckibben.identification import read_law
+from mckibben.rig.document import RigTest, build_muscle, build_setup
 from mckibben.scenario import Scenario, edit_scenario, write_muscle
-from mckibben.study.rig.document import RigTest, build_muscle, build_setup
 from mckibben.units import bar, mm
 
 FOLDER = Path(__file__).parent / "own_muscle"

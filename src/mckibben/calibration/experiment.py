@@ -26,7 +26,7 @@ from mckibben.joint import AntagonisticJoint, GeneralLoad, Load, ScaledArms
 from mckibben.joint.attainable import stiffness_range
 from mckibben.muscle.adjusted import AdjustedLaw
 from mckibben.numerics.compiled import jit
-from mckibben.realtime import JointRig, JointRunResult, prepare
+from mckibben.rig import JointRig, JointRunResult, prepare
 from mckibben.scenario import Scenario, Start
 from mckibben.simulation import SimulationResult
 from mckibben.storage.columns import read_columns
@@ -39,7 +39,6 @@ _LEAST, _MOST = (0.15, 1.0), (0.35, 4.0)  # its part of the amplitude, and rad/s
 _BAND = 0.7  # swept fraction of the attainable stiffness
 _TAUT = 0.08  # minimum model tension relative to its highest force at mid contraction: the muscle may be weaker
 _ANGLES = 41
-_TOGETHER = 1000  # periods that a simulated joint computes at once
 _PRESSURES = ("pressure1", "pressure2")
 _HEAD = """\
 # A joint calibrated by `mckibben calibrate`, for controllers: `model: model.yaml`.
@@ -202,7 +201,7 @@ def run_parts(
         if ready is not None:
             ready(name)
         session, records = prepare(part, rig, paced=rig is not None and rig.physical), Path(folder) / name
-        run: JointRunResult = session.run(records, progress=progress, together=_TOGETHER)
+        run: JointRunResult = session.run(records, progress=progress)
         if run.outcome.error is not None or run.result is None:
             raise StoppedError(f"stopped: {run.outcome.text}; {run.outcome.venting}")
         run.result.to_netcdf(records / "result.nc")

@@ -131,7 +131,7 @@ def _measured(
 ) -> list[JointRecording]:
     """Recordings of the parts of an experiment, run on a rig, each after its preparation is confirmed."""
     from mckibben.calibration import run_parts
-    from mckibben.realtime import JointRig
+    from mckibben.rig import JointRig
     from mckibben.rig.record import segments
 
     device, instructions = None if rig is None else JointRig.read(rig), experiment.instructions

@@ -30,9 +30,9 @@ from mckibben.storage.files import check_free, make_folder
 from mckibben.units import bar, deg, percent
 
 if TYPE_CHECKING:
-    from mckibben.realtime import JointRunResult, JointSession, RunProgress
+    from mckibben.rig import JointRunResult, JointSession, RunProgress
+    from mckibben.rig.running import CheckedTest
     from mckibben.rig.session import Progress, ProgressCallback
-    from mckibben.study.rig.running import CheckedTest
 
 
 _RECORDING = "recording.nc"
@@ -73,7 +73,7 @@ def control(
         Print machine-readable results instead of a table.
     """
     out = required_folder(out, "run")
-    from mckibben.realtime import JointRig, prepare
+    from mckibben.rig import JointRig, prepare
     from mckibben.scenario import Scenario
 
     read = Scenario.read(scenario)
@@ -225,9 +225,9 @@ def run(
     standing_at : CONTRACTION
         With --resume: position of the motor, if unknown.
     """
+    from mckibben.rig.document import read_test
     from mckibben.rig.record import segments
-    from mckibben.study.rig.document import read_test
-    from mckibben.study.rig.running import check, check_disk_space
+    from mckibben.rig.running import check, check_disk_space
 
     standing = parse_optional("--standing-at", standing_at, "1")
     if standing is not None and not resume:
@@ -241,7 +241,7 @@ def run(
         return
     if out is None:
         raise FileError(str(protocol), [Problem("needs a folder for the record", remedy="add --out DIR, or --dry-run")])
-    from mckibben.study.rig.running import data_name, run_test
+    from mckibben.rig.running import data_name, run_test
 
     begun = time.monotonic()
     try:
@@ -272,7 +272,7 @@ def data(folder: Path, recording: bool = False) -> None:
     recording
         All samples over time, too, as for `points`: recording.nc in DIR.
     """
-    from mckibben.study.rig.running import gather, gather_recording
+    from mckibben.rig.running import gather, gather_recording
 
     if recording:
         check_free(folder, [_RECORDING])
@@ -290,7 +290,7 @@ def check(
     ] = None,
 ) -> None:
     """Show the status of each channel, and all violations of a protocol."""
-    from mckibben.study.rig.running import readings
+    from mckibben.rig.running import readings
 
     missing = False
     for line, there in readings(protocol):

@@ -22,7 +22,7 @@ from mckibben.joint import Measurement
 from mckibben.numerics.batching import lanes_of
 from mckibben.numerics.compiled import jit_arrays, numeric
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime.compiled_step import FlatTree, compile_flat
+from mckibben.rig.compiled import FlatTree, compile_flat
 from mckibben.scenario import Scenario, batched, initial_state, valid_rows
 from mckibben.simulation.engine import BatchFunction
 from mckibben.simulation.outcome import SWUNG_OVER_AT

@@ -19,7 +19,7 @@ from mckibben.export.targets import filled
 from mckibben.joint import Tendon
 from mckibben.muscle import Muscle, MuscleState
 from mckibben.numerics.calculus import value_and_derivative
-from mckibben.realtime.compiled_step import FlatTree
+from mckibben.rig.compiled import FlatTree
 
 
 class Activations(NamedTuple):

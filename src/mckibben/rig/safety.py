@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.errors import SignalledError, StoppedError
 from mckibben.rig.backend import AnalogChannel, Backend, Block, MovingBackend
@@ -343,7 +342,6 @@ class SafetyMonitor:
 
 
 _MOST = 1000  # samples read at once
-_ROUNDING = 1e-6  # of rates, by sums over many samples
 
 
 def _add(sums: list[float], row: Sequence[float], sign: float) -> None:
@@ -552,50 +550,3 @@ class JointMonitor(SafetyMonitor):
                     unit="Pa",
                     remedy="check the supply, the valve, the muscle and the sensor",
                 )
-
-    def accept(self, time: NDArray[np.float64], volts: NDArray[np.float64], errors: NDArray[np.float64]) -> bool:
-        """Check many samples at once.
-
-        Parameters
-        ----------
-        time
-            Times [s], shape (samples,).
-        volts
-            Volts of all inputs [V], shape (samples, inputs).
-        errors
-            Filtered errors of both pressures [Pa], shape (samples, 2).
-
-        Returns
-        -------
-        bool
-            False if a sample may be beyond a limit; then nothing is changed, and `check_sample` has the error.
-        """
-        values = []
-        for one in self.signals:
-            column = volts[:, one.column]
-            value = column * one.gain + one.zero
-            inside = (column >= one.low) & (column <= one.high) & (value >= one.lower) & (value <= one.upper)
-            if not inside.all():
-                return False
-            values.append(value)
-        gaps = np.diff(time, prepend=time[0] if self._time is None else self._time)
-        if not (np.all(gaps[1:] > 0) and np.all(gaps <= self._maximum_age)):
-            return False
-        if not np.all(np.abs(errors) <= self.limits.pressure_error):
-            return False
-        width, before = self._width, len(self._recent)
-        rows = np.stack([time, *(values[k] for k, _ in self._rated)], axis=1)
-        rows = np.concatenate([np.array(self._recent).reshape(before, rows.shape[1]), rows])
-        sums = np.concatenate([np.zeros((1, rows.shape[1])), rows.cumsum(axis=0)])
-        newer = sums[2 * width :] - sums[width:-width]
-        change = (newer - (sums[width:-width] - sums[: -2 * width]))[max(before + 1 - 2 * width, 0) :]
-        elapsed = np.maximum(change[:, 0], 1e-9)
-        for k, (_, one) in enumerate(self._rated, start=1):
-            if not np.all(np.abs(change[:, k]) / elapsed <= one.rate * (1 - _ROUNDING)):
-                return False
-        self._recent.clear()  # `rows` begins with them
-        self._recent.extend(rows[-2 * width :].tolist())
-        self._newer = rows[-width:].sum(axis=0).tolist()
-        self._older = rows[-2 * width : -width].sum(axis=0).tolist()
-        self._time, self.errors = float(time[-1]), errors[-1].tolist()
-        return True

@@ -18,9 +18,9 @@ from mckibben.dataset import IsobaricDataset
 from mckibben.errors import ParameterError, RigError
 from mckibben.report.palette import BLUE, GREEN, VERMILLION
 from mckibben.result import Result, column
+from mckibben.rig.document import RigTest
+from mckibben.rig.running import CheckedTest, check, data_name, run_test
 from mckibben.rig.session import Progress
-from mckibben.study.rig.document import RigTest
-from mckibben.study.rig.running import CheckedTest, check, data_name, run_test
 from mckibben.units import bar, percent
 from mckibben.web import resource
 from mckibben.web.identify import IdentificationState

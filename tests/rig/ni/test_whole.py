@@ -11,11 +11,11 @@ import pytest
 from mckibben import catalog
 from mckibben.errors import FileError, SignalledError, StoppedError
 from mckibben.muscle import Muscle, forces
+from mckibben.rig.document import read_test
 from mckibben.rig.ni import NiBackend
 from mckibben.rig.record import read_record, segments
+from mckibben.rig.running import check, readings, run_test
 from mckibben.rig.simulated import SamplesStopped, SimulatedRig
-from mckibben.study.rig.document import read_test
-from mckibben.study.rig.running import check, readings, run_test
 from mckibben.units import bar
 
 pytest.importorskip("nidaqmx", reason="needs the extra daq")

@@ -14,9 +14,9 @@ from mckibben.component.columns import attributes
 from mckibben.control.base import Setpoint
 from mckibben.muscle import NoCreep, NoFriction
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime.wiring import JointReading
 from mckibben.rig.record import Column
 from mckibben.rig.recorder import Recorder
+from mckibben.rig.wiring import JointReading
 from mckibben.simulation import Feasibility, SimulationResult, compute_trajectory
 from mckibben.simulation.loop import Record
 
@@ -141,19 +141,6 @@ class RowBuffer:
         table: dict[str, Any] = {name: full[:, i] for i, name in enumerate(self._names)}
         self._recorder.append(table)
         self._table[:] = np.nan
-
-    def extend(self, own: Mapping[str, NDArray[Any]], telemetry: NDArray[np.float64]) -> None:
-        """Record complete rows.
-
-        Parameters
-        ----------
-        own
-            Columns by name, shape (rows,).
-        telemetry
-            Telemetry of the controller, shape (rows, values).
-        """
-        self.flush()
-        self._recorder.append({**own, **dict(zip(self._names[_TELEMETRY:], telemetry.T, strict=True))})
 
     def event(self, kind: str, text: str, **data: Any) -> None:
         """Record an event."""

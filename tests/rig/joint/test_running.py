@@ -10,14 +10,14 @@ from mckibben.codegen.native import compiler
 from mckibben.control.base import Setpoint
 from mckibben.errors import ExportError, RigError, StoppedError
 from mckibben.numerics.compiled import numeric
-from mckibben.realtime import ControlProgram, JointLimits, Sensing, Timing, compiled_step
-from mckibben.realtime.compiled_step import LimitCycleDetection, vented_angle
-from mckibben.realtime.loop import realtime_process_settings
-from mckibben.realtime.record import Phase, RowBuffer
-from mckibben.realtime.wiring import JointReading, Wiring
+from mckibben.rig import ControlProgram, JointLimits, Sensing, Timing, compiled
 from mckibben.rig.backend import Backend
+from mckibben.rig.compiled import LimitCycleDetection, vented_angle
+from mckibben.rig.control_loop import realtime_process_settings
+from mckibben.rig.joint_record import Phase, RowBuffer
 from mckibben.rig.safety import JointMonitor
 from mckibben.rig.simulated.faults import HostDelayed, SamplesDropped
+from mckibben.rig.wiring import JointReading, Wiring
 from mckibben.units import bar, deg, kPa, ms
 
 from .conftest import PERIOD, Kept, SteadyControl, StiffJoint
@@ -50,22 +50,22 @@ def test_without_a_compiler_the_steps_are_the_same(knee, monkeypatch):
 
     control = knee.scenario.control()
     expected = steps(ControlProgram(control))
-    monkeypatch.setattr(compiled_step, "compile_native", no_compiler)
-    compiled_step.flat_program.cache_clear()
+    monkeypatch.setattr(compiled, "compile_native", no_compiler)
+    compiled.flat_program.cache_clear()
     np.testing.assert_allclose(steps(ControlProgram(control)), expected, rtol=1e-9)
-    compiled_step.flat_program.cache_clear()
+    compiled.flat_program.cache_clear()
 
 
 @pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 def test_the_detector_of_limit_cycles_is_compiled_once_for_all_processes(tmp_path, monkeypatch):
     def detect():
-        compiled_step.flat_program.cache_clear()
+        compiled.flat_program.cache_clear()
         try:
             detection = LimitCycleDetection(1 * ms, 0.01 * deg)
             swings = np.sin(2 * np.pi * 5.0 * np.arange(3000) * 1 * ms) * deg
             return [detection.after(float(angle), 0.0, (0.0, 0.0), index) for index, angle in enumerate(swings)]
         finally:
-            compiled_step.flat_program.cache_clear()
+            compiled.flat_program.cache_clear()
 
     monkeypatch.setattr("mckibben.codegen.native.programs_folder", lambda: tmp_path)
     first = detect()

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime import PERFECT, ControlProgram, JointLimits, RunPlan, SimulatedJoint, control
-from mckibben.realtime.compiled_step import PlantProgram, StepResult
+from mckibben.rig import PERFECT, ControlProgram, JointLimits, RunPlan, SimulatedJoint, control
 from mckibben.rig.backend import Backend
+from mckibben.rig.compiled import PlantProgram, StepResult
 from mckibben.scenario import Scenario
 from mckibben.units import bar, deg, ms
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "pre-contracted-step-pid.yaml"
 PERIOD = 1 * ms
 
 

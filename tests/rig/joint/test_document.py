@@ -6,11 +6,11 @@ from pathlib import Path
 import pytest
 
 from mckibben.errors import ScenarioError
-from mckibben.realtime import JointRig, RunConditions, Wiring
-from mckibben.realtime.config import JointCardSettings
+from mckibben.rig import JointRig, RunConditions, Wiring
+from mckibben.rig.joint_rig import JointCardSettings
 from mckibben.units import bar, deg, kPa, ms
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "rig" / "joint-rig.yaml"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "rig" / "joint-rig.yaml"
 
 
 def test_the_example_says_what_the_defaults_are_but_for_the_angles():

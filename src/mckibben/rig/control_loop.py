@@ -15,17 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mckibben.codegen.native import warn_of_fallback
-from mckibben.errors import ExportError, McKibbenError, RigError, StoppedError
-from mckibben.realtime.compiled_loop import compute_periods
-from mckibben.realtime.compiled_step import ControlProgram, LimitCycleDetection, limit_cycle_of
-from mckibben.realtime.record import Phase, RowBuffer
-from mckibben.realtime.simulated import SimulatedJoint
-from mckibben.realtime.wiring import Connected, JointReading
+from mckibben.errors import McKibbenError, RigError, StoppedError
 from mckibben.rig.backend import Backend, Block
 from mckibben.rig.bench import JointLimits
+from mckibben.rig.compiled import ControlProgram, LimitCycleDetection
+from mckibben.rig.joint_record import Phase, RowBuffer
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import JointMonitor, StopFlag
+from mckibben.rig.wiring import Connected, JointReading
 from mckibben.simulation.oscillation import Oscillations
 from mckibben.units import bar, deg
 
@@ -211,7 +208,6 @@ def control(
     *,
     stop_flag: StopFlag | None = None,
     progress: Callable[[RunProgress], None] | None = None,
-    together: int = 1,
 ) -> RunOutcome:
     """Open a backend, run a controller on it, vent it and close it; all of it is recorded.
 
@@ -225,9 +221,6 @@ def control(
         Stops the run when it is set.
     progress
         Is called each period, and must return at once.
-    together
-        Periods that a simulated joint which is not paced computes at once, with the same results; `progress` is then
-        called, and `stop_flag` checked, once for all of them.
 
     Returns
     -------
@@ -239,7 +232,7 @@ def control(
     RigError
         If the backend does not match, before anything moves.
     """
-    loop = ControlLoop(backend, program, plan, limits, recorder, stop_flag or StopFlag(), progress, together)
+    loop = ControlLoop(backend, program, plan, limits, recorder, stop_flag or StopFlag(), progress)
     monitor, rows = loop.monitor, loop.rows
     error: McKibbenError | None = None
     with backend.opened():
@@ -311,7 +304,6 @@ class ControlLoop:
         recorder: Recorder,
         stop_flag: StopFlag,
         progress: Callable[[RunProgress], None] | None,
-        together: int,
     ) -> None:
         self._connected = Connected(backend)
         _check(backend, plan, self._connected)
@@ -327,8 +319,6 @@ class ControlLoop:
         self._stepped: int | None = None  # sample of its last step
         self._inputs = np.zeros(6)
         self._commands: tuple[float, float] | None = None
-        simulated = type(backend) is SimulatedJoint and backend.can_run_ahead
-        self._together = together if simulated else 1
         self._detection = LimitCycleDetection(plan.period, plan.angle_resolution)
         self._first = 0  # sample of the controller's first step
         self._limit_cycle: Oscillations | None = None
@@ -339,62 +329,11 @@ class ControlLoop:
         silence = self.monitor.limits.silence
         while self._next < total:
             self._stop_flag.check()
-            if self._together > 1 and self._run_ahead(self._together):
-                continue
             block = backend.read(min(self._waiting(), total - self._next), timeout=silence)
             self._step(block.first, block.time.tolist(), block.volts.tolist(), backend.clock())
         end = self._next * plan.period
         while backend.clock() < end and not self._stop_flag.signal:  # the last command lasts for its period
             self.record_venting(backend.read(self._waiting(), timeout=silence))
-
-    def _run_ahead(self, most: int) -> bool:
-        """Compute, check and record periods at once; False, and nothing is changed, where that is not possible."""
-        plan, backend, first = self._plan, self._backend, self._next
-        raising = first < plan.raising
-        count = min(most, (plan.raising if raising else plan.periods) - first)
-        if self._commands is None or count < _FEW or not (raising or self._stepped == first - 1):
-            return False
-        assert isinstance(backend, SimulatedJoint)
-        numbers = np.arange(first, first + count)
-        references = plan.references[np.maximum(numbers - plan.raising - plan.settling, 0)]
-        ramp = np.zeros((count, 2))
-        if raising and self._ramp_start is not None:
-            part = ((numbers + 1) / plan.raising)[:, np.newaxis]
-            ramp = self._ramp_start + part * (np.array(plan.pressures) - self._ramp_start)
-        memory = None if raising else self._state
-        program = self._program, backend, self.monitor, plan.command_limits
-        inputs = *program, memory, self._detection, numbers - self._first, self._commands, ramp, references
-        try:
-            found, after = compute_periods(*inputs, self._connected.wiring.sensors, size=most)
-        except ExportError as error:
-            warn_of_fallback(error)
-            self._together = 1
-            return False
-        time = numbers * np.float64(plan.period)
-        if not (np.isfinite(found.wanted).all() and self.monitor.accept(time, found.volts, found.errors)):
-            return False
-        backend.moved_ahead(count, after.plant, (float(after.valves[0]), float(after.valves[1])))
-        self._next, self._commands = first + count, (float(found.commands[-1, 0]), float(found.commands[-1, 1]))
-        if not raising:
-            self._state, self._stepped = after.controller, first + count - 1
-            self._detection.memory = after.detection
-            changes = np.flatnonzero(np.diff((found.cycle[:, (0, 3)] > 0).any(axis=1))) + 1
-            for row in (0, *changes, -1):
-                self._note(limit_cycle_of(found.cycle[row]))
-        references = np.full((count, 2), np.nan) if raising else references
-        own = {
-            "sample": numbers,
-            "phase": np.array([plan.phase(number) for number in range(first, self._next)]),
-            **dict.fromkeys(("time", "read_at", "commanded_at"), time),
-            **dict(zip(("volts_angle", "volts_pressure1", "volts_pressure2"), found.volts.T, strict=True)),
-            **dict(zip(JointReading._fields, found.reading.T, strict=True)),
-            **dict(zip(("desired_angle", "desired_stiffness"), references.T, strict=True)),
-            **dict(zip(("command1", "command2"), found.commands.T, strict=True)),
-            "limited": (found.commands != found.wanted).any(axis=1) & (not raising),
-        }
-        self.rows.extend(own, found.telemetry)
-        self._report(time[-1], self._next - 1, JointReading(*found.reading[-1].tolist()), float(references[-1, 0]))
-        return True
 
     def record_venting(self, block: Block) -> None:
         """Record samples after the last period."""

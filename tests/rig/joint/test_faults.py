@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from mckibben.errors import RigError, StoppedError
-from mckibben.realtime import JointSession, loop
-from mckibben.realtime.simulated import SimulatedJoint
+from mckibben.rig import JointSession, control_loop
 from mckibben.rig.recorder import Recorder
 from mckibben.rig.safety import StopFlag
 from mckibben.rig.simulated.faults import (
@@ -20,6 +19,7 @@ from mckibben.rig.simulated.faults import (
     SensorDisconnected,
     SupplyLost,
 )
+from mckibben.rig.simulated.joint import SimulatedJoint
 from mckibben.units import bar, ms
 
 from .conftest import LIMITS, PERIOD, Kept
@@ -72,7 +72,9 @@ FAULTS = {
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_fault_at_any_time_vents_and_loses_no_sample(stiff, watched, monkeypatch, name):
     make, kind, text, delay = FAULTS[name]
-    monkeypatch.setattr(loop, "_VENTING", 100 * ms)  # s for which it would look for a pressure that it cannot read
+    monkeypatch.setattr(
+        control_loop, "_VENTING", 100 * ms
+    )  # s for which it would look for a pressure that it cannot read
     for instant in INSTANTS:
         joint = watched(faults=[make(instant)])
         outcome, kept = stiff.run(joint, plan=stiff.plan(300))
@@ -89,9 +91,9 @@ def test_a_fault_at_any_time_vents_and_loses_no_sample(stiff, watched, monkeypat
 
 
 def test_pressure_that_falls_slowly_is_told_from_pressure_that_is_not_measured(stiff, watched, monkeypatch):
-    monkeypatch.setattr(loop, "_VENTING", 3 * ms)
+    monkeypatch.setattr(control_loop, "_VENTING", 3 * ms)
     outcome, _ = stiff.run(watched(faults=[]), plan=stiff.plan(PERIODS))
-    assert outcome.vented_after is None and outcome.remaining > loop.VENTED
+    assert outcome.vented_after is None and outcome.remaining > control_loop.VENTED
     assert f"{outcome.remaining / bar:.3g} bar" in outcome.venting
 
 
@@ -180,7 +182,7 @@ def test_a_folder_that_vanishes_stops_the_run_at_once(stiff, watched, tmp_path):
 
 @pytest.mark.slow
 def test_a_record_whose_end_is_not_written_is_no_completed_run(stiff, watched, tmp_path, monkeypatch):
-    from mckibben.realtime import session as module
+    from mckibben.rig import joint_session as module
 
     close = Recorder.close
 

@@ -11,11 +11,11 @@ from mckibben import catalog
 from mckibben.errors import McKibbenWarning, ScenarioError
 from mckibben.muscle import Muscle
 from mckibben.rig.backend import MovingBackend
+from mckibben.rig.document import RigTest
+from mckibben.rig.running import check, run_test
 from mckibben.rig.simulated import SimulatedRig
-from mckibben.study.rig.document import RigTest
-from mckibben.study.rig.running import check, run_test
 from mckibben.units import BoundedInt
-from tests.realtime.conftest import Borrowed
+from tests.rig.joint.conftest import Borrowed
 
 MUSCLE = Muscle(catalog.specimen("MAS-10-180N-AA-MC-O"), catalog.law("lei-mas-10-180n"))
 TEXT = """name: a short test

@@ -10,12 +10,12 @@ from mckibben import catalog
 from mckibben.errors import ScenarioError
 from mckibben.rig import IsobaricProtocol
 from mckibben.rig import steps as typed
-from mckibben.study.rig.document import MuscleCardSettings, RigTest, read_test
-from mckibben.study.rig.running import check
+from mckibben.rig.document import MuscleCardSettings, RigTest, read_test
+from mckibben.rig.running import check
 from mckibben.units import bar
 
 MUSCLE = catalog.joint("knee-table-2").muscle1
-EXAMPLES = Path(__file__).parents[3] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 HEAD = """name: a test
 muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}
 rig: {simulated: {seed: 1}}

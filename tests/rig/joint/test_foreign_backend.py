@@ -9,14 +9,14 @@ from typing import Annotated
 import pytest
 
 from mckibben.errors import McKibbenWarning, RigError, ScenarioError
-from mckibben.realtime import PERFECT, JointHardware, JointRig, SimulatedJoint, prepare
+from mckibben.rig import PERFECT, JointHardware, JointRig, SimulatedJoint, prepare
 from mckibben.rig.record import read_record
 from mckibben.scenario import Scenario
 from mckibben.units import BoundedInt
 
 from .conftest import Borrowed
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml"
+EXAMPLE = Path(__file__).parents[3] / "examples" / "pre-contracted-step-pid.yaml"
 TEXT = "rig: {class: BorrowedJoint, port: 3}\n"
 
 

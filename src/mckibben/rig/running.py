@@ -16,6 +16,7 @@ from mckibben.config.document import Document, Place, dotted
 from mckibben.dataset import IsobaricDataset, Recording
 from mckibben.errors import FileError, McKibbenError, McKibbenWarning, Problem, RangeError, RigError, ScenarioError
 from mckibben.rig.calibration import Calibration
+from mckibben.rig.document import RigTest, Setup, build_setup, read_test
 from mckibben.rig.dry_run import DryRun, dry_run
 from mckibben.rig.record import Event, Point, assemble, entries, header_of, points, read_header, recording_of, segments
 from mckibben.rig.recorder import Recorder, software_versions
@@ -24,7 +25,6 @@ from mckibben.rig.safety import stop_on_signals
 from mckibben.rig.session import VENTED, ProgressCallback, RigSession
 from mckibben.rig.steps import ProtocolStep, describe_steps, steps_of
 from mckibben.storage.files import check_free, file_lock, make_folder
-from mckibben.study.rig.document import RigTest, Setup, build_setup, read_test
 from mckibben.units import bar, mm, percent
 
 if TYPE_CHECKING:

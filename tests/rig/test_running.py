@@ -16,10 +16,10 @@ from mckibben.calibration import identify_air
 from mckibben.dataset import read_dataset
 from mckibben.errors import FileError, McKibbenWarning, RigError, ScenarioError, SignalledError, StoppedError
 from mckibben.identification import identify_pressure_creep
+from mckibben.rig import running
+from mckibben.rig.document import RigTest, read_test
 from mckibben.rig.record import header_of, read_record, segments
-from mckibben.study.rig import running
-from mckibben.study.rig.document import RigTest, read_test
-from mckibben.study.rig.running import check, gather, gather_recording, run_test
+from mckibben.rig.running import check, gather, gather_recording, run_test
 from mckibben.units import bar
 
 TEXT = """name: a short test
@@ -225,7 +225,7 @@ def test_the_air_is_identified_from_the_record_of_a_shut_valve(tmp_path, seed):
 
     With seeds above 1, the regulator holds the pressure for more than 40 ms until the valve is shut.
     """
-    example = Path(__file__).parents[3] / "examples" / "rig" / "shut-valve.yaml"
+    example = Path(__file__).parents[2] / "examples" / "rig" / "shut-valve.yaml"
     checked = check(RigTest.parse(example.read_text(encoding="utf-8").replace("seed: 1\n", f"seed: {seed}\n")))
     run_test(checked, tmp_path)
     specimen = checked.setup.bench.specimen
@@ -240,7 +240,7 @@ def test_the_air_is_identified_from_the_record_of_a_shut_valve(tmp_path, seed):
 @pytest.mark.slow
 def test_creep_after_steps_of_the_pressure_is_identified_from_the_record(tmp_path):
     """The example's test, with friction, creep after moves and a stretcher that yields."""
-    example = Path(__file__).parents[3] / "examples" / "rig" / "isometric-creep.yaml"
+    example = Path(__file__).parents[2] / "examples" / "rig" / "isometric-creep.yaml"
     run_test(check(*read_test(example)), tmp_path)
     recording = gather_recording(tmp_path)
     record = read_record(tmp_path)

@@ -12,17 +12,17 @@ import numpy as np
 
 from mckibben.errors import FileError, McKibbenError, Problem, RigError, ScenarioError, StoppedError
 from mckibben.plant import JointPlant
-from mckibben.realtime.compiled_step import ControlProgram, vented_angle
-from mckibben.realtime.config import JointRig, RunConditions
-from mckibben.realtime.loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
-from mckibben.realtime.record import Timing, columns, measured_result
-from mckibben.realtime.simulated import rated_commands
-from mckibben.realtime.wiring import Wiring
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
+from mckibben.rig.compiled import ControlProgram, vented_angle
+from mckibben.rig.control_loop import RunOutcome, RunPlan, RunProgress, control, realtime_process_settings
+from mckibben.rig.joint_record import Timing, columns, measured_result
+from mckibben.rig.joint_rig import JointRig, RunConditions
 from mckibben.rig.record import read_record, segments
 from mckibben.rig.recorder import Recorder, software_versions
 from mckibben.rig.safety import stop_on_signals
+from mckibben.rig.simulated.joint import rated_commands
+from mckibben.rig.wiring import Wiring
 from mckibben.scenario import Scenario
 from mckibben.simulation import Feasibility, SimulationResult, check_reference, sampled
 from mckibben.storage.files import file_lock, make_folder
@@ -88,11 +88,8 @@ class JointSession:
         folder: str | os.PathLike[str],
         *,
         progress: Callable[[RunProgress], None] | None = None,
-        together: int = 1,
     ) -> JointRunResult:
         """Run the scenario and record it in a folder that holds no record; `progress` is called each period.
-
-        A simulated joint that is not paced may compute many periods `together`, with the same results.
 
         Raises
         ------
@@ -121,7 +118,6 @@ class JointSession:
                         recorder,
                         stop_flag=stop_flag,
                         progress=progress,
-                        together=together,
                     )
             except RigError as error:
                 if outcome is None:

@@ -16,11 +16,11 @@ from mckibben.component.schema import ComponentField, section_of
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime.simulated import PERFECT, Sensing, SimulatedJoint
 from mckibben.rig.backend import Backend
 from mckibben.rig.bench import JointLimits
 from mckibben.rig.ni import NiBackend
 from mckibben.rig.ni.settings import CardSettings
+from mckibben.rig.simulated.joint import PERFECT, Sensing, SimulatedJoint
 from mckibben.units import AngleStep, BoundedInt, Duration, PressureNoise, WaitTime
 
 

@@ -6,19 +6,17 @@ import time
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mckibben.component.base import Checked
 from mckibben.component.checks import check_positive
 from mckibben.errors import RangeError, RigError, SilentError
 from mckibben.plant import JointPlant, PlantState
-from mckibben.realtime.compiled_step import PlantProgram, complete_state, vented_angle
-from mckibben.realtime.wiring import Wiring
 from mckibben.rig.backend import AnalogChannel, Backend, Block, Watchdog
 from mckibben.rig.calibration import Calibration
+from mckibben.rig.compiled import PlantProgram, complete_state, vented_angle
 from mckibben.rig.simulated.faults import (
     Fault,
     HostDelayed,
@@ -28,6 +26,7 @@ from mckibben.rig.simulated.faults import (
     SensorDisconnected,
     SupplyLost,
 )
+from mckibben.rig.wiring import Wiring
 from mckibben.units import AngleStep, PressureNoise, Quantity, deg, kPa, ms
 
 _SPIN = 80e-6  # s of spinning, as a sleep may end late
@@ -64,27 +63,6 @@ def rated_commands(plant: JointPlant) -> tuple[tuple[float, float], tuple[float,
     valve, muscles = plant.valve, enumerate(plant.muscles)
     (low1, high1), (low2, high2) = (valve.for_muscle(i).command_range(one.specimen.domain) for i, one in muscles)
     return ((float(low1), float(high1)), (float(low2), float(high2)))
-
-
-class StartOfLoop(NamedTuple):
-    """Start of a compiled loop.
-
-    Attributes
-    ----------
-    period
-        Sampling period [s].
-    state
-        Packed state of the plant, shape (size,).
-    commands
-        Commands of both valves [Pa].
-    noise
-        Noise of the next samples [Pa], shape (samples, 2).
-    """
-
-    period: float
-    state: NDArray[np.float64]
-    commands: tuple[float, float]
-    noise: NDArray[np.float64]
 
 
 class SimulatedJoint(Backend):
@@ -259,52 +237,6 @@ class SimulatedJoint(Backend):
         block = Block(first, np.array(times), np.array(rows), np.zeros(count, np.int64))
         self._wait(self._arriving(times[-1]))
         return block
-
-    @property
-    def can_run_ahead(self) -> bool:
-        """Whether a compiled loop can replace it: it is not paced, and has neither faults nor a delay."""
-        return not (self.paced or self._faults or self._delay or self._watchdog.has_expired)
-
-    def ahead(self, count: int) -> StartOfLoop:
-        """Return the state directly after a command, for a compiled loop.
-
-        Parameters
-        ----------
-        count
-            Number of samples that follow, whose noise is drawn.
-        """
-        while len(self._noise) < count:
-            self._noise = self._drawn() + self._noise  # the last ones are used first
-        noise = np.array(self._noise[-count:])[::-1]
-        return StartOfLoop(self._period, self._state, self._pending[-1][1] if self._pending else self._commands, noise)
-
-    def moved_ahead(self, count: int, state: NDArray[np.float64], commands: tuple[float, float]) -> None:
-        """Set the state after samples; the valves were set and the watchdog was reset at the last one.
-
-        Parameters
-        ----------
-        count
-            Number of samples.
-        state
-            Packed state of the plant, shape (size,).
-        commands
-            Last commands of both valves [Pa].
-        """
-        self._next += count
-        self._now = self._at = (self._next - 1) * self._period
-        self._state, self._commands = state, commands
-        self._pending.clear()
-        del self._noise[-count:]
-        self._watchdog.reset(self._now)
-
-    def channels(self) -> tuple[tuple[tuple[float, ...], ...], tuple[tuple[float, ...], ...]]:
-        """Return gain, offset, tare and converter range of each sensor and valve, and rated pressures of the valves."""
-        sensors = zip(self._volts_of, _INPUTS, strict=True)
-        valves = zip(self._wiring.valves, _OUTPUTS, self._rated, strict=True)
-        return (
-            tuple((*one, channel.low, channel.high) for one, channel in sensors),
-            tuple((c.gain, c.offset, c.tare, channel.low, channel.high, *rated) for c, channel, rated in valves),
-        )
 
     def pass_time(self, duration: float) -> None:
         """Advance the time [s] without a host, if unpaced."""
