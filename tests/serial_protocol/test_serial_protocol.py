@@ -1,0 +1,169 @@
+"""The codec in Python and in C: they agree on every line, and lose no message but those that were damaged."""
+
+import subprocess
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from mckibben.codegen.native import compiler
+from mckibben.errors import ParameterError, RigError
+from mckibben.firmware import link_files
+from mckibben.serial_protocol import (
+    LONGEST,
+    VERSION,
+    FaultCode,
+    FaultReport,
+    FirmwareState,
+    Hello,
+    Message,
+    MessageKind,
+    Receiver,
+    Sample,
+    pack_numbers,
+    unpack_numbers,
+)
+
+PROGRAM = r"""
+#include "link.h"
+#include <stdio.h>
+int main(void) /* writes the messages of a line again, and the counters after them */
+{
+    static link_receiver receiver;
+    static link_message message;
+    uint8_t line[LINK_FRAME];
+    int byte;
+    while ((byte = getchar()) != EOF)
+        if (link_receive(&receiver, (uint8_t)byte, &message))
+            fwrite(line, 1, link_encode(&message, line), stdout);
+    fprintf(stderr, "%u %u %u", receiver.corrupted, receiver.lost, receiver.repeated);
+    return 0;
+}
+"""
+MESSAGES = st.builds(
+    Message,
+    st.integers(0, 255),
+    st.integers(0, 0xFFFF),
+    st.integers(0, 0xFFFFFFFF),
+    st.binary(max_size=LONGEST) | st.binary(min_size=LONGEST, max_size=LONGEST) | st.integers(0, LONGEST).map(bytes),
+)
+
+
+@pytest.fixture(scope="session")
+def in_c(tmp_path_factory):
+    """Messages and counters by the codec in C."""
+    if compiler() is None:
+        pytest.skip("there is no C compiler")
+    folder = tmp_path_factory.mktemp("link")
+    for name, text in {**link_files(), "main.c": PROGRAM}.items():
+        (folder / name).write_text(text)
+    strict = "-std=c99 -Wall -Wextra -Wpedantic -Wconversion -Werror -fsanitize=address,undefined".split()
+    subprocess.run([compiler(), *strict, "-o", "link", "link.c", "main.c"], cwd=folder, check=True)
+
+    def received(line):
+        done = subprocess.run([folder / "link"], input=line, capture_output=True, check=True)
+        return done.stdout, tuple(map(int, done.stderr.split()))
+
+    return received
+
+
+def in_python(line, pieces=()):
+    receiver, messages, start = Receiver(), [], 0
+    for end in sorted({*pieces, len(line)}):
+        messages += receiver.feed(line[start:end])
+        start = end
+    return messages, (receiver.corrupted, receiver.lost & 0xFFFF, receiver.repeated)
+
+
+@given(message=MESSAGES)
+def test_a_message_comes_back(in_c, message):
+    line = message.encode()
+    assert line.index(0) == len(line) - 1
+    assert in_python(line)[0] == [message]
+    assert in_c(line) == (line, (0, 0, 0))
+
+
+@given(
+    messages=st.lists(MESSAGES, max_size=6),
+    damage=st.lists(st.tuples(st.integers(0, 2), st.integers(0, 1000), st.integers(0, 255)), max_size=4),
+)
+def test_both_agree_on_a_damaged_line(in_c, messages, damage):
+    line = bytearray(b"".join(message.encode() for message in messages))
+    for kind, place, byte in damage:
+        at = place % (len(line) + 1)
+        line[at : at + (kind > 0)] = b"" if kind == 2 else bytes([byte])
+    line = bytes(line)
+    found, counters = in_python(line, [place for _, place, _ in damage if place < len(line)])
+    assert in_c(line) == (b"".join(message.encode() for message in found), counters)
+    assert set(found) <= set(messages)  # no damage of four bytes passed the CRC
+
+
+@given(lost=st.sets(st.integers(1, 19)), doubled=st.sets(st.integers(0, 19)))
+def test_losses_are_counted(in_c, lost, doubled):
+    sent = [Message(MessageKind.SAMPLE, (65530 + i) & 0xFFFF, 1000 * i, bytes([i])) for i in range(20)] + [
+        Message(MessageKind.SAMPLE, 14, 0)
+    ]
+    line = b"".join(x.encode() * (1 + (i in doubled)) for i, x in enumerate(sent) if i not in lost)
+    counters = (0, len(lost), len(doubled - lost))
+    found, counted = in_python(line)
+    assert (len(found), counted) == (21 - len(lost), counters)
+    assert in_c(line)[1] == counters
+
+
+def test_a_board_that_starts_again_has_lost_nothing(in_c):
+    line = b"".join(
+        Message(kind, n, n).encode()
+        for kind, n in ((MessageKind.SAMPLE, 900), (MessageKind.HELLO, 0), (MessageKind.SAMPLE, 1))
+    )
+    assert in_python(line)[1] == in_c(line)[1] == (0, 0, 0)
+
+
+def test_a_line_without_end_takes_no_memory(in_c):
+    receiver = Receiver()
+    for _ in range(1000):
+        assert receiver.feed(b"\1" * 1000) == []
+    assert len(receiver._rest) < 300
+    good = Message(MessageKind.VENT, 3, 4)
+    assert receiver.feed(b"\0" + good.encode()) == [good]
+    assert in_c(b"\1" * 1000 + b"\0" + good.encode()) == (good.encode(), (1, 0, 0))
+
+
+def test_the_crc_is_that_of_the_standard():
+    """CRC-16/CCITT-FALSE of 123456789 is 0x29B1, in any catalogue of CRCs."""
+    kind, sequence, time = 0x31, 0x3332, 0x37363534
+    assert b"\xb1\x29" in Message(kind, sequence, time, b"89").encode()
+
+
+def test_bodies_come_back():
+    hello = Hello(
+        "knee 1.0", 1000, bytes(range(32)), [("angle", "rad"), ("p", "Pa")], [("u", "Pa")], [("K", "N*m/rad")]
+    )
+    assert Hello.unpack(hello.pack()) == hello
+    sample = Sample(FirmwareState.HOLDING, FaultCode.FROZEN, 3, 2, 1, (0.5, 2.0**18))
+    assert Sample.unpack(sample.pack()) == sample
+    assert FaultReport.unpack(FaultReport(FaultCode.OUT_OF_RANGE, 2, -0.5).pack()) == (FaultCode.OUT_OF_RANGE, 2, -0.5)
+    assert unpack_numbers(pack_numbers((0.1, 15.0))) == (0.1, 15.0)
+
+
+@pytest.mark.parametrize(
+    ("unpack", "body", "field"),
+    [
+        (Hello.unpack, b"", "version"),
+        (Hello.unpack, bytes([VERSION + 1]) + bytes(50), "version"),
+        (Hello.unpack, bytes([VERSION]) + bytes(10), "body"),
+        (Hello.unpack, bytes([VERSION, 2]) + bytes(38) + b"knee\nangle rad", "body"),
+        (Sample.unpack, b"\0", "body"),
+        (Sample.unpack, bytes(9), "body"),
+        (FaultReport.unpack, b"\0", "body"),
+    ],
+)
+def test_a_malformed_body_is_an_error(unpack, body, field):
+    with pytest.raises(RigError) as caught:
+        unpack(body)
+    assert caught.value.field == field
+
+
+def test_a_body_that_is_too_long_is_refused():
+    with pytest.raises(ParameterError) as caught:
+        Message(MessageKind.HELLO, 0, 0, bytes(LONGEST + 1)).encode()
+    assert (caught.value.field, caught.value.value) == ("body", LONGEST + 1)
