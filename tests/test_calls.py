@@ -39,7 +39,6 @@ LAW = mk.catalog.law("lei-mas-10-180n")
         (lambda: mk.catalog.specimen("MAS10"), "MAS-10-180N-AA-MC-O"),
         (lambda: mk.catalog.law("Lei"), "lei-mas-10-180n"),
         (lambda: mk.catalog.law("x"), "sarosi-dmsp-10"),
-        (lambda: mk.linearize("joint.yaml"), "Scenario.read"),  # type: ignore[arg-type]
         (lambda: mk.PID(1.0, 2.0, 3.0, 4.0), "filter_time="),  # type: ignore[call-arg]
         (lambda: mk.PID(kp=1.0), "PID(kp, ki, kd"),  # type: ignore[call-arg]
         (lambda: mk.PID(Kp=1.0, ki=2.0, kd=3.0), "'kp'"),  # type: ignore[call-arg]
@@ -48,7 +47,6 @@ LAW = mk.catalog.law("lei-mas-10-180n")
         (lambda: SCENARIO.envelope(angles=[0.1]), "smoothing"),
         (lambda: SCENARIO.export("c"), "export(target, out"),  # type: ignore[call-arg]
         (lambda: SCENARIO.compare(mk.PID(1.0, 2.0, 3.0)), "by name"),  # type: ignore[arg-type]
-        (lambda: SCENARIO.linearize("1 s"), "SI units"),  # type: ignore[arg-type]
         (lambda: mk.size("knee.yaml"), "Requirement"),  # type: ignore[arg-type]
         (lambda: mk.validate(DATA, LAW), "swapped"),  # type: ignore[arg-type]
         (lambda: mk.check_reference(SCENARIO), "check_reference(plant, reference"),  # type: ignore[arg-type, call-arg]

@@ -107,9 +107,6 @@ from .simulation import (
 from .scenario import (
     Scenario as Scenario,
 )
-from .study.linearization import (
-    linearize as linearize,
-)
 from .study.sweep import (
     sweep as sweep,
 )

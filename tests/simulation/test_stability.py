@@ -1,6 +1,7 @@
 """Margins of the linearised loop, against runs of the loop itself."""
 
 import dataclasses
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from mckibben.actuator import FirstOrderValve, SwitchingValves, UnequalValves
 from mckibben.control import ExtendedStateObserver, PressureObserver
 from mckibben.plant import PerfectSensors, SampledSensors
 from mckibben.result import Severity
+from mckibben.scenario import with_values
 from mckibben.simulation import Outcome, disk_margins, margins
 from mckibben.simulation.stability import LinearLoop, _crossings, _frequencies, _margins_of, _without_noise
 from mckibben.units import bar, deg, ms
@@ -243,3 +245,60 @@ def test_the_least_disk_margins_of_a_batch_are_those_of_single_runs_and_zero_bey
     alone = margins(one, control, REFERENCE, plant.equilibrium(3 * deg, stiffness=15.0), **SETTINGS)
     assert batch[:2] == pytest.approx([found.disk.min(), alone.disk.min()], rel=0.02)
     assert batch[0] > batch[1] > batch[2] > batch[3] == 0.0  # the last linear loop is unstable
+
+
+PERIOD = 1e-3
+POLES, OBSERVED, PRESSURE, LAG = 60.0, 160.0, 100.0, 0.02
+CONTROLLER = f"""controller:
+  class: decoupling
+  feedback: {{bandwidth: {POLES} rad/s}}
+  observer: {{bandwidth: {OBSERVED} rad/s}}
+  pressure_observer: {{bandwidth: {PRESSURE} rad/s}}
+reference:
+  angle: {{class: step, before: 0 deg, after: 0.2 deg, at: 50 ms}}
+  stiffness: 13 N*m/rad
+start: {{angle: 0 deg, stiffness: 13 N*m/rad}}
+duration: 3 s
+control_period: 1 ms
+"""
+
+
+def largest_pole(slower, stiffness, damping):
+    """Spectral radius of the loop by hand with valves that many times slower than modelled; per inertia."""
+    first, second, third = (float(gain) for gain in ExtendedStateObserver(OBSERVED).gains(PERIOD))
+    model, trust = 1 - np.exp(-PERIOD / LAG), 1 - np.exp(-PRESSURE * PERIOD)
+    lead = (1 - np.exp(-3 * POLES * PERIOD)) / model
+
+    def period(angle, velocity, torque, angle_, velocity_, disturbance, known, torque_, command):
+        torque_ += model * (command - torque_)
+        torque_ += trust * (torque - torque_)
+        now = torque_ - stiffness * angle - damping * velocity_
+        acceleration = (known + now) / 2 + disturbance
+        angle_ += PERIOD * (velocity_ + PERIOD / 2 * acceleration)
+        innovation = angle - angle_
+        angle_ += first * innovation
+        velocity_ += PERIOD * acceleration + second * innovation
+        disturbance += third * innovation
+        ahead = angle_ + velocity_ / (3 * POLES)
+        wanted = -POLES * velocity_ - POLES**2 / 3 * angle - disturbance + stiffness * ahead + damping * velocity_
+        command = torque_ + lead * (wanted - torque_)
+        for _ in range(100):
+            step = PERIOD / 100
+            velocity += step * (torque - stiffness * angle - damping * velocity)
+            angle += step * velocity
+            torque = command + (torque - command) * np.exp(-step / (slower * LAG))
+        return angle, velocity, torque, angle_, velocity_, disturbance, now, torque_, command
+
+    return np.abs(np.linalg.eigvals(np.array([period(*unit) for unit in np.eye(9)]).T)).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("slower", [1.0, 2.0, 4.0])
+def test_the_largest_pole_with_an_unmodelled_lag_is_that_of_the_loop_written_by_hand(slower):
+    text = Path("examples/pre-contracted-step-pid.yaml").read_text(encoding="utf-8")
+    scenario = mk.Scenario.parse(text.split("controller:\n")[0] + CONTROLLER)
+    plant = scenario.plant()
+    state, inertia = plant.equilibrium(0.0, stiffness=13.0), float(plant.load.total_inertia)
+    joint = float(plant.stiffness(0.0, state.pressures)) / inertia, float(plant.load.damping) / inertia
+    late = with_values(scenario, {"valve.time_constant": slower * LAG}, model_follows=())
+    assert late.margins(1).radius[0] == pytest.approx(largest_pole(slower, *joint), abs=1e-6)

@@ -8,7 +8,6 @@ import pytest
 from mckibben.errors import RangeError
 from mckibben.reachability.envelope import envelope
 from mckibben.scenario import Scenario, find_parameter
-from mckibben.study.sweep.feasibility import feasibility
 from mckibben.units import deg
 
 BASE = (Path(__file__).parents[2] / "examples" / "pre-contracted-step-pid.yaml").read_text()
@@ -53,14 +52,6 @@ def test_an_envelope_of_the_isobaric_stiffness_refuses_another():
     with pytest.raises(RangeError) as refused:
         envelope(scenario)
     assert refused.value.field == "controller.stiffness_amplitude"
-
-
-@pytest.mark.slow
-def test_a_sweep_takes_it_into_the_attainable_stiffness():
-    scenario = Scenario.parse(with_friction((LOOP, f"  stiffness_amplitude: 1 deg\n{LOOP}")))
-    table = {"controller.stiffness_amplitude": np.array([0.3, 30.0]) * deg}
-    short = feasibility(scenario, table, 2)["shortfall_max"]
-    assert short[0] > short[1] + 20  # 13 to 17 N*m/rad are out of reach for small motion
 
 
 @pytest.mark.slow

@@ -56,12 +56,8 @@ def made_up(count=400, lost=0.1, inputs=5, seed=0, metrics=Metrics._fields):
             {"units": unit, "shown_units": shown, "over": text, "role": "input"},
         )
     table |= {name: ("run", values) for name, values in answers.items()}
-    short = np.maximum(random.random(count) - 0.8, 0)
-    short[3:4] = np.nan
     table |= {
         "outcome": ("run", codes),
-        "shortfall_max": ("run", short),
-        "infeasible_time": ("run", np.where(np.arange(count) % 50 == 3, 0.5, 0.0)),
         "substeps": ("run", np.full(count, 2)),
         "error_estimate": ("run", np.full(count, 1e-9)),
         "chaotic": ("run", np.zeros(count, np.int8)),
@@ -113,15 +109,6 @@ def test_what_matters_comes_first():
     rows = tables(swept)["Rank correlations"].columns
     sizes = [abs(rank) for rank in rows["Spearman"][1]]
     assert sizes == sorted(sizes, reverse=True) and len(sizes) == 10
-
-
-def test_infeasible_references_are_counted():
-    swept = made_up()
-    short = swept["shortfall_max"]
-    stiffness, angle = [remark for remark in swept.remarks() if remark.field != "error_estimate"]
-    assert stiffness.field == "shortfall_max" and stiffness.text.startswith(f"{np.sum(short > 0)} of 400 runs")
-    assert f"(run {np.nanargmax(short)})" in stiffness.text
-    assert angle.field == "infeasible_time" and angle.text.startswith("8 of 400 runs")
 
 
 @pytest.mark.parametrize("count", [1, 2, 40])

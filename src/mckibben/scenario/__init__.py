@@ -2,7 +2,7 @@
 
 from mckibben.scenario.muscle import read_specimen, write_muscle
 from mckibben.scenario.parameters import ScenarioParameter, find_parameter, find_parameters, list_parameters
-from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario, with_run
+from mckibben.scenario.scenario import RunSettings, Scenario, Start, initial_state, run_scenario
 from mckibben.scenario.values import (
     ModelFollows,
     batched,
@@ -30,7 +30,6 @@ __all__ = [
     "run_many",
     "run_scenario",
     "valid_rows",
-    "with_run",
     "with_values",
     "write_muscle",
 ]

@@ -143,7 +143,7 @@ def model_scope(plant: Any) -> dict[str, Any]:
 class Scenario(RunSettings):
     """Plant, controller, reference and timing of one run, in SI; `read` and `to_yaml` know the units.
 
-    `simulate`, `envelope`, `tune`, `compare`, `linearize` and `export` forward to the functions of these names.
+    `simulate`, `envelope`, `tune`, `compare` and `export` forward to the functions of these names.
 
     Its parts are the objects that are simulated: read from a file, or made in Python. Parts of a controller's
     model that its file does not give are taken from the plant (`control`). Scenarios compare by value.
@@ -281,13 +281,9 @@ class Scenario(RunSettings):
     @checked_call
     def margins(self, points: int = 20) -> Margins:
         """Return the stability margins of the loop along the run, see `mckibben.simulation.margins`."""
-        return with_run(self, margins, substeps=self.needed_substeps(), points=points)
+        return _with_run(self, margins, substeps=self.needed_substeps(), points=points)
 
     @checked_call
-    def linearize(self, time: float = 0.0, **options: Any) -> Any:
-        """Return the linearised loop at a time [s] of the run, see `mckibben.linearize`."""
-        return _above("study.linearization").linearize(self, time, **options)
-
     @checked_call
     def export(self, target: str, out: str | os.PathLike[str], **options: Any) -> Any:
         """Write controller or plant for another program, see `mckibben.export.export`."""
@@ -305,10 +301,10 @@ class Scenario(RunSettings):
         """Return the integration steps per control period that its run needs for the accuracy, or the given ones."""
         if self.substeps is not None:
             return self.substeps
-        return with_run(self, needed_substeps, accuracy=self.accuracy)
+        return _with_run(self, needed_substeps, accuracy=self.accuracy)
 
 
-def with_run(scenario: Scenario, function: Callable[..., T], **settings: Any) -> T:
+def _with_run(scenario: Scenario, function: Callable[..., T], **settings: Any) -> T:
     """Call a function of plant, controller, reference and start, with those of a scenario and the times of its run."""
     plant = scenario.plant()
     parts = plant, scenario.control(), scenario.reference(), scenario.initial(plant)

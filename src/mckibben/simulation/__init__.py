@@ -15,7 +15,6 @@ from mckibben.simulation.stability import (
     LEAST_DISK_MARGIN,
     Margins,
     disk_margins,
-    linear_loop,
     margin_remarks,
     margins,
 )
@@ -46,7 +45,6 @@ __all__ = [
     "disk_margins",
     "dynamic_stiffness",
     "episode",
-    "linear_loop",
     "margin_remarks",
     "margins",
     "measure",

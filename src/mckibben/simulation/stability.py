@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mckibben.component.checks import check_positive
 from mckibben.control.base import Controller, Reference, Setpoint
-from mckibben.errors import ParameterError, SimulationError
+from mckibben.errors import SimulationError
 from mckibben.numerics.batching import map_chunks, pad_chunk
 from mckibben.numerics.calculus import evenly_spaced
 from mckibben.numerics.compiled import jit_arrays, numeric
@@ -193,45 +193,12 @@ def margins(
     check_positive("margins", points=points)
     times = sampling_times(duration, control_period)
     chosen = evenly_spaced(times.size, int(points))
-    loops, oscillation, _ = _linearised_at(
-        plant, controller, reference, initial, times, control_period, chosen, substeps
-    )
+    loops, oscillation = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)
     rows = [_margins_of(LinearLoop(*loop), control_period) for loop in zip(*map(np.asarray, loops), strict=True)]
     names = "radius", "gain", "phase", "delay", "disk", "peak", "loop", "sensitivity", "loci"
     columns: dict[str, Any] = {name: np.array(values) for name, *values in zip(names, *rows, strict=True)}
     friction, frequency = plant.friction is not None or plant.joint.has_friction, _frequencies(control_period)
     return Margins(time=times[chosen], frequency=frequency, oscillation=oscillation, friction=friction, **columns)
-
-
-def linear_loop(
-    plant: JointPlant,
-    controller: Controller,
-    reference: Reference,
-    initial: PlantState,
-    *,
-    duration: float,
-    control_period: float = 1e-3,
-    substeps: int = 4,
-    time: float = 0.0,
-) -> tuple[LinearLoop, float, list[str]]:
-    """Return the linearisation at the control period nearest to a time [s], its time, and the names of its states.
-
-    As for `margins`; names are attributes of the states of plant and controller, such as "plant.angle".
-
-    Raises `ParameterError` if the time is not within the duration; `SimulationError` if the times do not fit together.
-    """
-    times = sampling_times(duration, control_period)
-    if not 0 <= time <= duration:
-        message = f"the time {time:g} s is not within the run of {duration:g} s"
-        remedy = "choose a time of the run"
-        raise ParameterError(message, field="time", value=time, lower=0.0, upper=duration, unit="s", remedy=remedy)
-    chosen = np.array([int(np.argmin(np.abs(times - time)))])
-    loops, _, state = _linearised_at(plant, controller, reference, initial, times, control_period, chosen, substeps)
-    names = []
-    for path, leaf in jax.tree_util.tree_leaves_with_path(state):
-        name = ("plant", "controller")[path[0].idx] + jax.tree_util.keystr(path[1:])
-        names += [name] if leaf.shape == () else [f"{name}[{i}]" for i in range(leaf.size)]
-    return LinearLoop(*(np.asarray(leaf)[0] for leaf in loops)), float(times[chosen[0]]), names
 
 
 def _linearised_at(
@@ -243,8 +210,8 @@ def _linearised_at(
     control_period: float,
     chosen: NDArray[np.int64],
     substeps: int,
-) -> tuple[LinearLoop, float, PyTree]:
-    """Linearisations at control periods of a run, amplitude of its limit cycle [rad], and shapes of the states."""
+) -> tuple[LinearLoop, float]:
+    """Linearisations at control periods of a run, and the amplitude of its limit cycle [rad]."""
     initial = _without_modulation(plant, initial)
     plant = _without_noise(plant, control_period).with_period(control_period)
     controller = controller.with_period(control_period)
@@ -255,8 +222,7 @@ def _linearised_at(
     loops, oscillation = _linearised(None, problem, begun, control_period, chosen, substeps)
     if not all(np.isfinite(leaf).all() for leaf in loops):
         raise SimulationError("the run diverges before the last point", remedy="give other gains or a shorter duration")
-    shapes = jax.eval_shape(initial_loop, plant, controller, initial)
-    return jax.tree.map(lambda leaf: leaf[0], loops), float(oscillation[0]), shapes
+    return jax.tree.map(lambda leaf: leaf[0], loops), float(oscillation[0])
 
 
 def disk_margins(

@@ -24,7 +24,6 @@ from mckibben.simulation.metrics import METRICS
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.parameters import SweptParameter
 from mckibben.study.study import Table, listing_of
-from mckibben.study.sweep.feasibility import FEASIBILITY
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -39,10 +38,8 @@ class SweepResult(RunTable):
     """Results of a sweep; `computed` runs come from this call, the others were kept before.
 
     The table has along ``run``, all in SI: the inputs by their names in the scenario (attribute ``shown_units``: their
-    unit in files), the metrics, ``outcome`` (a code; ``flag_meanings`` lists the words), ``shortfall_max`` (largest
-    distance of the stiffness reference from the attainable stiffness), ``infeasible_time`` (share of the time at which
-    no pressures hold the angle), and ``substeps``, ``error_estimate`` and ``chaotic`` as in a `Batch`. Its attributes
-    have the settings of the sweep.
+    unit in files), the metrics, ``outcome`` (a code; ``flag_meanings`` lists the words), and ``substeps``,
+    ``error_estimate`` and ``chaotic`` as in a `Batch`. Its attributes have the settings of the sweep.
     """
 
     figures = ("sweep",)
@@ -87,8 +84,6 @@ class SweepResult(RunTable):
         names = (*about["metrics"], *STEP_COLUMNS)
         variables |= {name: ("run", columns[name], attributes(name)) for name in names}
         variables |= outcome_variable(columns["outcome"])
-        for name, (unit, meaning) in FEASIBILITY.items():
-            variables[name] = "run", columns[name], {"units": unit, "long_name": meaning}
         attrs = {"title": scenario.name, "scenario": about["scenario"], "manifest": json.dumps(about, sort_keys=True)}
         return cls(xr.Dataset(variables, attrs=attrs), scenario, tuple(about["model_follows"]), computed)
 
@@ -133,16 +128,7 @@ class SweepResult(RunTable):
         return f"{self.table.attrs.get('title', '')}: {self.count} runs over {', '.join(self.inputs)}{lost}"
 
     def remarks(self) -> Iterator[Remark]:
-        """Yield remarks on references that the joint cannot hold, and on the integration error."""
-        shortfall, held = np.nan_to_num(self["shortfall_max"]), self["infeasible_time"] == 0
-        if count := int(np.sum(shortfall > 0)):
-            most = f"{shortfall.max():.3g} N*m/rad (run {int(np.argmax(shortfall))})"
-            text = f"{count} of {self.count} runs have a stiffness reference that the joint cannot hold"
-            text += f", short by up to {most}"
-            yield Remark.warning("shortfall_max", text)
-        if count := int(np.sum(~held)):
-            text = f"{count} of {self.count} runs have an angle reference that no pressures within limits hold"
-            yield Remark.warning("infeasible_time", text)
+        """Yield a remark on the integration error."""
         steps = StepCounts(*(self[name] for name in STEP_COLUMNS)).summary()
         yield Remark.note("error_estimate", integration_sentence(steps))
 

@@ -31,7 +31,6 @@ from mckibben.study.parameters import (
     sweep_parameters,
 )
 from mckibben.study.study import Study, Table, digest, select
-from mckibben.study.sweep.feasibility import feasibility
 from mckibben.study.sweep.result import SweepResult
 
 FORMAT = "mckibben sweep"
@@ -114,7 +113,7 @@ class Sweep(Study):
         return sample(self.swept, self.method, self.samples, self.seed)
 
     def compute(self, rows: Table, /) -> Table:
-        """Return metrics, outcomes, integration steps and feasibility; raises `SimulationError` with other software."""
+        """Return metrics, outcomes and integration steps; raises `SimulationError` with other software."""
         engine = self.software["engine"]
         here = software("auto" if engine == "native" else engine)
         if here != self.software:
@@ -125,7 +124,7 @@ class Sweep(Study):
         full = {name: np.concatenate([column, np.repeat(column[-1:], padding)]) for name, column in rows.items()}
         batch = self._simulate(full, chunk=self.batch_size, engine=engine)
         columns = {name: batch.table[name].to_numpy() for name in (*self.metrics, "outcome", *STEP_COLUMNS)}
-        return select(columns | feasibility(self.scenario, full, self.batch_size), slice(count))
+        return select(columns, slice(count))
 
     def block_size(self) -> int:
         """Return the number of runs that are computed and kept together."""
