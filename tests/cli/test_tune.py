@@ -185,6 +185,8 @@ def test_a_search_in_the_way_is_not_overwritten(cli, scenario, tmp_path):
     refused = cli(*asked)
     assert (refused.code, refused.out) == (2, "")
     assert "a study exists already; continue it with --resume" in refused.err
+    again = cli("tune", "s.yaml", "--resume", "--iterations", "3", "--out", "kept")  # options are those of the study
+    assert again.code == 0, again.err
     refused = cli(*asked, "--margin", "2", "--resume")
     assert (refused.code, refused.out) == (2, "")
     assert re.search("gain_margin: .* started with 1.0, not 2.0", refused.err)

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from mckibben.errors import FileError
+from mckibben.scenario import Scenario
+from mckibben.study.scenarios import ScenarioStudy
 from mckibben.study.study import InterruptedStudy, Study
 
 
@@ -58,3 +60,23 @@ def test_another_study_is_refused(tmp_path):
         Draws(seed=4).run(tmp_path, resume=True)
     with pytest.raises(FileError, match="a study exists already"):
         Draws().run(tmp_path)
+
+
+class Gravity(ScenarioStudy):
+    """Stiffness of gravity [N*m/rad] at 0 deg."""
+
+    def compute(self, rows):
+        return {"gravity": np.asarray(self.scenarios(rows).plant().load.gravity_stiffness(0.0))}
+
+
+def test_a_study_over_parameters_is_one_method_and_continues_with_its_own_options(tmp_path):
+    scenario = Scenario.read("examples/pre-contracted-step-pid.yaml")
+    records = Gravity.carry_out(scenario, ["load.mass2=0.2 kg..0.8 kg"], samples=9, seed=3, out=tmp_path)
+    line = np.polyfit(records.rows["load.mass2"], records.columns["gravity"], 1)
+    assert records.computed == 9 and np.ptp(records.columns["gravity"]) > 0
+    assert np.polyval(line, 0.5) == pytest.approx(float(scenario.load.gravity_stiffness(0.0)))
+    again = Gravity.carry_out(scenario, out=tmp_path, resume=True)
+    assert again.computed == 0
+    np.testing.assert_array_equal(again.rows["load.mass2"], records.rows["load.mass2"])
+    with pytest.raises(FileError, match="samples: the study was started with 9, not 8"):
+        Gravity.carry_out(scenario, samples=8, out=tmp_path, resume=True)

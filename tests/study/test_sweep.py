@@ -172,13 +172,13 @@ def test_a_folder_with_a_sweep_is_not_written_over_nor_computed_twice(kept, scen
 
 
 def test_there_must_be_a_sweep_to_continue(scenario, tmp_path):
-    with pytest.raises(FileError, match="no sweep to continue; leave --resume"):
+    with pytest.raises(FileError, match="no study to continue; leave out --resume"):
         sweep(scenario, OVER, out=tmp_path / "out", resume=True)
     with pytest.raises(ParameterError, match="give its folder"):
         sweep(scenario, OVER, resume=True)
     with open_store(tmp_path / STUDY) as store:
         store.job({"format": "another"})
-    with pytest.raises(FileError, match="it is not a sweep"):
+    with pytest.raises(FileError, match="a study of another kind"):
         sweep(scenario, OVER, out=tmp_path, resume=True)
 
 

@@ -15,6 +15,7 @@ from typer import Argument, Option
 
 from mckibben.cli.options import echo, keeping, long_job, notify, results_folder, text_width
 from mckibben.cli.reading import read_options
+from mckibben.errors import ParameterError
 from mckibben.result import Result
 from mckibben.storage.files import to_json
 from mckibben.storage.store import STUDY
@@ -80,13 +81,18 @@ def command(function: Callable[..., Result], /) -> Callable[..., None]:
     names = parameters.keys()
     resumed, progresses = "resume" in names, "progress" in names
     shared = options_of(present)[1]
-    for name in ("result", "force" if resumed else "resume"):
+    for name in ("result",) if resumed else ("result", "resume"):
         del shared[name]
+    if resumed:  # people try it
+        shared["force"] = shared["force"].replace(annotation=Annotated[bool, Option("--force", hidden=True)])
     reading = options_of(read_options)[1] if "reading" in names else {}
     own = {name: option for name, option in parameters.items() if name not in (*shared, "reading", "progress")}
 
     @functools.wraps(function)
     def run(*, details: bool, json: bool, out: Path | None, force: bool = False, **values: Any) -> None:
+        if resumed and force:
+            remedy = "continue it with --resume, or give another folder"
+            raise ParameterError("a study is never replaced", field="--force", remedy=remedy)
         passed: dict[str, object] = {"json": json, "out": out, "force": force}
         passed = {name: value for name, value in passed.items() if name in names}
         if not resumed:  # a study looks for itself

@@ -91,10 +91,10 @@ def tune(
     scenarios: list[Path],
     over: Texts = None,
     model_follows: Texts = None,
-    cost: str = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
-    method: str = "cma",
-    margin: float = 1.5,
-    disk_margin: float = 0.2,
+    cost: str | None = None,
+    method: str | None = None,
+    margin: float | None = None,
+    disk_margin: float | None = None,
     conditions: Texts = None,
     percentile: float | None = None,
     iterations: int = 30,
@@ -117,14 +117,14 @@ def tune(
         Varied plant parameter that the controller's model follows, or 'all'; repeatable. Default: the controller's
         model keeps the values of the file.
     cost : TERMS
-        Sum of metrics, each divided by its scale.
+        Sum of metrics, each divided by its scale (default: 'angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad').
     method : cma|local
-        Search by CMA-ES, or local refinement of the given values.
+        Search by CMA-ES (default), or local refinement of the given values.
     margin : FACTOR
-        Gain margin: the cost covers gains larger by this factor.
+        Gain margin (default: 1.5): the cost covers gains larger by this factor.
     disk_margin : ALPHA
-        Least disk margin of the linearised loop in all scenarios and conditions (without any: for the uncertainty of
-        the plant), such as 0.4; 0 for none. If no gains have it, the exit code is 1.
+        Least disk margin (default: 0.2) of the linearised loop in all scenarios and conditions (without any: for the
+        uncertainty of the plant), such as 0.4; 0 for none. If no gains have it, the exit code is 1.
     conditions : 'NAME=RANGE'
         Parameter, such as 'load.mass2=+-50 %'; 16 draws are simulated for each point; repeatable.
     percentile : PERCENT
@@ -137,16 +137,20 @@ def tune(
     """
     from mckibben.scenario import Scenario
     from mckibben.study.parameters import parse_sweeps, sample
-    from mckibben.study.tune import TuneResult, parse_cost, parse_ranges
+    from mckibben.study.scenarios import begun_settings
+    from mckibben.study.tune import TuneResult, parse_ranges
     from mckibben.study.tune import tune as run
+    from mckibben.study.tune.tune import FORMAT, cost_of
 
     read = [Scenario.read(path) for path in scenarios]
-    ranges, seed = parse_ranges(over or [], read[0]), seed or 0
-    wanted = parse_cost(cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
-    if not conditions and percentile is not None and len(read) == 1:
+    ranges = parse_ranges(over, read[0]) if over else None
+    begun = begun_settings(out, FORMAT, resume=resume)
+    wanted = cost_of(begun, cost=cost, gain_margin=margin, percentile=percentile, disk_margin=disk_margin)
+    if percentile is not None and len(read) == 1 and not (conditions or begun.get("conditions")):
         raise ParameterError("--percentile applies to conditions", remedy="add --conditions 'NAME=RANGE'")
-    drawn = sample(parse_sweeps(conditions, read[0]), samples=16, seed=seed) if conditions else {}
-    for name, values in drawn.items():
+    draws = begun.get("seed", 0) if seed is None else seed
+    drawn = sample(parse_sweeps(conditions, read[0]), samples=16, seed=draws) if conditions else None
+    for name, values in (drawn or {}).items():
         if values.min() == values.max():
             raise ParameterError(f"the condition {name} does not vary", field=name, remedy="give a range")
     out = required_folder(out, "search")  # after the mistakes of other options
@@ -161,7 +165,7 @@ def tune(
         seed=seed,
         out=out,
         resume=resume,
-        model_follows=_followed(model_follows),
+        model_follows=_followed(model_follows) or None,
         conditions=drawn,
         progress=progress,
     )

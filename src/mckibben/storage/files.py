@@ -198,13 +198,9 @@ def file_lock(path: Path, task: str) -> Iterator[None]:
     Raises
     ------
     FileError
-        If another process holds it, or if the file cannot be written. A file system without locks is a warning.
+        If another process holds it. A file system without locks is a warning.
     """
-    try:
-        file = _lock(path, task)
-    except OSError as error:
-        problem = Problem(f"it cannot be written: {error.strerror}", remedy="choose another folder")
-        raise FileError(str(path), [problem]) from None
+    file = _lock(path, task)
     try:
         yield
     finally:

@@ -208,13 +208,11 @@ def open_store(path: Path | None, *, resume: bool = False, task: str = "computin
         as `Store.explain_errors`.
     """
     if path is not None:
-        if resume and not path.is_file():
-            problem = Problem("there is no study to continue", remedy="leave out --resume (resume=True)")
-            raise FileError(str(path), [problem])
+        check_study(path, resume=resume)
         make_folder(path.parent)
     with nullcontext() if path is None else file_lock(path.with_name(f".{path.name}.lock"), task):
-        if path is not None and not resume:
-            check_no_study(path)
+        if path is not None:  # nor meanwhile
+            check_study(path, resume=resume)
         store = Store(path)
         try:
             yield store
@@ -225,10 +223,15 @@ def open_store(path: Path | None, *, resume: bool = False, task: str = "computin
                 path.unlink(missing_ok=True)
 
 
-def check_no_study(path: Path) -> None:
-    """Raise `FileError` if there is a file of a study already: it is continued by `resume`, never overwritten."""
-    if path.exists():
-        raise FileError(str(path), [Problem("a study exists already", remedy=f"{RESUME}, or choose another folder")])
+def check_study(path: Path, *, resume: bool) -> None:
+    """Raise `FileError` if there is no file of a study to continue, or one in the way, which is never overwritten."""
+    if resume and not path.is_file():
+        problem = Problem("there is no study to continue", remedy="leave out --resume (resume=True)")
+    elif not resume and path.exists():
+        problem = Problem("a study exists already", remedy=f"{RESUME}, or choose another folder")
+    else:
+        return
+    raise FileError(str(path), [problem])
 
 
 @contextmanager
@@ -252,7 +255,7 @@ def differences(begun: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[Pro
         >>> [problem.field for problem in differences({"seed": 3, "runs": 9}, {"seed": 4, "runs": 9})]
         ['seed']
     """
-    remedy = "give the same, or leave it out to use the original value, or choose another folder"
+    remedy = "give the same, or leave out what the study knows, or choose another folder"
     problems = [
         Problem(f"the study was started with {_shown(before)}, not {_shown(now)}", field=field, remedy=remedy)
         for name in dict.fromkeys([*wanted, *begun])

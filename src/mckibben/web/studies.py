@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 from mckibben.errors import ParameterError
 from mckibben.scenario import Scenario
-from mckibben.simulation import LEAST_DISK_MARGIN
 from mckibben.study.compare import Suite, compare
 from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import parse_cost, parse_ranges, tune
-from mckibben.study.tune.tune import DEFAULT_COST, DEFAULT_MARGIN
+from mckibben.study.tune.tune import COST
 from mckibben.web.results import Presented
 from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
 
@@ -41,13 +40,13 @@ class TuningRequest:
         Least disk margin [-]; 0 for none.
     """
 
-    cost: str = DEFAULT_COST
-    gain_margin: float = DEFAULT_MARGIN
+    cost: str = COST["cost"]
+    gain_margin: float = COST["gain_margin"]
     over: str = ""
     method: str = "cma"
     iterations: int = 20
     seed: int = 0
-    disk_margin: float = LEAST_DISK_MARGIN
+    disk_margin: float = COST["disk_margin"]
 
 
 @dataclass

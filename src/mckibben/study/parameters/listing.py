@@ -27,5 +27,7 @@ class ParameterList(Result):
         return cls(scenario.name, *np.array(rows, dtype=str).T)
 
     def verdict(self) -> str:
-        """Return the number of parameters."""
-        return f"{self.scenario}: {self.parameter.size} parameters can be varied"
+        """Return the number of parameters, and how those of equal muscles are varied alone."""
+        equal = any(name.startswith("joint.muscle.") for name in self.parameter)
+        alone = "; joint.muscle1 and joint.muscle2, too, have those of joint.muscle" if equal else ""
+        return f"{self.scenario}: {self.parameter.size} parameters can be varied{alone}"

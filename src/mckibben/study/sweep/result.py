@@ -145,7 +145,8 @@ class SweepResult(RunTable):
         ranks = ranks.melt("parameter", var_name="metric", value_name="Spearman").dropna()
         ranks = ranks.sort_values("Spearman", key=abs, ascending=False, kind="stable").head(10)
         ranks["metric"] = ranks["metric"].str.replace("_", " ")
-        yield listing_of("Rank correlations, strongest first", list(map(str, ranks)), ranks.to_numpy().tolist())
+        if ranks.size:
+            yield listing_of("Rank correlations, strongest first", list(map(str, ranks)), ranks.to_numpy().tolist())
 
     def statistics(self) -> list[tuple[object, ...]]:
         """Return metric, unit, median, 5th and 95th percentile, worst value and its run, and number of runs.

@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
 
 from mckibben.component.calls import checked_call
-from mckibben.errors import FileError, ParameterError, Problem, SimulationError
+from mckibben.errors import SimulationError
 from mckibben.notebook import Progress
 from mckibben.scenario import ModelFollows, Scenario, batched, followed_names, run_many
 from mckibben.simulation import Batch, Metrics
@@ -20,97 +19,62 @@ from mckibben.simulation.accuracy import STEP_COLUMNS
 from mckibben.simulation.engine import CHUNK, ON_ACCELERATOR, VECTOR
 from mckibben.simulation.problem import check_frequencies, check_names
 from mckibben.simulation.software import engine_of_job, software
-from mckibben.storage.store import STUDY, check_no_study, read_store
 from mckibben.study.cluster import check_cluster
-from mckibben.study.parameters import (
-    Distribution,
-    SamplingMethod,
-    SweptParameter,
-    parse_sweeps,
-    sample,
-    sweep_parameters,
-)
-from mckibben.study.study import Study, Table, digest, select
+from mckibben.study.scenarios import ScenarioStudy, Sweepable, begun_settings
+from mckibben.study.study import Table, digest, select
 from mckibben.study.sweep.result import SweepResult
 
-FORMAT = "mckibben sweep"
 
-Sweepable = Sequence[str | SweptParameter] | Mapping[str, Distribution]
-"""Parameters and their distributions: texts for `parse_sweep`, or objects."""
-
-
-@dataclass(frozen=True, eq=False)
-class Sweep(Study):
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Sweep(ScenarioStudy):
     """A sweep of a scenario: its rows are the values of the varied parameters, its records metrics and outcomes."""
 
-    scenario: Scenario
-    swept: tuple[SweptParameter, ...]
-    method: SamplingMethod
-    samples: int
-    seed: int
     metrics: tuple[str, ...]
     model_follows: tuple[str, ...]  # varied plant parameters that the controller's model follows
     software: Mapping[str, str]  # versions, engine and compiler, required of all processes
     batch_size: int  # tables are padded to a multiple: a result must not depend on the number of runs
     block: int
-    folder: str = "."  # base of paths in the settings
 
     unit = "runs"
+    format = "mckibben sweep"
 
     @classmethod
     def of(
         cls,
         scenario: Scenario,
         over: Sweepable | None,
+        begun: Mapping[str, Any] | None = None,
         *,
-        design: str | None = None,
-        samples: int | None = None,
-        seed: int | None = None,
         metrics: Sequence[str] | None = None,
         model_follows: ModelFollows | None = None,
         engine: str = "auto",
-        folder: str = ".",
+        **sampling: Any,
     ) -> Sweep:
         """Return a sweep with the arguments of `sweep`; raises `ParameterError` for invalid ones."""
-        method: Any = "sobol" if design is None else design
-        if method == "grid" and samples is not None:
-            message, remedy = "the points of a grid determine the number of runs", "leave the number of samples out"
-            raise ParameterError(message, value=samples, remedy=f"{remedy}, or choose another design")
-        swept = _swept(over, scenario)
-        followed = followed_names(scenario, model_follows or (), [parameter.name for parameter in swept])
-        seed = 0 if seed is None or method == "grid" else seed
-        table = sample(swept, method, 1024 if samples is None else samples, seed)
-        rows = len(next(iter(table.values())))
-        many = batched(scenario, table)  # find invalid combinations before the computation
-        check_frequencies(many.reference(), scenario.control_period)
-        sizes = _sizes(rows, engine)
-        chosen = Metrics._fields if metrics is None else tuple(metrics)
+        begun = begun or {}
+        chosen = begun.get("metrics", Metrics._fields) if metrics is None else metrics
         check_names("metric", chosen, Metrics._fields)
-        return cls(scenario, swept, method, rows, seed, chosen, followed, software(engine), *sizes, folder)
+        follows = begun.get("model_follows", ()) if model_follows is None else model_follows
+        engine = engine_of_job(set, begun["software"], engine) if begun else engine
+        own: dict[str, Any] = {"metrics": tuple(chosen), "model_follows": (), "software": software(engine)}
+        study = super().of(scenario, over, begun, **sampling, **own, batch_size=0, block=0)
+        check_frequencies(study.scenarios(study.rows()).reference(), scenario.control_period)
+        batch_size, block = _sizes(study.samples, engine)
+        followed = followed_names(scenario, follows, [parameter.name for parameter in study.swept])
+        return replace(study, model_follows=followed, batch_size=batch_size, block=block)
 
     def about(self) -> dict[str, object]:
         """Return all that determines the numbers, as JSON."""
-        rows = self.rows()
-        first = batched(self.scenario, select(rows, slice(1)), model_follows=self.model_follows)
+        first = batched(self.scenario, select(self.rows(), slice(1)), model_follows=self.model_follows)
         return {
-            "format": FORMAT,
-            "scenario": self.scenario.dumps(folder=self.folder),
-            "over": [parameter.text for parameter in self.swept],
+            **super().about(),
             "model_follows": list(self.model_follows),
-            "design": self.method,
-            "samples": self.samples,
-            "seed": self.seed,
             "metrics": list(self.metrics),
             "block": self.block,
             "batch_size": self.batch_size,
             "software": dict(self.software),
-            "digest of values": digest(rows),
             "digest of model": digest((first.plant(), first.control(), first.reference())),
         }
-
-    def rows(self) -> Table:
-        """Return the values of the varied parameters."""
-        return sample(self.swept, self.method, self.samples, self.seed)
 
     def compute(self, rows: Table, /) -> Table:
         """Return metrics, outcomes and integration steps; raises `SimulationError` with other software."""
@@ -205,61 +169,17 @@ def sweep(
     >>> swept.table["load.mass2"].to_numpy().round(3)
     array([0.482, 0.551, 0.512, 0.431])
     """
-    options: dict[str, Any] = {
-        "over": over,
-        "design": design,
-        "samples": samples,
-        "seed": seed,
-        "metrics": metrics,
-        "model_follows": model_follows,
-        "engine": engine,
-        "folder": "." if out is None else os.fspath(out),
-    }
     if dask is not None:
         check_cluster(dask)
-    if out is not None and not resume:
-        check_no_study(Path(out) / STUDY)
-    if out is None and resume:
-        raise ParameterError("there is no sweep to continue", remedy="give its folder")
-    if resume:
-        study = Sweep.of(scenario, **_completed(options, _begun(Path(options["folder"]) / STUDY)))
-    else:
-        study = Sweep.of(scenario, **options).with_known_engine(engine)
+    begun = begun_settings(out, Sweep.format, resume=resume)
+    folder = "." if out is None else os.fspath(out)
+    sampling: dict[str, Any] = {"design": design, "samples": samples, "seed": seed, "folder": folder}
+    own: dict[str, Any] = {"metrics": metrics, "model_follows": model_follows, "engine": engine}
+    study = Sweep.of(scenario, over, begun, **own, **sampling)
+    study = study if begun else study.with_known_engine(engine)
     records = study.run(out, resume=resume, workers=workers, dask=dask, progress=progress)
     inputs = {parameter: records.rows[parameter.name] for parameter in study.swept}
     return SweepResult.of(scenario, study.about(), inputs, records.columns, records.computed)
-
-
-def _begun(path: Path) -> dict[str, Any]:
-    """Settings of the sweep in a file."""
-    if not path.is_file():
-        problem = Problem("there is no sweep to continue", remedy="leave --resume (resume=True) out")
-        raise FileError(str(path.parent), [problem])
-    with read_store(path) as store:
-        about = store.about()
-    if about is None or about.get("format") != FORMAT:
-        raise FileError(str(path), [Problem("it is not a sweep", remedy="choose another folder")])
-    return about
-
-
-def _completed(options: Mapping[str, Any], begun: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options with missing ones taken from the settings of a sweep."""
-    design = options["design"] or begun["design"]
-    own = {name: begun[name] for name in options.keys() & begun.keys() if name != "samples" or design != "grid"}
-    own["engine"] = engine_of_job(set, begun["software"], options["engine"])
-    left = {name: value for name, value in options.items() if value is not None and name != "engine"}
-    return own | left
-
-
-def _swept(over: Sweepable | None, scenario: Scenario) -> tuple[SweptParameter, ...]:
-    if isinstance(over, str):
-        over = [over]
-    if isinstance(over, Mapping) and over:
-        return sweep_parameters(scenario, over)
-    if not over:
-        raise ParameterError("nothing is varied", remedy="give a parameter, such as --over 'load.mass2=0.2 kg..1.0 kg'")
-    parsed = iter(parse_sweeps([text for text in over if isinstance(text, str)], scenario))
-    return tuple(next(parsed) if isinstance(item, str) else item for item in over)
 
 
 def _sizes(rows: int, engine: str = "auto") -> tuple[int, int]:

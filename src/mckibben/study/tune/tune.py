@@ -14,10 +14,12 @@ from mckibben.component.calls import checked_call
 from mckibben.errors import ParameterError, suggest
 from mckibben.notebook import Progress, notebook_progress, silent
 from mckibben.scenario import ModelFollows, Scenario, with_values
+from mckibben.simulation import LEAST_DISK_MARGIN
 from mckibben.simulation.software import software
 from mckibben.storage.store import STUDY, open_store
 from mckibben.study.parameters import Distribution, SweptParameter, Table, sweep_parameters
 from mckibben.study.parameters.sampling import check_count
+from mckibben.study.scenarios import begun_settings
 from mckibben.study.study import digest
 from mckibben.study.tune.cost import Cost, parse_cost
 from mckibben.study.tune.objective import FAILED_COST, UNSTABLE_COST, TuningProblem
@@ -26,22 +28,40 @@ from mckibben.study.tune.search import SEARCHES, Search, Vector, by_cma
 from mckibben.study.tune.space import parse_ranges
 from mckibben.study.tune.trials import Trial, Trials
 
-DEFAULT_COST, DEFAULT_MARGIN = "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad", 1.5
+FORMAT = "mckibben tuning"
+COST: Mapping[str, Any] = {
+    "cost": "angle_rmse/0.1 deg + stiffness_rmse/0.1 N*m/rad",
+    "gain_margin": 1.5,
+    "disk_margin": LEAST_DISK_MARGIN,
+    "percentile": None,
+}
+"""Text and options of the default cost."""
+
+
+def cost_of(begun: Mapping[str, Any], **given: Any) -> Cost:
+    """Return a cost from its text, `cost`, and options of `Cost`; those that are None are of a begun search, or `COST`.
+
+    >>> cost_of({"gain_margin": 2.0}, cost="angle_rmse", disk_margin=0.4)
+    Cost(terms=(Term(metric='angle_rmse', scale=1.0, weight=1.0),), gain_margin=2.0, percentile=None, disk_margin=0.4)
+    """
+    given = {name: value for name, value in given.items() if value is not None}
+    text, *values = ((COST | dict(begun) | given)[name] for name in COST)
+    return parse_cost(text, **dict(zip([*COST][1:], values, strict=True)))
 
 
 @checked_call
 def tune(
     scenarios: Sequence[Scenario] | Scenario,
-    over: Sequence[SweptParameter] | Sequence[str] | str | Mapping[str, Distribution] = (),
+    over: Sequence[SweptParameter] | Sequence[str] | str | Mapping[str, Distribution] | None = None,
     cost: Cost | str | None = None,
     *,
-    method: Search | str = "cma",
+    method: Search | str | None = None,
     iterations: int = 30,
-    population: int = 32,
-    seed: int = 0,
+    population: int | None = None,
+    seed: int | None = None,
     out: str | os.PathLike[str] | None = None,
     resume: bool = False,
-    model_follows: ModelFollows = (),
+    model_follows: ModelFollows | None = None,
     conditions: Table | None = None,
     engine: str = "auto",
     progress: Progress | None = None,
@@ -53,22 +73,23 @@ def tune(
     scenarios
         Scenarios whose costs are combined; the search starts at the values of the first.
     over
-        Parameters and their ranges, `Uniform` or `LogUniform`, or texts (or one) as for `mckibben tune`.
+        Parameters and their ranges, `Uniform` or `LogUniform`, or texts (or one) as for `mckibben tune`. Default: all
+        gains.
     cost
         Cost of the runs, or its text. Default: that of `mckibben tune`, with its gain margin. Gains keep the disk
         margin of the cost at four points of each run and, in the result, at twenty; where none do, the result has those
         of the largest margin, and is not `ok`.
     method
-        "cma" (CMA-ES), "local" (refinement of the given values), or a `Search` of yours.
+        "cma" (CMA-ES, the default), "local" (refinement of the given values), or a `Search` of yours.
     iterations
         Generations, or steps of the simplex.
     population
-        Points per generation.
+        Points per generation (default: 32).
     seed
-        Seed of the search.
+        Seed of the search (default: 0).
     out, resume
-        Folder of the study, whose file study.sqlite keeps every trial, and whether to continue its search. Default:
-        nothing is kept.
+        Folder of the study, whose file study.sqlite keeps every trial, and whether to continue its search: arguments
+        left out are then those of the search. Default: nothing is kept.
     model_follows
         Tuned plant parameters that the controllers' models follow, "all" for all of them. Default: none.
     conditions
@@ -90,6 +111,9 @@ def tune(
         If `out` has a study and `resume` is not set; with `resume`, if it has none or another one; if another process
         is using it; or if the disk is full.
     """
+    begun = begun_settings(out, FORMAT, resume=resume)
+    method, population = method or begun.get("method", "cma"), population or begun.get("population", 32)
+    seed = begun.get("seed", 0) if seed is None else seed
     if not callable(method) and method not in SEARCHES:
         remedy = suggest(str(method), list(SEARCHES))
         raise ParameterError(f"method is {method!r:.60}", field="method", value=method, remedy=remedy)
@@ -97,7 +121,13 @@ def tune(
     check_count("iterations", iterations, 1, 10**9)
     check_count("population", population, 4 if search is by_cma else 1, 10**9)
     check_count("seed", seed, 0, 2**32 - 1)
-    asked = _problem(scenarios, over, cost, model_follows, conditions)
+    asked = _problem(
+        scenarios,
+        begun.get("parameters", ()) if over is None else over,
+        cost_of(begun) if cost is None else cost,
+        begun.get("model_follows", ()) if model_follows is None else model_follows,
+        begun.get("conditions") if conditions is None else conditions,
+    )
     report = progress or notebook_progress() or silent
     with open_store(None if out is None else Path(out) / STUDY, resume=resume) as store:
         problem = asked.begin(store, engine)
@@ -119,7 +149,7 @@ def tune(
 def _problem(
     scenarios: Sequence[Scenario] | Scenario,
     over: Any,
-    cost: Cost | str | None,
+    cost: Cost | str,
     model_follows: ModelFollows,
     conditions: Table | None,
 ) -> TuningProblem:
@@ -130,10 +160,9 @@ def _problem(
         swept = sweep_parameters(several[0], over)
     elif several and all(isinstance(text, str) for text in swept):
         swept = parse_ranges(swept, several[0])
-    if cost is None:
-        cost = parse_cost(DEFAULT_COST, gain_margin=DEFAULT_MARGIN)
-    cost = cost if isinstance(cost, Cost) else parse_cost(cost)
-    problem = TuningProblem.of(several, swept, cost, model_follows, conditions)
+    cost, drawn = cost if isinstance(cost, Cost) else parse_cost(cost), conditions or {}
+    drawn = {name: np.asarray(column) for name, column in drawn.items()}
+    problem = TuningProblem.of(several, swept, cost, model_follows, drawn)
     if all(name.startswith("controller.") for name in problem.space.names):
         for scenario in several:
             scenario.initial(scenario.plant())  # raises what no gains can mend
@@ -145,7 +174,7 @@ def _about(asked: TuningProblem, problem: TuningProblem, folder: Path) -> dict[s
     cost, model_follows = problem.cost, problem.model_follows
     parts = [(scenario.plant(), scenario.control(), scenario.reference()) for scenario in asked.scenarios]
     return {
-        "format": "mckibben tuning",
+        "format": FORMAT,
         "software": software(problem.engine),
         "scenarios": [scenario.dumps(folder=folder) for scenario in asked.scenarios],
         "digest of models": digest(parts),
