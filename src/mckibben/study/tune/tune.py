@@ -45,7 +45,7 @@ def cost_of(begun: Mapping[str, Any], **given: Any) -> Cost:
     Cost(terms=(Term(metric='angle_rmse', scale=1.0, weight=1.0),), gain_margin=2.0, percentile=None, disk_margin=0.4)
     """
     given = {name: value for name, value in given.items() if value is not None}
-    text, *values = ((COST | dict(begun) | given)[name] for name in COST)
+    text, *values = ({**COST, **begun, **given}[name] for name in COST)
     return parse_cost(text, **dict(zip([*COST][1:], values, strict=True)))
 
 
