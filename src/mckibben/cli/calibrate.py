@@ -20,7 +20,7 @@ from mckibben.cli.options import (
     results_folder,
 )
 from mckibben.cli.rig import run_line
-from mckibben.errors import ParameterError, StoppedError, quoted
+from mckibben.errors import ParameterError, StoppedError
 
 if TYPE_CHECKING:
     from mckibben.calibration import Calibration, JointRecording, Sweeps, ValveExperiment
@@ -78,11 +78,13 @@ def calibrate(
     if held_out and not (recording or weighted):
         raise ParameterError("--held-out without a recording", remedy="add --recording")
     mass, length = _weight(weight)
-    seconds = _duration(duration or ("120 s" if valves else "60 s"))
+    seconds = parse_quantity("--duration", duration or ("120 s" if valves else "60 s"), "s")
     out = required_folder(out, "calibration")
     from mckibben import calibration
+    from mckibben.component.checks import check_within
     from mckibben.scenario import Scenario
 
+    check_within("calibrate", 20.0, 600.0, "s", remedy="give another --duration", duration=seconds)
     results_folder(out, calibration.Calibration.file_names(), force)
     low, high = parse_limits("--angles", angles, "rad")
     deviations = calibration.JointPrior() if prior is None else calibration.JointPrior.read(prior)
@@ -108,22 +110,6 @@ def _weight(text: str) -> tuple[float, float]:
         return 0.0, 0.0
     mass, length = parse_pair("--weight", text, "0.5 kg, 200 mm")
     return parse_quantity("--weight", mass, "kg", positive=True), parse_quantity("--weight", length, "m", positive=True)
-
-
-def _duration(text: str, shortest: float = 20.0, longest: float = 600.0) -> float:
-    """Duration of an experiment [s], from the shortest one to the longest one."""
-    seconds = parse_quantity("--duration", text, "s")
-    if not shortest <= seconds <= longest:
-        raise ParameterError(
-            f"--duration is {quoted(text)}",
-            field="--duration",
-            value=seconds,
-            lower=shortest,
-            upper=longest,
-            unit="s",
-            remedy=f"give {shortest:g} to {longest:g} s",
-        )
-    return seconds
 
 
 def _measured(

@@ -81,10 +81,8 @@ def parse_quantity(option: str, text: str, unit: str, *, positive: bool = False)
     >>> parse_quantity("--dwell", "200 ms", "s")
     0.2
     """
-    try:
+    with _of_option(option):
         value = quantity(text, unit)
-    except UnitError as error:
-        raise UnitError(f"{option}: {error.message}", value=text, unit=unit, remedy=error.remedy) from None
     if positive and not 0 < value < math.inf:
         message = f"{option} {quoted(text)} is not above 0"
         raise ParameterError(message, field=option, value=value, unit=unit, remedy="give a positive value")
@@ -102,10 +100,18 @@ def parse_limits(option: str, text: str, unit: str) -> tuple[float, float]:
     >>> parse_limits("--limits", "1..6 bar", "Pa")
     (100000.0, 600000.0)
     """
-    try:
+    with _of_option(option):
         return parse_range(text, unit)
+
+
+@contextmanager
+def _of_option(option: str) -> Iterator[None]:
+    """Name the option in an error of its unit."""
+    try:
+        yield
     except UnitError as error:
-        raise UnitError(f"{option}: {error.message}", value=text, unit=unit, remedy=error.remedy) from None
+        wrong = {"value": error.value, "unit": error.unit, "remedy": error.remedy}
+        raise UnitError(f"{option}: {error.message}", **wrong) from None  # type: ignore[arg-type]
 
 
 def parse_pair(option: str, text: str, example: str) -> tuple[str, str]:
