@@ -426,7 +426,8 @@ class ControlLoop:
             if not amplitude:
                 size = f"{found.command / bar:.3g} bar either way"
                 text = f"a command oscillates by {size} and reverses {found.reversals:.3g} times per second"
-            self.rows.event("limit cycle", text, amplitude=amplitude, period=period, command=float(found.command))
+            sizes = {"amplitude": amplitude, "period": period, "command": float(found.command)}
+            self.rows.event("limit cycle", text, **{name: x for name, x in sizes.items() if math.isfinite(x)})
         self._limit_cycle = found
 
     def _command(self, pressures: Sequence[float]) -> tuple[tuple[float, float], bool]:

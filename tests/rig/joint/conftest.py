@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -30,6 +31,7 @@ class Kept:
         self.tables.append({name: np.array(values) for name, values in table.items()})
 
     def event(self, kind, text="", **data):
+        json.dumps(data, allow_nan=False)  # as a recorder does
         self.events.append((kind, text))
 
     @property

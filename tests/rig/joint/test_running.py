@@ -12,7 +12,7 @@ from mckibben.errors import ExportError, RigError, StoppedError
 from mckibben.numerics.compiled import numeric
 from mckibben.rig import ControlProgram, JointLimits, Sensing, Timing, compiled
 from mckibben.rig.backend import Backend
-from mckibben.rig.compiled import LimitCycleDetection, vented_angle
+from mckibben.rig.compiled import LimitCycleDetection, StepResult, vented_angle
 from mckibben.rig.control_loop import realtime_process_settings
 from mckibben.rig.joint_record import Phase, RowBuffer
 from mckibben.rig.safety import JointMonitor
@@ -317,17 +317,27 @@ def test_a_limit_cycle_is_reported_while_the_loop_runs(stiff, resolution, report
     assert 4 / 7 <= first * PERIOD < 6 / 7  # after four periods
 
 
-def test_a_command_that_chatters_is_detected_while_the_angle_is_quiet():
-    detection, swings = (
-        LimitCycleDetection(1 * ms, 0.01 * deg),
-        0.5 * bar * np.sin(2 * np.pi * 50 * 1e-3 * np.arange(500)),
+class Chattering(SteadyControl):
+    """Its command to muscle 2 swings by 0.5 bar either way, 50 times a second."""
+
+    def init(self, angle, pressure1, pressure2):
+        return 0
+
+    def step(self, state, told):
+        swing = 0.5 * bar * math.sin(2 * math.pi * 50 * PERIOD * state)
+        return StepResult(state + 1, np.array([2 * bar, 2 * bar + swing, 0.0, 13.0]))
+
+
+def test_a_command_that_chatters_is_reported_while_the_angle_is_quiet(stiff):
+    shown = []
+    outcome, kept = stiff._replace(control=Chattering()).run(
+        plan=stiff.plan(500, reference=0.0), limits=_patient(), progress=shown.append
     )
-    found = [detection.after(0.0, 0.0, (2 * bar, 2 * bar + swing), index) for index, swing in enumerate(swings)]
-    assert found[50] is None and found[-1] is not None
-    assert found[-1].angle == 0.0
-    assert found[-1].command == pytest.approx(0.5 * bar, rel=0.05) and found[-1].reversals == pytest.approx(
-        100, rel=0.05
-    )
+    assert outcome.completed
+    assert [kind for kind, _ in kept.events].count("limit cycle") == 1
+    found = shown[-1].limit_cycle
+    assert shown[50].limit_cycle is None and found.angle == 0.0
+    assert found.command == pytest.approx(0.5 * bar, rel=0.05) and found.reversals == pytest.approx(100, rel=0.05)
 
 
 def test_in_real_time_it_takes_the_time_that_it_says(stiff):
