@@ -21,10 +21,6 @@ def stiffness_errors(tool, folder):
     assert all(tool.errors(1, 2, tool.NAMES[1], excited=True, torque_error=0.1) < 2)  # N*m/rad
 
 
-def left_out_points(tool, folder):
-    tool.print_table({"Martens": tool.catalog.dataset("dmsp-10-250-martens2017")}, ["Exponential", tool.PLAIN])
-
-
 def foreign_files(tool, folder):
     tool.files("servo", folder)
     assert len(read_dataset(folder / "muscle.csv")) > 100
@@ -40,7 +36,6 @@ def real_time(tool, folder):
     [
         ("decoupling", prediction_and_learning, 9),
         ("stiffness", stiffness_errors, 0),
-        ("left_out", left_out_points, 8),
         ("foreign_lab", foreign_files, 0),
         ("real_time", real_time, 5),
     ],
