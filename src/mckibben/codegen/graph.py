@@ -277,7 +277,7 @@ class Graph:
                 return self.operation("mul", kind, numerator, reciprocal)
         scope = self._place(arguments)
         key = (name, kind, *map(id, arguments))
-        uniform = all(argument.uniform for argument in arguments)
+        uniform = name == "any" or all(argument.uniform for argument in arguments)
         return self._known(key, scope, lambda: Value(name, kind, arguments, scope, None, uniform))
 
     def _place(self, arguments: Sequence[Value]) -> Scope:

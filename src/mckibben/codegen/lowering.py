@@ -268,22 +268,27 @@ class Lowering(ArrayRules):
     def _cond(self, parameters: Parameters, kind: Kind, shape: Shape, which: Array, *arguments: Array) -> list[Array]:
         """Results of the branch that an index chooses.
 
-        One branch runs if all elements of a vector take it; otherwise all are computed: they are pure and few.
+        Of two branches one runs; the second of lanes that differ if any takes it, with a selection. Of more, all do.
         """
         index, branches = which.item(), parameters["branches"]
         if index.constant is not None:
             return self._closed(branches[int(index.constant)], arguments)
-        if len(branches) == 2 and (index.uniform or self._graph.threads):
+        if len(branches) == 2:
             condition = self._graph.operation("boolean", Kind.BOOLEAN, index)
+            differ = not (index.uniform or self._graph.threads)
             branch_results: list[list[Array]] = []
 
-            def body(branch: Jaxpr) -> list[Value]:
-                arrays = [np.asarray(self.plain(array), object) for array in self._closed(branch, arguments)]
+            def body(number: int) -> list[Value]:
+                arrays = [np.asarray(self.plain(array), object) for array in self._closed(branches[number], arguments)]
                 branch_results.append(arrays)
-                return [value for array in arrays for value in array.flat]
+                values = [value for array in arrays for value in array.flat]
+                if number and differ:
+                    select = functools.partial(self._graph.operation, "select")
+                    values = [select(x.kind, condition, x, y) for x, y in zip(values, body(0), strict=True)]
+                return values
 
-            bodies = [functools.partial(body, branch) for branch in reversed(branches)]
-            chosen = iter(self._graph.branch(condition, bodies))
+            first = self._graph.operation("any", Kind.BOOLEAN, condition) if differ else condition
+            chosen = iter(self._graph.branch(first, [functools.partial(body, number) for number in (1, 0)]))
             return [array_of(array.shape, lambda _: next(chosen)) for array in branch_results[0]]
         cases = [list(map(self.plain, self._closed(branch, arguments))) for branch in branches]
         return [

@@ -110,6 +110,8 @@ class VectorWriter(Writer):
         ]
 
     def _operation(self, value: Value) -> Text:
+        if value.operation == "any":
+            return f"any({self._vector(value.arguments[0])})", ATOM
         text = None if value.uniform else self._of_vectors(value)
         return super()._operation(value) if text is None else (text, ATOM)
 

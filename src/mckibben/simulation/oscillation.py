@@ -115,7 +115,11 @@ class Swings(NamedTuple):
     def after(self, value: ArrayLike, index: ArrayLike, swing: ArrayLike) -> Swings:
         """Return the state after the sample of a control period, with the least swing that counts."""
         turns = self.turns.after(value, index, swing)
-        turned = turns.total > self.turns.total
+        # A branch: turning points are rare.
+        return lax.cond(turns.total > self.turns.total, self._turned, lambda: self)._replace(turns=turns)
+
+    def _turned(self) -> Swings:
+        """Return the state after a swing that ends at the present extreme."""
         size, duration = jnp.abs(self.turns.extreme - self.last), self.turns.extreme_at - self.last_at
         even = jnp.maximum(duration, self.duration) <= _REGULAR * jnp.minimum(duration, self.duration)
         goes_on = even & (size >= _REGULAR_SIZE * self.size)
@@ -124,16 +128,9 @@ class Swings(NamedTuple):
         recent = jnp.where(goes_on, before.recent + (size - before.recent) / _RECENT, size)
         sums = before.number + 1, before.size + size, before.duration + duration, before.smaller + smaller
         chain = Chain(*sums, recent)
-        longer = turned & (chain.number > self.longest.number)
-        return Swings(
-            turns=turns,
-            last=jnp.where(turned, self.turns.extreme, self.last),
-            last_at=jnp.where(turned, self.turns.extreme_at, self.last_at),
-            size=jnp.where(turned, size, self.size),
-            duration=jnp.where(turned, duration, self.duration),
-            chain=Chain(*(jnp.where(turned, new, old) for new, old in zip(chain, self.chain, strict=True))),
-            longest=Chain(*(jnp.where(longer, new, old) for new, old in zip(chain, self.longest, strict=True))),
-        )
+        longer = chain.number > self.longest.number
+        longest = Chain(*(jnp.where(longer, new, old) for new, old in zip(chain, self.longest, strict=True)))
+        return Swings(self.turns, self.turns.extreme, self.turns.extreme_at, size, duration, chain, longest)
 
     def cycle(self, longest: ArrayLike, least: ArrayLike = 0.0) -> LimitCycle:
         """Return the limit cycle with a longest period, and a least duration or many swings [control periods]."""
