@@ -1,9 +1,6 @@
 """Compilers, folders and libraries that do not work: XLA computes, and nothing broken is stored."""
 
 import pickle
-import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -59,16 +56,10 @@ def use(tmp_path, monkeypatch, programs):
     return use
 
 
-SYMBOL = "echo 'void other(void) {}' | $REAL -x c -shared -fPIC - -o $OUT"
-CRASH = "echo '__attribute__((constructor)) void f(void) { *(volatile int *)8 = 1; } void run(void) {}' "
-CRASH += "| $REAL -x c -shared -fPIC - -o $OUT"
 FAULTS = {
     "exit status": "echo 'out of licences' >&2; exit 3",
     "garbage": "head -c 5000 /dev/urandom > $OUT",
-    "truncated library": '$REAL "$@"; head -c 2000 $OUT > part; mv part $OUT',
-    "no symbol": SYMBOL,
-    "crash when loaded": CRASH,
-    "crash when called": "echo 'void run(void) { __builtin_trap(); }' | $REAL -x c -shared -fPIC - -o $OUT",
+    "no symbol": "echo 'void other(void) {}' | $REAL -x c -shared -fPIC - -o $OUT",
 }
 
 
@@ -85,7 +76,7 @@ def test_a_compiler_that_does_not_work_leaves_it_to_xla_with_one_warning(use, pr
         np.testing.assert_array_equal(values, 2 * LANES)
     with pytest.raises(CompilerError) as caught:
         BatchFunction(double)("native", None, LANES)
-    assert "CC" in caught.value.remedy and caught.value.value
+    assert "CC" in caught.value.remedy
     assert list(programs.glob("*")) == []
 
 
@@ -101,61 +92,17 @@ def has_ended(process):
     return False
 
 
-def test_a_compiler_that_hangs_is_ended_with_its_children_and_not_started_again(
-    use, programs, monkeypatch, tmp_path, capfd
-):
+def test_a_compiler_that_hangs_is_ended_with_its_children_and_not_started_again(use, programs, monkeypatch, tmp_path):
     started = use(f"sleep 600 & echo $! > {tmp_path}/child; wait")
     monkeypatch.setattr(native, "_COMPILING", (0.5, 1e9))
-    monkeypatch.setattr(native, "_PATIENCE", 0.2)
     begin = time.monotonic()
     with pytest.warns(McKibbenWarning) as warned:
         answers = [BatchFunction(double)("auto", None, LANES)[1] for _ in range(3)]
     assert time.monotonic() - begin < 10
     assert (answers, len(warned), started()) == (["xla"] * 3, 1, 1)
-    assert capfd.readouterr().err.count("fakecc") == 1  # what is waited for
     assert has_ended((tmp_path / "child").read_text().strip())
     with pytest.raises(CompilerError):
         BatchFunction(double)("native", None, LANES)
-
-
-def test_a_compiler_that_prints_without_end_is_ended_and_not_started_again(use, programs, monkeypatch):
-    script = native._WATCHED.replace(f"-f {native._MOST_BYTES // 512}", "-f 2048")
-    monkeypatch.setattr(native, "_WATCHED", script)
-    monkeypatch.setattr(native, "_MOST_BYTES", 1 << 20)
-    started = use("yes again; true")
-    with pytest.warns(McKibbenWarning, match="more than 1 MB"):
-        assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
-    assert BatchFunction(double)("auto", None, LANES)[1] == "xla"
-    assert started() == 1
-
-
-IN_VAIN = """
-from mckibben.codegen.native import build_library
-build_library({"source.c": ""}, ["source.c"])
-"""
-
-
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_neither_compiler_nor_files_outlive_a_command_that_is_ended(use, monkeypatch, tmp_path, number):
-    use(f"trap '' TERM HUP; sleep 600 & echo $! > {tmp_path}/child; wait")
-    monkeypatch.setenv("TMPDIR", str(tmp_path / "temporary"))
-    (tmp_path / "temporary").mkdir()
-    command = subprocess.Popen([sys.executable, "-c", IN_VAIN])
-    try:
-        while not (tmp_path / "child").exists() or not (tmp_path / "child").read_text().strip():
-            assert command.poll() is None
-            time.sleep(0.05)
-    finally:
-        command.send_signal(number)
-        command.wait()
-    assert has_ended((tmp_path / "child").read_text().strip())
-    assert [*(tmp_path / "temporary").iterdir()] == []
-
-
-def test_the_version_of_a_compiler_that_prints_without_end_is_its_path(use, monkeypatch):
-    monkeypatch.setattr(native, "_ANSWERING", 0.5)
-    use("while true; do echo again; sleep 0.01; done")
-    assert native.compiler_version(compiler()) == compiler()
 
 
 def test_programs_in_a_folder_that_others_may_write_to_are_not_used_which_is_said_once(programs):
@@ -170,8 +117,11 @@ def test_programs_in_a_folder_that_others_may_write_to_are_not_used_which_is_sai
 
 def test_a_temporary_folder_that_forbids_execution_leaves_it_to_xla(programs, monkeypatch):
     """As on a file system mounted noexec: files are written there, and no library is loaded."""
-    refused = "raise OSError('library.so: failed to map segment from shared object: Operation not permitted')"
-    monkeypatch.setattr(native, "_TRIAL", refused)
+
+    def refused(path):
+        raise OSError(f"{path}: failed to map segment from shared object: Operation not permitted")
+
+    monkeypatch.setattr(native.ctypes, "CDLL", refused)
     with pytest.warns(McKibbenWarning, match="TMPDIR") as warned:
         values, engine = BatchFunction(double)("auto", None, LANES)
     assert (engine, len(warned)) == ("xla", 1)
@@ -208,11 +158,10 @@ def replaced(file, library):
     "damage",
     [
         lambda file: replaced(file, b"garbage"),
-        lambda file: private.write_private(file, b"no pickle"),
         lambda file: private.write_private(file, pickle.dumps("another content")),
         lambda file: file.write_bytes(file.read_bytes()[:-1]),
     ],
-    ids=["library", "pickle", "content", "truncated"],
+    ids=["library", "content", "truncated"],
 )
 def test_a_broken_file_of_the_cache_is_replaced(programs, use, damage):
     started = use('exec $REAL "$@"')

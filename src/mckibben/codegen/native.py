@@ -1,9 +1,7 @@
 """Functions compiled by the machine's C compiler, for one run or for many runs in parallel.
 
-The source of a function is compiled to a shared library in a temporary folder, called once in another process, which
-may crash, and loaded by ctypes. It is kept in the program cache with the tree of its results. Whatever fails there
-raises `CompilerError`, upon which XLA computes. The compiler is watched: it is ended with its children after some time,
-if it writes too much, and if this process ends.
+The source of a function is compiled to a shared library in a temporary folder, and loaded by ctypes. It is kept in the
+program cache with the tree of its results. Whatever fails there raises `CompilerError`, upon which XLA computes.
 """
 
 from __future__ import annotations
@@ -19,12 +17,10 @@ import shutil
 import signal
 import struct
 import subprocess
-import sys
 import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
@@ -56,21 +52,6 @@ _SHORT, _FOR_SHORT = 100_000, ("--param=sched-pressure-algorithm=2",)  # gcc opt
 _FOR_LONG = ("-fdisable-rtl-combine",)  # gcc only: a pass that takes most of the time for a long program, for no speed
 _LONGEST, _LARGEST = 3_000_000, 300_000  # characters of a source, and operations, which have some 20 characters each
 _COMPILING = 360.0, 5000.0  # s for the compiler, which may share its processor, plus a second per so many characters
-_PATIENCE = 10.0  # s until a line says what is waited for
-_ANSWERING = 60.0  # s for a compiler to tell its version
-_TRYING = 300.0  # s for a first call, in a new process
-_MOST_BYTES = 256 << 20  # of a file that a compiler writes, its messages included
-_WATCHED = f"""
-ulimit -f {_MOST_BYTES // 512} 2>/dev/null
-exec 3<&0
-"$@" 3<&- </dev/null & command=$!
-{{ read -r _ <&3; rm -rf "$0"; kill -KILL 0; }} & watcher=$!
-wait $command; status=$?
-kill -KILL $watcher
-exit $status
-"""
-"""Script that runs a command, and ends it when its input does, which it has from the process that waits for it."""
-_TRIAL = "import ctypes; ctypes.CDLL('./library.so').run(None, None, None, ctypes.c_int64(0))"  # of no runs
 _OTHER_COMPILER = "use engine='xla', or set another compiler in the environment variable CC"
 _OTHER_FOLDER = (
     "set TMPDIR to a folder that allows execution, or CC to another compiler; engine='xla' needs neither of them"
@@ -101,9 +82,7 @@ def _is_gcc() -> bool:
     """Whether the C compiler is GCC: whether it takes one of its options."""
     try:
         return bool(build_library({"empty.c": ""}, [*_FOR_LONG, "empty.c"]))
-    except CompilerError as error:
-        if error.field:
-            raise
+    except CompilerError:
         return False
 
 
@@ -112,7 +91,7 @@ def own_flags() -> list[str]:
     return os.environ.get("MCKIBBEN_CFLAGS", "").split()
 
 
-_FAILED: list[CompilerError] = []  # the failure after which nothing is compiled in this process
+_FAILED: list[CompilerError] = []  # of a compiler that took too long, after which none is started
 _WARNED: list[CompilerError] = []
 
 
@@ -482,28 +461,25 @@ def _body(graph: Graph, writer: Writer, inputs: Sequence[Any], results: Sequence
 
 
 def compile_library(source: str, flags: Sequence[str]) -> bytes:
-    """Compile a source to a shared library that loads and can be called; raises `CompilerError` if that fails."""
-    seconds = _COMPILING[0] + len(source) / _COMPILING[1]
+    """Compile a source to a shared library; raises `CompilerError` if that fails."""
     options = ["-std=gnu11", *_FLAGS, *flags, *own_flags(), "source.c", "-lm"]
-    return build_library({"source.c": source}, options, seconds, trial=True)
+    return build_library({"source.c": source}, options, _COMPILING[0] + len(source) / _COMPILING[1])
 
 
 @functools.cache
 def compiler_version(path: str) -> str:
     """Name and version of a compiler: the first line that it prints of them, or its path."""
-    with suppress(CompilerError, OSError), tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
-        return _call([path, "--version"], folder, _ANSWERING, f"{path} does not tell its version", _OTHER_COMPILER)[0]
-    return path
+    try:
+        with tempfile.TemporaryDirectory(prefix="mckibben-") as folder:
+            return _call([path, "--version"], folder, _COMPILING[0])
+    except (CompilerError, OSError):
+        return path
 
 
-def build_library(
-    texts: Mapping[str, str], options: Sequence[str], seconds: float = _COMPILING[0], *, trial: bool = False
-) -> bytes:
+def build_library(texts: Mapping[str, str], options: Sequence[str], seconds: float = _COMPILING[0]) -> bytes:
     """Shared library of the machine's C compiler, built in a temporary folder, which is removed in any case.
 
-    Raises `CompilerError`. If it is not the source that fails, that is if the compiler takes longer than some seconds
-    or writes more than 256 MB, or if its library does not run, then nothing else is compiled in this process, and the
-    error has ``field="compiler"``.
+    Raises `CompilerError`; after a compiler that took longer than some seconds, at every later call.
 
     Parameters
     ----------
@@ -512,9 +488,7 @@ def build_library(
     options
         Options of the compiler and names of sources.
     seconds
-        Longest duration [s]. After 10 s a line on stderr tells what is waited for.
-    trial
-        Whether to call the function `run` of the library in another process, which may crash.
+        Longest duration [s].
     """
     if _FAILED:
         raise _without_frames(_FAILED[0])
@@ -525,64 +499,34 @@ def build_library(
         with tempfile.TemporaryDirectory(prefix="mckibben-", ignore_cleanup_errors=True) as folder:
             for path, text in texts.items():
                 Path(folder, path).write_text(text, encoding="utf-8")
-            command = [name, *words[1:], "-shared", "-fPIC", *options, "-o", "library.so"]
-            _call(command, folder, seconds, f"{name} does not compile the program", _OTHER_COMPILER)
-            if trial:
-                call = [sys.executable, "-I", "-S", "-c", _TRIAL]
-                _call(call, folder, _TRYING, f"what {name} compiled does not run", _OTHER_FOLDER)
+            _call([name, *words[1:], "-shared", "-fPIC", *options, "-o", "library.so"], folder, seconds)
             return Path(folder, "library.so").read_bytes()
     except OSError as error:
         raise CompilerError(f"no program can be compiled: {error}", remedy=_OTHER_FOLDER) from error
 
 
-def _call(command: Sequence[str], folder: str, seconds: float, failure: str, remedy: str) -> list[str]:
-    """First lines that a command prints; raises `CompilerError` if it fails, takes too long or writes too much.
-
-    If this process ends meanwhile, even by a signal that nothing can handle, the command and its children are killed
-    and the folder is removed.
-    """
+def _call(command: Sequence[str], folder: str, seconds: float) -> str:
+    """First line that a compiler prints; raises `CompilerError` if it fails, or takes too long and is ended."""
     with Path(folder, "messages.txt").open("w+b") as messages:  # not a pipe, which a hanging child would hold open
         process = subprocess.Popen(
-            command if os.name == "nt" else ["sh", "-c", _WATCHED, folder, *command],
-            cwd=folder,
-            env={**os.environ, "TMPDIR": folder},  # for the files of a compiler that is killed
-            stdin=subprocess.PIPE,
-            stdout=messages,
-            stderr=messages,
-            start_new_session=True,
+            command, cwd=folder, stdin=subprocess.DEVNULL, stdout=messages, stderr=messages, start_new_session=True
         )
         try:
-            status = _waited_for(process, command[0], seconds)
+            reason = f"exit status {process.wait(seconds)}"
+        except subprocess.TimeoutExpired:
+            reason = f"it takes longer than {seconds:.0f} s"
         finally:
-            if process.returncode is None:
+            slow = process.returncode is None
+            if slow:
                 _kill(process)
-            process.stdin.close()  # type: ignore[union-attr]
-        size = messages.seek(0, os.SEEK_END)
         messages.seek(0)
-        lines = messages.read(10_000).decode(errors="replace").strip().splitlines() or [f"exit status {status}"]
-    if status == 0:
-        return lines
-    own = command[0] == sys.executable
-    reason = lines[-1 if own else 0]
-    if status is None:
-        reason = f"it takes longer than {seconds:.0f} s"
-    elif size >= _MOST_BYTES:
-        reason = f"it writes more than {_MOST_BYTES >> 20} MB"
-    field = "compiler" if own or status is None or size >= _MOST_BYTES else ""
-    error = CompilerError(f"{failure}: {reason}", field=field, value=command[0], remedy=remedy)
-    if field:  # the next program would fail, too
-        _FAILED.append(_without_frames(error))
-    raise error
-
-
-def _waited_for(process: subprocess.Popen[bytes], name: str, seconds: float) -> int | None:
-    """Exit status of a process; None if it takes longer than some seconds."""
-    with suppress(subprocess.TimeoutExpired):
-        return process.wait(min(_PATIENCE, seconds))
-    sys.stderr.write(f"waiting for {name}, for {seconds:.0f} s at most; {_OTHER_COMPILER}\n")
-    with suppress(subprocess.TimeoutExpired):
-        return process.wait(max(seconds - _PATIENCE, 0.0))
-    return None
+        line, *_ = [*messages.read(10_000).decode(errors="replace").strip().splitlines(), reason]
+    if process.returncode:
+        message = f"{command[0]} does not compile the program: {reason if slow else line}"
+        error = CompilerError(message, value=command[0], remedy=_OTHER_COMPILER)
+        _FAILED.extend([error] * slow)
+        raise error
+    return line
 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
