@@ -145,7 +145,6 @@ def test_a_mask_is_one_boolean_per_point(mask):
         ({"direction": 12 * [1]}, "direction: contains values other than loading and unloading"),
         ({"repeat": [*range(11), 0.5]}, "repeat: 0.5 at point 11"),
         ({"repeat": [*range(11), -1]}, "repeat: -1 at point 11"),
-        ({"force_samples": np.zeros((12, 0))}, "force_samples: has no samples"),
         ({"force_samples": [[1, 2], [1]]}, "force_samples: has rows of unequal length"),
         ({"force_samples": np.zeros((12, 2)), "pressure_samples": np.zeros((12, 3))}, "number of samples"),
         ({"initial_length": -1.0}, "initial_length: -1 m is not above 0"),

@@ -94,7 +94,7 @@ QUESTIONS: dict[str, tuple[str, str, dict[str, object]]] = {  # text, words of t
     "unit column": (table(f"{HEADER};Force unit", P, C, F / 9.80665, ["kgf"] * 18).replace("Force [N]", "Force"), "Force unit: is not understood", {"columns": {"Force": "force_kgf"}, "accept": ["columns"]}),
     "two contractions": (table(f"{HEADER};Length [mm]", P, C, F, 200 - 2 * C - (C == 5)), "contradicts the contraction", {"columns": {"Length [mm]": "ignore"}}),
     "peak force": (table(f"{HEADER};Force max [N]", P, C, F, 2 * F), "Force max [N]: is not understood", {"columns": {"Force max [N]": "ignore"}}),
-    "strain": (table("Pressure [bar];Elongation (%);Force [N]"), "Elongation (%)", {"columns": {"Elongation (%)": "contraction_percent"}}),
+    "strain": (table("Pressure [bar];Elongation (%);Force [N]"), "--column 'Elongation (%)=contraction_percent'", {"columns": {"Elongation (%)": "contraction_percent"}}),
     "absolute pressure": (table("Abs. pressure (bar);Contraction [%];Force [N]", P + 1.013, C, F), "--read 'ambient=101.3 kPa'", {"ambient": 101300.0}),
     "bar abs": (table("p [bar abs];Contraction [%];Force [N]", P + 1.013, C, F), "is an absolute pressure", {"ambient": 101300.0}),
     "lengths": (table("Pressure [bar];Length [mm];Force [N]", P, 200 - 2 * C, F), "--initial-length", {"initial_length": 0.2}),
@@ -103,7 +103,7 @@ QUESTIONS: dict[str, tuple[str, str, dict[str, object]]] = {  # text, words of t
         table("Pressure [bar];Weg [mm];Force [N]", P, 50 - 2 * C, F), "shortening or lengthening",
         {"displacement": "lengthening", "initial_length": 0.2, "zero_length": 0.15},
     ),
-    "negative pull": (table(HEADER, P, C, -F), "force_sign=-1", {"columns": {"Force [N]": "-force_N"}}),
+    "negative pull": (table(HEADER, P, C, -F), "--column 'Force [N]=-force_N'", {"columns": {"Force [N]": "-force_N"}}),
     "corrupt cell": (table(HEADER).replace("\n3.01;5;", "\nx;1;2\n3.01;5;"), "'x' is not a number", {"accept": ["corrupt"]}),
     "short row": (table(HEADER).replace("\n3.01;5;", "\n3.01\n3.01;5;"), "has 1 cell, the header 3", {"accept": ["corrupt"]}),
     "words": ("# tare: 15 N\n" + table(HEADER), "'tare: 15 N'", {"accept": ["words"]}),
@@ -185,7 +185,7 @@ def test_options_of_a_file_are_a_recipe(put, tmp_path):
     recipe.to_yaml(tmp_path / "recipe.yaml")
     assert Recipe.read(tmp_path / "recipe.yaml") == recipe
     with pytest.raises(ScenarioError) as caught:
-        Recipe.parse("inital_length: 20 mm\nforce_sign: 2\nfrom_name: L\ndecimal: ;\n")
+        Recipe.parse("inital_length: 20 mm\nlever: 2\nfrom_name: L\ndecimal: ;\n")
     assert len(caught.value.problems) == 4
     assert Recipe.parse("# nothing\n") == Recipe()
 
@@ -262,3 +262,45 @@ def test_days_and_months_that_may_be_exchanged_are_no_clock(put):
         table("time;Pressure [bar];Force [N]", ["01/02/2024 23:59:59"] * 3 + ["02/02/2024 00:00:01"] * 3, P[:6], F[:6])
     )
     assert any("not understood as a clock" in problem for problem in problems_of(path, read_recording))
+
+
+READINGS: dict[str, tuple[str, dict[str, object], tuple[str, str]]] = {  # text, options, column and its remarks
+    "a mass that hangs": (table("Pressure [bar];Contraction [%];Weight [kg]", P, C, F / 9.80665), {}, ("Weight [kg]", "masses times g")),
+    "elongation": (table("Pressure [bar];Elongation (%);Force [N]", P, -C, F), {}, ("Elongation (%)", "")),
+    "relative length": (table("Pressure [bar];Relative length (-);Force [N]", P, 1 - C / 100, F), {}, ("Relative length (-)", "")),
+    "set and measured": (table("Soll [bar];Ist [bar];Contraction [%];Kraft ist [N]", P.round(), P, C, F), {}, ("Ist [bar]", "")),
+    "absolute by a word": ("# all pressures are absolute\n" + table("p [kPa];Contraction [%];Force [N]", 100 * P + 101.3, C, F), {"ambient": 101300.0}, ("p [kPa]", "absolute, less 101.3 kPa")),
+    "absolute by its name": (table("p_abs_kPa;Contraction [%];Force [N]", 100 * P + 101.3, C, F), {"ambient": 101300.0}, ("p_abs_kPa", "absolute, less 101.3 kPa")),
+    "lines of sensors": (
+        table("Druck [V];Contraction [%];Force [counts]", (P + 1) / 2.5, C, 50 - F / 0.1),
+        {"columns": {"Druck [V]": "2.5*(x - 0.4) pressure_bar", "Force [counts]": "-0.1*x+5 force_N"}}, ("Druck [V]", "2.5 x -1"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", READINGS)
+def test_what_a_header_or_a_line_says_is_applied(case, put):
+    text, options, (header, remark) = READINGS[case]
+    data = read_dataset(put(text), **options)
+    are_the_points(data)
+    (row,) = [row for row in data.lines[0].columns if row[0] == header]
+    assert row[-1] == remark
+
+
+def test_a_sensor_without_a_line_is_asked_about_with_its_form(put):
+    path = put(table("Druck [V];Contraction [%];Force [N]", (P + 1) / 2.5, C, F))
+    assert any("--column 'Druck [V]=GAIN*x+OFFSET pressure_bar'" in problem for problem in problems_of(path))
+
+
+def test_an_ambient_pressure_needs_an_absolute_one(put):
+    assert any("ambient: no pressure is absolute" in problem for problem in problems_of(put(table()), ambient=101300.0))
+
+
+def test_loads_without_a_sensor_are_one_for_each_file(put):
+    pressure, loads = np.linspace(2, 6, 9), (98.0665, 200.0, 400.0)
+    shorter = [28 * (1 - np.sqrt(load / (64.3 * pressure))) for load in loads]
+    paths = [put(table("Pressure [bar];Contraction [%]", pressure, c), f"{len(c)}{c[0]:.0f}.csv") for c in shorter]
+    data = read_dataset(paths, loads=["10 kg", "200 N", "0.4 kN"], accept=["range"])
+    assert np.unique(data.force).tolist() == pytest.approx(loads)
+    (problem,) = problems_of(paths[0], loads=["2 kg", "30 N"])
+    assert problem.startswith("loads: 2 loads are given for 1 files")

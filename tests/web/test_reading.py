@@ -47,7 +47,7 @@ def test_the_files_of_a_test_give_their_pressures_by_name(tmp_path):
 
 
 def test_a_recipe_fills_the_fields_that_give_it():
-    text = LENGTHENING + "initial_length: 220 mm\nambient: 101.3 kPa\ncolumns: {Weg: displacement_mm}\nforce_sign: -1\n"
+    text = LENGTHENING + "initial_length: 220 mm\nambient: 101.3 kPa\ncolumns: {Weg: displacement_mm}\n"
     recipe, fields = Recipe.parse(text + "sample_rate: 100 Hz\naccept: [corrupt]\n"), reading.ReadingFields()
     fields.take(recipe)
     assert (fields.initial_length, fields.ambient, fields.columns) == ("220 mm", "101.3 kPa", "Weg = displacement_mm")

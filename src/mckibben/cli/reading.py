@@ -44,8 +44,9 @@ class Reading(NamedTuple):
     def recording(self, paths: list[str] | list[Path]) -> Recording:
         """One recording over time, of one or more files; reading is reported on standard error."""
         from mckibben.dataset import read_recording
+        from mckibben.study.inputs import geometry_named
 
-        recording = read_recording(paths, self.recipe)
+        recording = read_recording(paths, self.recipe, geometry=geometry_named(self.recipe.joint))
         _report(recording.table.attrs)
         return recording
 

@@ -32,7 +32,7 @@ _REMEDIES = {
     "zero": "subtract the offset in the file, or measure five or more points of the slack muscle",
     "gauge": "name it pressure_bar_abs (command line: --column 'HEADER=pressure_bar_abs' --read 'ambient=101.3 kPa')",
     "saturation": "leave such rows out (in a recipe: largest_force)",
-    "sign": "turn the sign: force_sign=-1 (command line: --column 'HEADER=-force_N')",
+    "sign": "turn the sign: columns={'HEADER': '-force_N'} (command line: --column 'HEADER=-force_N')",
 }
 
 

@@ -56,7 +56,7 @@ def seconds_of(header: Header, cells: Floats | Sequence[str]) -> Floats | None:
         unit = next((unit for unit in _UNITS.values() if low < cells.min() * unit and cells.max() * unit < high), None)
         if unit is not None and header.unit in ("", *_UNITS):
             return (cells - cells[0]) * unit
-        scale = {**_UNITS, "min": 60.0}.get(header.unit)
+        scale = {**_UNITS, "min": 60.0, "h": 3600.0}.get(header.unit)
         return None if scale is None else cells * scale
     return _of_stamps(cells)
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mckibben.dataset.matlab import MatlabReader, Opaque, Value
-from mckibben.dataset.raw import Budget, RawColumn, RawTable, hdf5_nodes, read_bytes, readable, several
+from mckibben.dataset.matlab import Value, read_variables
+from mckibben.dataset.raw import Budget, RawColumn, RawTable, hdf5_nodes, not_installed, read_bytes, readable, several
 from mckibben.dataset.text import decode, read_text
 from mckibben.dataset.vocabulary import parse_header
 from mckibben.dataset.workbook import read_workbook
@@ -28,6 +28,7 @@ _TABLE = Problem(
 )
 _UNITS = ("units", "unit", "unit_string")
 _LARGEST_ATTRIBUTE = 8  # numbers or texts
+_OBJECTS = ("table", "timetable", "string", "datetime", "duration")
 _PACKING = ("scale_factor", "add_offset", "_fillvalue", "missing_value", "valid_range", "valid_min", "valid_max")
 _SAYS_NOTHING = re.compile(
     r"class|title|version|name|reference_list|dimension_\w*|flavor|byteorder|field_\d+_\w*|nrows|index|matlab\w*|_nc\w*|"
@@ -60,7 +61,7 @@ def read_table(path: Path, mapping: Mapping[str, str], decimal: str = "", part: 
     if data.startswith(_HDF5) or data[512:520] == _HDF5:
         return _read_hdf5(path, data, part, mapping, budget)
     if data.startswith(b"MATLAB 5.0") or (path.suffix.lower() == ".mat" and data):
-        return _read_matlab(path, data, part, mapping, budget)
+        return _read_matlab(path, data, part, mapping)
     if data.startswith(b"TDSm"):
         return _read_tdms(path, data, part, mapping, budget)
     return read_text(decode(data, path), path, mapping, decimal)
@@ -74,9 +75,10 @@ def _read_hdf5(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
     matlab = data.startswith(b"MATLAB 7.3")
     with readable(path, "an HDF5 file"), h5py.File(io.BytesIO(data), "r") as file:
         table.words += _attributes(file)
-        for name, node in hdf5_nodes(file, budget, "." if matlab else "/"):
+        for place, node in hdf5_nodes(file, budget).items():
             if node is None:
                 continue
+            name = place.replace("/", ".") if matlab else place
             table.words += [(None, f"{name}: {text}") for _, text in _attributes(node)]
             if isinstance(node, h5py.Dataset):
                 _add_node(table, name, node, matlab, budget)
@@ -110,36 +112,24 @@ def _decoded(value: object) -> str:
 
 def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budget: Budget) -> None:
     """Add the columns of a dataset, or its single number or text as words."""
-    if node.shape is None or node.ndim > 2:
+    kind = _decoded(_attribute(node, "MATLAB_class")) if "MATLAB_class" in node.attrs else ""
+    if node.shape is None or node.ndim > 2 or (node.dtype.kind in "OS" and kind not in ("", *_OBJECTS)):
         return
     budget.spend(size=node.nbytes)
-    kind = _decoded(_attribute(node, "MATLAB_class")) if "MATLAB_class" in node.attrs else ""
-    if kind in ("table", "timetable", "string", "datetime", "duration"):
-        table.problems.append(replace(_TABLE, field=name))
-    elif node.dtype.names and node.ndim == 1:
-        table.columns += _record_columns(name, node[()])
-    elif kind == "char":
-        table.words.append((None, f"{name}: {''.join(map(chr, np.ravel(node[()]).tolist()))[:1000]}"))
+    value: Value = None
+    if kind == "char":
+        value = "".join(map(chr, np.ravel(node[()]).tolist()))[:1000]
     elif node.dtype.kind in "OS" and not kind:
-        _add_texts(table, name, [_decoded(text) for text in np.ravel(node[()]).tolist()], node.ndim)
-    elif node.dtype.kind in "biuf":
-        values = node[()].T if matlab else _unpacked(node)
-        unit = next((_decoded(_attribute(node, key) or "") for key in node.attrs if key.lower() in _UNITS), "")
-        _add_matrix(table, name, values, unit)
-
-
-def _record_columns(name: str, records: np.ndarray) -> list[RawColumn]:
-    """Columns of numbers of a compound dataset."""
-    numbers = [key for key in records.dtype.names or () if records[key].dtype.kind in "iuf"]
-    return [RawColumn(f"{name}/{key}", records[key].astype(np.float64), label=key) for key in numbers]
-
-
-def _add_texts(table: RawTable, name: str, texts: Sequence[str], dimensions: int) -> None:
-    """Add a column of texts; a single text as words."""
-    if len(texts) == 1:
-        table.words.append((None, f"{name}: {texts[0]}"))
-    elif dimensions == 1:
-        table.columns.append(RawColumn(name, texts))
+        value = [_decoded(text) for text in np.ravel(node[()]).tolist()]
+        value = value if len(value) != 1 else value[0]
+    elif node.dtype.names:
+        records = node[()]
+        numbers = [key for key in node.dtype.names if records[key].dtype.kind in "iuf"]
+        value = {key: records[key].astype(np.float64) for key in numbers}
+    elif node.dtype.kind in "biuf" and kind not in _OBJECTS:
+        value = node[()].T if matlab else _unpacked(node)
+    unit = next((_decoded(_attribute(node, key) or "") for key in node.attrs if key.lower() in _UNITS), "")
+    _add_variable(table, name, value, unit)
 
 
 def _unpacked(node: h5py.Dataset) -> np.ndarray:
@@ -159,50 +149,41 @@ def _unpacked(node: h5py.Dataset) -> np.ndarray:
     return values * attributes.get("scale_factor", [1.0])[0] + attributes.get("add_offset", [0.0])[0]
 
 
-def _add_matrix(table: RawTable, name: str, array: np.ndarray, unit: str = "") -> None:
-    """Add the columns of a vector or matrix, numbered as in MATLAB; a single number as words."""
-    array = np.atleast_1d(np.asarray(array, np.float64))
-    if array.size == 1:
-        table.words.append((None, f"{name}: {array.item():g}"))
-        return
-    matrix = array.reshape(-1, 1) if array.ndim == 1 or 1 in array.shape else array
-    if matrix.ndim == 2 and matrix.shape[1] <= 64:
-        for at, values in enumerate(matrix.T):
-            full = name if matrix.shape[1] == 1 else f"{name}(:,{at + 1})"
-            table.columns.append(
-                RawColumn(full, np.ascontiguousarray(values), label=re.split(r"[./]", full)[-1], unit=unit)
-            )
-
-
-def _read_matlab(path: Path, data: bytes, part: str, mapping: Mapping[str, str], budget: Budget) -> RawTable:
+def _read_matlab(path: Path, data: bytes, part: str, mapping: Mapping[str, str]) -> RawTable:
     """Columns of versions 5 to 7: vectors, fields (``rig.p``), columns of matrices (``rig(:,2)``)."""
     if not data.startswith(b"MATLAB 5.0"):
         older = Problem("is no MATLAB file of version 5 to 7.3", remedy="save it in MATLAB with -v7")
         raise DatasetError(str(path), [older])
     table = RawTable()
     with readable(path, "a MATLAB file"):
-        variables = dict(MatlabReader(data, budget).variables())
+        variables = read_variables(data)
     for name, value in variables.items():
         _add_variable(table, name, value)
     return _one_group(path, table, part, mapping)
 
 
 def _add_variable(table: RawTable, name: str, value: Value, unit: str = "") -> None:
-    """Add the columns of a variable of MATLAB."""
-    if isinstance(value, Opaque):
+    """Add the columns of a variable: vectors, matrices as numbered in MATLAB; single numbers and texts as words."""
+    if value is None:
         table.problems.append(replace(_TABLE, field=name))
     elif isinstance(value, str):
         table.words.append((None, f"{name}: {value}"))
     elif isinstance(value, dict):
         _add_struct(table, name, value)
     elif isinstance(value, list) and value and all(isinstance(cell, str) for cell in value):
-        table.columns.append(RawColumn(name, [str(cell) for cell in value], label=name.rpartition(".")[2]))
+        table.columns.append(RawColumn(name, [str(cell) for cell in value], label=re.split(r"[./]", name)[-1]))
     elif isinstance(value, list):
         for number, cell in enumerate(value, 1):
             if isinstance(cell, dict):
                 _add_struct(table, f"{name}({number})", cell)
-    else:
-        _add_matrix(table, name, value, unit)
+    elif value.size == 1:
+        table.words.append((None, f"{name}: {value.item():g}"))
+    elif (
+        value.ndim < 3 and (matrix := value.reshape(-1, 1) if 1 in (value.ndim, *value.shape) else value).shape[1] < 65
+    ):
+        for at, cells in enumerate(matrix.T.astype(np.float64)):
+            full = name if matrix.shape[1] == 1 else f"{name}(:,{at + 1})"
+            table.columns.append(RawColumn(full, np.ascontiguousarray(cells), re.split(r"[./]", full)[-1], unit))
 
 
 def _add_struct(table: RawTable, name: str, value: dict[str, Value]) -> None:
@@ -227,8 +208,7 @@ def _read_tdms(path: Path, data: bytes, part: str, mapping: Mapping[str, str], b
     try:
         from nptdms import TdmsFile
     except ImportError:
-        remedy = 'pip install "mckibben[tdms]", or export the file as CSV'
-        raise DatasetError(str(path), [Problem("needs npTDMS, which is not installed", remedy=remedy)]) from None
+        raise not_installed(path, "npTDMS", "tdms") from None
     table = RawTable()
     intervals, starts = set(), set()
     with readable(path, "a TDMS file"), TdmsFile.open(io.BytesIO(data)) as file:

@@ -146,19 +146,7 @@ class IsobaricDataset(MeasuredTable):
             Force [N] up to which the muscle counts as slack, above the noise of the rig. Default: from the noise of the
             slack muscle about 0 N, otherwise 0.
         """
-        variables = {
-            "pressure": pressure,
-            "contraction": contraction,
-            "force": force,
-            "direction": direction,
-            "phase": phase,
-            "repeat": repeat,
-            "time": time,
-            "set_pressure": set_pressure,
-            "force_samples": force_samples,
-            "pressure_samples": pressure_samples,
-        }
-        table = assemble(variables, VARIABLES, "dataset")
+        table = assemble({name: values for name, values in locals().items() if name in VARIABLES}, VARIABLES, "dataset")
         highest = float(table["pressure"].to_numpy().max(initial=0.0))
         if 0 < highest < _LOWEST and (set_pressure is None or (table["set_pressure"] > 0).any()):  # not all at 0 bar
             text = f"the highest pressure is {highest:.4g} Pa, too low for a muscle test"

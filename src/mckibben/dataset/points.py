@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mckibben.dataset.checks import questions_of
-from mckibben.dataset.isobaric import IsobaricDataset
+from mckibben.dataset.isobaric import IsobaricDataset, format_list
 from mckibben.dataset.preprocessing import with_notes, without_offset
 from mckibben.dataset.schema import OF_FILE
 from mckibben.errors import DatasetError, RangeError
@@ -86,12 +86,6 @@ def _noisy(heights: NDArray[np.float64], inside: NDArray[np.bool_]) -> bool:
 
 
 _GAP = 10  # usual intervals
-_NAMED = 5  # places listed in a note
-
-
-def _listed(places: list[str]) -> str:
-    more = f" and {len(places) - _NAMED} more" if len(places) > _NAMED else ""
-    return f"{', '.join(places[:_NAMED])}{more}"
 
 
 class ExtractedPoints(Result):
@@ -261,7 +255,7 @@ class SampleAccount:
         for what, where in (("gap", steps > longest), ("clock went back", steps < 0)):
             places = np.flatnonzero(where)
             if len(places):
-                shown = _listed([f"{time[at]:.6g} to {time[at + 1]:.6g} s" for at in places])
+                shown = format_list(np.array([f"{time[at]:.6g} to {time[at + 1]:.6g} s" for at in places]), most=5)
                 self.notes.append(f"{what}: {shown}; segments end there")
                 broken[places + 1] = True
         if still := int(np.count_nonzero(steps == 0)):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -26,7 +25,6 @@ LARGEST = 2**27
 """Bytes of a file, and of its numbers."""
 _ROWS = 1_500_000
 _COLUMNS = 1024
-_SECONDS = 10.0
 LIMIT_REMEDY = "split the file, or save fewer rows and columns"
 FILES_REMEDY = "name its files, several for one test: DIR/*.csv, in Python sorted(Path('DIR').glob('*.csv'))"
 
@@ -84,7 +82,7 @@ class RawTable:
 
 
 class Budget:
-    """Limits of rows, columns, bytes and time while a file is read.
+    """Limits of rows, columns and bytes while a file is read.
 
     Parameters
     ----------
@@ -102,10 +100,10 @@ class Budget:
     """
 
     def __init__(self, path: Path, most: int = LARGEST) -> None:
-        self.path, self.most, self.begin, self.bytes = path, most, time.process_time(), 0
+        self.path, self.most, self.bytes = path, most, 0
 
     def spend(self, *, size: int = 0, rows: int = 0, columns: int = 0) -> None:
-        """Account for bytes that will be in memory; check rows, columns and the processor time.
+        """Account for bytes that will be in memory; check rows and columns.
 
         Raises a `DatasetError` that names the limit that is passed.
         """
@@ -114,10 +112,9 @@ class Budget:
             (self.bytes, self.most, "bytes"),
             (rows, _ROWS, "rows"),
             (columns, _COLUMNS, "columns"),
-            (time.process_time() - self.begin, _SECONDS, "s of processor time"),
         ):
             if amount > most:
-                text = f"has or takes more than {most:,g} {what}"
+                text = f"has more than {most:,g} {what}"
                 raise DatasetError(str(self.path), [Problem(text, remedy=LIMIT_REMEDY)])
 
 
@@ -177,40 +174,25 @@ def several(what: str, names: Sequence[str]) -> Problem:
     return Problem(f"has several {what} of measurements: {', '.join(names[:20])}", remedy=remedy)
 
 
-def hdf5_nodes(
-    file: h5py.Group, budget: Budget, separator: str = "/"
-) -> Iterator[tuple[str, h5py.Group | h5py.Dataset | None]]:
-    """Name and node of each group and dataset, each once; None in place of a link, which is not followed.
+def hdf5_nodes(file: h5py.File, budget: Budget) -> dict[str, h5py.Group | h5py.Dataset | None]:
+    """Groups and datasets of an open file by name, each once; None where values are in other files.
 
-    Parameters
-    ----------
-    file
-        Open file, or group, of which all below is visited, nearest first.
-    budget
-        Limits the number of nodes.
-    separator
-        Text between the names of a group and of its members.
-
-    Yields
-    ------
-    tuple
-        Name and node. Datasets whose values are in other files are links too.
+    No link is followed; the budget limits their number.
     """
     import h5py
 
-    visited: set[object] = set()
-    waiting: list[tuple[str, h5py.Group]] = [("", file)]
-    for prefix, group in waiting:
-        for key in group:
-            budget.spend(columns=len(visited))
-            name = f"{prefix}{separator}{key}" if prefix else key
-            node = group[key] if isinstance(group.get(key, getlink=True), h5py.HardLink) else None
-            address = None if node is None else h5py.h5o.get_info(node.id).addr
-            if address in visited or key.startswith("#"):
-                continue
-            if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external):
-                node = None
-            visited |= {address} - {None}
-            yield name, node
-            if isinstance(node, h5py.Group):
-                waiting.append((name, node))
+    nodes: dict[str, h5py.Group | h5py.Dataset | None] = {}
+
+    def visit(name: str, node: h5py.Group | h5py.Dataset) -> None:
+        budget.spend(columns=len(nodes))
+        if not name.startswith("#"):
+            nodes[name] = None if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external) else node
+
+    file.visititems(visit)
+    return nodes
+
+
+def not_installed(path: Path, library: str, extra: str) -> DatasetError:
+    """Error of a file whose library is not installed."""
+    remedy = f'pip install "mckibben[{extra}]", or export the file as CSV'
+    return DatasetError(str(path), [Problem(f"needs {library}, which is not installed", remedy=remedy)])

@@ -16,7 +16,7 @@ from mckibben.dataset.file_names import add_from_name
 from mckibben.dataset.formats import read_table
 from mckibben.dataset.isobaric import IsobaricDataset
 from mckibben.dataset.preprocessing import preprocess
-from mckibben.dataset.raw import LIMIT_REMEDY
+from mckibben.dataset.raw import LIMIT_REMEDY, RawColumn
 from mckibben.dataset.recipe import Recipe
 from mckibben.dataset.recording import Recording
 from mckibben.dataset.schema import CSV_COLUMNS, OF_FILE, FileLines, holds_own_table, load_validated
@@ -28,6 +28,7 @@ from mckibben.units import show
 if TYPE_CHECKING:
     import xarray as xr
 
+    from mckibben.dataset.at_joint import JointPaths
     from mckibben.muscle import Specimen
 
 FilePaths = str | os.PathLike[str] | Sequence[str | os.PathLike[str]]
@@ -44,7 +45,9 @@ _RATE = (
 Kind = TypeVar("Kind", IsobaricDataset, Recording)
 
 
-def read_dataset(path: FilePaths, recipe: Recipe | None = None, **options: object) -> IsobaricDataset:
+def read_dataset(
+    path: FilePaths, recipe: Recipe | None = None, *, geometry: JointPaths | None = None, **options: object
+) -> IsobaricDataset:
     """Read the points of isobaric tests from a file, or from several files of one test.
 
     Formats are recognised by their first bytes: text (comma, semicolon, tab, ``|`` or blanks between cells), Excel,
@@ -62,6 +65,9 @@ def read_dataset(path: FilePaths, recipe: Recipe | None = None, **options: objec
         File, or a list of files in the order of the test. No stroke extends across two, and repeats are numbered on.
     recipe
         Options of reading; or give them by name, see `Recipe`: ``columns``, ``initial_length``, ``ambient`` ...
+    geometry
+        Geometry of the `joint` of the recipe, at which torques of one muscle were measured: they become its forces, and
+        angles its contractions.
 
     Raises
     ------
@@ -77,8 +83,8 @@ def read_dataset(path: FilePaths, recipe: Recipe | None = None, **options: objec
     shorter it is. Points that break this, or that look like summaries, copies, saturation, absolute pressures or an
     offset of the load cell, are questions, which ``accept=[topic]`` answers.
     """
+    parts = [_read_points(file, own, geometry) for file, own in _files(path, recipe, options)]
     recipe = (recipe or Recipe()).with_options(options)
-    parts = [_read_points(file, recipe) for file in _paths(path)]
     dataset, source = _joined([part for part, _ in parts], path)
     own = all(written for _, written in parts)
     if own and len(parts) == 1:
@@ -91,7 +97,9 @@ def read_dataset(path: FilePaths, recipe: Recipe | None = None, **options: objec
     return dataset
 
 
-def read_recording(path: FilePaths, recipe: Recipe | None = None, **options: object) -> Recording:
+def read_recording(
+    path: FilePaths, recipe: Recipe | None = None, *, geometry: JointPaths | None = None, **options: object
+) -> Recording:
     """Read a raw recording over time from a file of any format of `read_dataset`, with its options.
 
     Required are pressure and force. The time is a column (seconds, epochs, stamps of date and time), or follows from
@@ -104,16 +112,17 @@ def read_recording(path: FilePaths, recipe: Recipe | None = None, **options: obj
     DatasetError, ScenarioError
         As `read_dataset`.
     """
-    recipe = (recipe or Recipe()).with_options(options)
-    return _joined([_read_samples(file, recipe) for file in _paths(path)], path)[0]
+    return _joined([_read_samples(file, own, geometry) for file, own in _files(path, recipe, options)], path)[0]
 
 
-def read_columns(path: str | os.PathLike[str], recipe: Recipe | None = None, **options: object) -> Table:
+def read_columns(
+    path: str | os.PathLike[str], recipe: Recipe | None = None, *, geometry: JointPaths | None = None, **options: object
+) -> Table:
     """Show what is understood of a file: its columns, where quantity and unit are from, and open questions.
 
     Parameters as for `read_dataset`. Raises a `DatasetError` if the file cannot be read, but not for questions.
     """
-    return _understood(Path(path), (recipe or Recipe()).with_options(options), _POINTS)[0]
+    return _understood(Path(path), (recipe or Recipe()).with_options(options), _POINTS, geometry)[0]
 
 
 def check_points(
@@ -170,15 +179,26 @@ def _paths(path: FilePaths) -> list[Path]:
     return [Path(name) for name in several]
 
 
-def _understood(path: Path, recipe: Recipe, needed: Sequence[str]) -> tuple[Table, bool]:
+def _files(path: FilePaths, recipe: Recipe | None, options: Mapping[str, object]) -> list[tuple[Path, Recipe]]:
+    """The files of a test, each with its recipe, which has at most one load."""
+    paths, recipe = _paths(path), (recipe or Recipe()).with_options(options)
+    if len(recipe.loads) not in (0, len(paths)):
+        text, remedy = f"{len(recipe.loads)} loads are given for {len(paths)} files", "give one load for each file"
+        raise DatasetError(str(paths[0]), [Problem(text, field="loads", remedy=remedy)])
+    return [(path, recipe.with_options({"loads": recipe.loads[at : at + 1]})) for at, path in enumerate(paths)]
+
+
+def _understood(path: Path, recipe: Recipe, needed: Sequence[str], geometry: JointPaths | None) -> tuple[Table, bool]:
     """Table of a file, and whether this program wrote it."""
     raw = read_table(path, recipe.columns or {}, recipe.decimal or "", recipe.part or "")
     if recipe.from_name:
         add_from_name(raw, path, recipe.from_name)
+    for load in recipe.loads:
+        raw.columns.append(RawColumn("loads", np.full(len(raw.lines), load), label="force_N"))
     own = {"specimen", "source", "slack_force", "preprocessing"} <= {*raw.comments}
     own &= {column.name for column in raw.columns} <= {*CSV_COLUMNS.values()}
     try:
-        return understand(path, raw, recipe, needed), own
+        return understand(path, raw, recipe, needed, geometry), own
     except MemoryError:
         raise DatasetError(str(path), [Problem("needs more memory than there is", remedy=LIMIT_REMEDY)]) from None
 
@@ -200,12 +220,12 @@ def _made(kind: type[Kind], table: Table, values: Mapping[str, np.ndarray], *, o
     return replace(kind(made.table.assign_attrs(attrs)), lines=(lines,))
 
 
-def _read_points(path: Path, recipe: Recipe) -> tuple[IsobaricDataset, bool]:
+def _read_points(path: Path, recipe: Recipe, geometry: JointPaths | None) -> tuple[IsobaricDataset, bool]:
     """Points of a file as they are, and whether this program wrote it."""
     if holds_own_table(path):
         dataset = _own(IsobaricDataset, path, recipe)
         return dataset, dataset.table.attrs.pop("samples", "") == ""
-    table, own = _understood(path, recipe, _POINTS)
+    table, own = _understood(path, recipe, _POINTS, geometry)
     if own:
         table.questions = [asked for asked in table.questions if asked.topic in ("", "corrupt")]
     table.ask(recipe.accept)
@@ -213,14 +233,14 @@ def _read_points(path: Path, recipe: Recipe) -> tuple[IsobaricDataset, bool]:
     return _made(IsobaricDataset, table, {name: table.columns[name].values for name in names}, own=own), own
 
 
-def _read_samples(path: Path, recipe: Recipe) -> Recording:
+def _read_samples(path: Path, recipe: Recipe, geometry: JointPaths | None) -> Recording:
     """Recording of one file."""
     if holds_own_table(path):
         recording = _own(Recording, path, recipe)
         if recipe.contraction is None or "contraction" in recording.table:
             return recording
         return Recording(recording.table.assign(contraction=("sample", np.full(len(recording), recipe.contraction))))
-    table, _ = _understood(path, recipe, ("pressure", "force"))
+    table, _ = _understood(path, recipe, ("pressure", "force"), geometry)
     values = {name: table.columns[name].values for name in _SAMPLES if name in table.columns}
     if "time" not in values:
         rate = recipe.sample_rate
@@ -239,7 +259,7 @@ def _read_samples(path: Path, recipe: Recipe) -> Recording:
 
 def _own(kind: type[Kind], path: Path, recipe: Recipe) -> Kind:
     """Dataset or recording of a file that this program wrote, with the options that apply."""
-    others = ("columns", "from_name", "force_sign", "largest_force")
+    others = ("columns", "from_name", "largest_force")
     if any(getattr(recipe, name) is not None for name in others):
         remedy = f"leave out {', '.join(others)}"
         raise DatasetError(str(path), [Problem("was written by this program: it is read as it is", remedy=remedy)])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
@@ -12,13 +13,7 @@ from mckibben.config.fields import OneOf
 from mckibben.config.model import DocumentModel, fail_validation
 from mckibben.dataset.file_names import pattern_problem
 from mckibben.dataset.table import TOPICS
-from mckibben.units import BoundedInt, Contraction, Force, Length, Pressure, SampleRate
-
-
-def _check_sign(value: int) -> int:
-    if value not in (-1, 1):
-        fail_validation(f"{value} is neither 1 nor -1", "write -1 for a load cell that reads a pull as negative")
-    return value
+from mckibben.units import Contraction, Force, Length, Pressure, SampleRate
 
 
 def _check_pattern(pattern: str) -> str:
@@ -28,7 +23,13 @@ def _check_pattern(pattern: str) -> str:
 
 
 def _as_tuple(value: object) -> object:
-    return tuple(value) if isinstance(value, list) else value
+    return tuple(value.split(",") if isinstance(value, str) else value) if isinstance(value, list | str) else value
+
+
+def _as_weight(value: object) -> object:
+    """Weight of a mass, such as '2 kg', as a force."""
+    match = re.fullmatch(r"(.*\d)\s*(k?g)\s*", value) if isinstance(value, str) else None
+    return f"{match[1]} {match[2]}f" if match else value
 
 
 class Recipe(DocumentModel):
@@ -39,7 +40,8 @@ class Recipe(DocumentModel):
     Attributes
     ----------
     columns
-        Header to a quantity with its unit: ``{"Druck [bar]": "pressure_bar"}``; ``"-force_N"`` turns the sign,
+        Header to a quantity with its unit: ``{"Druck [bar]": "pressure_bar"}``; ``"2.5*(x-0.4) pressure_bar"`` is the
+        line of a sensor in volts or counts, ``"-force_N"`` turns the sign,
         ``"pressure_kPa_abs"`` is absolute, ``"shortening_mm"`` and ``"lengthening_mm"`` say the direction of a
         displacement, ``"ignore"`` leaves a column out. Without a header, columns have numbers from 1. A word such as
         ``{"up": "unloading"}`` gives the meaning of a cell.
@@ -56,12 +58,15 @@ class Recipe(DocumentModel):
         Of a recording: its contraction [-], if no column has it, and the rate of its samples [Hz], if it has no times.
     slack_force, largest_force
         Force [N] up to which the muscle counts as slack (default: estimated), and from which on rows are left out.
-    force_sign
-        -1 for a load cell that reads a pull as negative.
     decimal
         Decimal sign of a text, "." or ",", if its numbers do not determine it.
     specimen
         Name of the specimen.
+    joint, lever
+        Of a test on a joint, with angles and torques: name in the catalog or file of its geometry, and the lever arm
+        [m], if forces were measured in place of torques.
+    loads
+        Weights or forces [N] that hung on the muscle, one for each file, if no column has them: ``["2 kg", "50 N"]``.
     from_name
         Pattern of the files' names with a quantity in braces: ``"L{length_mm}mm"`` reads the length of L190mm.csv.
     accept
@@ -90,10 +95,12 @@ class Recipe(DocumentModel):
     sample_rate: SampleRate | None = None
     slack_force: Force | None = None
     largest_force: Force | None = None
-    force_sign: Annotated[int, BoundedInt(-1, 1), AfterValidator(_check_sign)] | None = None
     decimal: Annotated[str, OneOf((".", ","))] | None = None
     specimen: str | None = None
     from_name: Annotated[str, AfterValidator(_check_pattern)] | None = None
+    joint: str | None = None
+    lever: Length | None = None
+    loads: Annotated[tuple[Annotated[Force, BeforeValidator(_as_weight)], ...], BeforeValidator(_as_tuple)] = ()
     accept: Annotated[tuple[Annotated[str, OneOf(tuple(TOPICS))], ...], BeforeValidator(_as_tuple)] = ()
 
     @classmethod

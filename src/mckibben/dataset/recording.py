@@ -20,7 +20,6 @@ from mckibben.units import bar, kPa, percent
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_FEW_USED = 0.1  # of the samples
 _CONTINUOUS = (
     "if length or pressure change slowly all the time, fit the samples: mk.read_dataset(path) (command line: mckibben "
     "identify FILE)"
@@ -189,7 +188,6 @@ class Recording(MeasuredTable):
         least = max(2, int(np.ceil(dwell / interval * (1 - 1e-6))))
         unusable = account.broken | (account.of >= 0)
         segments = steady_segments(signals, unusable, least)
-        account.assign_reason(segments.drifting, "drifting")
         first, last = segments.first, segments.last
         firsts = zip(first, last, strict=True)
         begins = first + np.array([np.searchsorted(time[a:b], time[a] + settle) for a, b in firsts], np.int64)
@@ -215,8 +213,6 @@ class Recording(MeasuredTable):
         if shorter:
             account.notes.append(f"{len(first)} plateaus are steady for {dwell:g} s: {shorter}")
         samples = ends - begins
-        if samples.sum() < _FEW_USED * len(self):
-            account.notes.append(f"only {samples.sum() / len(self):.2g} of the samples are steady: {_CONTINUOUS}")
         owner = np.repeat(np.arange(len(first)), samples)
         at = np.arange(len(owner)) + np.repeat(begins - np.concatenate([[0], np.cumsum(samples)[:-1]]), samples)
         account.assign_reason(at, "used")

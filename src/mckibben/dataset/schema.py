@@ -144,8 +144,6 @@ def _shape_problem(name: str, shape: tuple[int, ...], count: int, dims: tuple[st
         return Problem(f"has {len(shape)} dimensions instead of {len(dims)} ({', '.join(dims)})", field=name)
     if shape[0] != count:
         return Problem(f"has {shape[0]} values for {count} {dims[0]}s", field=name)
-    if len(shape) == 2 and not shape[1]:
-        return Problem("has no samples", field=name)
     return None
 
 
@@ -156,11 +154,8 @@ def _structure(table: xr.Dataset, schema: Mapping[str, Variable]) -> Iterator[Pr
                 yield Problem("is missing", field=name)
             continue
         array = table[name]
-        problem = _shape_problem(name, array.shape, table.sizes.get(variable.dims[0], 0), variable.dims)
-        if problem is None and array.dims != variable.dims:
-            problem = Problem(f"has dimensions {array.dims} instead of {variable.dims}", field=name)
-        if problem is not None:
-            yield problem
+        if array.dims != variable.dims:
+            yield Problem(f"has dimensions {array.dims} instead of {variable.dims}", field=name)
         elif array.size and array.dtype.kind not in ("UOT" if name in WORDS else "fiu"):
             what = " and ".join(WORDS.get(name, ("numbers",)))
             yield Problem(f"contains values other than {what}", field=name)
@@ -256,9 +251,11 @@ def _check_netcdf(path: Path, size: int) -> None:
 
     budget = Budget(path, most=max(2**28, 4 * size))
     with h5py.File(path, "r") as file:
-        for name, node in hdf5_nodes(file, budget):
-            if node is None:
-                raise DatasetError(str(path), [Problem("refers to other data", field=name)])
+        links: list[str] = []
+        file.visititems_links(lambda name, link: None if isinstance(link, h5py.HardLink) else links.append(name))
+        for name, node in hdf5_nodes(file, budget).items():
+            if node is None or links:
+                raise DatasetError(str(path), [Problem("refers to other data", field=(links or [name])[0])])
             if isinstance(node, h5py.Dataset) and node.shape is not None:
                 budget.spend(size=node.nbytes)
 
@@ -382,16 +379,8 @@ class MeasuredTable(Suggesting):
         return load_validated(Path(path), cls)
 
 
-CSV_COLUMNS = {
-    "pressure": "pressure_Pa",
-    "contraction": "contraction_ratio",
-    "force": "force_N",
-    "direction": "direction",
-    "phase": "phase",
-    "repeat": "repeat",
-    "time": "time_s",
-    "set_pressure": "set_pressure_Pa",
-}
+_CSV_HEADERS = "pressure_Pa contraction_ratio force_N direction phase repeat time_s set_pressure_Pa"
+CSV_COLUMNS = dict(zip(VARIABLES, _CSV_HEADERS.split(), strict=False))
 
 
 def write_csv(table: xr.Dataset, path: Path) -> None:

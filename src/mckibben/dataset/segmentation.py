@@ -15,11 +15,10 @@ _PARTS = 20  # of a dwell: length of the compared means
 
 
 class Segments(NamedTuple):
-    """Steady segments: first and one past the last sample; mask of drifting samples; uncertain samples at the ends."""
+    """Steady segments: first and one past the last sample; uncertain samples at the ends."""
 
     first: NDArray[np.int64]
     last: NDArray[np.int64]
-    drifting: NDArray[np.bool_]
     edge: int
 
 
@@ -54,7 +53,7 @@ def steady_segments(
     bounds = np.append(edges, count)
     sizes = np.diff(bounds)
     if len(edges) < window:
-        return Segments(none, none, np.zeros(count, bool), 0)
+        return Segments(none, none, 0)
     means = [(np.add.reduceat(values, edges) / sizes, tolerance) for values, tolerance in signals]
     bad = np.logical_or.reduceat(broken, edges)
 
@@ -65,19 +64,10 @@ def steady_segments(
     opens = np.flatnonzero(np.diff(starts, prepend=False, append=False))
     first, last = opens[::2], opens[1::2] + window - 1  # blocks: the first, and the one after the last
     first = np.maximum(first, np.concatenate([[0], last[:-1]]))  # shared samples belong to the earlier one
-    member = np.zeros(len(edges) + 1, np.int8)
-    np.add.at(member, first[last > first], 1)
-    np.add.at(member, last[last > first], -1)
-    member = np.cumsum(member[:-1]) > 0
     keep = last - first >= window
     first, last = _trimmed(means, first[keep], last[keep])
     keep = last - first >= window
-    first, last = first[keep], last[keep]
-    inside = np.zeros(len(edges) + 1, np.int8)
-    inside[first] += 1
-    inside[last] -= 1
-    drifting = member & ~(np.cumsum(inside[:-1]) > 0)
-    return Segments(bounds[first], bounds[last], np.repeat(drifting, sizes), size if window > 4 else 0)
+    return Segments(bounds[first[keep]], bounds[last[keep]], size if window > 4 else 0)
 
 
 FEW = 3  # plateaus

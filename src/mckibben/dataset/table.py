@@ -28,7 +28,7 @@ TOPICS: Mapping[str, str] = {
     "order": "points that contradict each other are right",
 }
 """Questions that `accept` answers, each with what is then taken for true."""
-MOTIONS = ("length", "shortening", "lengthening", "displacement")
+MOTIONS = ("length", "shortening", "lengthening", "displacement", "relative_length")
 """Quantities from which a contraction follows."""
 
 
@@ -63,21 +63,18 @@ class Column:
         Of `vocabulary.QUANTITIES`.
     values
         Shape (rows,): SI units, or words.
-    sign
-        -1 if the numbers of the file have the other sign.
-    reference
-        "gauge", or what was subtracted from absolute pressures; empty for other quantities.
     source
         Where quantity and unit are from: "header", "file" (a row of units or a property) or "columns" (the recipe).
+    remarks
+        What was done to the numbers of the file: a line of the sensor, an ambient pressure that was subtracted.
     """
 
     header: str
     quantity: str
     unit: str
     values: np.ndarray
-    sign: int = 1
-    reference: str = ""
     source: str = "header"
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(eq=False)
@@ -127,28 +124,31 @@ class Table:
     clock: str = ""
 
     def __str__(self) -> str:
-        return describe(self)
+        """The `rows` as text under their heading; last the number of rows."""
+        rows = [("column", "quantity", "unit", "unit from", "range", ""), *self.rows()]
+        widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        return "\n".join([*lines, f"{len(self.lines)} rows"])
 
     def __repr__(self) -> str:
         return f"<Table of {self.path.name}: {', '.join(self.columns)}; {len(self.questions)} questions>"
 
     def _repr_html_(self) -> str:
         asked = "\n".join(str(question.problem) for question in self.questions)
-        return f"<pre>{escape(describe(self))}\n{escape(asked)}</pre>"
+        return f"<pre>{escape(f'{self}')}\n{escape(asked)}</pre>"
 
     def rows(self) -> list[tuple[str, str, str, str, str, str]]:
         """Header, quantity, unit, origin of the unit, range [unit] and remarks of each column, as text."""
         rows = []
         for column in self.columns.values():
-            if column.quantity == "contraction" and not column.unit:  # follows from lengths
-                continue
+            if column.quantity == "contraction" and any(row[0] == printable(column.header) for row in rows):
+                continue  # it follows from this column
             shown = ""
             if column.values.dtype.kind == "f" and np.isfinite(column.values).any():
                 scale = si_factor(Header(column.quantity, column.unit))
                 low, high = (f"{bound(column.values) / scale:.4g}" for bound in (np.nanmin, np.nanmax))
                 shown = low if low == high else f"{low}..{high}"
-            remarks = [column.reference] if column.reference != "gauge" else []
-            remarks += ["sign reversed"] if column.sign < 0 else []
+            remarks = [*column.remarks]
             if column.quantity in MOTIONS and self.initial_length:
                 remarks.append(f"initial length {show(self.initial_length, 'mm', 5)}")
             origin, text = column.source if column.unit else "", ", ".join(filter(None, remarks))
@@ -162,11 +162,3 @@ class Table:
         ]
         if open_questions:
             raise DatasetError(str(self.path), sorted(open_questions, key=lambda problem: problem.line or 0))
-
-
-def describe(table: Table) -> str:
-    """The `Table.rows` as text under their heading; last the number of rows."""
-    rows = [("column", "quantity", "unit", "unit from", "range", ""), *table.rows()]
-    widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
-    lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-    return "\n".join([*lines, f"{len(table.lines)} rows"])

@@ -157,12 +157,12 @@ def _score(cells: Sequence[str], mapping: Mapping[str, str]) -> float:
     """Sum over the cells of a row of 1 for a header that is understood, and 1/2 for a name without a unit."""
     total, quantities = 0.0, set()
     for cell in cells[:200]:
-        header = parse_header(cell) if cell else None
+        header = parse_header(cell)
         if cell in mapping:
             total += 1
-        elif header and header.quantity:
-            total += 1 if header.unit and header.quantity not in quantities else 0.5
-            quantities.add(header.quantity)
+        elif quantity := header.quantity or parse_header(header.name).quantity:
+            total += 1 if header.quantity and header.unit and quantity not in quantities else 0.5
+            quantities.add(quantity)
     return total if len(quantities) > 1 or total > 1 else 0.0
 
 

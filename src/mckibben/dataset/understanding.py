@@ -10,17 +10,20 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from mckibben.dataset.at_joint import JointPaths, add_muscle, needed_at_joint
 from mckibben.dataset.clock import seconds_of
 from mckibben.dataset.raw import Floats, RawColumn, RawTable
 from mckibben.dataset.schema import unquote
 from mckibben.dataset.table import MOTIONS, Column, Question, Table, question
 from mckibben.dataset.text import NUMBER, to_numbers
 from mckibben.dataset.vocabulary import (
+    ABSOLUTE,
     QUANTITIES,
     Header,
     dimension_of,
     is_harmless,
     parse_header,
+    parse_line,
     si_factor,
 )
 from mckibben.dataset.words import doubtful_words
@@ -59,11 +62,16 @@ _ROUNDING = 0.5e-3  # m: precision of lengths
 _LISTED = 1000  # corrupt cells of a column that are named
 _WORDS_LISTED = 20  # unknown words of a column that are named
 _LONGEST = 20.0  # m
+_MASS = re.compile(r"weight|mass|gewicht|last\b", re.IGNORECASE)
+_OF_JOINTS = ("angle", "torque", "pressure1", "pressure2")
+_NEEDLESS_UNITS = ("time", "angle", "torque")
 _WITH_UNIT = re.compile(r"(.+?)\s*[\[(]([^\[\]()]+)[\])]\s*")
 _UNNAMED = re.compile(r"column \d+")
 
 
-def understand(path: Path, raw: RawTable, recipe: Recipe, needed: Sequence[str]) -> Table:
+def understand(
+    path: Path, raw: RawTable, recipe: Recipe, needed: Sequence[str], geometry: JointPaths | None = None
+) -> Table:
     """Map the columns of a file to quantities in SI units; what is not plain becomes a question of the table.
 
     Parameters
@@ -72,17 +80,20 @@ def understand(path: Path, raw: RawTable, recipe: Recipe, needed: Sequence[str])
         Answers: columns, lengths, signs, ambient pressure, decimal sign.
     needed
         Quantities without which nothing can be read.
+    geometry
+        Of the joint at which torques were measured: those of one muscle are read as its force and length.
     """
-    return _Reader(path, raw, recipe).read(needed)
+    return _Reader(path, raw, recipe).read(needed, geometry)
 
 
 class _Entry(NamedTuple):
-    """Column of a file, what its header means, its sign, and where this is from."""
+    """Column of a file, what its header means, the line of its sensor, and where this is from."""
 
     column: RawColumn
     header: Header
-    sign: int
     source: str
+    gain: float = 1.0
+    offset: float = 0.0
 
 
 class _Reader:
@@ -95,8 +106,9 @@ class _Reader:
         self.asked = self.table.questions
         self.bad = np.zeros(len(raw.lines), bool)
         self.asked_about: set[str] = set()
+        self.at_joint = recipe.joint is not None
 
-    def read(self, needed: Sequence[str]) -> Table:
+    def read(self, needed: Sequence[str], geometry: JointPaths | None) -> Table:
         table, raw = self.table, self.raw
         self._attributes()
         chosen = self._choose(self._headers())
@@ -111,6 +123,9 @@ class _Reader:
         for problem in raw.corrupt:
             self.ask(problem.message, "corrupt", line=problem.line)
             table.repairs.append(str(problem))
+        if self.at_joint:
+            needed = needed_at_joint(table.columns, self.recipe.lever)
+            self.asked += add_muscle(table.columns, geometry) if {*needed} <= {*table.columns} else ()
         self._lengths()
         if missing := [name for name in needed if name not in table.columns and name not in self.asked_about]:
             names = ", ".join(column.name for column in raw.columns[:20])
@@ -118,13 +133,14 @@ class _Reader:
             remedy = "name them: " + " ".join(self._meant(name) for name in missing if QUANTITIES[name])
             self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"{remedy} (in Python columns={{...}})")
         units = {column.unit for column in table.columns.values()}
-        for line, text in doubtful_words(raw.words, units):
-            self.ask(
-                f"beside the table stands {text[:200]!r}",
-                "words",
-                line=line,
-                remedy="apply it to the numbers in the file",
-            )
+        answered = self.recipe.ambient is not None
+        words = [(line, ABSOLUTE.sub("", text) if answered else text) for line, text in raw.words]
+        for line, text in doubtful_words(words, units):
+            remedy = _AMBIENT if ABSOLUTE.search(text) else "apply it to the numbers in the file"
+            self.ask(f"beside the table stands {text[:200]!r}", "words", line=line, remedy=remedy)
+        if answered and not any(self._is_absolute(entry.header) for entry in chosen):
+            remedy = "name an absolute one: --column 'HEADER=pressure_bar_abs', or leave ambient out"
+            self.ask("no pressure is absolute", field="ambient", remedy=remedy)
         self._leave_out()
         return table
 
@@ -133,8 +149,9 @@ class _Reader:
         for column in self.raw.columns:
             match = _WITH_UNIT.fullmatch(column.label or column.name)
             if match and column.name in self.table.ignored and parse_header(match[1]).quantity == quantity:
-                unit = closest(match[2], QUANTITIES[quantity]) or QUANTITIES[quantity][0]
-                return f"--column '{column.name}={quantity}_{unit}'"
+                unit = closest(match[2], QUANTITIES[quantity])
+                line = "" if unit else "GAIN*x+OFFSET "  # of a sensor in volts or counts
+                return f"--column '{column.name}={line}{quantity}_{unit or QUANTITIES[quantity][0]}'"
         return f"--column 'HEADER={quantity}_{QUANTITIES[quantity][0]}'"
 
     def ask(self, text: str, topic: str = "", *, field: str = "", line: int | None = None, remedy: str = "") -> None:
@@ -167,7 +184,10 @@ class _Reader:
             if name == "ignore":
                 self.table.ignored.append(column.name)
                 continue
-            header = parse_header(name.lstrip("-")) if name else parse_header(label, column.unit)
+            gain, offset, name = parse_line(name)
+            header = parse_header(name) if name else parse_header(label, column.unit)
+            if not name and header.quantity in _OF_JOINTS and not self.at_joint:
+                header = Header("", header.unit)
             if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
                 header = Header("time", "") if seconds_of(header, column.cells) is not None else header
             if name and (not header.quantity or not (header.unit or not QUANTITIES[header.quantity])):
@@ -176,7 +196,7 @@ class _Reader:
                 self.ask(f"{name!r} is not a quantity with a unit", field=column.name, remedy=remedy)
             elif header.quantity:
                 source = "columns" if name else "file" if column.unit and not parse_header(label).unit else "header"
-                understood.append(_Entry(column, header, -1 if name.startswith("-") else 1, source))
+                understood.append(_Entry(column, header, source, gain, offset))
             else:
                 self._unread(column, label, dimension_of(header.unit), other_unit=bool(header.unit))
         return understood
@@ -187,10 +207,10 @@ class _Reader:
         if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
             self.raw.words += [(line, cell) for line, cell in zip(self.raw.lines, column.cells, strict=True) if cell]
             return
-        if dimension in ("", "time") and _is_needless(column, label, other_unit=other_unit):
+        if dimension in ("", *_NEEDLESS_UNITS) and _is_needless(column, label, other_unit=other_unit):
             return
         remedy = _NEEDLESS.format(column.name)
-        if dimension and dimension != "time":
+        if dimension not in ("", *_NEEDLESS_UNITS):
             meant = f"{dimension}_{parse_header(label, column.unit).unit}"
             remedy = f"{_COLUMN_REMEDY.format(column.name, meant)}; {remedy}"
         self.ask("is not understood", "columns", field=column.name, remedy=remedy)
@@ -223,7 +243,7 @@ class _Reader:
 
     def _convert(self, entry: _Entry) -> None:
         """Add a column in SI units, or a question."""
-        column, header, sign, source = entry
+        column, header, source, gain, offset = entry
         name = header.quantity
         if name == "time":
             clock = seconds_of(header, column.cells)
@@ -239,14 +259,19 @@ class _Reader:
             self.asked.append(Question(problem))
             return
         else:
-            values = self._numbers(column, name) * si_factor(header)
-        if name == "force":
-            sign *= self.recipe.force_sign or 1
-        reference = "gauge" if name.endswith("pressure") else ""
-        if header.absolute and self.recipe.ambient is not None:
-            values, reference = values - self.recipe.ambient, f"absolute, less {show(self.recipe.ambient, 'kPa')}"
-        values = values if sign > 0 else -values
-        self.table.columns[name] = Column(column.name, name, header.unit, values, sign, reference, source)
+            values = (gain * self._numbers(column, name) + offset) * si_factor(header)
+        remarks = [] if offset == 0 and abs(gain) == 1 else [f"{gain:g} x {offset:+g}"]
+        remarks += ["sign reversed"] * (gain < 0)
+        if self._is_absolute(header) and self.recipe.ambient is not None:
+            values = values - self.recipe.ambient
+            remarks.append(f"absolute, less {show(self.recipe.ambient, 'kPa')}")
+        remarks += ["masses times g"] * bool(header.unit in ("kgf", "gf") and _MASS.search(column.name))
+        self.table.columns[name] = Column(column.name, name, header.unit, values, source, tuple(remarks))
+
+    def _is_absolute(self, header: Header) -> bool:
+        """Whether a pressure is absolute, by its header or, if the ambient pressure is known, by words of the file."""
+        said = self.recipe.ambient is not None and any(ABSOLUTE.search(text) for _, text in self.raw.words)
+        return header.absolute or (said and "pressure" in header.quantity)
 
     def _not_convertible(self, column: RawColumn, header: Header) -> Problem | None:
         """Why the numbers of a column have no plain unit, sign or reference."""
@@ -259,21 +284,18 @@ class _Reader:
         if name == "displacement" and not self.recipe.displacement:
             remedy = _SIGN_REMEDY.format(column.name, header.unit)
             return Problem("may grow with shortening or with lengthening", field=column.name, remedy=remedy)
-        if header.absolute and self.recipe.ambient is None:
+        if self._is_absolute(header) and self.recipe.ambient is None:
             return Problem("is an absolute pressure", field=column.name, remedy=_AMBIENT)
         return None
 
     def _numbers(self, column: RawColumn, name: str) -> Floats:
         """Numbers of a column; cells that are none are corrupt."""
         cells = column.cells
-        if isinstance(cells, np.ndarray):
-            values, filled = cells.copy(), np.ones(len(cells), bool)
-        else:
-            values = to_numbers(cells, self.raw.decimal, certain=bool(self.recipe.decimal))
-            filled = np.array([bool(cell.strip()) for cell in cells])
+        texts = [] if isinstance(cells, np.ndarray) else cells
+        values = to_numbers(texts, self.raw.decimal, certain=bool(self.recipe.decimal)) if texts else np.array(cells)
         wrong = ~np.isfinite(values)
-        if name == "set_pressure":
-            wrong &= filled
+        if name == "set_pressure" and texts:
+            wrong &= [bool(cell.strip()) for cell in texts]
         for row in np.flatnonzero(wrong)[:_LISTED].tolist():
             text, line = f"{str(cells[row])[:40]!r} is not a number", int(self.table.lines[row])
             self.ask(text, "corrupt", line=line, field=column.name, remedy="correct it")
@@ -315,6 +337,10 @@ class _Reader:
             return
         if "contraction" in table.columns:
             self._compare(column)
+            return
+        if column.unit in QUANTITIES["contraction"]:
+            values = 1 - column.values if column.quantity == "relative_length" else -column.values
+            table.columns["contraction"] = replace(column, quantity="contraction", values=values)
             return
         if initial is None:
             self.asked_about.add("contraction")

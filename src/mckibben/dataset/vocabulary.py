@@ -15,21 +15,30 @@ UNITS: Mapping[str, str] = {
     "contraction": "percent ratio permille",
     "force": "N kN daN cN mN kgf gf lbf",
     "length": "mm m cm um in",
-    "time": "s ms us ns min",
+    "time": "s ms us ns min h",
+    "angle": "deg rad mrad",
+    "torque": "N*m N*mm N*cm mN*m",
 }
 """Units in which each quantity is read, the usual one first."""
-_LIKE = {"set_pressure": "pressure", "displacement": "length", "shortening": "length", "lengthening": "length"}
 QUANTITIES: Mapping[str, tuple[str, ...]] = {
     **{name: tuple(units.split()) for name, units in UNITS.items()},
-    **{name: tuple(UNITS[like].split()) for name, like in _LIKE.items()},
+    **dict.fromkeys(("set_pressure", "pressure1", "pressure2"), tuple(UNITS["pressure"].split())),
+    **dict.fromkeys(("displacement", "shortening"), tuple(UNITS["length"].split())),
+    "lengthening": (*UNITS["length"].split(), *UNITS["contraction"].split()),
+    "relative_length": tuple(UNITS["contraction"].split()),
     **dict.fromkeys(("direction", "phase", "repeat"), ()),
 }
-"""Units of each quantity of a column; `shortening` and `lengthening` are displacements with a known direction."""
+"""Units of each quantity of a column.
+
+`shortening` and `lengthening` are displacements with a known direction, the latter also relative to the initial length,
+as `relative_length` is. `pressure1` and `pressure2` are those of the muscles of a joint.
+"""
 
 _NAMES: Mapping[str, str] = {
     "pressure": """p, pressure, muscle pressure, druck, muskeldruck, istdruck, p muskel, p ist, messdruck, überdruck""",
     "force": """f, force, axial force, tension, tensile force, pull, load, load cell, kraft, zugkraft, axialkraft,
-        muskelkraft, standardkraft, kraftaufnehmer, standard force""",
+        muskelkraft, standardkraft, kraftaufnehmer, standard force, weight, weights, hanging weight, hanging mass,
+        gewicht, gewichte, last, anhängelast""",
     "contraction": """contraction, contraction ratio, relative contraction, eps, epsilon, ε, kontraktion, verkürzung,
         verkuerzung, relative verkürzung""",
     "length": """length, muscle length, länge, laenge, muskellänge, muskellaenge""",
@@ -37,6 +46,11 @@ _NAMES: Mapping[str, str] = {
         wegaufnehmer, traversenweg, standardweg""",
     "shortening": """shortening, verkürzungsweg""",
     "lengthening": """lengthening, elongation, verlängerung""",
+    "relative_length": """relative length, length ratio, l/l0, relative länge, längenverhältnis""",
+    "angle": """angle, joint angle, theta, winkel, gelenkwinkel""",
+    "torque": """torque, joint torque, moment, tau, drehmoment""",
+    "pressure1": "p1, pressure1",
+    "pressure2": "p2, pressure2",
     "set_pressure": """set pressure, pressure set, pressure setpoint, pressure set point, nominal pressure,
         target pressure, commanded pressure, pressure command, p set, p soll, p ref, solldruck, druck soll,
         sollwert druck, druck sollwert""",
@@ -64,7 +78,7 @@ _HARMLESS = re.compile(
 ABSOLUTE = re.compile(r"\b(?:absolute?[rsn]?|abs|absolutdruck)\b|(?<=bar|psi|kpa)a\b|\(a\)", re.IGNORECASE)
 _GAUGE = re.compile(r"\s*\(?\b(?:gauge|rel|relative|überdruck|g)\b\)?|(?<=bar|psi)g\b", re.IGNORECASE)
 AMBIGUOUS = re.compile(
-    r"""strain|dehnung|elongation|stauchung|relative\ (?:length|länge)|length\ ratio|längenverhältnis|position|peak
+    r"""strain|dehnung|elongation|stauchung|position|peak
     |\bmax|\bmin|std|stdev|range|offset|error|fehler|zero|preload|vorkraft|vorlast|supply|versorgung|tank|filtered
     |corrected|net\b|brutto|tara""",
     re.IGNORECASE | re.VERBOSE,
@@ -91,6 +105,10 @@ _SPELLED: Mapping[str, str] = {
     **dict.fromkeys(("msec", "milliseconds"), "ms"),
     **dict.fromkeys(("μs", "µs", "microseconds"), "us"),
     **dict.fromkeys(("nanoseconds", "nanosec"), "ns"),
+    **dict.fromkeys(("hour", "hours", "hr", "std", "stunden"), "h"),
+    **dict.fromkeys(("°", "degree", "degrees", "grad"), "deg"),
+    **dict.fromkeys(("Nm", "N·m", "N-m", "N m"), "N*m"),
+    **dict.fromkeys(("Nmm", "N·mm"), "N*mm"),
     "minutes": "min",
 }
 _TIME_UNITS = {"millis": "ms", "micros": "us", "tout": "s", "x value": "s"}
@@ -99,6 +117,11 @@ _BRACKETS = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|<(.*)>|\{(.*)\})\s*(?:\d{0
 _TAIL = re.compile(r"(.+?)(?:\s*[/,;:]\s*|\s+in\s+|\s+[-–]\s+|[_ .])([^\s_/,;:]+)$", re.DOTALL)
 _CATMAN = re.compile(r"(?:\s+\d+)?\s*-\s*[\w ]*(?:messrate|sample rate)\b|\s+(?:last|actual|ave)$|_+$", re.IGNORECASE)
 _LONGEST = 300  # characters of a header
+_LINE = re.compile(
+    r"(-)?(?:(#)\s*\*\s*(?:x|\(\s*x\s*([+-]\s*#)\s*\))\s*([+-]\s*#)?\s+)?(\S+)".replace(
+        "#", r"\d+\.?\d*(?:[eE][+-]?\d+)?"
+    )
+)
 
 
 class Header(NamedTuple):
@@ -160,8 +183,8 @@ def parse_header(text: str, unit: str = "") -> Header:
     whole = _read_whole(text, unit)
     if not whole.quantity and len(parts := [part for part in re.split(r"[/\\.]", text) if part.strip()]) > 1:
         headers = [header for part in parts if (header := _read_whole(part.strip(), unit)).quantity]
-        headers = [header for header in headers if header.unit] or headers
-        return headers[0] if len(headers) == 1 else whole
+        if len({header.quantity for header in headers}) == 1:
+            return max(headers, key=lambda header: bool(header.unit))
     return whole
 
 
@@ -175,8 +198,11 @@ def _read_whole(text: str, unit: str) -> Header:
     elif (match := _TAIL.fullmatch(text.rpartition("_")[0])) and ABSOLUTE.fullmatch(text.rpartition("_")[2]):
         name, spelled = match[1], f"{match[2]} abs"
     plain, quantity = _plain(_CATMAN.sub("", name)), _named(name)
-    absolute = bool(ABSOLUTE.search(spelled) or ABSOLUTE.search(name)) and quantity.endswith("pressure")
-    bare = _GAUGE.sub("", ABSOLUTE.sub("", spelled)).strip(" ()") if quantity.endswith("pressure") else spelled.strip()
+    if not quantity and (dimension := dimension_of(spelled)) in ("pressure", "force"):
+        roles = {"soll": "set_pressure" if dimension == "pressure" else "", "ist": dimension, "actual": dimension}
+        quantity = roles.get(plain.removesuffix("wert"), "")
+    absolute = bool(ABSOLUTE.search(spelled) or ABSOLUTE.search(plain)) and "pressure" in quantity
+    bare = _GAUGE.sub("", ABSOLUTE.sub("", spelled)).strip(" ()") if "pressure" in quantity else spelled.strip()
     if not quantity or (quantity == "pressure" and AMBIGUOUS.search(name)):
         dimension = dimension_of(bare)
         return Header("", canonical_unit(bare, dimension) if dimension else bare, plain)
@@ -211,7 +237,20 @@ def _named(name: str) -> str:
 
 
 def _plain(text: str) -> str:
-    return " ".join(re.sub(r"[_\-<>|.]+", " ", text.strip(" \"'")).lower().split())
+    return " ".join(re.sub(r"[_\-<>|.()]+", " ", text.strip(" \"'")).lower().split())
+
+
+def parse_line(text: str) -> tuple[float, float, str]:
+    """Gain, offset and name of a column by the line of its sensor, in the name's unit; ``-force_N`` has the gain -1.
+
+    >>> parse_line("2.5*(x - 0.5) pressure_bar"), parse_line("-98.1*x+3 force_N"), parse_line("-force_N")
+    ((2.5, -1.25, 'pressure_bar'), (-98.1, 3.0, 'force_N'), (-1.0, 0.0, 'force_N'))
+    """
+    if (match := _LINE.fullmatch(text.strip())) is None:
+        return 1.0, 0.0, text
+    gain, zero, offset = (float((part or "0").replace(" ", "")) for part in match.group(2, 3, 4))
+    gain = -(gain or 1.0) if match[1] else gain or 1.0
+    return gain, gain * zero + offset, match[5]
 
 
 def is_harmless(text: str) -> bool:

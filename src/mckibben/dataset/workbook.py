@@ -10,7 +10,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mckibben.dataset.raw import Budget, RawTable, readable, several
+from mckibben.dataset.raw import Budget, RawTable, not_installed, readable, several
 from mckibben.dataset.text import find_layout, read_lines
 from mckibben.errors import DatasetError, Problem
 
@@ -33,8 +33,7 @@ def read_workbook(path: Path, data: bytes, mapping: Mapping[str, str], part: str
     try:
         from openpyxl import load_workbook
     except ImportError:
-        remedy = 'pip install "mckibben[excel]", or save the sheet as CSV'
-        raise DatasetError(str(path), [Problem("needs openpyxl, which is not installed", remedy=remedy)]) from None
+        raise not_installed(path, "openpyxl", "excel") from None
     with readable(path, "a workbook"):
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             names = archive.namelist()

@@ -12,6 +12,7 @@ from mckibben.component.schema import read_component
 from mckibben.config.document import read_document
 from mckibben.config.model import read_text
 from mckibben.errors import NotInCatalogError, suggest
+from mckibben.joint import Geometry
 
 if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset, Recipe
@@ -61,7 +62,7 @@ def data_named(names: str | Sequence[str], recipe: Recipe | None = None) -> Isob
         if not Path(name).exists() and not re.search(r"[./\\]", name):
             message = f"there is no file {name!r}, and no dataset of that name"
             raise NotInCatalogError(message, value=name, remedy=suggest(name, known))
-    dataset = read_dataset(names, recipe)
+    dataset = read_dataset(names, recipe, geometry=geometry_named(recipe.joint))
     if (kind := dataset.table.attrs["specimen"]) in catalog.names("specimens"):
         check_points(dataset, names[0], recipe.accept, catalog.specimen(kind))
     return dataset
@@ -160,6 +161,15 @@ def joint_named(name: str) -> AntagonisticJoint:
     if name in catalog.names("joints"):
         return catalog.joint(name)
     raise _unknown("joint", name, f"give a scenario file (.yaml), or one of {', '.join(catalog.names('joints'))}")
+
+
+def geometry_named(name: str | None) -> Geometry | None:
+    """Return the geometry of a joint: that of a file of a geometry, or of `joint_named`; None without a name."""
+    if not name:
+        return None
+    if Path(name).is_file() and "class" in read_document(read_text(name, "a joint", "docs/scenarios.md")).data:
+        return read_component(Geometry, Path(name))
+    return joint_named(name).geometry
 
 
 def _unknown(kind: str, name: str, remedy: str) -> NotInCatalogError:
