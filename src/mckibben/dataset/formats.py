@@ -119,17 +119,19 @@ def _add_node(table: RawTable, name: str, node: h5py.Dataset, matlab: bool, budg
     value: Value = None
     if kind == "char":
         value = "".join(map(chr, np.ravel(node[()]).tolist()))[:1000]
-    elif node.dtype.kind in "OS" and not kind:
-        value = [_decoded(text) for text in np.ravel(node[()]).tolist()]
-        value = value if len(value) != 1 else value[0]
-    elif node.dtype.names:
-        records = node[()]
-        numbers = [key for key in node.dtype.names if records[key].dtype.kind in "iuf"]
-        value = {key: records[key].astype(np.float64) for key in numbers}
-    elif node.dtype.kind in "biuf" and kind not in _OBJECTS:
-        value = node[()].T if matlab else _unpacked(node)
+    elif kind not in _OBJECTS:
+        value = _texts_or_records(node[()]) if node.dtype.kind in "OSV" else node[()].T if matlab else _unpacked(node)
     unit = next((_decoded(_attribute(node, key) or "") for key in node.attrs if key.lower() in _UNITS), "")
     _add_variable(table, name, value, unit)
+
+
+def _texts_or_records(cells: np.ndarray) -> Value:
+    """Texts, a single one by itself, or the columns of numbers of records."""
+    if cells.dtype.names:
+        numbers = [key for key in cells.dtype.names if cells[key].dtype.kind in "iuf"]
+        return {key: cells[key].astype(np.float64) for key in numbers}
+    texts: list[Value] = [_decoded(text) for text in np.ravel(cells).tolist()]
+    return texts[0] if len(texts) == 1 else texts
 
 
 def _unpacked(node: h5py.Dataset) -> np.ndarray:

@@ -169,11 +169,7 @@ def _with_header(problem: Problem, dataset: IsobaricDataset) -> Problem:
 def _paths(path: FilePaths) -> list[Path]:
     """The files of a test."""
     several = [path] if isinstance(path, str | os.PathLike) else path
-    if (
-        not isinstance(several, Sequence)
-        or not several
-        or not all(isinstance(name, str | os.PathLike) for name in several)
-    ):
+    if not (isinstance(several, Sequence) and several and all(isinstance(name, str | os.PathLike) for name in several)):
         remedy = "give a path, or a list of paths"
         raise RangeError(f"{described(path)} is not a file", field="path", value=path, remedy=remedy)
     return [Path(name) for name in several]

@@ -132,17 +132,20 @@ class _Reader:
             kinds = " and ".join(missing)
             remedy = "name them: " + " ".join(self._meant(name) for name in missing if QUANTITIES[name])
             self.ask(f"no column for {kinds}; its columns are {names}", remedy=f"{remedy} (in Python columns={{...}})")
-        units = {column.unit for column in table.columns.values()}
+        self._ask_about_words(chosen)
+        self._leave_out()
+        return table
+
+    def _ask_about_words(self, chosen: Sequence[_Entry]) -> None:
+        """Questions about words that may change numbers, and about an ambient pressure that nothing needs."""
         answered = self.recipe.ambient is not None
-        words = [(line, ABSOLUTE.sub("", text) if answered else text) for line, text in raw.words]
-        for line, text in doubtful_words(words, units):
+        words = [(line, ABSOLUTE.sub("", text) if answered else text) for line, text in self.raw.words]
+        for line, text in doubtful_words(words, {column.unit for column in self.table.columns.values()}):
             remedy = _AMBIENT if ABSOLUTE.search(text) else "apply it to the numbers in the file"
             self.ask(f"beside the table stands {text[:200]!r}", "words", line=line, remedy=remedy)
         if answered and not any(self._is_absolute(entry.header) for entry in chosen):
             remedy = "name an absolute one: --column 'HEADER=pressure_bar_abs', or leave ambient out"
             self.ask("no pressure is absolute", field="ambient", remedy=remedy)
-        self._leave_out()
-        return table
 
     def _meant(self, quantity: str) -> str:
         """Option that names a column of a quantity: the one whose header has its name and an unknown unit, if any."""
@@ -185,11 +188,7 @@ class _Reader:
                 self.table.ignored.append(column.name)
                 continue
             gain, offset, name = parse_line(name)
-            header = parse_header(name) if name else parse_header(label, column.unit)
-            if not name and header.quantity in _OF_JOINTS and not self.at_joint:
-                header = Header("", header.unit)
-            if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
-                header = Header("time", "") if seconds_of(header, column.cells) is not None else header
+            header = parse_header(name) if name else self._header_of(column, label)
             if name and (not header.quantity or not (header.unit or not QUANTITIES[header.quantity])):
                 known = [f"{quantity}_{units[0]}" for quantity, units in QUANTITIES.items() if units]
                 remedy = f"name quantity and unit, such as {closest(name, known) or 'force_N'}"
@@ -200,6 +199,13 @@ class _Reader:
             else:
                 self._unread(column, label, dimension_of(header.unit), other_unit=bool(header.unit))
         return understood
+
+    def _header_of(self, column: RawColumn, label: str) -> Header:
+        """Meaning of a column that the recipe does not name; those of a joint are read in its tests alone."""
+        header = parse_header(label, column.unit)
+        if _UNNAMED.fullmatch(column.name) and not isinstance(column.cells, np.ndarray):
+            return Header("time", "") if seconds_of(header, column.cells) is not None else header
+        return header if self.at_joint or header.quantity not in _OF_JOINTS else Header("", header.unit)
 
     def _unread(self, column: RawColumn, label: str, dimension: str, *, other_unit: bool) -> None:
         """Ask about a column that is not understood, unless its name or its content says that it is not needed."""

@@ -116,6 +116,11 @@ _TIME_UNITS = {"millis": "ms", "micros": "us", "tout": "s", "x value": "s"}
 _BRACKETS = re.compile(r"(.*?)\s*(?:\[(.*)\]|\((.*)\)|<(.*)>|\{(.*)\})\s*(?:\d{0,2}|Ave)$", re.DOTALL)
 _TAIL = re.compile(r"(.+?)(?:\s*[/,;:]\s*|\s+in\s+|\s+[-–]\s+|[_ .])([^\s_/,;:]+)$", re.DOTALL)
 _CATMAN = re.compile(r"(?:\s+\d+)?\s*-\s*[\w ]*(?:messrate|sample rate)\b|\s+(?:last|actual|ave)$|_+$", re.IGNORECASE)
+_ROLES = {
+    **{(name, role): name for name in ("pressure", "force") for role in ("ist", "actual")},
+    ("pressure", "soll"): "set_pressure",
+}
+"""Quantity by the dimension of a unit and a name that only says whether the value is set or measured."""
 _LONGEST = 300  # characters of a header
 _LINE = re.compile(
     r"(-)?(?:(#)\s*\*\s*(?:x|\(\s*x\s*([+-]\s*#)\s*\))\s*([+-]\s*#)?\s+)?(\S+)".replace(
@@ -197,10 +202,7 @@ def _read_whole(text: str, unit: str) -> Header:
         name, spelled = match[1], match[2]
     elif (match := _TAIL.fullmatch(text.rpartition("_")[0])) and ABSOLUTE.fullmatch(text.rpartition("_")[2]):
         name, spelled = match[1], f"{match[2]} abs"
-    plain, quantity = _plain(_CATMAN.sub("", name)), _named(name)
-    if not quantity and (dimension := dimension_of(spelled)) in ("pressure", "force"):
-        roles = {"soll": "set_pressure" if dimension == "pressure" else "", "ist": dimension, "actual": dimension}
-        quantity = roles.get(plain.removesuffix("wert"), "")
+    plain, quantity = _plain(_CATMAN.sub("", name)), _named(name, spelled)
     absolute = bool(ABSOLUTE.search(spelled) or ABSOLUTE.search(plain)) and "pressure" in quantity
     bare = _GAUGE.sub("", ABSOLUTE.sub("", spelled)).strip(" ()") if "pressure" in quantity else spelled.strip()
     if not quantity or (quantity == "pressure" and AMBIGUOUS.search(name)):
@@ -221,8 +223,8 @@ def _in_other_unit(quantity: str, unit: str, name: str) -> Header:
     return Header("", unit, name)
 
 
-def _named(name: str) -> str:
-    """Quantity of a name without unit; empty if it is unknown."""
+def _named(name: str, unit: str = "") -> str:
+    """Quantity of a name, which may only say whether a value in a unit is set or measured; empty if it is unknown."""
     plain = _plain(_CATMAN.sub("", name))
     if name.strip() in ("T", "P"):  # a temperature; a pressure
         return {"T": "", "P": "pressure"}[name.strip()]
@@ -233,7 +235,7 @@ def _named(name: str) -> str:
     if AMBIGUOUS.search(plain):
         return ""
     bare = " ".join(_MODIFIERS.sub(" ", ABSOLUTE.sub(" ", plain)).split())
-    return _QUANTITY.get(bare, "")
+    return _QUANTITY.get(bare) or _ROLES.get((dimension_of(unit), plain.removesuffix("wert")), "")
 
 
 def _plain(text: str) -> str:
