@@ -109,7 +109,6 @@ def _leg() -> None:
         "leg-foot-stiffness": mk.report.foot_ellipses(leg.leg, posture, found=solve_foot_stiffness(leg)),
         "leg-landing": mk.report.landing_forces(mk.leg.study_landing(leg)),
         "leg-jump": mk.report.jump_traces(jumps),
-        "leg-plan": mk.report.plan_stiffness(jumps),
     }
     for name, figure in figures.items():
         _, svg = save(figure, IMAGES, name)

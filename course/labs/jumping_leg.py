@@ -3,11 +3,10 @@
 #
 # A leg with four muscles, at hip and knee, jumps off the ground and lands on it. Nothing is as fast as one would like:
 # air flows through valves, joints have stops, and what was jumped must be landed. In this lab you account for the
-# energy of a jump, time the muscles, land softly, and compare with a jump that is planned.
+# energy of a jump, time the muscles, and land softly.
 #
 # **You need** the labs on attainable stiffness, and on valves and delay. **You learn** to read take-off and landing
-# from forces, to close an energy balance, to gain height by timing, to choose a stiffness for landing, and to see what
-# a plan costs.
+# from forces, to close an energy balance, to gain height by timing, and to choose a stiffness for landing.
 
 # %% [markdown]
 # ## The leg
@@ -24,7 +23,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import mckibben as mk
-from mckibben.leg import EnergyBalance, Ground, LegPlant, LegStart, PressureSchedule, plan_jump, read_leg, simulate_leg
+from mckibben.leg import EnergyBalance, Ground, LegPlant, LegStart, PressureSchedule, read_leg, simulate_leg
 from mckibben.muscle.air import L_PER_S_BAR
 from mckibben.units import bar, deg, mm, ms
 
@@ -197,52 +196,6 @@ for answer, one in ((best_regulated, plant), (best_shut, shut)):
 print(f"best stiffness: {best_regulated:.0f} N*m/rad with regulators, {best_shut:.0f} N*m/rad with the air shut in")
 
 # %% [markdown]
-# ## Task 6: a planned jump
-#
-# `plan_jump` plans the motion of the centre of mass, from it angles, torques and pressures, and commands that lead the
-# pressures through the valves; it refuses what the muscles cannot do. The plan below rises by 30 mm in flight and lands
-# as gently as it pushed off. It takes half a minute.
-#
-# Simulate it for trunks of 95, 100 and 105 % of the mass (`heavier`), and give for each the largest force of landing in
-# weights of the nominal leg (`peak_landing_force`), as a list. Predict: is the middle one the smallest?
-
-# %%
-plan = plan_jump(plant, squat=squat, take_off=(0.0, 0.0), height=30 * mm, landing_depth=45 * mm)
-
-
-def heavier(factor):
-    """The leg with another mass of the trunk."""
-    trunk = dataclasses.replace(leg.trunk, mass=factor * leg.trunk.mass)
-    return dataclasses.replace(plant, leg=dataclasses.replace(leg, trunk=trunk))
-
-
-def follow(plant):
-    """Run the plan on a plant."""
-    return simulate_leg(plant, plan.controller(), plan.start(), duration=0.8, control_period=STEP)
-
-
-# %% task plan
-### BEGIN SOLUTION
-landing_weights = [
-    follow(heavier(factor)).metrics["peak_landing_force"] / (mass * GRAVITY) for factor in (0.95, 1.0, 1.05)
-]
-### END SOLUTION
-
-# %% check plan 2
-expected = [follow(heavier(each)).metrics["peak_landing_force"] / (mass * GRAVITY) for each in (0.95, 1.0, 1.05)]
-grading.close(np.array(landing_weights), np.array(expected), tolerance=0.02, unit="weights")
-
-# %%
-planned = follow(plant)
-for name, one in {"timed": timed, "planned": planned}.items():
-    found = one.metrics
-    print(
-        f"{name}: rise {found['take_off_speed'] ** 2 / (2 * GRAVITY) / mm:.0f} mm, lands with "
-        f"{found['peak_landing_force'] / (mass * GRAVITY):.1f} weights, work of the muscles until take-off "
-        f"{found['muscle_work']:.2f} J, into the stops {found['stop_energy']:.2f} J"
-    )
-
-# %% [markdown]
 # ## What to remember
 #
 # - **Speed at take-off is all that counts.** Everything before is an account of work: what the muscles do, minus what
@@ -250,4 +203,3 @@ for name, one in {"timed": timed, "planned": planned}.items():
 # - **Timing is worth more than pressure.** A leg that sinks first has a longer stroke to push over.
 # - **The best stiffness for landing depends on the valves.** Air that is shut in adds stiffness of its own. Too soft is
 #   worse than too stiff, as the stop is harder than any muscle.
-# - **A plan trades height for control.** It lands with a fraction of the force, and rises by a third.

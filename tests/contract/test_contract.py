@@ -128,7 +128,6 @@ EXAMPLES = [
     control.OpenLoopControl(control.Step(2e5, 3e5, 1e-3), 2.5e5, KNEE),
     control.DelayCompensation(KNEE, LOAD, controller=LOOPS, command_delay=2.5e-3),
     leg.PressureSchedule(levels=((1e5, 4e5), (2e5,)), switches=((1.25e-3,), ())),
-    leg.PlannedControl(np.array([[1e5, 4e5], [2e5, 3e5], [3e5, 1e5]]), 4e-3, take_off=2e-3, touchdown=6e-3),
     TIMED,
     leg.JointwiseControl((LOOPS, LOOPS), TIMED),
     leg.CoupledControl((DECOUPLING, DECOUPLING), TIMED, (2e5,), leg=LEG),

@@ -91,7 +91,6 @@ WRONG = {  # task: plausible mistakes, as changes of the solution
         "constant": [("(0 * bar, 6 * bar, 0 * bar, 6 * bar)", "(0 * bar, 6 * bar, 6 * bar, 0 * bar)")],
         "timing": [(", max(rises)", ", rises[0]"), ("np.argmax(rises)", "0")],
         "landing": [("np.argmin(", "np.argmax("), ("(plant, shut)", "(shut, plant)")],
-        "plan": [(" / (mass * GRAVITY)", ""), ("(0.95, 1.0, 1.05)", "(1.0, 1.0, 1.0)")],
     },
     "valves_and_delay": {
         "lag": [("-period", "-2 * period")],

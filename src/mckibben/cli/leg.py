@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 from mckibben.cli.command import command
 from mckibben.cli.options import Progress, check_unused, required_folder
 from mckibben.cli.report import Report
-from mckibben.result import Column, Listing
+from mckibben.errors import FileError, Problem
+from mckibben.result import Listing
 from mckibben.storage.files import check_free, make_folder
+from mckibben.storage.store import STUDY
 
 if TYPE_CHECKING:
     from mckibben.leg.scenario import LegScenario
@@ -20,7 +22,6 @@ if TYPE_CHECKING:
 def leg(
     study: Literal["land", "jump", "stiffness"],
     file: Path,
-    limit: bool = False,
     *,
     out: Path | None,
     resume: bool,
@@ -35,41 +36,33 @@ def leg(
         Study, of which the file has the settings.
     file : LEG.yaml
         Leg; see examples/leg/.
-    limit
-        Jump: find the greatest height of the planned jump, and what limits it.
     """
-    if study != "jump":
-        check_unused(f"leg {study}", limit=limit)
     if study == "stiffness":
         check_unused("leg stiffness", resume=resume)
-    if resume:
-        required_folder(out, "study to be continued")
+    if resume and not (file_of_study := required_folder(out, "study to be continued") / STUDY).is_file():
+        problem = Problem("there is no study to continue", remedy="leave out --resume")
+        raise FileError(str(file_of_study), [problem])
     from mckibben.leg.scenario import LegScenario
 
     if out and not resume:
-        names = ("results.json", *Report.files, f"{study}.journal")
+        names = ("results.json", *Report.files, STUDY)
         check_free(make_folder(out), names, "choose another folder, or continue the study with --resume")
-    settings = {"journal": out / f"{study}.journal" if out else None, "resume": resume, "progress": progress}
+    settings = {"out": out, "resume": resume, "progress": progress}
     read = LegScenario.read(file)
-    done = _STUDIES[study](read, str(file), settings | ({"limit": limit} if study == "jump" else {}))
-    headers, rows = done.rows
-    cells = dict(zip(headers, zip(*rows, strict=True), strict=True))
-    table = Listing(
-        f"{read.name}; intervals are 5 to 95 % of the draws", {name: (Column(), cells[name]) for name in headers}
-    )
+    done = _STUDIES[study](read, str(file), settings)
 
     def write(folder: Path) -> None:
         read.to_yaml(folder / "leg.yaml")
         done.write(folder)
 
-    return Report(done.text, (table,), (), write, done.numbers)
+    return Report(done.text, (done.table,), (), write, done.numbers)
 
 
 class _Done(NamedTuple):
-    """A finished study: its verdict, headers and rows of its table, data for JSON, and what writes its files."""
+    """A finished study: its verdict, its table, data for JSON, and the function that writes its files."""
 
     text: str
-    rows: tuple[tuple[str, ...], list[tuple[str, ...]]]
+    table: Listing
     numbers: dict[str, object]
     write: Callable[[Path], None]
 
@@ -85,7 +78,7 @@ def _land(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
         write_netcdf(study.table, folder / "landing.nc")
         report.save(report.landing_forces(study), folder, "landing")
 
-    return _Done(study.describe(), study.rows(), study.records(), write)
+    return _Done(study.describe(), study.listing(), study.records(), write)
 
 
 def _jump(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
@@ -98,10 +91,8 @@ def _jump(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
         for name, jump in study.jumps.items():
             jump.run.to_netcdf(folder / f"{name}.nc")
         report.save(report.jump_traces(study), folder, "jump")
-        if study.plan is not None and study.plan.foot:
-            report.save(report.plan_stiffness(study), folder, "plan")
 
-    return _Done(study.describe(), study.rows(), study.records(), write)
+    return _Done(study.describe(), study.listing(), study.records(), write)
 
 
 def _stiffness(read: LegScenario, source: str, settings: dict[str, Any]) -> _Done:
@@ -116,7 +107,7 @@ def _stiffness(read: LegScenario, source: str, settings: dict[str, Any]) -> _Don
     def write(folder: Path) -> None:
         report.save(foot_ellipses(read.leg, angles, found=solved), folder, "foot_stiffness")
 
-    return _Done(solved.describe(), solved.rows(read.leg), solved.record(read.leg), write)
+    return _Done(solved.describe(), solved.listing(read.leg), solved.record(read.leg), write)
 
 
 _STUDIES = {"land": _land, "jump": _jump, "stiffness": _stiffness}

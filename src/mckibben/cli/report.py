@@ -14,10 +14,10 @@ class Report(Result):
 
     files: ClassVar = (
         *("fit.yaml", "muscle.yaml", "recipe.yaml", "data.nc", "fits"),
-        *("leg.yaml", "landing.nc", "constant.nc", "timed.nc", "planned.nc"),
+        *("leg.yaml", "landing.nc", "constant.nc", "timed.nc"),
         *(
             f"{name}.{end}"
-            for name in ("fit", "bands", "loops", "ranking", "landing", "jump", "plan", "foot_stiffness")
+            for name in ("fit", "bands", "loops", "ranking", "landing", "jump", "foot_stiffness")
             for end in ("png", "svg")
         ),
     )

@@ -15,12 +15,8 @@ from mckibben.leg.foot_pressures import (
     FootPressures,
     foot_matrix,
     pressures_for_foot_stiffness,
-    trajectory_pressures,
 )
 from mckibben.leg.ground import Ground
-from mckibben.leg.jump_control import PlannedControl
-from mckibben.leg.jump_limit import JumpLimit, limit_jump
-from mckibben.leg.jump_plan import JumpPlan, plan_jump
 from mckibben.leg.jumping import JumpStudy, study_jump
 from mckibben.leg.landing import LandingStudy, study_landing
 from mckibben.leg.mechanism import BiarticularMuscle, Leg, LegJoint, Link, Trunk
@@ -37,8 +33,6 @@ __all__ = [
     "FootStiffness",
     "Ground",
     "JointwiseControl",
-    "JumpLimit",
-    "JumpPlan",
     "JumpStudy",
     "LandingStudy",
     "Leg",
@@ -54,7 +48,6 @@ __all__ = [
     "LegState",
     "Link",
     "PhasedReference",
-    "PlannedControl",
     "PressureSchedule",
     "TimedReference",
     "Trunk",
@@ -62,13 +55,10 @@ __all__ = [
     "foot_matrix",
     "foot_stiffness",
     "leg_metrics",
-    "limit_jump",
-    "plan_jump",
     "pressures_for_foot_stiffness",
     "read_leg",
     "simulate_leg",
     "simulate_legs",
     "study_jump",
     "study_landing",
-    "trajectory_pressures",
 ]

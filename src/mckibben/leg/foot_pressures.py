@@ -15,12 +15,13 @@ import numpy as np
 from jaxtyping import ArrayLike
 from numpy.typing import NDArray
 
-from mckibben.component.checks import check_count, check_within
+from mckibben.component.checks import check_within
 from mckibben.errors import McKibbenError, Problem, RangeError, ScenarioError, UnreachableError
 from mckibben.leg.foot import FootStiffness, foot_jacobian, movable, stiffness_of, stiffness_through
 from mckibben.leg.mechanism import Leg, check_contractions
 from mckibben.leg.stiffness_map import StiffnessMap, check_affine, map_at
 from mckibben.muscle import Domain
+from mckibben.result import Column, Listing
 from mckibben.units import bar, deg
 
 if TYPE_CHECKING:
@@ -98,14 +99,16 @@ class FootPressures(NamedTuple):
             "wanted_joint_stiffness": self.wanted_joint_stiffness.tolist(),
         }
 
-    def rows(self, leg: Leg) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Return headers and rows of a table of the muscles."""
+    def listing(self, leg: Leg) -> Listing:
+        """Table of the muscles."""
         limits = dict(self.limits)
-        muscles = zip(leg.muscle_names, self.pressures, self.tensions, strict=True)
-        rows: list[tuple[str, ...]] = [
-            (name, f"{p / bar:.3f}", f"{tension:.1f}", limits.get(name, "")) for name, p, tension in muscles
-        ]
-        return ("muscle", "pressure [bar]", "tension [N]", "limited by"), rows
+        columns: dict[str, tuple[Column, Any]] = {
+            "muscle": (Column(), list(leg.muscle_names)),
+            "pressure": (Column("Pa", "pressure", "bar"), list(self.pressures)),
+            "tension": (Column("N", "tension"), list(self.tensions)),
+            "limit": (Column("", "limited by"), [limits.get(name, "") for name in leg.muscle_names]),
+        }
+        return Listing("Muscles", columns)
 
     def describe(self) -> str:
         """Return stiffness and error as text."""
@@ -177,49 +180,10 @@ def pressures_for_foot_stiffness(
     >>> found.limits
     (('hip1', 'slack'), ('knee1', 'highest pressure'))
     """
-    forces, holding = (None if one is None else [one] for one in (force, torques))
-    limits = {"supply": supply, "minimum_tension": minimum_tension}
-    return trajectory_pressures(leg, [angles], [wanted], forces=forces, torques=holding, **limits)[0]
-
-
-def trajectory_pressures(
-    leg: Leg,
-    angles: Sequence[Sequence[float]],
-    wanted: Sequence[ArrayLike],
-    *,
-    forces: Sequence[Sequence[float]] | None = None,
-    torques: Sequence[Sequence[float]] | None = None,
-    supply: float = np.inf,
-    minimum_tension: float = 1.0,
-) -> list[FootPressures]:
-    """Return what `pressures_for_foot_stiffness` does for each posture of a sequence.
-
-    Parameters
-    ----------
-    angles, wanted, forces, torques
-        One row, or matrix, for each posture; see there for the other arguments and the meaning.
-
-    Raises
-    ------
-    RangeError, UnreachableError
-        As there; of several postures, with the number of the posture, from 0.
-    """
-    count = len(angles)
-    for name, given in {"wanted": wanted, "forces": forces, "torques": torques}.items():
-        if given is not None:
-            check_count(name, len(given), count, "posture")
-    _check_angles(leg, angles)
     check_affine(leg)
-    domains, found = [muscle.domain for muscle in leg.muscles], []
-    for k in range(count):
-        force, holding = (None if one is None else one[k] for one in (forces, torques))
-        try:
-            limits = domains, supply, minimum_tension
-            found.append(_nearest(leg, angles[k], wanted[k], force, holding, limits))
-        except McKibbenError as error:
-            error.message = error.message if count == 1 else f"posture {k}: {error.message}"
-            raise
-    return found
+    _check_angles(leg, angles)
+    limits = [muscle.domain for muscle in leg.muscles], supply, minimum_tension
+    return _nearest(leg, angles, wanted, force, torques, limits)
 
 
 def _nearest(
@@ -238,7 +202,7 @@ def _nearest(
     jacobian, geometric = foot_jacobian(leg, angles, force)
     whole = jacobian, geometric
     wanted = _checked(wanted, len(jacobian))
-    moved, geometric = square_jacobian(jacobian[:, free]), geometric[np.ix_(free, free)]
+    moved, geometric = _square_jacobian(jacobian[:, free]), geometric[np.ix_(free, free)]
     pushed = np.zeros(len(jacobian)) if force is None else np.asarray(force, float)
     holding = -jacobian.T @ pushed if torques is None else np.asarray(torques, float)
     low, high, names = pressure_ranges(leg, affine, *limits)
@@ -341,27 +305,18 @@ def _checked(wanted: ArrayLike, directions: int) -> Floats:
     return matrix
 
 
-def check_stops(leg: Leg, columns: Sequence[Floats]) -> None:
-    """Raise `RangeError` if a joint that can move has an angle [rad] beyond its stops; one array per joint."""
-    for joint, column in zip(leg.joints, columns, strict=True):
+def _check_angles(leg: Leg, angles: Sequence[float]) -> None:
+    """Raise `RangeError` for a posture beyond stops, and for contractions outside the domains of the muscles."""
+    for joint, angle in zip(leg.joints, angles, strict=True):
         if joint.locked is None:
             low, high = joint.lower - 1e-9, joint.upper + 1e-9
-            for angle in (column.min(), column.max()):
-                remedy = "choose an angle between its stops"
-                check_within(joint.name, low, high, "rad", remedy=remedy, angle=float(angle))
+            remedy = "choose an angle between its stops"
+            check_within(joint.name, low, high, "rad", remedy=remedy, angle=float(angle))
+    for name, unit in zip(leg.muscle_names, leg.routed_muscles(leg.held(angles)), strict=True):
+        check_contractions(name, unit.muscle, jnp.reshape(unit.path, (1,)), ["this posture"])
 
 
-def _check_angles(leg: Leg, angles: Sequence[Sequence[float]]) -> None:
-    """Raise `RangeError` for postures beyond stops, and for contractions outside the domains of the muscles."""
-    columns = tuple(np.asarray(angles, float).reshape(-1, len(leg.joints)).T)
-    check_stops(leg, columns)
-    places = ["this posture"] if len(angles) == 1 else [f"posture {k}" for k in range(len(angles))]
-    for name, unit in zip(leg.muscle_names, leg.routed_muscles(leg.held(columns)), strict=True):
-        paths = jnp.broadcast_to(unit.path, (len(angles),))
-        check_contractions(name, unit.muscle, paths, places)
-
-
-def square_jacobian(jacobian: Floats) -> Floats:
+def _square_jacobian(jacobian: Floats) -> Floats:
     """Return the Jacobian of the movable joints; `RangeError` unless it can be inverted."""
     directions, joints = jacobian.shape
     if directions != joints:

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.simulate import leg_metrics, simulate_legs
-from mckibben.leg.study_journal import StudyJournal
 from mckibben.numerics.compiled import numeric
 from mckibben.simulation.batch import Batch
 from mckibben.simulation.engine import BatchFunction, dynamic_steps
 from mckibben.simulation.problem import sampling_times
+from mckibben.storage.store import Job
 
 Floats = NDArray[np.float64]
 
@@ -101,18 +101,19 @@ def _derivative(shared: Any, direction: Any) -> tuple[Array, Array]:
 
 
 class Evaluations:
-    """Evaluations of a search by their number, from a journal or computed; a search repeats them in the same order."""
+    """Evaluations of a search by their number, kept or computed; a search repeats them in the same order."""
 
-    def __init__(self, kept: StudyJournal) -> None:
-        self._kept, self._number = kept, itertools.count()
+    def __init__(self, job: Job) -> None:
+        self._job, self._number = job, itertools.count()
 
     def __call__(self, compute: Callable[[Floats], Floats], x: Floats) -> Floats:
         number, key = next(self._number), np.array([float(zlib.crc32(np.ascontiguousarray(x).tobytes()))])
-        block = self._kept.found(number)
-        if block is not None and np.array_equal(block["key"], key):
-            return block["found"]
+        if number in self._job.numbers:
+            block = self._job.read_arrays(number)
+            if np.array_equal(block["key"], key):
+                return block["found"]
         found = compute(x)
-        self._kept.keep(number, {"key": key, "found": found})
+        self._job.add_arrays(number, {"key": key, "found": found})
         return found
 
 

@@ -1,10 +1,10 @@
-"""Jumps from a squat: the best constant and the best timed pressures for the highest jump, and a planned jump."""
+"""Jumps from a squat: the best constant and the best timed pressures for the highest jump."""
 
 from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,38 +18,34 @@ from numpy.typing import NDArray
 from mckibben.errors import McKibbenError, Problem, ScenarioError, SimulationError
 from mckibben.leg.control import PressureSchedule
 from mckibben.leg.dynamics import acceleration, at_rest, contact, frames, motion, posture_of
-from mckibben.leg.foot_pressures import foot_matrix
-from mckibben.leg.jump_control import PlannedControl
-from mckibben.leg.jump_limit import JumpLimit, limit_jump
-from mckibben.leg.jump_plan import JumpPlan, plan_jump
 from mckibben.leg.jump_search import LANES, Evaluations, JumpRuns, ScheduleVariables, highest
 from mckibben.leg.landing import EDGES
 from mckibben.leg.metrics import EnergyBalance
 from mckibben.leg.plant import LegPlant, LegStart
-from mckibben.leg.scenario import LegScenario, PlanSettings
+from mckibben.leg.scenario import JumpSettings, LegScenario
 from mckibben.leg.simulate import LegResult, simulate_leg, simulate_legs
-from mckibben.leg.study_journal import StudyJournal, StudyKind, check_continued
 from mckibben.leg.uncertainty import drawn_plant
 from mckibben.muscle.air import ATMOSPHERE, ENERGY
 from mckibben.notebook import Progress
 from mckibben.numerics.compiled import jit
 from mckibben.numerics.spatial import Z
 from mckibben.plant.base import MOST_SUBSTEPS
-from mckibben.simulation.software import engine_of_job
+from mckibben.result import Column, Listing
+from mckibben.simulation.software import engine_of_job, software
+from mckibben.storage.store import STUDY, open_store
 from mckibben.units import bar, deg, mm, ms
 
 Floats = NDArray[np.float64]
 
 _POSTURES = 41  # of each joint, tried for the highest
-_LANDING = 0.25  # s of a jump after the duration of its search, or after its plan
-_KIND = StudyKind("mckibben jumps", 1, "evaluations of the search")
+_LANDING = 0.25  # s of a jump after the duration of its search
 
 
 @dataclass(frozen=True)
 class Jump:
     """A jump with its controller, time traces, and results over the draws, of which the first is nominal."""
 
-    controller: PressureSchedule | PlannedControl
+    controller: PressureSchedule
     run: LegResult  # of the nominal jump, with its `resolution`
     balance: EnergyBalance  # of the nominal run, landing included
     substeps: int  # of the jumps of the draws
@@ -71,7 +67,7 @@ class Jump:
             "rise_mm": float(self.rises[0] / mm),
             "rise_interval_mm": interval(self.rises / mm),
             "push_off_force_weights": self.push_force,
-            "landing_force_weights": float(self.landing_force[0]),
+            "landing_force": float(self.landing_force[0]),
             "landing_force_interval": interval(self.landing_force),
             "muscle_work_J": self.work,
             "stop_energy_J": self.stop_energy,
@@ -84,9 +80,8 @@ class Jump:
                 "runs_chaotic": int(resolution.chaotic),
             },
         }
-        if isinstance(self.controller, PressureSchedule):
-            found["levels_bar"] = [[float(one) / bar for one in levels] for levels in self.controller.levels]
-            found["switches_ms"] = [[float(one) / ms for one in times] for times in self.controller.switches]
+        found["levels_bar"] = [[float(level) / bar for level in levels] for levels in self.controller.levels]
+        found["switches_ms"] = [[float(time) / ms for time in times] for times in self.controller.switches]
         return found
 
 
@@ -97,18 +92,14 @@ def interval(values: Floats) -> list[float]:
 
 @dataclass(frozen=True)
 class JumpStudy:
-    """The best jump with constant pressures from the start on, the best with timed ones, and the planned one.
+    """The best jump with constant pressures from the start on, and the best with timed ones.
 
     Attributes
     ----------
     scenario
         File of the leg.
-    constant, timed, planned
-        The jumps; the last is None without a plan.
-    plan
-        Plan of the last one.
-    limit
-        Greatest height of such a plan and what limits it, if it was asked for.
+    constant, timed
+        The jumps.
     standing
         Greatest height [m] of the centre of mass with the foot on the ground, over the ranges of the joints; nominal.
     leg_length
@@ -120,15 +111,11 @@ class JumpStudy:
     timed: Jump
     standing: float
     leg_length: float
-    planned: Jump | None = None
-    plan: JumpPlan | None = None
-    limit: JumpLimit | None = None
 
     @property
     def jumps(self) -> dict[str, Jump]:
         """The jumps by name."""
-        found = {"constant": self.constant, "timed": self.timed}
-        return found if self.planned is None else {**found, "planned": self.planned}
+        return {"constant": self.constant, "timed": self.timed}
 
     def gain(self) -> tuple[float, float, float]:
         """Height [m] that timing adds: nominal, and 5 to 95 % over the same draws."""
@@ -149,48 +136,35 @@ class JumpStudy:
             **{name: jump.record() for name, jump in self.jumps.items()},
             "gain_mm": gain[0] / mm,
             "gain_interval_mm": [gain[1] / mm, gain[2] / mm],
-            "plan": None if self.plan is None else self.plan.record(self.standing),
-            "plan_limit": None if self.limit is None else self.limit.record(),
         }
 
-    def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Headers and rows of a table, one for each jump."""
-        headers = (
-            "pressures",
-            "height [mm]",
-            "rise after take-off [mm]",
-            "force at push-off, landing [weights]",
-            "work of muscles",
-            "of the air's energy",
-            "absorbed by stops",
-        )
-        rows: list[tuple[str, ...]] = []
-        for name, jump in self.jumps.items():
-            one = jump.record()
-            share = "-" if one["efficiency"] is None else f"{one['efficiency'] * 100:.0f} %"
-            force = "-"  # in a run that ends before it lands
-            if one["landing_force_weights"] > 0:
-                force = _with_interval(one["landing_force_weights"], one["landing_force_interval"])
-            rows.append(
-                (
-                    name,
-                    _with_interval(one["height_mm"], one["height_interval_mm"]),
-                    _with_interval(one["rise_mm"], one["rise_interval_mm"]),
-                    f"{one['push_off_force_weights']:.1f}, {force}",
-                    f"{one['muscle_work_J']:.2f} J",
-                    share,
-                    f"{one['stop_energy_J']:.2f} J",
-                )
-            )
-        return headers, rows
+    def listing(self) -> Listing:
+        """Table with a row for each jump; intervals are 5 to 95 % of the draws."""
+        jumps = [jump.record() for jump in self.jumps.values()]
+
+        def intervals(quantity: str, unit: str = "") -> list[str]:
+            pairs = ((jump[quantity + unit], jump[f"{quantity}_interval{unit}"]) for jump in jumps)
+            return [_with_interval(*pair) if pair[0] else "-" for pair in pairs]
+
+        def values(key: str) -> list[Any]:
+            return [jump[key] for jump in jumps]
+
+        columns: dict[str, tuple[Column, Any]] = {
+            "pressures": (Column(), list(self.jumps)),
+            "height": (Column("mm", "height"), intervals("height", "_mm")),
+            "rise": (Column("mm", "rise after take-off"), intervals("rise", "_mm")),
+            "push_off": (Column("1", "weights at push-off", digits=2), values("push_off_force_weights")),
+            "landing": (Column("1", "weights at landing"), intervals("landing_force")),
+            "work": (Column("J", "work of muscles", digits=3), values("muscle_work_J")),
+            "efficiency": (Column("1", "of the air's energy", "%", digits=2), values("efficiency")),
+            "stops": (Column("J", "into the stops", digits=2), values("stop_energy_J")),
+        }
+        return Listing(f"{self.scenario.name}; intervals are 5 to 95 % of the draws", columns)
 
     def describe(self) -> str:
-        """Gain in height by timing, and what the plan foresees, as text."""
-        gain, low, high = (one / mm for one in self.gain())
-        text = f"timing adds {gain:.1f} mm ({low:.1f} to {high:.1f} mm)"
-        if self.plan is not None:
-            text += f"; planned: {self.plan.describe(self.standing)}"
-        return text if self.limit is None else f"{text}\n{self.limit.describe()}"
+        """Gain in height by timing, as text."""
+        gain, low, high = (height / mm for height in self.gain())
+        return f"timing adds {gain:.1f} mm ({low:.1f} to {high:.1f} mm)"
 
     def __repr__(self) -> str:
         heights = ", ".join(f"{name} {jump.heights[0] / mm:.0f} mm" for name, jump in self.jumps.items())
@@ -232,12 +206,11 @@ def study_jump(
     *,
     source: str = "",
     seed: int = 0,
-    journal: Path | None = None,
+    out: Path | None = None,
     resume: bool = False,
-    limit: bool = False,
     progress: Progress | None = None,
 ) -> JumpStudy:
-    """Find the highest jumps of a scenario, with constant and with timed pressures, and simulate its planned one.
+    """Find the highest jumps of a scenario, with constant and with timed pressures.
 
     Both are searched by differential evolution over many runs at once, and polished by L-BFGS-B with gradients of
     forward differentiation. The constant jump changes all commands at the start; the timed one may change each twice.
@@ -246,68 +219,67 @@ def study_jump(
     ----------
     scenario, source, seed
         File of the leg, its name for errors, and the seed of the search.
-    journal, resume
-        File that keeps the evaluations of the search, and whether to continue one; its plan may be another.
-    limit
-        Whether to find the greatest height of the plan as well, which takes as long as ten plans.
+    out, resume
+        Folder whose study.sqlite keeps the evaluations of the search, and whether to continue the one in it.
 
     Raises
     ------
     ScenarioError
-        If there is no section `jump`, the muscles cannot hold the squat, or the plan is not possible; with the
-        attainable range.
+        If there is no section `jump`, or the muscles cannot hold the squat; with the attainable range.
     FileError
         As for `study_landing`.
     """
     jump, source = scenario.jump, source or scenario.name
     if jump is None:
         raise ScenarioError(source, [Problem("lacks the section `jump`", remedy="see examples/leg/lei-leg.yaml")])
-    check_continued(journal, resume)
     plant = scenario.plant()
-    leg = plant.leg
-    angles = leg.posture_angles(jump.squat)
+    start = _squat(scenario, jump, plant, source)
+    drawn = drawn_plant(scenario)
+    standing, length = _standing_heights(plant, drawn)
+    searches = [
+        JumpRuns(plant, start, variables, scenario.whole_steps(jump.duration), scenario.step, 1)
+        for variables in (
+            ScheduleVariables(start.pressures, jump.low, jump.high, jump.latest, timed) for timed in (False, True)
+        )
+    ]
+    substeps = scenario.substeps or _batch_substeps(scenario, searches[0])
+    trial = searches[0]._replace(substeps=substeps)
+    engine = engine_of_job(lambda: {trial.simulate(np.full((trial.variables.size, LANES), 0.5)).engine})
+    about = {"format": "mckibben jumps", "software": software(engine), "leg": scenario.dumps(), "seed": seed}
+    found: list[Jump] = []
+    best: Floats | None = None
+    with open_store(None if out is None else out / STUDY, resume=resume) as store:
+        evaluations = Evaluations(store.job(about))
+        for k, runs in enumerate(search._replace(substeps=substeps, engine=engine) for search in searches):
+            # The constant jump is one of the timed ones.
+            guess = None if best is None else np.concatenate([best, best, np.zeros(2 * len(start.pressures))])
+            report = functools.partial(_report, progress, ("constant pressures", "timed pressures")[k], k)
+            best = highest(runs, guess, seed, evaluations, report)
+            schedule = runs.variables.schedule([float(x) for x in best])
+            found.append(_jump(scenario, runs, schedule, drawn, standing))
+    return JumpStudy(scenario, found[0], found[1], float(standing[0]), length)
+
+
+def _squat(scenario: LegScenario, jump: JumpSettings, plant: LegPlant, source: str) -> LegStart:
+    """Start at rest in the squat."""
+    angles = plant.leg.posture_angles(jump.squat)
     try:
-        pressures = leg.pressures_for(angles, standing_torques(plant, angles).tolist(), [None] * len(angles))
-        start = LegStart(angles, pressures)
+        torques = standing_torques(plant, angles).tolist()
+        pressures = plant.leg.pressures_for(angles, torques, [None] * len(angles))
         plant.check_substeps(angles, None, scenario.step, scenario.substeps or MOST_SUBSTEPS)
     except SimulationError as error:
         raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
     except McKibbenError as error:
         raise ScenarioError(source, [Problem.of(error, field="jump.squat")]) from error
-    plan = None if jump.plan is None else _plan(scenario, jump.plan, plan_jump, source)
-    if limit and plan is None:
-        raise ScenarioError(source, [Problem("lacks the section `plan`, whose limit is wanted", field="jump")])
-    drawn = drawn_plant(scenario)
-    standing, length = _standing_heights(plant, drawn)
-    found, duration, substeps = [], scenario.whole_steps(jump.duration), scenario.substeps
-    best: Floats | None = None
-    variables = [ScheduleVariables(pressures, jump.low, jump.high, jump.latest, timed) for timed in (False, True)]
-    if substeps is None:
-        schedule = variables[0].schedule([0.5] * variables[0].size)
-        nominal = simulate_leg(plant, schedule, start, duration=duration, **scenario.steps)
-        assert nominal.resolution is not None
-        substeps = nominal.resolution.batch_substeps(plant.needed_substeps(angles, None, scenario.step))
-    runs = [JumpRuns(plant, start, each, duration, scenario.step, substeps) for each in variables]
-    engine = "auto"
-    if journal is not None:
-        trial = functools.partial(runs[0].simulate, np.full((variables[0].size, LANES), 0.5))
-        engine = engine_of_job(lambda: {trial().engine}, _KIND.software(journal) if resume else None)
-    searched = scenario.model_copy(update={"jump": jump.model_copy(update={"plan": None})})
-    with StudyJournal(journal, _KIND, searched, engine, resume) as kept:
-        evaluations = Evaluations(kept)
-        for k, (name, each) in enumerate(zip(("constant pressures", "timed pressures"), runs, strict=True)):
-            # The constant jump is one of the timed ones.
-            guess = None if best is None else np.concatenate([best, best, np.zeros(2 * len(pressures))])
-            report = functools.partial(_report, progress, name, k)
-            best = highest(each._replace(engine=engine), guess, seed, evaluations, report)
-            schedule = each.variables.schedule([float(one) for one in best])
-            found.append(_jump(scenario, each, schedule, drawn, standing))
-    planned = None
-    if plan is not None:
-        own = runs[0]._replace(start=plan.start(), duration=max(duration, float(plan.times[-1])))
-        planned = _jump(scenario, own, plan.controller(), drawn, standing)
-    highest_plan = _plan(scenario, jump.plan, limit_jump, source) if limit and jump.plan is not None else None
-    return JumpStudy(scenario, found[0], found[1], float(standing[0]), length, planned, plan, highest_plan)
+    return LegStart(angles, pressures)
+
+
+def _batch_substeps(scenario: LegScenario, runs: JumpRuns) -> int:
+    """Integration steps that the first schedule needs, for all jumps of a search."""
+    schedule = runs.variables.schedule([0.5] * runs.variables.size)
+    nominal = simulate_leg(runs.plant, schedule, runs.start, duration=runs.duration, **scenario.steps)
+    assert nominal.resolution is not None
+    return nominal.resolution.batch_substeps(runs.plant.needed_substeps(runs.start.angles, None, scenario.step))
 
 
 def _report(progress: Progress | None, name: str, search: int, part: float) -> None:
@@ -315,30 +287,10 @@ def _report(progress: Progress | None, name: str, search: int, part: float) -> N
         progress(name, (search + part) / 2)
 
 
-def _plan(scenario: LegScenario, plan: PlanSettings, compute: Callable[..., Any], source: str) -> Any:
-    """Result of `plan_jump` or `limit_jump` for the planned jump of a scenario."""
-    assert scenario.jump is not None
-    plant = scenario.plant()
-    wanted = None
-    if plan.stiffness is not None:
-        each = (plan.stiffness.squat, plan.stiffness.take_off, plan.stiffness.landing)
-        squat_matrix, take_off_matrix, landing_matrix = (
-            foot_matrix(one.principal, one.direction, one.sideways) for one in each
-        )
-        wanted = squat_matrix, take_off_matrix, landing_matrix
-    squat, take_off = (plant.leg.posture_angles(one) for one in (scenario.jump.squat, plan.take_off))
-    heights = {"height": plan.height, "landing_depth": plan.landing_depth}
-    try:
-        return compute(plant, squat, take_off, **heights, stiffness=wanted, period=scenario.step)
-    except McKibbenError as error:
-        field = "jump.plan" if error.field not in PlanSettings.model_fields else f"jump.plan.{error.field}"
-        raise ScenarioError(source, [Problem.of(error, field=field)]) from error
-
-
 def _jump(
     scenario: LegScenario,
     runs: JumpRuns,
-    controller: PressureSchedule | PlannedControl,
+    controller: PressureSchedule,
     drawn: LegPlant,
     standing: Floats,
 ) -> Jump:

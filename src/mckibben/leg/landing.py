@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,13 +20,14 @@ from mckibben.leg.metrics import LegMetrics
 from mckibben.leg.plant import LegPlant, LegStart
 from mckibben.leg.scenario import LegScenario
 from mckibben.leg.simulate import simulate_legs
-from mckibben.leg.study_journal import StudyJournal, StudyKind, check_continued
 from mckibben.leg.uncertainty import drawn_air, drawn_plant, take
-from mckibben.notebook import Progress, silent
+from mckibben.notebook import Progress
 from mckibben.plant.base import MOST_SUBSTEPS
+from mckibben.result import Column, Listing
 from mckibben.simulation.accuracy import STEP_COLUMNS, StepCounts, integration_sentence
 from mckibben.simulation.batch import Batch
-from mckibben.simulation.software import engine_of_job
+from mckibben.simulation.software import engine_of_job, software
+from mckibben.study.study import Study, Table, select
 from mckibben.units import bar, deg, mm, ms
 
 if TYPE_CHECKING:
@@ -34,10 +37,8 @@ Floats = NDArray[np.float64]
 
 ISOBARIC, CLOSED = "constant pressures", "closed valves"
 BEST_WITHIN = 0.02
-"""The softest stiffness whose force on the trunk is within this part of the least one is the best."""
-ROWS = 4096
-"""Landings of a block, which a journal keeps."""
-_KIND = StudyKind("mckibben landings", 4, "landings")
+"""The softest stiffness whose force on the trunk is within this part of the least one is the nominal best."""
+_AXES = ("valve", "drop", "stiffness", "draw")
 _COLUMNS = (*LegMetrics._fields, *STEP_COLUMNS)
 _SHUT = 1e-6  # of the conductance
 EDGES = (5.0, 95.0)
@@ -92,53 +93,48 @@ class LandingStudy:
         forces = np.moveaxis(self.table["peak_trunk_force"].to_numpy(), 2, -1)
         return np.argmax(forces <= forces.min(axis=-1, keepdims=True) * (1 + BEST_WITHIN), axis=-1)
 
-    def rows(self) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-        """Headers and rows of a table: one for each valve and drop, at its best stiffness."""
-        headers = (
-            "valve",
-            "drop",
-            "best stiffness [N*m/rad]",
-            "force on the trunk [its weight]",
-            "force of the ground [weight of the leg]",
-            "deflection [mm]",
-            f"{self.joint} bottoms out",
-            "rebound [mm]",
-        )
-        rows: list[tuple[str, ...]] = []
-        for record in self.records()["landings"]:
-            low, high = record["best_stiffness_interval"]
-            best = f"{record['best_stiffness']:.3g} ({low:.3g} to {high:.3g})"
-            if record["influence"] < BEST_WITHIN:
-                best = "no influence"
-            if not record["avoids_stop"]:
-                best += ", none avoids the stop"
-            elif record["best_bottoms_out"]:
-                best += ", bottoms out"
-            rows.append(
-                (
-                    record["valve"],
-                    f"{record['drop_mm']:g} mm",
-                    best,
-                    f"{record['peak_trunk_force_weights']:.2f}",
-                    f"{record['peak_force_weights']:.2f}",
-                    f"{record['deflection_mm']:.0f}",
-                    f"{record['bottoms_out_share'] * 100:.0f} % of draws",
-                    f"{record['rebound_mm']:.0f}",
-                )
-            )
-        return headers, rows
+    def robust(self) -> NDArray[np.int64]:
+        """Index of the stiffness whose force on the trunk has the least 95 % quantile over the draws.
+
+        Shape (valve, drop).
+        """
+        return np.argmin(self.trunk_quantile(), axis=-1)
+
+    def trunk_quantile(self) -> Floats:
+        """Quantile of 95 % over the draws of the force on the trunk [its weight], shape (valve, drop, stiffness)."""
+        return np.percentile(self.trunk_weights()[..., 1:], EDGES[1], axis=-1)
+
+    def listing(self) -> Listing:
+        """Table with a row for each valve and drop, at the robust and at the nominal best stiffness.
+
+        Forces are 95 % quantiles on the trunk in its weights, shares those of the draws in which the joint meets a
+        stop.
+        """
+        landings = self.records()["landings"]
+
+        def column(name: str, key: str, unit: str, title: str, shown: str = "") -> dict[str, tuple[Column, Any]]:
+            return {name: (Column(unit, title, shown, digits=3), [landing[key] for landing in landings])}
+
+        columns = column("valve", "valve", "", "valve") | column("drop", "drop_mm", "mm", "drop")
+        for kind, title in (("robust", "robust stiffness"), ("best", "nominal best stiffness")):
+            columns |= column(f"{kind}_stiffness", f"{kind}_stiffness", "N*m/rad", title)
+            columns |= column(f"{kind}_force", f"{kind}_trunk_force_95_weights", "1", "95 % force")
+            columns |= column(f"{kind}_share", f"{kind}_bottoms_out_share", "1", "bottoms out", "%")
+        remarks = [_remark(landing) for landing in landings]
+        title = f"{self.scenario.name}: force on the trunk in its weights"
+        return Listing(title, columns | {"remark": (Column(), remarks)})
 
     def records(self) -> dict[str, Any]:
         """The results as plain data; intervals are 5 to 95 % of the draws."""
-        best, table = self.best(), self.table
-        stiffness = table["stiffness"].to_numpy()
+        best, robust, table = self.best(), self.robust(), self.table
+        stiffness, quantile = table["stiffness"].to_numpy(), self.trunk_quantile()
         forces, late, trunk = self.body_weights(), self.body_weights("peak_force_late"), self.trunk_weights()
         deflection, speed = table["deflection"].to_numpy(), table["take_off_speed"].to_numpy()
         bottoms = self.bottoms_out()
         landings = []
         for v, valve in enumerate(table["valve"].to_numpy()):
             for d, drop in enumerate(table["drop"].to_numpy()):
-                at = int(best[v, d, 0])
+                at, sure = int(best[v, d, 0]), int(robust[v, d])
                 low, high = np.percentile(stiffness[best[v, d, 1:]], EDGES)
                 nominal = trunk[v, d, :, 0]
                 landings.append(
@@ -147,6 +143,10 @@ class LandingStudy:
                         "drop_mm": float(drop / mm),
                         "best_stiffness": float(stiffness[at]),
                         "best_stiffness_interval": [float(low), float(high)],
+                        "best_trunk_force_95_weights": float(quantile[v, d, at]),
+                        "robust_stiffness": float(stiffness[sure]),
+                        "robust_trunk_force_95_weights": float(quantile[v, d, sure]),
+                        "robust_bottoms_out_share": float(bottoms[v, d, sure, 1:].mean()),
                         "influence": float(nominal.max() / nominal.min() - 1),
                         "avoids_stop": bool((~bottoms[v, d, :, 0]).any()),
                         "best_bottoms_out": bool(bottoms[v, d, at, 0]),
@@ -157,7 +157,7 @@ class LandingStudy:
                         "peak_force_late_weights": float(late[v, d, at, 0]),
                         "softest_peak_force_weights": float(forces[v, d, 0, 0]),
                         "deflection_mm": float(deflection[v, d, at, 0] / mm),
-                        "bottoms_out_share": float(bottoms[v, d, at, 1:].mean()),
+                        "best_bottoms_out_share": float(bottoms[v, d, at, 1:].mean()),
                         "rebound_mm": float(speed[v, d, at, 0] ** 2 / (2 * table.attrs["gravity"]) / mm),
                     }
                 )
@@ -192,12 +192,21 @@ class LandingStudy:
         return f"<LandingStudy of {self.scenario.name!r}: {self.table['peak_force'].size} landings>"
 
 
+def _remark(landing: dict[str, Any]) -> str:
+    """What the choice of a stiffness does not show."""
+    if not landing["avoids_stop"]:
+        return "no stiffness avoids the stop"
+    if landing["best_bottoms_out"]:
+        return "the nominal best bottoms out"
+    return "stiffness has no influence" if landing["influence"] < BEST_WITHIN else ""
+
+
 def study_landing(
     scenario: LegScenario,
     *,
     source: str = "",
     engine: str = "auto",
-    journal: Path | None = None,
+    out: Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
 ) -> LandingStudy:
@@ -210,104 +219,137 @@ def study_landing(
     ----------
     scenario, source, engine
         File of the leg, its name for errors, and the engine, as for `simulate_legs`.
-    journal, resume
-        File that keeps finished blocks of landings, and whether to continue one.
+    out, resume
+        Folder of the study, and whether to continue the one in it, as for `Study.run`.
 
     Raises
     ------
     ScenarioError
         If there is no section `landing`, or the stiffness of a joint is not attainable; with the attainable range.
-    FileError
-        If the journal exists, or, with `resume`, does not exist or belongs to another leg or version; if another
-        process is computing the study; or if the disk is full.
+    FileError, InterruptedStudy
+        As for `Study.run`.
     """
-    landing = scenario.landing
     source = source or scenario.name
-    if landing is None:
+    if scenario.landing is None:
         raise ScenarioError(source, [Problem("lacks the section `landing`", remedy="see examples/leg/lei-leg.yaml")])
-    check_continued(journal, resume)
-    nominal = scenario.plant()
-    leg = nominal.leg
-    index = leg.index(landing.joint)
-    angles = leg.posture_angles(landing.touchdown)
-    pair = leg.joints[index].muscles
-    low, high = (float(one) for one in pair.attainable_stiffness(angles[index], 0.0))
-    given = landing.stiffness
-    stiffness = np.linspace(low + 1e-6, high - 1e-6, landing.levels) if given is None else np.sort(given)
+    study, attainable = Landings.of(scenario, source)
+    study = study.with_known_engine(engine)
+    records = study.run(out, resume=resume, progress=progress)
+    return LandingStudy(scenario, study.table(records.columns), study.pressures, attainable)
 
-    def pressures_at(wanted: float) -> tuple[float, ...]:
-        each = [wanted if at == index else None for at in range(len(leg.joints))]
-        return leg.pressures_for(angles, [0.0] * len(angles), each)
 
-    try:
-        pressures = np.array([pressures_at(float(one)) for one in stiffness])
-        for each in pressures:
-            nominal.init_state(angles, tuple(map(float, each)))  # within the supply
-        valves = _valves(nominal, landing.time_constants)
-        for valve in valves.values():
-            own = eqx.tree_at(lambda x: x.valve, nominal, valve)
-            own.check_substeps(angles, None, scenario.step, scenario.substeps or MOST_SUBSTEPS)
-    except SimulationError as error:
-        raise ScenarioError(source, [Problem(error.message, field="step", remedy="give a shorter `step`")]) from error
-    except McKibbenError as error:
-        field = "landing.time_constants" if error.field == "time_constants" else "landing.stiffness"
-        raise ScenarioError(source, [Problem.of(error, field=field)]) from error
+@dataclass(frozen=True, eq=False)
+class Landings(Study):
+    """Landings of a leg: rows are places on the axes of a `LandingStudy`, records are metrics."""
 
-    drops, draws = np.array(landing.drop), scenario.uncertainty.draws + 1
-    drop, level, draw = (x.ravel() for x in np.indices((drops.size, stiffness.size, draws)))
-    drawn = drawn_plant(scenario)
-    blocks = [slice(begin, begin + ROWS) for begin in range(0, draw.size, ROWS)]
-    total, engines = len(valves) * len(blocks), set()
-    tables: list[dict[str, Floats]] = []
+    scenario: LegScenario
+    source: str
+    valves: Mapping[str, Any]
+    stiffness: Floats
+    pressures: Floats
+    drawn: LegPlant
+    software: Mapping[str, str]
 
-    def land(valve: Any, rows: slice, engine: str, report: Progress) -> Batch:
-        commands = tuple(pressures[level[rows]].T)
-        speeds = -np.sqrt(2 * nominal.gravity * drops[drop[rows]])
+    unit = "landings"
+
+    @classmethod
+    def of(cls, scenario: LegScenario, source: str) -> tuple[Landings, tuple[float, float]]:
+        """Return the landings of a scenario, and the attainable stiffness [N*m/rad] of the joint."""
+        landing, plant = scenario.landing, scenario.plant()
+        assert landing is not None
+        leg, angles = plant.leg, plant.leg.posture_angles(landing.touchdown)
+        index = leg.index(landing.joint)
+        low, high = (float(edge) for edge in leg.joints[index].muscles.attainable_stiffness(angles[index], 0.0))
+        wanted = landing.stiffness
+        stiffness = np.linspace(low + 1e-6, high - 1e-6, landing.levels) if wanted is None else np.sort(wanted)
+        others: list[float | None] = [None] * len(leg.joints)
+        try:
+            rows = [[*others[:index], float(level), *others[index + 1 :]] for level in stiffness]
+            pressures = np.array([leg.pressures_for(angles, [0.0] * len(angles), row) for row in rows])
+            for row in pressures.tolist():
+                plant.init_state(angles, row)  # within the supply
+            valves = _valves(plant, landing.time_constants)
+            for valve in valves.values():
+                own = eqx.tree_at(lambda x: x.valve, plant, valve)
+                own.check_substeps(angles, None, scenario.step, scenario.substeps or MOST_SUBSTEPS)
+        except SimulationError as error:
+            problem = Problem(error.message, field="step", remedy="give a shorter `step`")
+            raise ScenarioError(source, [problem]) from error
+        except McKibbenError as error:
+            field = "landing.time_constants" if error.field == "time_constants" else "landing.stiffness"
+            raise ScenarioError(source, [Problem.of(error, field=field)]) from error
+        drawn = drawn_plant(scenario)
+        return cls(scenario, source, valves, stiffness, pressures, drawn, software()), (low, high)
+
+    def about(self) -> dict[str, object]:
+        """Return the file of the leg, and the software."""
+        return {"format": "mckibben landings", "software": dict(self.software), "leg": self.scenario.dumps()}
+
+    def rows(self) -> Table:
+        """Return the place of each landing on each axis."""
+        return dict(zip(_AXES, (axis.ravel() for axis in np.indices(self._shape)), strict=True))
+
+    def block_size(self) -> int:
+        """Return the number of landings that are computed and kept together."""
+        return 512
+
+    def compute(self, rows: Table, /) -> Table:
+        """Return metrics of landings; raises `ScenarioError` if one diverges."""
+        edges = [0, *(np.flatnonzero(np.diff(rows["valve"])) + 1), rows["valve"].size]
+        spans = (slice(*pair) for pair in itertools.pairwise(edges))
+        parts = [self._land(select(rows, span), self.software["engine"]) for span in spans]
+        if any(batch.failed.any() for batch in parts):
+            problem = Problem("landings diverge", field="step", remedy="give a shorter `step`")
+            raise ScenarioError(self.source, [problem])
+        tables = [batch.table.isel(joint=self.scenario.leg.index(self._landing.joint)) for batch in parts]
+        return {name: np.concatenate([table[name].to_numpy() for table in tables]) for name in _COLUMNS}
+
+    def with_known_engine(self, engine: str) -> Landings:
+        """Return the study with the engine that computes all its landings, as a trial shows."""
+        rows = self.rows()
+        firsts = [select(rows, slice(at, at + 1)) for at in np.unique(rows["valve"], return_index=True)[1].tolist()]
+        used = engine_of_job(lambda: {self._land(first, "auto").engine for first in firsts}, engine=engine)
+        return replace(self, software=software(used))
+
+    def table(self, columns: Table) -> xr.Dataset:
+        """Return the records over the axes, with the weights of leg and trunk [N] of each draw."""
+        import xarray as xr
+
+        coords = {
+            "valve": list(self.valves),
+            "drop": ("drop", np.array(self._landing.drop), {"units": "m"}),
+            "stiffness": ("stiffness", self.stiffness, {"units": "N*m/rad"}),
+        }
+        found: dict[str, tuple[Any, ...]] = {
+            name: (_AXES, columns[name].reshape(self._shape), attributes(name)) for name in _COLUMNS
+        }
+        gravity = float(self.drawn.gravity)
+        for name, mass in {"weight": self.drawn.leg.total_mass, "trunk_weight": self.drawn.leg.trunk.mass}.items():
+            found[name] = ("draw", np.broadcast_to(np.asarray(mass), self._shape[-1:]) * gravity, {"units": "N"})
+        return xr.Dataset(found, coords=coords, attrs={"engine": self.software["engine"], "gravity": gravity})
+
+    @property
+    def _landing(self) -> Any:
+        return self.scenario.landing
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return len(self.valves), len(self._landing.drop), self.stiffness.size, self.scenario.uncertainty.draws + 1
+
+    def _land(self, rows: Table, engine: str) -> Batch:
+        """Landings with one valve."""
+        valve = drawn_air(list(self.valves.values())[int(rows["valve"][0])], self.scenario.uncertainty)
+        commands = tuple(self.pressures[rows["stiffness"]].T)
+        speeds = -np.sqrt(2 * self.drawn.gravity * np.array(self._landing.drop)[rows["drop"]])
         return simulate_legs(
-            take(eqx.tree_at(lambda x: x.valve, drawn, drawn_air(valve, scenario.uncertainty)), draw[rows]),
-            PressureSchedule(tuple((one,) for one in commands)),
-            LegStart(angles, commands, 0.0, speeds),
-            duration=scenario.whole_steps(landing.duration),
-            **scenario.steps,
+            take(eqx.tree_at(lambda x: x.valve, self.drawn, valve), rows["draw"]),
+            PressureSchedule(tuple((command,) for command in commands)),
+            LegStart(self.scenario.leg.posture_angles(self._landing.touchdown), commands, 0.0, speeds),
+            duration=self.scenario.whole_steps(self._landing.duration),
+            **self.scenario.steps,
             engine=engine,
-            progress=report,
+            workers=1,
         )
-
-    def engines_used() -> set[str]:
-        return {land(valve, slice(0, 1), "auto", silent).engine for valve in valves.values()}
-
-    if journal is not None:
-        engine = engine_of_job(engines_used, _KIND.software(journal) if resume else None, engine)
-        engines.add(engine)
-    with StudyJournal(journal, _KIND, scenario, engine, resume) as kept:
-        for place, (name, valve) in enumerate(valves.items()):
-            parts = []
-            for block, rows in enumerate(blocks):
-                number = place * len(blocks) + block
-                if (columns := kept.found(number)) is None:
-                    found = land(
-                        valve,
-                        rows,
-                        engine,
-                        lambda what, part, n=name, k=number: (progress or silent)(f"{n}: {what}", (k + part) / total),
-                    )
-                    if found.failed.any():
-                        remedy = "give a shorter `step`"
-                        raise ScenarioError(source, [Problem("landings diverge", field="step", remedy=remedy)])
-                    engines.add(found.engine)
-                    of_joint = found.table.isel(joint=index)
-                    columns = {name: of_joint[name].to_numpy() for name in _COLUMNS}
-                    kept.keep(number, columns)
-                parts.append(columns)
-            tables.append({name: np.concatenate([one[name] for one in parts]) for name in _COLUMNS})
-    shape = (len(valves), drops.size, stiffness.size, draws)
-    table = _table(tables, shape, list(valves), drops, stiffness)
-    table.attrs["engine"] = ", ".join(sorted(engines))
-    masses = {"weight": drawn.leg.total_mass, "trunk_weight": drawn.leg.trunk.mass}
-    for name, mass in masses.items():
-        table[name] = ("draw", np.broadcast_to(np.asarray(mass), (draws,)) * nominal.gravity, {"units": "N"})
-    table.attrs["gravity"] = float(nominal.gravity)
-    return LandingStudy(scenario, table, pressures, (low, high))
 
 
 def _valves(plant: LegPlant, time_constants: tuple[float, ...]) -> dict[str, Any]:
@@ -346,20 +388,3 @@ def valve_with(valve: AirActuator, plant: LegPlant, time_constant: float) -> Air
             remedy="give a longer one, or a valve with less lag",
         )
     return valve.scaled((now - lag) / (time_constant - lag))
-
-
-def _table(
-    tables: list[dict[str, Floats]], shape: tuple[int, ...], valves: list[str], drops: Floats, stiffness: Floats
-) -> xr.Dataset:
-    import xarray as xr
-
-    dims = ("valve", "drop", "stiffness", "draw")
-    columns = {
-        name: (dims, np.stack([table[name] for table in tables]).reshape(shape), attributes(name)) for name in _COLUMNS
-    }
-    coords = {
-        "valve": valves,
-        "drop": ("drop", drops, {"units": "m"}),
-        "stiffness": ("stiffness", stiffness, {"units": "N*m/rad"}),
-    }
-    return xr.Dataset(columns, coords=coords)

@@ -41,7 +41,6 @@ from mckibben.units import (
 
 FootStiffnessValue = Annotated[float, Quantity("N/m", "N/m", 0, 1e6, open_lower=True)]
 DropHeight = Annotated[float, Quantity("m", "mm", 0, 1e4)]
-JumpHeight = Annotated[float, Quantity("m", "mm", 0, 1e4, open_lower=True)]
 Spread = Annotated[float, Percent("1", "%", 0, 50)]
 Correlation = Annotated[float, Quantity("1", "1", -1, 1)]
 
@@ -117,31 +116,6 @@ class LandingSettings(ConfigModel):
     duration: Duration = 0.3
 
 
-class FootStiffnessSettings(ConfigModel):
-    """A stiffness of the foot, as its main axes; see `foot_matrix`."""
-
-    principal: tuple[FootStiffnessValue, FootStiffnessValue]
-    direction: Angle = 0.0
-    sideways: FootStiffnessValue | None = None
-
-
-class PlannedStiffness(ConfigModel):
-    """Stiffness of the foot along a planned jump: in the squat, at take-off and touchdown, and after the landing."""
-
-    squat: FootStiffnessSettings
-    take_off: FootStiffnessSettings
-    landing: FootStiffnessSettings
-
-
-class PlanSettings(ConfigModel):
-    """A planned jump with a soft landing, from the squat; see `plan_jump`."""
-
-    take_off: Angles = Field(default_factory=dict)
-    height: JumpHeight
-    landing_depth: JumpHeight
-    stiffness: PlannedStiffness | None = None
-
-
 class JumpSettings(ConfigModel):
     """A jump from a squat."""
 
@@ -150,7 +124,6 @@ class JumpSettings(ConfigModel):
     high: Pressure = 6e5
     latest: Duration = 0.15  # switching time
     duration: Duration = 0.5
-    plan: PlanSettings | None = None  # simulated alongside
 
     @model_validator(mode="after")
     def _in_order(self) -> JumpSettings:
@@ -167,9 +140,12 @@ class JumpSettings(ConfigModel):
         return self
 
 
-class StiffnessSettings(FootStiffnessSettings):
-    """A stiffness of the foot at a posture, as its main axes."""
+class StiffnessSettings(ConfigModel):
+    """A stiffness of the foot at a posture, as its main axes; see `foot_matrix`."""
 
+    principal: tuple[FootStiffnessValue, FootStiffnessValue]
+    direction: Angle = 0.0
+    sideways: FootStiffnessValue | None = None
     posture: Angles = Field(default_factory=dict)
     force: tuple[SignedForce, ...] | None = None  # of the ground: forwards and up, or forwards, to the left and up
 
@@ -219,19 +195,18 @@ class LegScenario(RunSettings):
             )
         return value
 
-    @field_validator("stiffness", "jump", mode="after")
+    @field_validator("stiffness", mode="after")
     @classmethod
-    def _directions(cls, value: Any, info: ValidationInfo) -> Any:
+    def _directions(cls, value: StiffnessSettings | None, info: ValidationInfo) -> StiffnessSettings | None:
         leg = info.data.get("leg")
         if value is None or leg is None:
             return value
         directions = 2 if leg.is_planar else 3
-        for one in _foot_stiffnesses(value):
-            if (one.sideways is None) != leg.is_planar:
-                remedy = "leave sideways out" if leg.is_planar else "give sideways, the stiffness to the side"
-                fail_validation(f"the leg moves in {directions} directions", remedy)
-            if isinstance(one, StiffnessSettings) and one.force is not None and len(one.force) != directions:
-                fail_validation(f"force has {len(one.force)} numbers", f"give {directions}")
+        if (value.sideways is None) != leg.is_planar:
+            remedy = "leave sideways out" if leg.is_planar else "give sideways, the stiffness to the side"
+            fail_validation(f"the leg moves in {directions} directions", remedy)
+        if value.force is not None and len(value.force) != directions:
+            fail_validation(f"force has {len(value.force)} numbers", f"give {directions}")
         return value
 
     @field_validator("landing", "jump", "stiffness", mode="after")
@@ -253,14 +228,6 @@ class LegScenario(RunSettings):
                 )
         elif isinstance(value, JumpSettings):
             postures["squat"] = value.squat
-            if value.plan is not None:
-                postures["plan.take_off"] = value.plan.take_off
-                if leg.trunk.freedom != "vertical":
-                    fail_validation(
-                        f"a plan needs a trunk on a vertical slider, and its freedom is {leg.trunk.freedom}",
-                        "leave plan out, or give the trunk the freedom vertical",
-                        field="plan",
-                    )
         else:
             postures["posture"] = value.posture
         for field, angles in postures.items():
@@ -327,14 +294,6 @@ class LegScenario(RunSettings):
         """The simulated leg."""
         plant = LegPlant(self.leg, self.valve, self.ground, sensors=self.sensors, command_delay=self.command_delay)
         return plant.with_period(self.step)
-
-
-def _foot_stiffnesses(value: StiffnessSettings | JumpSettings) -> list[FootStiffnessSettings]:
-    """Wanted stiffness of the foot in a section."""
-    if isinstance(value, StiffnessSettings):
-        return [value]
-    wanted = None if value.plan is None else value.plan.stiffness
-    return [] if wanted is None else [wanted.squat, wanted.take_off, wanted.landing]
 
 
 def _unknown_joint(leg: Leg, name: str) -> tuple[str, str]:

@@ -18,7 +18,6 @@ from .joint import valve_calibration as valve_calibration
 from .leg import foot_ellipses as foot_ellipses
 from .leg import jump_traces as jump_traces
 from .leg import landing_forces as landing_forces
-from .leg import plan_stiffness as plan_stiffness
 from .muscle import fit as fit
 from .muscle import isobaric as isobaric
 from .muscle import isobaric_curves as isobaric_curves

@@ -31,8 +31,8 @@ _LOOKS = ((VERMILLION, "-"), (BLUE, (0, (4, 2))))
 def landing_forces(study: LandingStudy) -> Figure:
     """Forces on the trunk and of the ground, and deflection of the joint, over the commanded stiffness.
 
-    One column per height of the drop, one colour per valve; bands contain 90 % of the draws, triangles mark the best
-    stiffness.
+    One column per height of the drop, one colour per valve; bands contain 90 % of the draws. Triangles mark the
+    nominal best stiffness, circles the robust one.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def landing_forces(study: LandingStudy) -> Figure:
         ("force of the ground\n[weight of the leg]", study.body_weights()),
     )
     valves = [str(name) for name in table["valve"].to_numpy()]
-    best = study.best()
+    best, robust = study.best(), study.robust()
     figure = blank(DOUBLE, 6.0)
     grid = figure.subplots(len(rows), drops.size, sharex=True, sharey="row", squeeze=False)
     for i, (label, values) in enumerate(rows):
@@ -57,8 +57,9 @@ def landing_forces(study: LandingStudy) -> Figure:
                 low, high = np.percentile(values[v, j, :, 1:], EDGES, axis=-1)
                 draw_band(axes, stiffness, low, high, color=look["color"], alpha=0.15)
                 axes.plot(stiffness, values[v, j, :, 0], label=name, **look)
-                at, mark = best[v, j, 0], {"markersize": 6, "markeredgecolor": "white", "color": look["color"]}
-                axes.plot(stiffness[at], values[v, j, at, 0], "v", **mark)
+                mark = {"markersize": 6, "markeredgecolor": "white", "color": look["color"]}
+                for at, shape in ((best[v, j, 0], "v"), (robust[v, j], "o")):
+                    axes.plot(stiffness[at], values[v, j, at, 0], shape, **mark)
             if i == 0:
                 letter(axes, j, f"drop of {drop / mm:g} mm")
         grid[i, 0].set_ylabel(label)
@@ -141,7 +142,7 @@ def _ellipses(
 def jump_traces(study: JumpStudy) -> Figure:
     """Pressures [bar], force of the ground [N] and height of the centre of mass [mm] of jumps over time [ms].
 
-    Thin: commands; dashed: height of the jump at take-off speed; dotted: the plan.
+    Thin: commands; dashed: height of the jump at take-off speed.
 
     Parameters
     ----------
@@ -164,43 +165,9 @@ def jump_traces(study: JumpStudy) -> Figure:
         grid[2, j].axhline(jump.heights[0] / mm, color=ORANGE, linewidth=0.8, linestyle=(0, (4, 2)))
         letter(grid[0, j], j, title)
         grid[2, j].set_xlabel("time [ms]")
-    if study.plan is not None:
-        times, planned = study.plan.times / ms, {"color": BLACK, "linewidth": 0.9, "linestyle": (0, (1, 1))}
-        grid[1, -1].plot(times, study.plan.ground_force, **planned)
-        grid[2, -1].plot(times, (study.plan.mass_height - study.standing) / mm, **planned)
     grid[0, 0].set_ylabel("pressure [bar]")
     grid[1, 0].set_ylabel("force of the\nground [N]")
     grid[2, 0].set_ylabel("centre of mass above\nthat of standing [mm]")
     figure.align_ylabels(list(grid[:, 0]))
     legend_above(figure, grid[0, 0])
-    return figure
-
-
-@styled
-def plan_stiffness(study: JumpStudy) -> Figure:
-    """Planned pressures [bar] over time [ms], and certified error of the stiffness of the foot [%]; grey: flight.
-
-    Parameters
-    ----------
-    study
-        Result of `mckibben.leg.jumping.study_jump`, whose plan prescribes a stiffness of the foot.
-    """
-    plan = study.plan
-    assert plan is not None and plan.foot
-    figure = blank(DOUBLE, 2.6)
-    left, right = figure.subplots(1, 2)
-    times = plan.times / ms
-    for pressure, (name, look) in zip(plan.pressures, looks_of(study.scenario.leg.muscle_names).items(), strict=True):
-        left.plot(times, pressure / bar, label=name, **look)
-    left.set(xlabel="time of the plan [ms]", ylabel="planned pressure [bar]")
-    letter(left, 0, "pressures")
-    right.plot(times, [100 * foot.error for foot in plan.foot], color=BLUE, label="error")
-    bound = [100 * foot.least for foot in plan.foot]
-    right.plot(times, bound, color=ORANGE, linestyle=(0, (4, 2)), label="lower bound")
-    right.set(xlabel="time of the plan [ms]", ylabel="error of the stiffness [%]", ylim=(0, None))
-    right.legend()
-    letter(right, 1, "stiffness of the foot")
-    for axes in (left, right):
-        axes.axvspan(plan.take_off / ms, plan.touchdown / ms, color=BAND, alpha=0.4, linewidth=0)
-    legend_above(figure, left)
     return figure
