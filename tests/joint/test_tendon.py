@@ -55,6 +55,16 @@ def test_the_spring_gives_as_scipy_finds(contraction, paper):
     np.testing.assert_allclose(contraction(path, pressure), expected, atol=1e-13)
 
 
+@pytest.mark.parametrize(
+    "spring", [SeriesSpring(1e3, 0.0, 0.1), SeriesSpring(2e3, 0.0, 0.05), SeriesSpring(1e5, 10.0, 0.01)]
+)
+def test_soft_and_stiff_springs_give_as_scipy_finds(spring, muscle, paper):
+    rng = np.random.default_rng(0)
+    path, pressure = rng.uniform(0.14, 0.19 + spring.travel / 2, 300), rng.uniform(0.0, 6e5, 300)
+    expected = [1 - (p - solved(paper, p, q, spring)) / L0 for p, q in zip(path, pressure, strict=True)]
+    np.testing.assert_allclose(spring.contraction(muscle, path, pressure), expected, atol=1e-12)
+
+
 def test_extension_is_preload_then_proportion_then_stop():
     tensions = np.array([0.0, 60.0, 80.0, 260.0, 1000.0])
     np.testing.assert_allclose(SPRING.extension(tensions), [0.0, 0.0, 0.001, 0.01, 0.01], atol=1e-15)

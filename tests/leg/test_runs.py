@@ -61,6 +61,22 @@ def test_single_runs_and_batches_agree_in_both_engines(plant: LegPlant, start: L
 
 
 @pytest.mark.slow
+def test_a_series_spring_is_computed_in_both_engines(plant: LegPlant, start: LegStart) -> None:
+    hip, knee = plant.leg.joints
+    tendon = mk.SeriesSpring(stiffness=2e4, preload=60.0, travel=8e-3)
+    knee = dataclasses.replace(knee, muscles=dataclasses.replace(knee.muscles, tendon=tendon))
+    springy = dataclasses.replace(plant, leg=dataclasses.replace(plant.leg, joints=(hip, knee)))
+    schedule, over = PressureSchedule(tuple((p,) for p in start.pressures)), {"start.upward_speed": [-0.5, -1.0]}
+    native, xla = (
+        simulate_legs(springy, schedule, start, over=over, substeps=2, engine=engine, **STEP)
+        for engine in ("native", "xla")
+    )
+    assert native.engine == "native"
+    for name in ("peak_force", "deflection", "stop_torque"):
+        np.testing.assert_allclose(native[name], xla[name], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(("engine", "implicit"), [("native", False), ("xla", False), ("native", True)])
 def test_batches_with_32_bits_are_those_with_64(plant: LegPlant, start: LegStart, engine: str, implicit: bool) -> None:
     if implicit:

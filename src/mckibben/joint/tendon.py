@@ -16,6 +16,8 @@ from mckibben.numerics.calculus import value_and_derivative
 from mckibben.numerics.elementary import floating
 from mckibben.units import Force, Quantity, SpringRate
 
+_BISECTIONS, _STEPS = 3, 12  # to rounding for springs from 1 N/mm and 100 mm of travel
+
 SpringTravel = Annotated[float, Quantity("m", "mm", 0, 500)]
 
 
@@ -126,22 +128,18 @@ class SeriesSpring(Tendon):
 
 
 def _falling_root(function: Callable[[Array], Array], lower: Array, upper: Array) -> Array:
-    """Return the root of a decreasing elementwise function in a bracket by Newton's method with bisection."""
-    tolerance = 1e-15
+    """Return the root of a decreasing elementwise function in a bracket.
 
-    def unfinished(carry: tuple[Array, Array, Array, Array, Array]) -> Array:
-        _, low, high, moved, count = carry
-        return jnp.any((moved > tolerance) & (high - low > tolerance)) & (count < 100)
+    By a fixed number of bisections, then of Newton steps that stay in the bracket, so that it compiles everywhere.
+    """
 
-    def refine(carry: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
-        x, low, high, _, count = carry
+    def refine(step: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        x, low, high = carry
         value, slope = value_and_derivative(function, x)
         low = jnp.where(value > 0, x, low)
         high = jnp.where(value > 0, high, x)
         newton = x - value / slope
-        inside = (newton >= low) & (newton <= high)
-        following = jnp.where(inside, newton, (low + high) / 2)
-        return following, low, high, jnp.abs(following - x), count + 1
+        inside = (step >= _BISECTIONS) & (newton >= low) & (newton <= high)
+        return jnp.where(inside, newton, (low + high) / 2), low, high
 
-    start = (lower, lower, upper, jnp.full_like(lower, jnp.inf), jnp.asarray(0))
-    return lax.while_loop(unfinished, refine, start)[0]
+    return lax.fori_loop(0, _STEPS, refine, ((lower + upper) / 2, lower, upper))[0]
