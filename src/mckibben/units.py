@@ -24,78 +24,51 @@ from typing import Annotated, Any, NoReturn
 
 from mckibben.errors import LONGEST_VALUE, RangeError, UnitError, quoted
 
-Pa = 1.0
-kPa = 1e3  # noqa: N816
-MPa = 1e6
-bar = 1e5
-atm = 101325.0
-m = 1.0
-cm = 1e-2
-mm = 1e-3
-N = 1.0
-kg = 1.0
-g = 1e-3
-litre = 1e-3
-s = 1.0
-ms = 1e-3
-Hz = 1.0
-rad = 1.0
-mrad = 1e-3
-deg = math.pi / 180
-percent = 1e-2
-
-# Size in SI, and powers of metre, kilogram, second, radian and kelvin. An angle is a dimension of its own, so that
-# N*m/rad (a stiffness) and N*m (a torque) are not interchangeable.
-_LENGTH, _MASS, _TIME, _ANGLE, _TEMPERATURE = ((0,) * i + (1,) + (0,) * (4 - i) for i in range(5))
-_NOTHING = (0, 0, 0, 0, 0)
-_FORCE, _PRESSURE = (1, 1, -2, 0, 0), (-1, 1, -2, 0, 0)
-_VOCABULARY: dict[str, tuple[float, tuple[int, ...]]] = {
-    "m": (1.0, _LENGTH),
-    "dm": (0.1, _LENGTH),
-    "cm": (cm, _LENGTH),
-    "mm": (mm, _LENGTH),
-    "um": (1e-6, _LENGTH),
-    "in": (0.0254, _LENGTH),
-    "L": (litre, (3, 0, 0, 0, 0)),
-    "mL": (1e-6, (3, 0, 0, 0, 0)),
-    "ml": (1e-6, (3, 0, 0, 0, 0)),
-    "kg": (1.0, _MASS),
-    "g": (g, _MASS),
-    "s": (1.0, _TIME),
-    "ms": (ms, _TIME),
-    "us": (1e-6, _TIME),
-    "ns": (1e-9, _TIME),
-    "min": (60.0, _TIME),
-    "h": (3600.0, _TIME),
-    "Hz": (1.0, (0, 0, -1, 0, 0)),
-    "N": (1.0, _FORCE),
-    "kN": (1e3, _FORCE),
-    "daN": (10.0, _FORCE),
-    "cN": (0.01, _FORCE),
-    "mN": (1e-3, _FORCE),
-    "kgf": (9.80665, _FORCE),
-    "gf": (9.80665e-3, _FORCE),
-    "lbf": (4.4482216152605, _FORCE),
-    "Pa": (1.0, _PRESSURE),
-    "kPa": (kPa, _PRESSURE),
-    "MPa": (MPa, _PRESSURE),
-    "bar": (bar, _PRESSURE),
-    "mbar": (100.0, _PRESSURE),
-    "hPa": (100.0, _PRESSURE),
-    "atm": (atm, _PRESSURE),
-    "mmHg": (133.322387415, _PRESSURE),
-    "psi": (6894.757293168361, _PRESSURE),
-    "rad": (1.0, _ANGLE),
-    "mrad": (mrad, _ANGLE),
-    "deg": (deg, _ANGLE),
-    "J": (1.0, (2, 1, -2, 0, 0)),
-    "W": (1.0, (2, 1, -3, 0, 0)),
-    "K": (1.0, _TEMPERATURE),
-    "percent": (percent, _NOTHING),
-    "permille": (1e-3, _NOTHING),
-    "ratio": (1.0, _NOTHING),
+# Sizes in SI, and kinds by their powers of metre, kilogram, second, radian and kelvin. An angle is a dimension of its
+# own, so that N*m/rad (a stiffness) and N*m (a torque) are not interchangeable.
+_KINDS: dict[str, tuple[int, ...]] = {
+    "length": (1, 0, 0, 0, 0),
+    "volume": (3, 0, 0, 0, 0),
+    "mass": (0, 1, 0, 0, 0),
+    "time": (0, 0, 1, 0, 0),
+    "frequency": (0, 0, -1, 0, 0),
+    "angle": (0, 0, 0, 1, 0),
+    "temperature": (0, 0, 0, 0, 1),
+    "force": (1, 1, -2, 0, 0),
+    "pressure": (-1, 1, -2, 0, 0),
+    "energy": (2, 1, -2, 0, 0),
+    "power": (2, 1, -3, 0, 0),
+    "ratio": (0, 0, 0, 0, 0),
 }
+_SIZES: dict[str, dict[str, float]] = {
+    "length": {"m": 1.0, "dm": 0.1, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
+    "volume": {"L": 1e-3, "mL": 1e-6, "ml": 1e-6},
+    "mass": {"kg": 1.0, "g": 1e-3},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "frequency": {"Hz": 1.0},
+    "force": {
+        **{"N": 1.0, "kN": 1e3, "daN": 10.0, "cN": 0.01, "mN": 1e-3},
+        **{"kgf": 9.80665, "gf": 9.80665e-3, "lbf": 4.4482216152605},
+    },
+    "pressure": {
+        **{"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "mbar": 100.0, "hPa": 100.0},
+        **{"atm": 101325.0, "mmHg": 133.322387415, "psi": 6894.757293168361},
+    },
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180},
+    "energy": {"J": 1.0},
+    "power": {"W": 1.0},
+    "temperature": {"K": 1.0},
+    "ratio": {"percent": 1e-2, "permille": 1e-3, "ratio": 1.0},
+}
+_VOCABULARY = {name: (size, _KINDS[kind]) for kind, sizes in _SIZES.items() for name, size in sizes.items()}
 UNITS = list(_VOCABULARY)
+
+Pa, kPa, MPa, bar, atm = (_SIZES["pressure"][name] for name in ("Pa", "kPa", "MPa", "bar", "atm"))  # noqa: N816
+m, cm, mm = (_SIZES["length"][name] for name in ("m", "cm", "mm"))
+rad, mrad, deg = _SIZES["angle"].values()
+kg, g = _SIZES["mass"].values()
+s, ms = (_SIZES["time"][name] for name in ("s", "ms"))
+N, Hz, litre, percent = (_VOCABULARY[name][0] for name in ("N", "Hz", "L", "percent"))
 
 _NAME = r"(?:[A-Za-z]+(?:\^-?(?:[1-9](?:\.[0-9]+)?|0\.[0-9]+))?)"
 _PRODUCT = rf"{_NAME}(?:[*/]{_NAME})*"

@@ -182,16 +182,12 @@ def test_a_valve_and_a_law_of_a_package_are_simulated(run, tmp_path):
     (kept,) = (tmp_path / "run").glob("*.yaml")
     content = yaml.safe_load(kept.read_text())
     assert content["valve"]["class"] == "acme_parts:AcmeValve"
-    assert content["packages"] == ["acme 1.2"]
     assert content["joint"]["muscle"]["law"]["equation"].endswith("p - k eps")
     other = tmp_path / "other.yaml"
     other.write_text(kept.read_text().replace("p - k eps", "p + k eps"))
     _, message = run("simulate", other, code=2)
     assert "equation" in message and "p + k eps" in message
-    kept.write_text(kept.read_text().replace("acme 1.2", "acme 1.1"))
-    out, warned = run("simulate", kept, "--json")
-    assert json.loads(out)["verdict"]
-    assert "acme 1.1" in warned and "acme 1.2" in warned
+    assert json.loads(run("simulate", kept, "--json")[0])["verdict"]
 
 
 @pytest.mark.slow

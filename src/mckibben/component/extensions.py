@@ -109,25 +109,6 @@ def package_version(module: str) -> str | None:
     return " ".join((name := _distributions()[package][0], metadata.version(name))) if package else None
 
 
-def version_differences(recorded: Sequence[str]) -> list[str]:
-    """Describe the packages of a file, recorded as by `package_version`, that are missing or of another version.
-
-    >>> version_differences(["acme 1.2"])
-    ['the file was written with acme 1.2, acme is not installed: its numbers may differ']
-    """
-    differences = []
-    for entry in recorded:
-        name, _, version = entry.rpartition(" ")
-        try:
-            here = metadata.version(name)
-        except (metadata.PackageNotFoundError, ValueError):
-            here = ""
-        if here != version:
-            text = f"this is {name} {here}" if here else f"{name} is not installed"
-            differences.append(f"the file was written with {entry}, {text}: its numbers may differ")
-    return differences
-
-
 @functools.cache
 def _distributions() -> dict[str, list[str]]:
     """Distributions by package; the search takes a while."""

@@ -58,7 +58,6 @@ _EQUAL, _SLOPE, _NOISE = 1e-8, 1e-4, 1e-6  # relative tolerances: of values, of 
 _ROUNDING = 1e-14  # of a result that is the difference of others, relative to the largest
 _APART = 1e-4  # relative change of the parameters for finite differences, so that equal limits cause no kinks
 _ADDRESS = re.compile(r"0x[0-9a-f]+")
-_LONGEST = 300  # characters of a finding
 # each program runs once or twice: optimising it takes longer than running it
 _COMPILER: dict[str, Any] = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 
@@ -240,11 +239,11 @@ def _finding(kind: type, check: str, function: Callable[[], object]) -> Finding:
         text = f"uses the value of a traced number{_place(error, kind)}"
         return replace(finding, passed=False, found=text, remedy=remedy)
     except McKibbenError as error:
-        return replace(finding, passed=False, found=printable(error.message, _LONGEST), remedy=error.remedy)
+        return replace(finding, passed=False, found=printable(error.message), remedy=error.remedy)
     except Exception as error:
         text = next(iter(str(error).splitlines()), "")
         text = f"{type(error).__name__}: {text}{_place(error, kind)}"
-        return replace(finding, passed=False, found=printable(text, _LONGEST))
+        return replace(finding, passed=False, found=printable(text))
     return finding
 
 

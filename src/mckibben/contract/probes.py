@@ -45,15 +45,15 @@ Tree: TypeAlias = PyTree
 PERIOD = 1 * ms
 """Control period [s] of the probes."""
 
-_JERK = 2000.0  # rad/s^3: attainable by the actuators
-_PRESSURE = (0.5 * bar, 5 * bar)
 _RANGES: Ranges = {
     "angle": (-0.4, 0.4),
-    "command": _PRESSURE,
+    "area": (0.8e-4, 1.2e-4),
+    "command": (0.5 * bar, 5 * bar),
     "contraction": (-3 * percent, 25 * percent),
     "elapsed": (0.5 * ms, 40 * ms),
     "error": (-0.1, 0.1),
     "force": (0.0, 100.0),
+    "jerk": (1500.0, 2500.0),
     "known": (-20.0, 20.0),
     "length": (170 * mm, 190 * mm),
     "measured": (-0.1, 0.1),
@@ -61,7 +61,7 @@ _RANGES: Ranges = {
     "output": (-1 * bar, 1 * bar),
     "path": (150 * mm, 185 * mm),
     "period": (0.5 * ms, 2 * ms),
-    "pressure": _PRESSURE,
+    "pressure": (0.5 * bar, 5 * bar),
     "rate": (-0.1, 0.1),
     "setpoint": (-0.1, 0.1),
     "shortfall": (-10.0, 10.0),
@@ -221,27 +221,28 @@ def _path(friction: Friction, length: Num, move: Num, tension: Num, pressure: Nu
 
 _SLIDING = "two moves in one direction must give the force of their sum: keep what the force needs in the state"
 _PROJECTION = "`project` keeps the force: it returns the state after the move"
-_AREA = 1e-4  # N/Pa
 
 
-def _crept(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num, rate: Num) -> Tree:
+def _crept(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num, rate: Num, area: Num) -> Tree:
     """Force of creep [N], rates and projection of its state."""
-    state, tension_at = _moved_creep(creep, length, pressure, step, tension)
+    state, tension_at = _moved_creep(creep, length, pressure, step, tension, area)
     return creep.force(state, tension, tension_at), creep.rate(state, rate, pressure), creep.project(state, tension)
 
 
-def _creep_projected(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num) -> tuple[Tree, Tree]:
+def _creep_projected(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num, area: Num) -> tuple[Tree, Tree]:
     """`project` does not change the force of creep."""
-    state, tension_at = _moved_creep(creep, length, pressure, step, tension)
+    state, tension_at = _moved_creep(creep, length, pressure, step, tension, area)
     return creep.force(creep.project(state, tension), tension, tension_at), creep.force(state, tension, tension_at)
 
 
-def _moved_creep(creep: Creep, length: Num, pressure: Num, step: Num, tension: Num) -> tuple[CreepState, TensionAt]:
+def _moved_creep(
+    creep: Creep, length: Num, pressure: Num, step: Num, tension: Num, area: Num
+) -> tuple[CreepState, TensionAt]:
     """State of creep, relaxed before a step of the pressure and a move, and the tension [N] over the pressure."""
     relaxed = creep.initial(length, pressure - step)
     rates = creep.rate(relaxed, step / bar, pressure)
     state = jax.tree.map(lambda x, rate: x + 0.1 * rate, relaxed, rates)
-    return state, lambda at: jnp.maximum(tension + _AREA * (at - pressure), 0.0)
+    return state, lambda at: jnp.maximum(tension + area * (at - pressure), 0.0)
 
 
 def _turned(friction: JointFriction, angle: Num, swing: Num) -> Tree:
@@ -393,10 +394,10 @@ def _looped(loop: Loop, setpoint: Num, measured: Num, output: Num) -> Tree:
     return asked, loop.telemetry(state)
 
 
-def _fed_back(feedback: Feedback, error: Num, turn: Num, shortfall: Num) -> Tree:
-    """Acceleration [rad/s^2] that is asked for, and the lag."""
+def _fed_back(feedback: Feedback, error: Num, turn: Num, shortfall: Num, jerk: Num) -> Tree:
+    """Acceleration [rad/s^2] that is asked for, with a jerk [rad/s^3] that the actuators attain, and the lag."""
     state = feedback.track(feedback.init(error), shortfall, PERIOD)
-    return feedback.step(state, error, turn, _JERK, PERIOD)[1], feedback.lag
+    return feedback.step(state, error, turn, jerk, PERIOD)[1], feedback.lag
 
 
 def _observed(observer: Observer, angle1: Num, angle2: Num, known: Num, period: Num) -> Tree:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import importlib
 import math
 import os
-import warnings
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import is_dataclass
+from collections.abc import Callable, Mapping
 from html import escape
 from pathlib import Path
 from typing import Annotated, Any, Self, TypeVar
@@ -17,7 +15,6 @@ from pydantic import Field, ValidationInfo, field_validator, model_serializer, m
 from mckibben.actuator import Actuator, IdealValve
 from mckibben.component.calls import checked_call
 from mckibben.component.checks import whole_periods
-from mckibben.component.extensions import package_version, version_differences
 from mckibben.component.schema import ComponentField, independent, inherit, write
 from mckibben.config.fields import Title
 from mckibben.config.model import ConfigModel, DocumentModel, fail_validation
@@ -25,7 +22,6 @@ from mckibben.control import Controller, Reference
 from mckibben.errors import (
     FileError,
     McKibbenError,
-    McKibbenWarning,
     ParameterError,
     Problem,
     ScenarioError,
@@ -55,19 +51,7 @@ T = TypeVar("T")
 
 
 class RunSettings(DocumentModel):
-    """Base of documents with a plant and the timing of its runs.
-
-    The key `packages` lists the installed packages of user-defined classes, with the versions that wrote the text.
-    """
-
-    @model_validator(mode="before")
-    @classmethod
-    def _packages_fit(cls, value: Any) -> Any:
-        if not isinstance(value, dict) or not isinstance(value.get("packages"), list | tuple):
-            return value
-        for text in version_differences(value["packages"]):
-            warnings.warn(text, McKibbenWarning, stacklevel=2)
-        return {key: part for key, part in value.items() if key != "packages"}
+    """Base of documents with a plant and the timing of its runs."""
 
     @model_validator(mode="before")
     @classmethod
@@ -103,10 +87,6 @@ class RunSettings(DocumentModel):
         """Duration, control period, accuracy and substeps, by the names of arguments of `simulate`."""
         return {name: getattr(self, name) for name in ("duration", "control_period", "accuracy", "substeps")}
 
-    def _written(self, folder: Path) -> dict[str, Any]:
-        packages = sorted(filter(None, {package_version(kind.__module__) for kind in _classes_in(self)}))
-        return super()._written(folder) | ({"packages": packages} if packages else {})
-
     @model_serializer(mode="wrap", when_used="json")
     def _write(self, handler: Any) -> Any:
         return _with_steps_once(handler(self))
@@ -116,16 +96,6 @@ def _with_steps_once(written: dict[str, Any]) -> dict[str, Any]:
     """A written document with its substeps or, without them, its accuracy."""
     left_out = "accuracy" if written.get("substeps") is not None else "substeps"
     return {key: value for key, value in written.items() if key != left_out}
-
-
-def _classes_in(part: Any) -> Iterator[type]:
-    """Classes of the parts of a document."""
-    if isinstance(part, tuple | list | dict):
-        for inner in part.values() if isinstance(part, dict) else part:
-            yield from _classes_in(inner)
-    elif isinstance(part, ConfigModel) or (is_dataclass(part) and not isinstance(part, type)):
-        yield type(part)
-        yield from _classes_in(vars(part))
 
 
 class Start(ConfigModel):

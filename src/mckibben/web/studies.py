@@ -1,4 +1,4 @@
-"""Tuning and comparison of controllers for the page Tune, of at most `MOST_STEPS` integration steps."""
+"""Tuning and comparison of controllers for the page Tune."""
 
 from __future__ import annotations
 
@@ -14,10 +14,8 @@ from mckibben.study.compare.suite import EvaluationSettings, TuningSettings
 from mckibben.study.tune import parse_cost, parse_ranges, tune
 from mckibben.study.tune.tune import COST
 from mckibben.web.results import Presented
-from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, steps_of, with_section
+from mckibben.web.workbench import CONTROLLERS, chosen_kinds, parse, with_section
 
-MOST_STEPS = 5e9
-"""Most integration steps of a study of the page."""
 _TRAINING, _POPULATION = 16, 8
 Progress = Callable[[str, float], None]
 
@@ -92,15 +90,6 @@ def _lines(text: str) -> list[str]:
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 
-def _check_budget(scenario: Scenario, runs: float) -> None:
-    """Raise `ParameterError` if runs of a scenario have more than `MOST_STEPS` integration steps."""
-    steps = runs * steps_of(scenario)
-    if steps > MOST_STEPS:
-        message = f"the study has {steps:.2g} integration steps, more than {MOST_STEPS:.2g}"
-        remedy = "use fewer runs or a shorter duration, or use the command line"
-        raise ParameterError(message, value=steps, upper=MOST_STEPS, remedy=remedy)
-
-
 def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -> Study:
     """Tune a scenario as `mckibben tune` does.
 
@@ -150,7 +139,7 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     Raises
     ------
     ParameterError
-        If there is no other kind, or the runs have more than `MOST_STEPS` integration steps.
+        If there is no other kind.
     """
     progress("compiling", 0.0)
     scenario = parse(text, folder)
@@ -164,8 +153,6 @@ def compared(text: str, request: ComparisonRequest, folder: Path, progress: Prog
     evaluation = EvaluationSettings(runs=request.runs, seed=1)
     varied = {"conditions": conditions} if (conditions := tuple(_lines(request.conditions))) else {}
     suite = Suite.of(scenario, others, tuning=tuning, evaluation=evaluation, **varied)
-    trials = 2 * request.generations * _POPULATION  # two searches: for the lowest cost, and at equal air
-    _check_budget(scenario, len(suite.controllers) * (trials * _TRAINING + 2 * request.runs))
     result = compare(suite, progress=progress)
     progress("statistics", 1.0)
     scenarios = {name: suite.tuned_scenario(name, result.tuned[name]) for name in suite.controllers}

@@ -30,7 +30,6 @@ from mckibben.web.layout import (
 from mckibben.web.results import show_result
 from mckibben.web.session import JobState, session
 from mckibben.web.studies import (
-    MOST_STEPS,
     ComparisonRequest,
     Study,
     TuningRequest,
@@ -106,9 +105,8 @@ class _Page(JobPage[StudyState]):
                 button("Compare", self.compare, "compare", main=True)
             quiet(
                 "Both take minutes, part of them for compiling, and more on a busy computer. The time of tuning grows "
-                "with iterations, that of comparing with controllers, generations and unseen runs. At most "
-                f"{MOST_STEPS / 1e9:g} billion integration steps each; `mckibben tune` and `mckibben compare` have no "
-                "limit."
+                "with iterations, that of comparing with controllers, generations and unseen runs. `mckibben tune` and "
+                "`mckibben compare` do larger ones, and can be interrupted and resumed."
             )
         with results_side():
             self.results = ui.column().classes("w-full").style("gap: 16px")
