@@ -9,10 +9,8 @@ from mckibben.control import (
     DecouplingControl,
     ExtendedStateObserver,
     PolePlacement,
-    PositionStiffnessControl,
     PressureObserver,
 )
-from mckibben.errors import ScenarioError
 from mckibben.scenario import Scenario
 from mckibben.study.tune import gain_ranges
 from mckibben.units import ms
@@ -46,11 +44,3 @@ def test_what_is_left_out_is_that_of_the_plant_and_the_classes():
 def test_bandwidths_count_as_gains():
     assert "controller.feedback.bandwidth" in gain_ranges(scenario())
     assert "controller.feedback.reach" in gain_ranges(scenario(SLIDING))
-
-
-def test_a_controller_without_a_class_is_two_loops():
-    with pytest.raises(ScenarioError) as caught:
-        scenario("  model: {geometry: knee-table-2, muscle: {specimen: MAS-10-180N-AA-MC-O, law: lei-mas-10-180n}}\n")
-    found = [(one.field, one.message) for one in caught.value.problems]
-    assert found == [("controller.position", "is missing"), ("controller.stiffness", "is missing")]
-    assert isinstance(Scenario.parse(TEXT).control(), PositionStiffnessControl)

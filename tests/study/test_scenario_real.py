@@ -8,8 +8,7 @@ import pytest
 from mckibben.control import ActuatorAdaptation, DecouplingControl, LawAdaptation
 from mckibben.muscle import PressureAffineLaw
 from mckibben.plant import SampledSensors, TorquePulses
-from mckibben.scenario import Scenario, batched, list_parameters, with_values
-from mckibben.study.parameters.listing import ParameterList
+from mckibben.scenario import Scenario, batched
 from mckibben.study.tune import gain_ranges
 from mckibben.units import deg, ms
 
@@ -51,48 +50,6 @@ def test_it_builds_what_it_says(real):
     for muscle in (plant.joint.muscle1, plant.joint.muscle2, control.model.muscle1):
         assert isinstance(muscle.law, PressureAffineLaw)
         assert float(muscle.force(0.1, 3e5)) == pytest.approx(0.93 * float(plain.muscle1.force(0.1, 3e5)), rel=1e-12)
-
-
-NUMBERS = {
-    "joint.muscle.strength": 0.93,
-    "sensors.encoder": 0.022 * deg,
-    "sensors.pressure_noise": 4e3,
-    "sensors.delay": 0.5,
-    "sensors.seed": 7,
-    "disturbance.height": 0.5,
-    "disturbance.width": 0.1,
-    "disturbance.interval": 1.0,
-    "disturbance.start": 0.25,
-    "controller.adaptation.strength_spread": 0.08,
-    "controller.adaptation.mass_spread": 0.1,
-    "controller.adaptation.friction_spread": 0.4,
-    "controller.adaptation.torque_error": 0.03,
-    "controller.adaptation.bandwidth": 25.0,
-}
-
-
-def test_all_its_numbers_are_listed_with_what_they_are(real):
-    nominal = {each.name: each.nominal for each in list_parameters(real)}
-    assert {name: nominal[name] for name in NUMBERS} == pytest.approx(NUMBERS)
-    listed = ParameterList.of(real)
-    rows = zip(listed.parameter, listed.value, listed.range, listed.unit, strict=True)
-    shown = {name: cells for name, *cells in rows}
-    assert shown["sensors.encoder"] == ["0.022 deg", "0 to 10 deg", "deg"]
-    assert shown["sensors.pressure_noise"] == ["4 kPa", "0 to 100000 kPa", "kPa"]
-    assert shown["controller.adaptation.strength_spread"] == ["0.08", "above 0 to 0.3", "1"]
-
-
-def test_they_can_be_varied(real):
-    table = {name: [value, value * 2 if isinstance(value, int) else value * 1.5] for name, value in NUMBERS.items()}
-    many = batched(real, table, model_follows="all")
-    plant, control = many.plant(), many.control()
-    np.testing.assert_array_equal(plant.sensors.seed, [7, 14])
-    np.testing.assert_array_equal(plant.disturbance.height, [0.5, 0.75])
-    np.testing.assert_array_equal(plant.joint.muscle2.strength, table["joint.muscle.strength"])
-    np.testing.assert_array_equal(control.model.muscle2.strength, table["joint.muscle.strength"])
-    np.testing.assert_allclose(control.adaptation.torque_error, [0.03, 0.045])
-    bare = with_values(Scenario.parse(BASE), {"joint.muscle.strength": 1.1})
-    assert bare.plant().joint.muscle1.strength == 1.1
 
 
 def test_the_model_keeps_its_own_strength():

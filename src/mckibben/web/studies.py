@@ -127,19 +127,7 @@ def tuned(text: str, request: TuningRequest, folder: Path, progress: Progress) -
 def compared(text: str, request: ComparisonRequest, folder: Path, progress: Progress) -> Study:
     """Compare the controller of a scenario with other kinds as `mckibben compare` does, on its joint and reference.
 
-    Parameters
-    ----------
-    text, folder
-        Scenario, and the folder of its files.
-    request
-        Input of the page.
-    progress
-        Called with step and part; whatever it raises ends the study.
-
-    Raises
-    ------
-    ParameterError
-        If there is no other kind.
+    Arguments are as for `tuned`. Raises `ParameterError` if there is no other kind.
     """
     progress("compiling", 0.0)
     scenario = parse(text, folder)
