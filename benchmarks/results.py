@@ -47,7 +47,7 @@ def main(arguments=None):
     command = shlex.join(["python", "benchmarks/results.py", *(arguments or sys.argv[1:])])
     remarks = [f"- {remark}" for remark in result.remarks()]
     parts = [f"# {suite.name}", f"Made by\n\n```sh\n{command}\n```", f"{result.verdict()}.", "\n".join(remarks)]
-    parts += [markdown(listing) for listing in result.listings()]
+    parts += [markdown(listing) for listing in result.listings() if not listing.detail]
     options.out.write_text("\n\n".join(filter(None, parts)) + "\n", encoding="utf-8")
 
 

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from mckibben import report
 from mckibben.scenario import Scenario
 from mckibben.storage.store import STUDY
-from mckibben.study.compare import Suite
+from mckibben.study.compare import CompareResult, Suite
 from mckibben.study.tune import read_trials
 
 TEXT = (Path(__file__).parents[1] / "small-suite.yaml").read_text(encoding="utf-8")
@@ -38,7 +37,6 @@ def written(tmp_path):
 @pytest.fixture
 def undrawn(monkeypatch):
     """No figures: they take longer than all else."""
-    monkeypatch.setattr("mckibben.report.write_comparison", lambda contest, out: out / "comparison.html")
     monkeypatch.setattr("mckibben.study.compare.CompareResult.figures", ())
 
 
@@ -48,27 +46,27 @@ def results(folder):
 
 @pytest.mark.slow
 def test_a_comparison_from_beginning_to_end(cli, written, tmp_path, monkeypatch):
-    drawn, draw = [], report.write_comparison
-    monkeypatch.setattr(
-        report, "write_comparison", lambda contest, *rest: drawn.append(contest) or draw(contest, *rest)
-    )
+    made, write = [], CompareResult.write
+    monkeypatch.setattr(CompareResult, "write", lambda contest, out: made.append(contest) or write(contest, out))
     suite = written((DECOUPLING, ""))
     found = cli("compare", "suite.yaml", "--out", "kept")
     assert found.code == 0, found.err
     kept = tmp_path / "kept"
     assert {path.name for path in kept.iterdir()} == {
-        *("results.json", "runs.nc", "suite.yaml", "comparison.html", "comparison_errors.png", "comparison_errors.svg"),
-        *("figures", STUDY, "controllers"),
+        *("results.json", "runs.nc", "suite.yaml", STUDY, "controllers"),
+        *(f"comparison_{name}.{end}" for name in ("errors", "air", "front") for end in ("png", "svg")),
     }
     assert Suite.read(kept / "suite.yaml") == suite
-    (contest,) = drawn
+    (contest,) = made
     assert results(kept)["verdict"] == contest.verdict() and " ".join(found.out.split()).startswith(contest.verdict())
     for name in contest.tuned:
         scenario = Scenario.read(kept / "controllers" / f"{name.lower().replace(' ', '-')}.yaml")
         expected = contest.tuned[name].get(KP)
         assert scenario.control().position.kp == (expected or 2e5)
         assert scenario.start.angle == pytest.approx(np.deg2rad(5.0)), "at the first angle of its reference"
-    unseen, equal = results(kept)["tables"]
+    unseen, equal, tuned = results(kept)["tables"]
+    assert tuned["columns"]["cost tuned"]["values"][0] == contest.training_cost["PID 3"][0]
+    assert "controller.position.kp" in tuned["columns"]["parameters"]["values"][0]
     assert unseen["title"].endswith(f"{contest.started.sum()} unseen runs")
     columns = {name: column["values"] for name, column in unseen["columns"].items()}
     assert columns["controller"] == contest.order

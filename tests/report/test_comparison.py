@@ -1,8 +1,5 @@
-"""The figures and the page of a comparison: complete, alone, the same bytes each time, one colour a controller."""
+"""The figures of a comparison: one colour a controller, and numbers of NumPy."""
 
-import base64
-import html
-import re
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +10,7 @@ from mckibben.report.comparison import (
     comparison_air,
     comparison_errors,
     comparison_front,
-    write_comparison,
 )
-from mckibben.report.page import typeset
 from mckibben.simulation import Batch, Metrics, Outcome
 from mckibben.simulation.outcome import OUTCOMES
 from mckibben.study.compare import CompareResult, Suite, draw
@@ -56,52 +51,12 @@ def result():
     return made([3, 7])
 
 
-@pytest.fixture(scope="module")
-def kept(result, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("page")
-    return write_comparison(result, folder)
-
-
-@pytest.fixture(scope="module")
-def text(kept):
-    return kept.read_text(encoding="utf-8")
-
-
-def plain(text):
-    return " ".join(html.unescape(re.sub(r"<[^>]+>", " ", text)).split())
-
-
-def test_the_page_is_complete_and_has_its_figures(kept, text, page_of):
-    page = page_of(text)
-    assert page.open == [] and page.is_self_contained and "url(" not in text
-    assert len([tag for tag, _ in page.tags if tag == "table"]) == 3
-    assert not list(kept.parent.glob(".*"))
-    for name in ("errors", "air", "front"):
-        drawing = (kept.parent / "figures" / f"{name}.svg").read_bytes()
-        assert f'<figure id="{name}">' in text and base64.b64encode(drawing).decode("ascii") in text
-        assert (kept.parent / "figures" / f"{name}.png").stat().st_size > 5000
-
-
 def test_a_front_is_drawn_for_each_controller_that_was_tuned(result):
     (axes,) = comparison_front(result).axes
     assert [line.get_label() for line in axes.lines] == ["PID 3", "decoupling"]
     for line in axes.lines:
         np.testing.assert_allclose(line.get_xdata(), [10.0, 20.0, 40.0])
         np.testing.assert_allclose(line.get_ydata(), [0.1, 0.05, 0.025])
-
-
-def test_its_words_and_numbers(text, result):
-    words = plain(text)
-    assert "3 controllers on 16 unseen runs" in words
-    assert "Each except as it is was tuned with the same budget: 2 searches of 2 generations of 4 points" in words
-    for listing in result.listings():
-        for row in listing.rows():
-            assert plain(str(typeset(" ".join(row)))) in words
-    assert "as it is not tuned" in words
-    assert "cost 20.5 before, 1.25 tuned" in words
-    assert "position.kp 1.2 bar/rad" in words
-    assert "mckibben compare suite.yaml" in words
-    assert Suite.parse(html.unescape(re.search(r"<summary>.*<code>(.*)</code>", text, re.S)[1])) == result.suite
 
 
 def test_a_controller_has_one_colour_in_all_figures(result):

@@ -195,7 +195,6 @@ def compare(
     """
     out = required_folder(out, "comparison")
     read = _quick(_suite(suite)) if quick else _suite(suite)
-    from mckibben import report
     from mckibben.study.compare import CompareResult
     from mckibben.study.compare import compare as run
     from mckibben.study.compare.checks import filename
@@ -204,7 +203,7 @@ def compare(
     suites = {name: read.of_setup(name) for name in read.setups} or {"": read}
     folders = {name: out / filename(name) if name else out for name in suites}
     for name, folder in folders.items():
-        _check_results(folder, CompareResult, resume, "comparison.html")
+        _check_results(folder, CompareResult, resume)
         if not (make_folder(folder) / "suite.yaml").exists():  # before the search, which may be interrupted
             suites[name].to_yaml(folder / "suite.yaml")
     results = {}
@@ -216,7 +215,6 @@ def compare(
 
         again = resume and (folders[name] / STUDY).exists()
         results[name] = run(setup, out=folders[name], resume=again, progress=step)
-        report.write_comparison(results[name], folders[name])
     if not read.setups:
         return results[""]
     for name, result in results.items():

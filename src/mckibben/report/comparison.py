@@ -1,19 +1,14 @@
-"""Figures and report of a comparison of controllers."""
+"""Figures of a comparison of controllers."""
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mckibben.report.figures import ReportFigure, described
-from mckibben.report.page import Section, write_document
 from mckibben.report.style import DOUBLE, Look, blank, legend_above, letter, looks_of, plain_numbers, styled
-from mckibben.report.tables import Table, number, table_of
-from mckibben.report.tracking import tracking
 from mckibben.study.compare.statistics import front, median
 from mckibben.units import deg, litre
 
@@ -21,7 +16,6 @@ if TYPE_CHECKING:
     from mckibben.study.compare import CompareResult
 
 _ERRORS = (("angle_rmse", "angle rmse [deg]", deg), ("stiffness_rmse", "stiffness rmse [N·m/rad]", 1.0))
-_PAGE = "comparison.html"
 
 
 @styled
@@ -64,13 +58,18 @@ def comparison_air(result: CompareResult) -> Figure:
         axes.plot([x0, x1], [y, y], color=look["color"], linewidth=0.8)
         axes.plot([x, x], [y0, y1], color=look["color"], linewidth=0.8)
         axes.plot(x, y, marker=_marker(look), markersize=4.5, linestyle="", color=look["color"], label=name)
-    scale = "log" if axes.lines else "linear"
-    axes.set(xscale=scale, yscale=scale, xlabel="air consumption [L]", ylabel="angle rmse [deg]")
+    _air_axes(figure, axes)
+    return figure
+
+
+def _air_axes(figure: Figure, axes: Axes) -> None:
+    """Logarithmic axes of air and error with a legend, unless nothing is drawn."""
+    axes.set(xlabel="air consumption [L]", ylabel="angle rmse [deg]")
     if axes.lines:
+        axes.set(xscale="log", yscale="log")
         plain_numbers(axes.xaxis)
         plain_numbers(axes.yaxis)
         legend_above(figure, axes, columns=4)
-    return figure
 
 
 @styled
@@ -85,66 +84,5 @@ def comparison_front(result: CompareResult) -> Figure:
                 for metric, unit in (("air", litre), ("angle_rmse", deg))
             )
             axes.plot(air, angle, drawstyle="steps-post", marker=_marker(look), markersize=2.5, label=name, **look)
-    axes.set(xscale="log", yscale="log", xlabel="air consumption [L]", ylabel="angle rmse [deg]")
-    plain_numbers(axes.xaxis)
-    plain_numbers(axes.yaxis)
-    legend_above(figure, axes, columns=4)
+    _air_axes(figure, axes)
     return figure
-
-
-def write_comparison(result: CompareResult, folder: str | os.PathLike[str]) -> Path:
-    """Write `comparison.html`, self-contained, and its figures in `figures/`; return its path.
-
-    Tables are those of the result; the lead says how the controllers were tuned.
-    """
-    folder, suite = Path(folder), result.suite
-    tuning, runs = suite.tuning, int(result.started.sum())
-    untuned = f" except {', '.join(tuning.untuned)}" if tuning.untuned else ""
-    lead = (
-        f"{len(result.batches)} controllers on {runs} unseen runs. Each{untuned} was tuned with the same budget: "
-        f"{tuning.starts} {'search' if tuning.starts == 1 else 'searches'} of {tuning.generations} generations of "
-        f"{tuning.population} points on {tuning.runs} other runs, minimising the mean of {tuning.cost}. No controller "
-        "has access to the plant beyond its measurements."
-    )
-    return write_document(
-        folder / _PAGE,
-        title=suite.name,
-        lead=" ".join([f"{result.verdict()}.", lead, *(f"{remark}." for remark in result.remarks())]),
-        sections=[
-            Section("Ranking", [table_of(listing) for listing in result.listings()], _figures(result, runs)),
-            Section("Tuning", [_tuned(result)], words=True),
-        ],
-        source_title="The suite",
-        source=suite.dumps(folder=folder),
-        again="mckibben compare suite.yaml --out DIR",
-    )
-
-
-def _figures(result: CompareResult, runs: int) -> list[ReportFigure]:
-    first, *others = result.batches
-    best = [name for name in result.order if name in others][:2]
-    run, results = result.median_run([first, *best])
-    drawn = {
-        "errors": comparison_errors(result),
-        "air": comparison_air(result),
-        "front": comparison_front(result),
-        "traces": tracking(results),
-    }
-    return [
-        described(f"comparison/{name}", figure, runs=runs, run=run, first=first)
-        for name, figure in drawn.items()
-        if any(axes.lines for axes in figure.axes)  # no front without tuning, no air without volumes
-    ]
-
-
-def _tuned(result: CompareResult) -> Table:
-    rows = []
-    for name, values in result.tuned.items():
-        costs = result.training_cost.get(name)
-        change = "not tuned" if costs is None else f"cost {number(costs[1])} before, {number(costs[0])} tuned"
-        written = [
-            f"{gain.name.removeprefix('controller.')} {gain.parameter.show(values[gain.name]).replace('*', '·')}"
-            for gain in result.suite.tuned_over(name)
-        ]
-        rows.append((name, change, "; ".join(written)))
-    return Table("Tuned parameters.", ("controller", "cost of the training runs", "parameters"), rows)

@@ -37,7 +37,7 @@ class ReportFigure:
     name
         Name of its files.
     section
-        Part of the page, a key of `SECTIONS`; empty on other pages.
+        Part of the page, a key of `SECTIONS`.
     title, caption, alternative
         Heading; what is seen, with numbers; what is drawn, for those who do not see it.
     figure
@@ -52,7 +52,7 @@ class ReportFigure:
     figure: Figure
 
     def __post_init__(self) -> None:
-        assert not self.section or self.section in SECTIONS
+        assert self.section in SECTIONS
 
 
 def figures(reproduction: Reproduction) -> Iterator[ReportFigure]:
@@ -81,7 +81,7 @@ def described(key: str, figure: Figure, suffix: str = "", **values: object) -> R
     Parameters
     ----------
     key
-        Key of the texts; its last part is the name of the figure.
+        Key of the texts, and name of the figure.
     figure
         The drawing.
     suffix
@@ -90,10 +90,8 @@ def described(key: str, figure: Figure, suffix: str = "", **values: object) -> R
         Objects whose attributes and items fill the braces of the texts.
     """
     texts = tomllib.loads((resources.files("mckibben.report") / "figures.toml").read_text(encoding="utf-8"))[key]
-    written = {"section": ""} | {
-        name: text.format(**values).replace("N*m/rad", "N·m/rad") for name, text in texts.items()
-    }
-    return ReportFigure(key.rpartition("/")[2] + suffix, figure=figure, **written)
+    written = {name: text.format(**values).replace("N*m/rad", "N·m/rad") for name, text in texts.items()}
+    return ReportFigure(key + suffix, figure=figure, **written)
 
 
 def _of_the_muscle(reproduction: Reproduction) -> Iterator[ReportFigure]:

@@ -8,10 +8,8 @@ from __future__ import annotations
 import base64
 import os
 import re
-from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
-from typing import NamedTuple
 
 import jinja2
 import markupsafe
@@ -123,54 +121,6 @@ def write_page(path: Path, text: str) -> Path:
     with atomic_write(path, overwrite=True) as part:
         part.write_text(text, encoding="utf-8")
     return path
-
-
-class Section(NamedTuple):
-    """Part of a page.
-
-    Attributes
-    ----------
-    title
-        Heading.
-    tables, figures
-        Shown in this order.
-    words
-        Whether the cells of the tables are texts, which are aligned to the left.
-    """
-
-    title: str
-    tables: Sequence[tables.Table]
-    figures: Sequence[ReportFigure] = ()
-    words: bool = False
-
-
-def write_document(
-    path: Path, *, title: str, lead: str, sections: Sequence[Section], source_title: str, source: str, again: str = ""
-) -> Path:
-    """Write a self-contained page, and its figures in `figures/` next to it.
-
-    Parameters
-    ----------
-    path
-        File to write; an existing one is replaced.
-    title, lead
-        Heading, and first paragraph.
-    sections
-        Parts of the page.
-    source_title, source
-        Name and text of the file from which the results follow.
-    again
-        Commands that repeat the results.
-
-    Returns
-    -------
-    Path
-        The path.
-    """
-    parts = [(section, [embedded(figure, path.parent) for figure in section.figures]) for section in sections]
-    template = template_of("document.html.jinja")
-    texts = {"title": title, "lead": lead, "source_title": source_title, "source": source, "again": again}
-    return write_page(path, template.render(style=style_sheet(), sections=parts, **texts))
 
 
 def render(reproduction: Reproduction, drawn: dict[str, list[EmbeddedFigure]]) -> str:

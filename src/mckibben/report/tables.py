@@ -22,7 +22,6 @@ from mckibben.units import bar, deg, factor, mm, ms, percent
 
 if TYPE_CHECKING:
     from mckibben.paper import Reproduction
-    from mckibben.result import Listing
 
 Numbers = Mapping[str, Any]
 """Nested numbers of `Reproduction.to_dict`, by name."""
@@ -91,12 +90,6 @@ class Table:
     caption: str
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
-
-
-def table_of(listing: Listing) -> Table:
-    """Table of a listing of a result, with units in the head."""
-    head = [f"{title} [{unit}]" if unit not in ("", "1") else title for title, unit in listing.header()]
-    return Table(listing.title, head, listing.rows())
 
 
 _TEXTS = tomllib.loads((resources.files("mckibben.report") / "tables.toml").read_text(encoding="utf-8"))

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from mckibben.dataset.schema import write_netcdf
 from mckibben.result import Listing, Remark, Result
-from mckibben.scenario import Scenario, run_scenario
-from mckibben.simulation import Batch, Margins, SimulationResult, margin_remarks
+from mckibben.scenario import Scenario, find_parameters
+from mckibben.simulation import Batch, Margins, margin_remarks
 from mckibben.simulation.metrics import METRICS
 from mckibben.storage.files import make_folder
 from mckibben.study.compare.checks import filename
@@ -41,7 +41,7 @@ class CompareResult(Result):
     with no more air than the tuned first controller, by medians of the training runs; None if the first is not tuned.
     """
 
-    figures = ("comparison_errors",)
+    figures = ("comparison_errors", "comparison_air", "comparison_front")
     files = ("runs.nc", "suite.yaml", "controllers")
 
     suite: Suite
@@ -59,17 +59,6 @@ class CompareResult(Result):
     def order(self) -> list[str]:
         """Controllers by their median cost, the best first."""
         return sorted(self.batches, key=lambda name: float(np.median(self.cost(name))))
-
-    def median_run(self, controllers: Sequence[str]) -> tuple[int, dict[str, SimulationResult]]:
-        """Return the run with the first controller's median angle error, and the results of some controllers in it.
-
-        The run is simulated again for each of them, over time.
-        """
-        errors = self.metric(next(iter(self.batches)), "angle_rmse")
-        order = np.argsort(errors)  # NaN last
-        run = int(np.flatnonzero(self.started)[order[np.isfinite(errors).sum() // 2]])
-        scenarios = {name: self.runs.scenario(name, run, self.tuned.get(name)) for name in controllers}
-        return run, {name: run_scenario(scenario) for name, scenario in scenarios.items()}
 
     @property
     def started(self) -> NDArray[np.bool_]:
@@ -130,8 +119,16 @@ class CompareResult(Result):
                 yield Remark.warning("at_bound", text, remedy="consider a wider range")
 
     def listings(self) -> Iterator[Listing]:
-        """Yield errors on the evaluation runs, as tuned and with no more air than the first controller."""
+        """Yield errors on the unseen runs, as tuned and with no more air than the first controller; tuned values."""
         yield from self._tables
+        rows = []
+        for name, values in self.tuned.items():
+            after, before = self.training_cost.get(name, (np.nan, np.nan))
+            parameters = find_parameters(self.suite.tuned_scenario(name, {}), values)
+            tuned = "; ".join(f"{p.name} {p.show(values[p.name])}" for p in parameters)
+            rows.append((name, before, after, tuned or "not tuned"))
+        titles = ("controller", "cost before", "cost tuned", "parameters")
+        yield replace(listing_of("Tuned on the training runs", titles, rows), detail=True)
 
     @functools.cached_property
     def _tables(self) -> list[Listing]:
