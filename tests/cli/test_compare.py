@@ -120,6 +120,8 @@ def test_a_quick_look_as_json(cli, written, tmp_path):
     kept = Suite.read(tmp_path / "kept" / "suite.yaml")
     assert (kept.evaluation.runs, kept.tuning.generations, kept.tuning.starts) == (128, 2, 1)
     assert 16 <= len(read_trials(tmp_path / "kept" / STUDY, "PID 3")) <= 18
+    assert cli("compare", "suite.yaml", "--out", "kept", "--resume").code == 0
+    assert results(tmp_path / "kept") == numbers
 
 
 def test_a_comparison_needs_a_folder_and_a_scenario_has_a_suite_of_its_own(cli, tmp_path, monkeypatch):

@@ -191,17 +191,20 @@ def compare(
     suite : SUITE.yaml
         Suite file, see examples/comparison; or a scenario, compared with PID loops and decoupling.
     quick
-        Short searches, at most 128 runs.
+        Short searches, at most 128 runs; a quick comparison is continued without it, too.
     """
     out = required_folder(out, "comparison")
-    read = _quick(_suite(suite)) if quick else _suite(suite)
+    read = _suite(suite)
     from mckibben.study.compare import CompareResult
     from mckibben.study.compare import compare as run
     from mckibben.study.compare.checks import filename
     from mckibben.study.compare.result import PooledResult
 
-    suites = {name: read.of_setup(name) for name in read.setups} or {"": read}
-    folders = {name: out / filename(name) if name else out for name in suites}
+    folders = {name: out / filename(name) for name in read.setups} or {"": out}
+    short = _quick(read)
+    if quick or (resume and any(_is_kept(short, name, folder) for name, folder in folders.items())):
+        read = short
+    suites = {name: read.of_setup(name) if name else read for name in folders}
     for name, folder in folders.items():
         _check_results(folder, CompareResult, resume)
         if not (make_folder(folder) / "suite.yaml").exists():  # before the search, which may be interrupted
@@ -269,6 +272,12 @@ def _suite(file: Path) -> Suite:
         err=True,
     )
     return suite
+
+
+def _is_kept(suite: Suite, setup: str, folder: Path) -> bool:
+    """Whether a folder has a comparison of a suite, or of one of its setups."""
+    path = folder / "suite.yaml"
+    return path.exists() and type(suite).read(path) == (suite.of_setup(setup) if setup else suite)
 
 
 def _quick(suite: Suite) -> Suite:

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from mckibben.dataset import IsobaricDataset
     from mckibben.identification import Fit, Grouping, HysteresisFit, RankedLaw, Ranking
 
-_SHOWN = 6  # laws whose residuals are drawn
+_MOST = 6  # laws whose residuals are drawn, and pressures with their own panel
 _LOOKS: dict[str, Look] = {
     "seen": {"color": "#888888", "marker": "|", "label": "fitted points"},
     "pressure": {"color": BLUE, "marker": "o", "label": "held-out pressures"},
@@ -57,7 +57,7 @@ def ranking(ranked: Ranking) -> Figure:
         Result of `mckibben.identification.rank`.
     """
     fitted = [entry for entry in ranked.entries if entry.fit]
-    shown = fitted[:_SHOWN]
+    shown = fitted[:_MOST]
     rows = -(-len(shown) // 3)
     above = 0.26 * max(len(fitted), 3) + 0.9
     figure = blank(DOUBLE, above + 1.75 * rows)
@@ -137,7 +137,6 @@ def _short(law: str) -> str:
     return law.removesuffix("Law")
 
 
-_MOST = 6  # pressures with their own panel
 _MEAN: Look = {"color": BLUE, "alpha": 0.45, "zorder": 2}
 
 
