@@ -95,13 +95,13 @@ def test_an_unknown_name_is_an_attribute_error(name, meant):
 # Code lines by package, without docstrings, comments and blank lines: what a feature adds, it has to take from here. To
 # raise a number is a decision, whose reason is in the commit; to lower one is welcome. All are to come to 43,100.
 BUDGET = {
-    "top": 850,
+    "top": 830,
     "actuator": 1050,
     "calibration": 2070,
     "catalog": 230,
     "cli": 1460,
     "codegen": 2570,
-    "component": 1050,
+    "component": 1030,
     "config": 550,
     "contract": 650,
     "control": 2290,
@@ -117,14 +117,14 @@ BUDGET = {
     "paper": 740,
     "plant": 660,
     "reachability": 1250,
-    "report": 2330,
+    "report": 2230,
     "rig": 6060,
     "scenario": 720,
     "serial_protocol": 160,
     "simulation": 2860,
     "storage": 470,
-    "study": 2950,
-    "web": 2330,
+    "study": 2890,
+    "web": 2310,
 }
 
 MOST_ANY = 750  # uses of `Any`
