@@ -92,16 +92,11 @@ class Workbench(JobState):
 def parse(text: str, folder: Path) -> Scenario:
     """Parse a scenario that names only files of the session, and is short enough for a page."""
     scenario = parse_model(Scenario, text, source="scenario", folder=folder, confined=True)[0]
-    steps = steps_of(scenario)
+    steps = scenario.duration / scenario.control_period * (scenario.substeps or 1 + 2)  # by accuracy: of one, then two
     if steps > MOST_STEPS:
         message = f"the run has {steps:.3g} integration steps, more than {MOST_STEPS:.3g}"
         raise ParameterError(message, value=steps, remedy="shorten the duration, or use `mckibben simulate`")
     return scenario
-
-
-def steps_of(scenario: Scenario) -> float:
-    """Integration steps of a run; if they follow from the accuracy, those of one step per period and then of two."""
-    return scenario.duration / scenario.control_period * (scenario.substeps or 1 + 2)
 
 
 def controller_kind(controller: object) -> tuple[type, type]:
