@@ -69,7 +69,7 @@ def closest(name: str, known: Sequence[str]) -> str:
     >>> closest("encoder_resolution", ["encoder", "encoder_offset"])
     'encoder'
     """
-    word, names = _plain(name)[:LONGEST_VALUE], {_plain(other): other for other in reversed(known)}
+    word, names = plain_name(name)[:LONGEST_VALUE], {plain_name(other): other for other in reversed(known)}
     short = len(word) < 3
     nearest = [
         *sorted((other for other in names if other.startswith(word) and not short), key=len),
@@ -104,8 +104,8 @@ class Suggesting:
             raise no_attribute(self, name, self.suggestions)
 
 
-def _plain(name: str) -> str:
-    """Name in small letters, without separators."""
+def plain_name(name: str) -> str:
+    """Return a name in small letters, without hyphens, underscores and spaces."""
     return name.lower().replace("-", "").replace("_", "").replace(" ", "")
 
 

@@ -77,8 +77,6 @@ def test_the_list_of_what_can_be_varied(cli, scenario):
     [
         (["s.yaml", *MASS], "--out DIR"),
         (["s.yaml", "--out", "x", "--over", "load.mas2=1..2 kg"], "did you mean 'load.mass2'?"),
-        (["s.yaml", "--out", "x", *MASS, "--design", "girdle"], "choose sobol, random or grid"),
-        (["s.yaml", "--out", "x", *MASS, "--dask", "localhost"], "give an address like tcp://host:8786"),
         (["s.yaml", "--out", "x", "--resume"], "there is no study to continue"),
         (["s.yaml", "--out", "x", "--force", *MASS], "continue it with --resume"),
         (["s.yaml", "--out", "/proc/x", *MASS], "/proc/x: 1 problem\n  it cannot be made"),

@@ -84,24 +84,12 @@ def atomic_write(path: str | os.PathLike[str], *, overwrite: bool = False) -> It
     try:
         yield temporary
         _sync(temporary, os.O_RDWR | _NO_FOLLOW)
-        if overwrite:
-            temporary.replace(path)
-        else:
-            _rename_new(temporary, path)
+        if not overwrite:
+            check_free(path.parent, [path.name])
+        temporary.replace(path)
         sync_folder(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def _rename_new(temporary: Path, path: Path) -> None:
-    """Rename a file unless the new name exists."""
-    try:
-        os.link(temporary, path)
-    except FileExistsError:
-        check_free(path.parent, [path.name])
-    except OSError:  # no hard links here
-        check_free(path.parent, [path.name])
-        temporary.replace(path)
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)

@@ -198,7 +198,7 @@ class Job:
 
 
 @contextmanager
-def open_store(path: Path | None, *, resume: bool = False, task: str = "computing this study") -> Iterator[Store]:
+def open_store(path: Path | None, *, resume: bool = False) -> Iterator[Store]:
     """Open the file of a study for writing; None for a study in memory. The file is locked for other processes.
 
     Raises
@@ -210,7 +210,8 @@ def open_store(path: Path | None, *, resume: bool = False, task: str = "computin
     if path is not None:
         check_study(path, resume=resume)
         make_folder(path.parent)
-    with nullcontext() if path is None else file_lock(path.with_name(f".{path.name}.lock"), task):
+    lock = nullcontext() if path is None else file_lock(path.with_name(f".{path.name}.lock"), "computing this study")
+    with lock:
         if path is not None:  # nor meanwhile
             check_study(path, resume=resume)
         store = Store(path)

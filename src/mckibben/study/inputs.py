@@ -11,7 +11,7 @@ from mckibben import catalog
 from mckibben.component.schema import read_component
 from mckibben.config.document import read_document
 from mckibben.config.model import read_text
-from mckibben.errors import NotInCatalogError, suggest
+from mckibben.errors import NotInCatalogError, plain_name, suggest
 from mckibben.joint import Geometry
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ def specimen_named(name: str) -> Specimen:
 
 
 def law_type_named(name: str) -> type[ForceLaw]:
-    """Return a class of force laws by its name, in any case, with or without "Law" and hyphens.
+    """Return a class of force laws by its name, in any case, with or without "Law", hyphens and spaces.
 
     Raises `NotInCatalogError` with the closest name if there is none, also not among installed extensions.
 
@@ -135,18 +135,14 @@ def law_type_named(name: str) -> type[ForceLaw]:
     laws: dict[str, type[ForceLaw]] = {}
     for installed in (False, True):
         laws = law_types(installed=installed)
-        words = {_plain(law.__name__).removesuffix("law"): law for law in laws.values()}
-        words |= {_plain(key): law for key, law in laws.items()}
-        if law := words.get(_plain(name)) or words.get(_plain(name).removesuffix("law")):
+        words = {plain_name(law.__name__).removesuffix("law"): law for law in laws.values()}
+        words |= {plain_name(key): law for key, law in laws.items()}
+        if law := words.get(plain_name(name)) or words.get(plain_name(name).removesuffix("law")):
             return law
     short = [re.sub(r"(?<!^)(?=[A-Z])", "-", known.removesuffix("Law")).lower() for known in laws]
     broken = "".join(f"; {problem}" for problem in load_installed())
     remedy = f"{suggest(name.lower(), short)}; load the module of a user-defined law first (--extension){broken}"
     raise _unknown("law", name, remedy)
-
-
-def _plain(name: str) -> str:
-    return name.lower().replace("-", "").replace("_", "")
 
 
 def joint_named(name: str) -> AntagonisticJoint:

@@ -23,7 +23,7 @@ from mckibben.study.parameters.distributions import (
     Uniform,
     Values,
 )
-from mckibben.units import Quantity, split_range
+from mckibben.units import NUMBER, Quantity, split_range
 
 
 @dataclass(frozen=True)
@@ -118,11 +118,10 @@ def _truncated(parameter: ScenarioParameter, normal: Normal) -> Normal:
     return replace(normal, lower=max(normal.lower, lower), upper=min(normal.upper, upper))
 
 
-_NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 _POINTS = re.compile(r"(.*\S)\s+in\s+(\S+)", re.DOTALL)
 _LOG = re.compile(r"(.*\S)\s+log", re.DOTALL)
-_RELATIVE = re.compile(rf"({_NUMBER})\s*(?:%|percent)")
-_QUANTITY = re.compile(rf"{_NUMBER}\s*(?:[A-Za-z(/1][^%\s]*(?:\s+[^0-9+.\s-]\S*)*)?")
+_RELATIVE = re.compile(rf"({NUMBER.pattern})\s*(?:%|percent)")
+_QUANTITY = re.compile(rf"{NUMBER.pattern}\s*(?:[A-Za-z(/1][^%\s]*(?:\s+[^0-9+.\s-]\S*)*)?")
 _FORMS = "a range (0.2 kg..1.0 kg), values (1 kg, 2 kg), `+-10 %` or `normal 10 %`"
 
 
